@@ -1,0 +1,40 @@
+"""The error every user mistake becomes, and the look-up every registry uses."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+class InputError(ValueError):
+    """Bad input: one line that names the field or file, what was found and what was expected."""
+
+
+def lookup(registry: Mapping[str, T], name: str, what: str) -> T:
+    """Return ``registry[name]``, or say which name was probably meant.
+
+    Args:
+        registry: the names that exist.
+        name: the name asked for.
+        what: what the registry holds, in the singular ("solver"); used in the message.
+
+    Returns:
+        The registered value.
+
+    Raises:
+        InputError: if the name is not registered.
+
+    Example:
+        >>> lookup({"eigh": 1, "svd": 2}, "eihg", "solver")
+        Traceback (most recent call last):
+        ...
+        behaviors.errors.InputError: unknown solver 'eihg': did you mean 'eigh'? (eigh, svd)
+    """
+    if name in registry:
+        return registry[name]
+    near = difflib.get_close_matches(name, registry, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else "expected one of "
+    raise InputError(f"unknown {what} {name!r}: {hint}({', '.join(registry)})")

@@ -1,0 +1,166 @@
+"""Physical numbers for each behaviour, and drivers drawn around them.
+
+A `Profile` says only what a driver wants, dares and obeys. Every driver of every behaviour follows
+the same car-following and the same lane-change law with the same noise; nothing but these numbers
+differs, so that a behaviour can be told by what its driver does and by nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior
+
+DEFAULT_SPREAD: Final = 0.15
+"""Log-normal spread of every positive number between drivers of one behaviour (our choice: with
+it the behaviours overlap about as much as observers of real drivers disagree)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """One driver's parameters.
+
+    Attributes:
+        speed_factor: desired speed as a multiple of the limit.
+        time_headway_s: time gap wanted to the leader, s.
+        min_gap_m: bumper-to-bumper gap wanted at standstill, m.
+        max_accel_mps2: largest acceleration used, m/s2.
+        comfort_decel_mps2: largest braking used when nothing surprises, m/s2.
+        politeness: weight of others' loss in a lane change (MOBIL's p), 0 to 1.
+        lane_change_gain: eagerness to change lanes for speed; 1 is an average driver.
+        lane_change_patience_s: how long a faster lane must promise to stay faster, s.
+        lane_change_assertiveness: by what factor smaller gaps are accepted when changing; 1 is
+            average.
+        gap_acceptance_s: time gap demanded in traffic with priority, s.
+        crossing_gap_s: time gap demanded to pedestrians on or near a crossing, s.
+        yield_probability: chance to let pedestrians go first, drawn once per encounter.
+        red_run_probability: chance to run a red light when first in line, drawn per encounter.
+        yellow_run_s: for how long after the onset of yellow a driver still goes, s.
+        startup_delay_s: time from being able to go to going, s.
+        cut_in_rate_per_min: wish to cut in front of a chosen neighbour, per minute.
+        stop_rate_per_min: unprovoked slowing or stopping, per minute.
+        wrong_way_rate_per_min: wish to drive on the opposite side to get past, per minute.
+    """
+
+    speed_factor: float
+    time_headway_s: float
+    min_gap_m: float
+    max_accel_mps2: float
+    comfort_decel_mps2: float
+    politeness: float
+    lane_change_gain: float
+    lane_change_patience_s: float
+    lane_change_assertiveness: float
+    gap_acceptance_s: float
+    crossing_gap_s: float
+    yield_probability: float
+    red_run_probability: float
+    yellow_run_s: float
+    startup_delay_s: float
+    cut_in_rate_per_min: float
+    stop_rate_per_min: float
+    wrong_way_rate_per_min: float
+
+    def __post_init__(self) -> None:
+        """Refuse what no driver can be."""
+        for name in PROFILE_FIELDS:
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0:
+                raise InputError(f"Profile.{name}: found {value}, expected a number >= 0")
+        for name in _PROBABILITIES:
+            if getattr(self, name) > 1:
+                raise InputError(f"Profile.{name}: found {getattr(self, name)}, expected <= 1")
+        for name in ("speed_factor", "time_headway_s", "max_accel_mps2", "comfort_decel_mps2"):
+            if getattr(self, name) == 0:
+                raise InputError(f"Profile.{name}: found 0, expected a number > 0")
+
+
+PROFILE_FIELDS: Final[tuple[str, ...]] = tuple(f.name for f in dataclasses.fields(Profile))
+"""The order of the profile numbers wherever they stand in a table."""
+
+_PROBABILITIES: Final = ("politeness", "yield_probability", "red_run_probability")
+
+PROFILES: Final[dict[Behavior, Profile]] = {
+    Behavior.IMPATIENT: Profile(
+        speed_factor=1.35, time_headway_s=0.7, min_gap_m=1.2, max_accel_mps2=3.5,
+        comfort_decel_mps2=4.5, politeness=0.0, lane_change_gain=20.0, lane_change_patience_s=3.0,
+        lane_change_assertiveness=2.0, gap_acceptance_s=0.5, crossing_gap_s=3.0,
+        yield_probability=0.95, red_run_probability=0.0, yellow_run_s=3.0, startup_delay_s=0.2,
+        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+    ),
+    Behavior.RECKLESS: Profile(
+        speed_factor=1.2, time_headway_s=1.0, min_gap_m=1.5, max_accel_mps2=3.0,
+        comfort_decel_mps2=5.0, politeness=0.0, lane_change_gain=5.0, lane_change_patience_s=5.0,
+        lane_change_assertiveness=1.5, gap_acceptance_s=0.1, crossing_gap_s=0.5,
+        yield_probability=0.0, red_run_probability=1.0, yellow_run_s=3.0, startup_delay_s=0.2,
+        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=1.0,
+    ),
+    Behavior.THREATENING: Profile(
+        speed_factor=1.1, time_headway_s=0.5, min_gap_m=0.7, max_accel_mps2=4.0,
+        comfort_decel_mps2=6.0, politeness=0.0, lane_change_gain=10.0, lane_change_patience_s=3.0,
+        lane_change_assertiveness=5.0, gap_acceptance_s=0.3, crossing_gap_s=2.0,
+        yield_probability=0.5, red_run_probability=0.0, yellow_run_s=1.0, startup_delay_s=0.2,
+        cut_in_rate_per_min=3.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+    ),
+    Behavior.CAREFUL: Profile(
+        speed_factor=0.97, time_headway_s=1.5, min_gap_m=2.5, max_accel_mps2=1.8,
+        comfort_decel_mps2=2.5, politeness=0.8, lane_change_gain=0.05, lane_change_patience_s=20.0,
+        lane_change_assertiveness=0.8, gap_acceptance_s=1.5, crossing_gap_s=10.0,
+        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, startup_delay_s=0.7,
+        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+    ),
+    Behavior.CAUTIOUS: Profile(
+        speed_factor=0.88, time_headway_s=2.1, min_gap_m=3.0, max_accel_mps2=1.5,
+        comfort_decel_mps2=2.2, politeness=1.0, lane_change_gain=0.2, lane_change_patience_s=20.0,
+        lane_change_assertiveness=0.6, gap_acceptance_s=2.0, crossing_gap_s=25.0,
+        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, startup_delay_s=1.5,
+        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+    ),
+    Behavior.TIMID: Profile(
+        speed_factor=0.68, time_headway_s=2.8, min_gap_m=4.0, max_accel_mps2=1.2,
+        comfort_decel_mps2=3.0, politeness=1.0, lane_change_gain=0.0, lane_change_patience_s=20.0,
+        lane_change_assertiveness=0.6, gap_acceptance_s=2.5, crossing_gap_s=20.0,
+        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, startup_delay_s=1.2,
+        cut_in_rate_per_min=0.0, stop_rate_per_min=1.0, wrong_way_rate_per_min=0.0,
+    ),
+}  # fmt: skip
+"""The median driver of each behaviour."""
+
+
+def sample_profile(
+    behavior: Behavior, rng: np.random.Generator, spread: float = DEFAULT_SPREAD
+) -> Profile:
+    """Draw one driver of a behaviour.
+
+    Every positive number is multiplied by exp(spread * z), z standard normal and independent, so
+    the profile of the behaviour is the median driver. Probabilities are not drawn: chance enters
+    at each encounter.
+
+    Args:
+        behavior: the class to draw from.
+        rng: source of randomness; the same number of draws is taken whatever the spread.
+        spread: standard deviation of the log of each number; 0 gives clones.
+
+    Returns:
+        The driver's own profile.
+
+    Raises:
+        InputError: if ``spread`` is negative or not finite.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> sample_profile(Behavior.TIMID, rng, spread=0.0) == PROFILES[Behavior.TIMID]
+        True
+    """
+    if not np.isfinite(spread) or spread < 0:
+        raise InputError(f"spread: found {spread}, expected a number >= 0")
+    median = PROFILES[behavior]
+    names = [n for n in PROFILE_FIELDS if n not in _PROBABILITIES]
+    factors = np.exp(spread * rng.standard_normal(len(names)))
+    drawn = {n: float(getattr(median, n) * f) for n, f in zip(names, factors, strict=True)}
+    return dataclasses.replace(median, **drawn)

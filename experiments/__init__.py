@@ -1,0 +1,1 @@
+"""Experiments: commands, studies, metrics and reports."""

@@ -1,0 +1,1 @@
+"""GraphRQI: driver behaviour from the spectrum of the traffic graph."""

@@ -1,0 +1,1 @@
+"""Simulation: frames, tracks, road geometry, engines and file formats."""

@@ -1,0 +1,322 @@
+"""What an engine says at one instant (`Frame`) and what an episode adds up to (`Tracks`).
+
+Conventions, converted once where data enters: x east and y north in metres, the position is the
+centre of the agent's box, headings are radians counter-clockwise from +x, everything else SI.
+Ground truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.AgentSpec`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+CodeArray = NDArray[np.int8]
+BoolArray = NDArray[np.bool_]
+
+
+class AgentKind(StrEnum):
+    """What a road-agent is; the members' order is the code order (``.code``)."""
+
+    CAR = "car"
+    BUS = "bus"
+    TRUCK = "truck"
+    MOTORCYCLE = "motorcycle"
+    BICYCLE = "bicycle"
+    PEDESTRIAN = "pedestrian"
+
+    @property
+    def code(self) -> int:
+        """Position in ``KINDS``, as stored in ``Frame.kind``."""
+        return KINDS.index(self)
+
+
+KINDS: Final[tuple[AgentKind, ...]] = tuple(AgentKind)
+"""The code order of kinds: code c means ``KINDS[c]``."""
+
+PEDESTRIAN: Final = KINDS.index(AgentKind.PEDESTRIAN)
+"""The code of a pedestrian: the only kind that does not drive."""
+
+
+class Signal(StrEnum):
+    """State of one signal group; the members' order is the code order."""
+
+    RED = "red"
+    YELLOW = "yellow"
+    GREEN = "green"
+    OFF = "off"
+
+    @property
+    def code(self) -> int:
+        """Position in ``SIGNALS``, as stored in ``Frame.signals``."""
+        return SIGNALS.index(self)
+
+
+SIGNALS: Final[tuple[Signal, ...]] = tuple(Signal)
+"""The code order of signal states: code c means ``SIGNALS[c]``."""
+
+
+class EventKind(StrEnum):
+    """What can happen to or between agents."""
+
+    COLLISION = "collision"
+    NEAR_MISS = "near miss"
+    REMOVAL = "removal"
+    RED_RUN = "red run"
+    STOP_ROLLED = "stop rolled"
+    YIELDED = "yielded"
+    NOT_YIELDED = "did not yield"
+    WRONG_WAY = "wrong way"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at one time.
+
+    Attributes:
+        kind: what happened.
+        time_s: when, s.
+        agent: id of the agent that did it (of a collision: the one that caused it).
+        other: id of the second party, or None.
+        rule: why the agent is held to have caused it, in words ("" where nothing is to be said).
+    """
+
+    kind: EventKind
+    time_s: float
+    agent: int
+    other: int | None = None
+    rule: str = ""
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _check_and_freeze(owner: object, dtypes: dict[str, tuple[Any, tuple[int | None, ...]]]) -> None:
+    """Cast, check shapes of, and make read-only the array fields of a frozen dataclass."""
+    for name, (dtype, shape) in dtypes.items():
+        array = np.asarray(getattr(owner, name), dtype=dtype)
+        if array.ndim != len(shape) or any(
+            want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+        ):
+            expected = tuple("any" if s is None else s for s in shape)
+            raise InputError(
+                f"{type(owner).__name__}.{name}: found shape {array.shape}, expected {expected}"
+            )
+        object.__setattr__(owner, name, _frozen(array))
+
+
+def _empty_signals() -> CodeArray:
+    return np.empty(0, dtype=np.int8)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Every road-agent at one instant, in ascending order of id.
+
+    Attributes:
+        time_s: simulated time, s.
+        ids: (n,) agent ids, ascending, unique within an episode.
+        xy: (n, 2) centre of each agent's box, m.
+        heading: (n,) rad, counter-clockwise from +x, in (-pi, pi].
+        speed: (n,) m/s, along the heading.
+        length: (n,) m.
+        width: (n,) m.
+        kind: (n,) codes into ``KINDS``.
+        signals: (s,) codes into ``SIGNALS``, one per signal group of the road; empty if none.
+        events: what happened in the step that led here.
+    """
+
+    time_s: float
+    ids: IntArray
+    xy: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    length: FloatArray
+    width: FloatArray
+    kind: CodeArray
+    signals: CodeArray = field(default_factory=_empty_signals)
+    events: tuple[Event, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes and make the arrays read-only."""
+        n = np.shape(self.ids)[0] if np.ndim(self.ids) == 1 else None
+        _check_and_freeze(
+            self,
+            {
+                "ids": (np.int64, (None,)),
+                "xy": (np.float64, (n, 2)),
+                "heading": (np.float64, (n,)),
+                "speed": (np.float64, (n,)),
+                "length": (np.float64, (n,)),
+                "width": (np.float64, (n,)),
+                "kind": (np.int8, (n,)),
+                "signals": (np.int8, (None,)),
+            },
+        )
+
+    def __len__(self) -> int:
+        """How many agents there are."""
+        return int(self.ids.size)
+
+    @property
+    def driving(self) -> BoolArray:
+        """(n,) whether each agent drives (is not a pedestrian)."""
+        return np.asarray(self.kind != PEDESTRIAN)
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """A whole episode as dense arrays with a mask of what was seen.
+
+    Attributes:
+        ids: (N,) agent ids, ascending.
+        names: (N,) the source's own ids, as strings.
+        kind: (N,) codes into ``KINDS``.
+        length: (N,) m.
+        width: (N,) m.
+        time_s: (T,) s, increasing.
+        xy: (N, T, 2) m; NaN where not valid.
+        heading: (N, T) rad; NaN where not valid.
+        speed: (N, T) m/s; NaN where not valid.
+        valid: (N, T) whether the agent was seen at that time.
+        signals: (S, T) codes into ``SIGNALS``.
+        behavior: (N,) codes into ``BEHAVIORS`` (-1: none), or None where nothing is known.
+        events: every event, in time order.
+    """
+
+    ids: IntArray
+    names: tuple[str, ...]
+    kind: CodeArray
+    length: FloatArray
+    width: FloatArray
+    time_s: FloatArray
+    xy: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    valid: BoolArray
+    signals: CodeArray
+    behavior: CodeArray | None = None
+    events: tuple[Event, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes and make the arrays read-only."""
+        n, t = np.shape(self.ids)[0], np.shape(self.time_s)[0]
+        shapes: dict[str, tuple[Any, tuple[int | None, ...]]] = {
+            "ids": (np.int64, (n,)),
+            "kind": (np.int8, (n,)),
+            "length": (np.float64, (n,)),
+            "width": (np.float64, (n,)),
+            "time_s": (np.float64, (t,)),
+            "xy": (np.float64, (n, t, 2)),
+            "heading": (np.float64, (n, t)),
+            "speed": (np.float64, (n, t)),
+            "valid": (np.bool_, (n, t)),
+            "signals": (np.int8, (None, t)),
+        }
+        if self.behavior is not None:
+            shapes["behavior"] = (np.int8, (n,))
+        _check_and_freeze(self, shapes)
+        if len(self.names) != n:
+            raise InputError(f"Tracks.names: found {len(self.names)} names, expected {n}")
+
+    @classmethod
+    def from_frames(
+        cls,
+        frames: Iterable[Frame],
+        behaviors: dict[int, Behavior | None] | None = None,
+        names: dict[int, str] | None = None,
+    ) -> Tracks:
+        """Stack frames of one episode.
+
+        Args:
+            frames: frames in time order.
+            behaviors: the true behaviour of each agent id, if known.
+            names: the source's own id of each agent id; the id itself where missing.
+
+        Returns:
+            Tracks over all ids that appear.
+        """
+        seq = list(frames)
+        all_ids = np.unique(np.concatenate([f.ids for f in seq])) if seq else np.empty(0, np.int64)
+        n, t = all_ids.size, len(seq)
+        n_signals = seq[0].signals.size if seq else 0
+        xy = np.full((n, t, 2), np.nan)
+        heading, speed = np.full((n, t), np.nan), np.full((n, t), np.nan)
+        valid = np.zeros((n, t), dtype=bool)
+        kind = np.zeros(n, dtype=np.int8)
+        length, width = np.zeros(n), np.zeros(n)
+        signals = np.zeros((n_signals, t), dtype=np.int8)
+        for j, frame in enumerate(seq):
+            rows = np.searchsorted(all_ids, frame.ids)
+            xy[rows, j] = frame.xy
+            heading[rows, j] = frame.heading
+            speed[rows, j] = frame.speed
+            valid[rows, j] = True
+            kind[rows], length[rows], width[rows] = frame.kind, frame.length, frame.width
+            signals[:, j] = frame.signals
+        codes = None
+        if behaviors is not None:
+            known = [behaviors.get(int(i)) for i in all_ids]
+            codes = np.array([-1 if b is None else b.code for b in known], dtype=np.int8)
+        return cls(
+            ids=all_ids,
+            names=tuple((names or {}).get(int(i), str(int(i))) for i in all_ids),
+            kind=kind,
+            length=length,
+            width=width,
+            time_s=np.array([f.time_s for f in seq], dtype=np.float64),
+            xy=xy,
+            heading=heading,
+            speed=speed,
+            valid=valid,
+            signals=signals,
+            behavior=codes,
+            events=tuple(e for f in seq for e in f.events),
+        )
+
+    def frame(self, step: int) -> Frame:
+        """The frame at index ``step``: the agents that are valid there."""
+        rows = np.flatnonzero(self.valid[:, step])
+        time_s = float(self.time_s[step])
+        before = float(self.time_s[step - 1]) if step > 0 else -np.inf
+        return Frame(
+            time_s=time_s,
+            ids=self.ids[rows],
+            xy=self.xy[rows, step],
+            heading=self.heading[rows, step],
+            speed=self.speed[rows, step],
+            length=self.length[rows],
+            width=self.width[rows],
+            kind=self.kind[rows],
+            signals=self.signals[:, step],
+            events=tuple(e for e in self.events if before < e.time_s <= time_s),
+        )
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames in time order: a recording plays like any engine."""
+        for step in range(self.time_s.size):
+            yield self.frame(step)
+
+    @property
+    def step_s(self) -> float:
+        """The median time between frames, s."""
+        if self.time_s.size < 2:
+            raise InputError(f"Tracks.time_s: found {self.time_s.size} frames, expected at least 2")
+        return float(np.median(np.diff(self.time_s)))
+
+    def with_behavior(self, behavior: CodeArray) -> Tracks:
+        """The same tracks with other labels (-1: none)."""
+        return dataclasses.replace(self, behavior=behavior)

@@ -1,0 +1,195 @@
+"""The road: lanes, how they connect, where one must stop, where people cross.
+
+One geometry serves every engine, the predictors, the trait detectors and the pictures. It is read
+from a SUMO net by `sim.net.read_road`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """One lane, or one path across a junction.
+
+    Attributes:
+        id: unique name.
+        edge: the edge (stretch of road in one direction) it belongs to.
+        index: place on its edge, 0 rightmost.
+        centerline: (P, 2) points in driving direction, m.
+        width_m: m.
+        speed_limit_mps: m/s.
+        walking: whether it is a sidewalk (pedestrians only).
+        internal: whether it crosses a junction.
+    """
+
+    id: str
+    edge: str
+    index: int
+    centerline: FloatArray
+    width_m: float
+    speed_limit_mps: float
+    walking: bool = False
+    internal: bool = False
+
+    @property
+    def length_m(self) -> float:
+        """Length of the centre line, m."""
+        return float(np.hypot(*np.diff(self.centerline, axis=0).T).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A way from the end of one lane to the start of another.
+
+    Attributes:
+        from_lane: id of the lane that ends.
+        to_lane: id of the lane that begins.
+        via: ids of the internal lanes in between, in order.
+        direction: "straight", "left", "right" or "turnaround".
+        signal: index of the signal group that controls it, -1 if none.
+        must_yield: whether others have priority over it.
+        must_stop: whether it has a stop sign.
+    """
+
+    from_lane: str
+    to_lane: str
+    via: tuple[str, ...]
+    direction: str
+    signal: int = -1
+    must_yield: bool = False
+    must_stop: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """Where pedestrians cross the road.
+
+    Attributes:
+        id: unique name.
+        centerline: (P, 2) points along the walking direction, m.
+        width_m: m.
+        edges: ids of the road edges that it crosses.
+        signal: index of the signal group that controls it, -1 if none.
+        priority: whether pedestrians have priority over vehicles.
+    """
+
+    id: str
+    centerline: FloatArray
+    width_m: float
+    edges: tuple[str, ...]
+    signal: int = -1
+    priority: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class LanePosition:
+    """Points in lane coordinates.
+
+    Attributes:
+        lane: (n,) index into ``Road.lanes``.
+        s: (n,) distance along the lane's centre line, m.
+        offset: (n,) signed distance to the left of the centre line, m.
+    """
+
+    lane: IntArray
+    s: FloatArray
+    offset: FloatArray
+
+
+@dataclass(frozen=True)
+class Road:
+    """A road network.
+
+    Attributes:
+        name: what it is called.
+        lanes: all lanes, junction paths and sidewalks.
+        connections: ways between lanes (vehicles only).
+        crossings: where pedestrians cross.
+        signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
+        source: the SUMO net it was read from.
+    """
+
+    name: str
+    lanes: tuple[Lane, ...]
+    connections: tuple[Connection, ...]
+    crossings: tuple[Crossing, ...]
+    signal_groups: tuple[str, ...]
+    source: Path
+
+    @cached_property
+    def lane_index(self) -> dict[str, int]:
+        """Index into ``lanes`` of each lane id."""
+        return {lane.id: i for i, lane in enumerate(self.lanes)}
+
+    @cached_property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Smallest x and y and largest x and y of any centre line, m."""
+        points = np.concatenate([lane.centerline for lane in self.lanes])
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        return float(x0), float(y0), float(x1), float(y1)
+
+    @cached_property
+    def _drivable_segments(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
+        """Start, unit direction, length, lane and start distance of each drivable segment."""
+        start, direction, length, lane, at = [], [], [], [], []
+        for i, one in enumerate(self.lanes):
+            if one.walking:
+                continue
+            step = np.diff(one.centerline, axis=0)
+            size = np.hypot(step[:, 0], step[:, 1])
+            keep = size > 1e-9
+            start.append(one.centerline[:-1][keep])
+            direction.append(step[keep] / size[keep, None])
+            length.append(size[keep])
+            lane.append(np.full(int(keep.sum()), i, dtype=np.int64))
+            at.append((np.cumsum(size) - size)[keep])
+        if not start:
+            raise InputError(f"road {self.name!r}: found no drivable lane, expected at least one")
+        return (
+            np.concatenate(start),
+            np.concatenate(direction),
+            np.concatenate(length),
+            np.concatenate(lane),
+            np.concatenate(at),
+        )
+
+    def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
+        """Lane coordinates of points, on the drivable lane that fits place and heading best.
+
+        The fit is the distance to the centre line plus, in metres, how far the heading is from
+        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
+        junctions, where paths overlap and only the heading tells them apart.
+
+        Args:
+            xy: (n, 2) m.
+            heading: (n,) rad.
+
+        Returns:
+            Lane index, distance along it and signed offset of each point.
+        """
+        start, direction, length, lane, at = self._drivable_segments
+        internal = np.array([self.lanes[i].internal for i in range(len(self.lanes))])[lane]
+        turn_cost_m = np.where(internal, 4.0, 0.7)  # our choice: a lane is some 3 m wide
+        relative = xy[:, None, :] - start[None]
+        along = (relative * direction[None]).sum(axis=2)
+        clipped = np.clip(along, 0.0, length[None])
+        across = direction[None, :, 0] * relative[..., 1] - direction[None, :, 1] * relative[..., 0]
+        distance = np.hypot(across, along - clipped)
+        facing = np.cos(heading[:, None] - np.arctan2(direction[:, 1], direction[:, 0])[None])
+        best = np.argmin(distance + turn_cost_m[None] * (1.0 - facing), axis=1)
+        row = np.arange(len(xy))
+        return LanePosition(
+            lane=lane[best], s=at[best] + clipped[row, best], offset=across[row, best]
+        )

@@ -1,0 +1,195 @@
+"""What is to happen: a road, who wants to travel on it, and the drivers drawn for it.
+
+The population is drawn here, before any engine runs, so that the same drivers drive everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile
+from sim.frames import AgentKind
+from sim.road import Road
+
+EQUAL_MIX: Final[dict[Behavior, float]] = {b: 1.0 / len(BEHAVIORS) for b in BEHAVIORS}
+"""Every behaviour as often as any other."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One stream of demand along one route.
+
+    Attributes:
+        route: edge ids from first to last.
+        per_hour: agents per hour, with exponential gaps between departures.
+        walking: whether pedestrians walk it.
+    """
+
+    route: tuple[str, ...]
+    per_hour: float
+    walking: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class AgentSpec:
+    """One road-agent, drawn before the engine runs.
+
+    Attributes:
+        id: unique within the episode.
+        kind: what it is.
+        behavior: its driver's true behaviour; None for pedestrians.
+        profile: its driver's own numbers; None for pedestrians.
+        route: edge ids from first to last.
+        depart_s: when it wants to enter, s.
+        length_m: m.
+        width_m: m.
+        speed_mps: walking speed of a pedestrian, m/s; 0 for those that drive.
+        seed: seed of the agent's own chance decisions.
+    """
+
+    id: int
+    kind: AgentKind
+    behavior: Behavior | None
+    profile: Profile | None
+    route: tuple[str, ...]
+    depart_s: float
+    length_m: float
+    width_m: float
+    speed_mps: float = 0.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A road with demand and a mix of drivers.
+
+    Attributes:
+        name: registered name.
+        road: where it happens.
+        streams: who travels where, and how many per hour.
+        mix: share of each behaviour among drivers; sums to 1.
+        spread: log-normal spread between drivers of one behaviour.
+        duration_s: length of an episode, s.
+        step_s: time between frames, s.
+        kinds: share of each vehicle kind; sums to 1.
+    """
+
+    name: str
+    road: Road
+    streams: tuple[Stream, ...]
+    mix: Mapping[Behavior, float] = field(default_factory=lambda: dict(EQUAL_MIX))
+    spread: float = DEFAULT_SPREAD
+    duration_s: float = 300.0
+    step_s: float = 0.1
+    kinds: Mapping[AgentKind, float] = field(default_factory=lambda: {AgentKind.CAR: 1.0})
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be simulated, by name."""
+        for stream in self.streams:
+            if not math.isfinite(stream.per_hour) or stream.per_hour < 0:
+                raise InputError(f"flow: found {stream.per_hour}, expected vehicles per hour >= 0")
+        for field_name, shares in (("mix", self.mix), ("kinds", self.kinds)):
+            values = list(shares.values())
+            if any(not math.isfinite(v) or v < 0 for v in values):
+                raise InputError(f"{field_name}: found a share {values}, expected shares >= 0")
+            if abs(sum(values) - 1.0) > 1e-6:
+                raise InputError(
+                    f"{field_name}: found shares adding to {sum(values):g}, expected 1"
+                )
+        if not math.isfinite(self.spread) or self.spread < 0:
+            raise InputError(f"spread: found {self.spread}, expected a number >= 0")
+        if not math.isfinite(self.duration_s) or self.duration_s <= 0:
+            raise InputError(f"duration_s: found {self.duration_s}, expected seconds > 0")
+        if not math.isfinite(self.step_s) or not 0.01 <= self.step_s <= 1.0:
+            raise InputError(f"step_s: found {self.step_s}, expected seconds from 0.01 to 1")
+
+
+DIMENSIONS_M: Final[dict[AgentKind, tuple[float, float, float]]] = {
+    AgentKind.CAR: (4.6, 1.8, 0.10),
+    AgentKind.BUS: (12.0, 2.5, 0.02),
+    AgentKind.TRUCK: (8.5, 2.4, 0.10),
+    AgentKind.MOTORCYCLE: (2.2, 0.9, 0.05),
+    AgentKind.BICYCLE: (1.8, 0.65, 0.03),
+    AgentKind.PEDESTRIAN: (0.25, 0.5, 0.0),
+}
+"""Median length and width, m, and log-normal spread of the length (SUMO's defaults for its vehicle
+classes, cars rounded to a European median; the spreads are our choice)."""
+
+WALKING_SPEED_MPS: Final = (1.34, 0.26)
+"""Mean and standard deviation of pedestrians' free speed (Weidmann 1993)."""
+
+
+def sample_agents(scenario: Scenario, seed: int) -> tuple[AgentSpec, ...]:
+    """Draw everyone who will travel, in order of departure.
+
+    Each stream draws from its own generator, so changing one stream's flow leaves the others'
+    agents as they were.
+
+    Args:
+        scenario: whose demand to draw.
+        seed: any non-negative integer; the same seed draws the same agents.
+
+    Returns:
+        Agents with ids 0, 1, 2, ... in order of departure.
+    """
+    if seed < 0:
+        raise InputError(f"seed: found {seed}, expected an integer >= 0")
+    drawn: list[AgentSpec] = []
+    behaviors = [b for b in BEHAVIORS if scenario.mix.get(b, 0.0) > 0]
+    weights = np.array([scenario.mix[b] for b in behaviors])
+    kinds = [k for k in AgentKind if scenario.kinds.get(k, 0.0) > 0]
+    kind_weights = np.array([scenario.kinds[k] for k in kinds])
+    for stream, child in zip(
+        scenario.streams, np.random.SeedSequence(seed).spawn(len(scenario.streams)), strict=True
+    ):
+        rng = np.random.default_rng(child)
+        time_s = 0.0
+        while stream.per_hour > 0:
+            time_s += float(rng.exponential(3600.0 / stream.per_hour))
+            if time_s >= scenario.duration_s:
+                break
+            drawn.append(
+                _draw(scenario, stream, time_s, rng, behaviors, weights, kinds, kind_weights)
+            )
+    drawn.sort(key=lambda a: a.depart_s)
+    return tuple(
+        AgentSpec(
+            id=i, kind=a.kind, behavior=a.behavior, profile=a.profile, route=a.route,
+            depart_s=a.depart_s, length_m=a.length_m, width_m=a.width_m, speed_mps=a.speed_mps,
+            seed=a.seed,
+        )
+        for i, a in enumerate(drawn)
+    )  # fmt: skip
+
+
+def _draw(
+    scenario: Scenario,
+    stream: Stream,
+    depart_s: float,
+    rng: np.random.Generator,
+    behaviors: list[Behavior],
+    weights: np.ndarray,
+    kinds: list[AgentKind],
+    kind_weights: np.ndarray,
+) -> AgentSpec:
+    seed = int(rng.integers(2**31))
+    if stream.walking:
+        length, width, _ = DIMENSIONS_M[AgentKind.PEDESTRIAN]
+        mean, sd = WALKING_SPEED_MPS
+        speed = float(np.clip(rng.normal(mean, sd), 0.6, 2.2))
+        return AgentSpec(
+            0, AgentKind.PEDESTRIAN, None, None, stream.route, depart_s, length, width, speed, seed
+        )
+    behavior = behaviors[int(rng.choice(len(behaviors), p=weights / weights.sum()))]
+    kind = kinds[int(rng.choice(len(kinds), p=kind_weights / kind_weights.sum()))]
+    profile = sample_profile(behavior, rng, scenario.spread)
+    median, width, spread = DIMENSIONS_M[kind]
+    length = float(median * np.exp(spread * rng.standard_normal()))
+    return AgentSpec(0, kind, behavior, profile, stream.route, depart_s, length, width, 0.0, seed)
