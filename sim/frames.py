@@ -310,6 +310,35 @@ class Tracks:
         for step in range(self.time_s.size):
             yield self.frame(step)
 
+    def window(self, stop: int, steps: int) -> Tracks:
+        """What was seen of the agents present at index ``stop - 1``, ``steps`` frames long.
+
+        Args:
+            stop: one past the last frame.
+            steps: how many frames at most; fewer where the recording has not begun yet.
+
+        Returns:
+            Tracks of those agents only; the last column is the present.
+        """
+        columns = slice(max(0, stop - steps), stop)
+        rows = np.flatnonzero(self.valid[:, stop - 1])
+        begin, end = self.time_s[columns][0], self.time_s[columns][-1]
+        return Tracks(
+            ids=self.ids[rows],
+            names=tuple(self.names[i] for i in rows),
+            kind=self.kind[rows],
+            length=self.length[rows],
+            width=self.width[rows],
+            time_s=self.time_s[columns],
+            xy=self.xy[rows, columns],
+            heading=self.heading[rows, columns],
+            speed=self.speed[rows, columns],
+            valid=self.valid[rows, columns],
+            signals=self.signals[:, columns],
+            behavior=None if self.behavior is None else self.behavior[rows],
+            events=tuple(e for e in self.events if begin <= e.time_s <= end),
+        )
+
     @property
     def step_s(self) -> float:
         """The median time between frames, s."""
