@@ -1,0 +1,14 @@
+"""Traffic graphs: vehicles are the nodes, nearness makes the edges.
+
+Example:
+    >>> from graphrqi.graph import TrafficGraph
+    >>> graph = TrafficGraph.from_edges([7, 8, 9], [(7, 8), (8, 9)])
+    >>> graph.laplacian.toarray()
+    array([[ 1., -1.,  0.],
+           [-1.,  2., -1.],
+           [ 0., -1.,  1.]])
+"""
+
+from graphrqi.graph.traffic_graph import GraphChange, TrafficGraph, change_between
+
+__all__ = ["GraphChange", "TrafficGraph", "change_between"]

@@ -1,0 +1,360 @@
+"""From positions to a Laplacian: a cell grid for neighbours, then one pass to CSR.
+
+The neighbours are those of a brute-force search, exactly: squared distances are computed by the
+same arithmetic and ties are broken by the vehicle's id. The grid only decides which vehicles
+need not be looked at. Expected cost is O(n) for n vehicles, whether they fill an area, follow
+a line or have stragglers far away.
+
+References:
+    Bentley, Weide, Yao (1980), Optimal expected-time algorithms for closest point problems,
+    ACM TOMS 6, 563-580.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Ids = NDArray[np.int64]
+Grid: TypeAlias = tuple[float, float, float, int, int, float, Ints, Ints]
+
+CROWDED = 8.0
+"""Vehicles in a vehicle's cell, on average, above which cells are halved (our choice)."""
+MAX_CELLS_PER_VEHICLE = 16
+"""Bound on the grid's memory (our choice)."""
+
+
+@compiled
+def cell_grid(xy: Floats, smallest: float) -> Grid:
+    """Sort points into square cells; border cells also hold the points outside the grid.
+
+    Args:
+        xy: (n, 2) positions, m.
+        smallest: the cells are at least this wide, m.
+
+    Returns:
+        Origin x and y, cell width, columns, rows, rounding slack of cell borders (all m);
+        (columns * rows + 1,) first item of each cell; (n,) points by cell.
+    """
+    n = xy.shape[0]
+    x0, x1, y0, y1 = -math.inf, math.inf, -math.inf, math.inf
+    for _ in range(3):  # bounding box, drawn in to 3 sigma: a straggler must not set the scale
+        m = 0
+        mx = my = vx = vy = 0.0
+        ax, bx, ay, by = math.inf, -math.inf, math.inf, -math.inf
+        for i in range(n):
+            x, y = xy[i, 0], xy[i, 1]
+            if x0 <= x <= x1 and y0 <= y <= y1:
+                m += 1
+                dx, dy = x - mx, y - my
+                mx += dx / m
+                my += dy / m
+                vx += dx * (x - mx)
+                vy += dy * (y - my)
+                ax, bx, ay, by = min(ax, x), max(bx, x), min(ay, y), max(by, y)
+        if m == 0:
+            break
+        sx, sy = 3.0 * math.sqrt(vx / m), 3.0 * math.sqrt(vy / m)
+        x0, x1, y0, y1 = max(ax, mx - sx), min(bx, mx + sx), max(ay, my - sy), min(by, my + sy)
+    width, height = max(x1 - x0, 0.0), max(y1 - y0, 0.0)
+    extent = max(width, height)
+    h = max(math.sqrt(2.0 * width * height / n), 2.0 * extent / n, smallest)
+    if h <= 1e-9 * max(abs(x0), abs(x1), abs(y0), abs(y1)) or h <= 0.0:
+        h = max(extent, 1.0)
+    cell_of = np.empty(n, np.int32)
+    while True:
+        columns, rows = int(width / h) + 1, int(height / h) + 1
+        start = np.zeros(columns * rows + 1, np.int32)
+        for i in range(n):
+            cx = int(min(max((xy[i, 0] - x0) / h, 0.0), columns - 1.0))
+            cy = int(min(max((xy[i, 1] - y0) / h, 0.0), rows - 1.0))
+            cell_of[i] = cy * columns + cx
+            start[cell_of[i] + 1] += 1
+        crowd = 0.0
+        for c in range(columns * rows):
+            crowd += float(start[c + 1]) * float(start[c + 1])
+        if crowd <= CROWDED * n or 0.5 * h < smallest or 0.5 * h <= 1e-9 * extent:
+            break
+        if 4 * columns * rows > MAX_CELLS_PER_VEHICLE * n + 64:
+            break
+        h *= 0.5
+    for c in range(columns * rows):
+        start[c + 1] += start[c]
+    items = np.empty(n, np.int32)
+    for i in range(n - 1, -1, -1):
+        start[cell_of[i] + 1] -= 1
+        items[start[cell_of[i] + 1]] = i
+    for c in range(columns * rows):
+        start[c] = start[c + 1]
+    start[columns * rows] = n
+    return x0, y0, h, columns, rows, 1e-12 * (extent + h), start, items
+
+
+@compiled
+def nearest_neighbors(ids: Ids, xy: Floats, neighbors: int, grid: Grid) -> tuple[Ints, Ints]:
+    """The nearest others of every vehicle, by distance, then by id.
+
+    Args:
+        ids: (n,) different ids.
+        xy: (n, 2) positions, m.
+        neighbors: how many; n - 1 where fewer exist.
+        grid: :func:`cell_grid` of the positions.
+
+    Returns:
+        (n + 1,) starts and the (n * k,) positions of the neighbours, nearest first.
+    """
+    n = ids.size
+    k = max(min(neighbors, n - 1), 0)
+    starts = np.empty(n + 1, np.int32)
+    for i in range(n + 1):
+        starts[i] = i * k
+    target = np.empty(n * k, np.int32)
+    if k == 0:
+        return starts, target
+    x0, y0, h, columns, rows, slack, start, items = grid
+    distance = np.empty(k, np.float64)
+    for i in range(n):
+        base = i * k
+        x, y = xy[i, 0], xy[i, 1]
+        cx = int(min(max((x - x0) / h, 0.0), columns - 1.0))
+        cy = int(min(max((y - y0) / h, 0.0), rows - 1.0))
+        found = 0
+        ring = 0
+        while True:
+            for gy in range(max(cy - ring, 0), min(cy + ring, rows - 1) + 1):
+                edge = gy == cy - ring or gy == cy + ring
+                gx = cx - ring
+                while gx <= cx + ring:
+                    if 0 <= gx < columns:
+                        cell = gy * columns + gx
+                        for p in range(start[cell], start[cell + 1]):
+                            j = items[p]
+                            if j == i:
+                                continue
+                            dx, dy = xy[j, 0] - x, xy[j, 1] - y
+                            square = dx * dx + dy * dy
+                            if found == k:
+                                last = target[base + k - 1]
+                                if square > distance[k - 1] or (
+                                    square == distance[k - 1] and ids[j] > ids[last]
+                                ):
+                                    continue
+                                q = k - 1
+                            else:
+                                q = found
+                                found += 1
+                            while q > 0 and (
+                                square < distance[q - 1]
+                                or (
+                                    square == distance[q - 1] and ids[j] < ids[target[base + q - 1]]
+                                )
+                            ):
+                                distance[q] = distance[q - 1]
+                                target[base + q] = target[base + q - 1]
+                                q -= 1
+                            distance[q] = square
+                            target[base + q] = j
+                    gx += 1 if edge or ring == 0 else 2 * ring
+            bound = math.inf  # how near an unvisited vehicle can be
+            if cx - ring > 0:
+                bound = min(bound, x - (x0 + (cx - ring) * h))
+            if cx + ring < columns - 1:
+                bound = min(bound, x0 + (cx + ring + 1) * h - x)
+            if cy - ring > 0:
+                bound = min(bound, y - (y0 + (cy - ring) * h))
+            if cy + ring < rows - 1:
+                bound = min(bound, y0 + (cy + ring + 1) * h - y)
+            if bound == math.inf:
+                break
+            bound -= slack
+            if found == k and bound > 0.0 and distance[k - 1] < bound * bound * (1.0 - 1e-12):
+                break
+            ring += 1
+    return starts, target
+
+
+@compiled
+def within_radius(xy: Floats, radius_m: float, grid: Grid) -> tuple[Ints, Ints]:
+    """All others within a distance of every vehicle.
+
+    Args:
+        xy: (n, 2) positions, m.
+        radius_m: the distance, included.
+        grid: :func:`cell_grid` of the positions.
+
+    Returns:
+        (n + 1,) starts and the positions of the vehicles within reach.
+    """
+    n = xy.shape[0]
+    starts = np.zeros(n + 1, np.int32)
+    x0, y0, h, columns, rows, slack, start, items = grid
+    square = radius_m * radius_m
+    reach = radius_m * (1.0 + 1e-12) + slack
+    target = np.empty(0, np.int32)
+    for filling in range(2):
+        m = 0
+        for i in range(n):
+            x, y = xy[i, 0], xy[i, 1]
+            left = int(min(max((x - reach - x0) / h, 0.0), columns - 1.0))
+            right = int(min(max((x + reach - x0) / h, 0.0), columns - 1.0))
+            low = int(min(max((y - reach - y0) / h, 0.0), rows - 1.0))
+            high = int(min(max((y + reach - y0) / h, 0.0), rows - 1.0))
+            for gy in range(low, high + 1):
+                for p in range(start[gy * columns + left], start[gy * columns + right + 1]):
+                    j = items[p]
+                    dx, dy = xy[j, 0] - x, xy[j, 1] - y
+                    if j != i and dx * dx + dy * dy <= square:
+                        if filling:
+                            target[m] = j
+                        m += 1
+            starts[i + 1] = m
+        if not filling:
+            target = np.empty(m, np.int32)
+    return starts, target
+
+
+@compiled
+def join(
+    ids: Ids,
+    order: Ids,
+    xy: Floats,
+    starts: Ints,
+    target: Ints,
+    scale_m: float,
+    old_ids: Ids,
+    old_order: Ids,
+    old_indptr: Ints,
+    old_indices: Ints,
+    old_values: Floats,
+) -> tuple[int, Ids, Ints, Ints, Floats]:
+    """Laplacian of the graph that one observation adds to an earlier one.
+
+    Args:
+        ids: (n,) ids of the vehicles seen.
+        order: (n,) positions that sort ``ids``.
+        xy: (n, 2) positions, m.
+        starts: (n + 1,) where each vehicle's list of others begins.
+        target: the positions of the vehicles it is joined to.
+        scale_m: edges weigh exp(-distance / scale_m); 1 where it is not positive, m.
+        old_ids: (c,) ids of the earlier graph, whose rows come first and in its order.
+        old_order: (c,) positions that sort ``old_ids``.
+        old_indptr: (c + 1,) the earlier Laplacian in CSR.
+        old_indices: its column numbers, sorted in each row.
+        old_values: its values.
+
+    Returns:
+        Position of an id that occurs twice, or -1; then ids, row starts, columns and values of
+        the new Laplacian (every diagonal entry is stored, columns sorted); the last two have
+        room to spare.
+    """
+    n, c = ids.size, old_ids.size
+    for p in range(1, n):
+        if ids[order[p]] == ids[order[p - 1]]:
+            none = np.empty(0, np.int32)
+            return order[p], np.empty(0, np.int64), none, none, np.empty(0, np.float64)
+    row_of = np.empty(n, np.int32)
+    for i in range(n):
+        row_of[i] = -1
+    p = 0
+    for q in range(c):
+        while p < n and ids[order[p]] < old_ids[old_order[q]]:
+            p += 1
+        if p < n and ids[order[p]] == old_ids[old_order[q]]:
+            row_of[order[p]] = old_order[q]
+    d = c
+    for i in range(n):
+        if row_of[i] < 0:
+            row_of[i] = d
+            d += 1
+    all_ids = np.empty(d, np.int64)
+    for q in range(c):
+        all_ids[q] = old_ids[q]
+    seen = np.empty(d, np.int32)
+    for q in range(c):
+        seen[q] = -1
+    for i in range(n):
+        all_ids[row_of[i]] = ids[i]
+        seen[row_of[i]] = i
+
+    # Transposing twice sorts the lists: `a` holds who chose a row, `b` whom the row chose.
+    m = target.size
+    a_start, b_start = np.zeros(d + 2, np.int32), np.zeros(d + 2, np.int32)
+    a, b = np.empty(m, np.int32), np.empty(m, np.int32)
+    for p in range(m):
+        a_start[row_of[target[p]] + 2] += 1
+    for r in range(d):
+        a_start[r + 2] += a_start[r + 1]
+        b_start[r + 2] = b_start[r + 1]
+        if seen[r] >= 0:
+            b_start[r + 2] += starts[seen[r] + 1] - starts[seen[r]]
+    for r in range(d):
+        if seen[r] >= 0:
+            for p in range(starts[seen[r]], starts[seen[r] + 1]):
+                t = row_of[target[p]]
+                a[a_start[t + 1]] = r
+                a_start[t + 1] += 1
+    for r in range(d):
+        for p in range(a_start[r], a_start[r + 1]):
+            t = a[p]
+            b[b_start[t + 1]] = r
+            b_start[t + 1] += 1
+
+    room = 2 * m + d + old_indices.size
+    indptr = np.zeros(d + 1, np.int32)
+    indices, values = np.empty(room, np.int32), np.empty(room, np.float64)
+    z = 0
+    for r in range(d):
+        pa, ea, pb, eb = a_start[r], a_start[r + 1], b_start[r], b_start[r + 1]
+        po, eo = 0, 0
+        if r < c:
+            po, eo = old_indptr[r], old_indptr[r + 1]
+        degree = 0.0
+        diagonal = -1
+        while True:
+            t = d
+            if pa < ea:
+                t = min(t, a[pa])
+            if pb < eb:
+                t = min(t, b[pb])
+            if po < eo:
+                t = min(t, old_indices[po])
+            if diagonal < 0 and t >= r:
+                diagonal = z
+                indices[z] = r
+                z += 1
+            if t == d:
+                break
+            weight = 0.0
+            if po < eo and old_indices[po] == t:
+                weight = -old_values[po]
+                po += 1
+            fresh = False
+            if pa < ea and a[pa] == t:
+                fresh = True
+                pa += 1
+            if pb < eb and b[pb] == t:
+                fresh = True
+                pb += 1
+            if t == r:
+                continue
+            if fresh:
+                weight = 1.0
+                if scale_m > 0.0:
+                    i, j = seen[r], seen[t]
+                    dx, dy = xy[i, 0] - xy[j, 0], xy[i, 1] - xy[j, 1]
+                    weight = math.exp(-math.sqrt(dx * dx + dy * dy) / scale_m)
+            if weight > 0.0:
+                indices[z] = t
+                values[z] = -weight
+                degree += weight
+                z += 1
+        values[diagonal] = degree
+        indptr[r + 1] = z
+    return -1, all_ids, indptr, indices, values
