@@ -1,0 +1,89 @@
+"""Files and folders that appear whole or not at all.
+
+Everything is written under a hidden name beside its place and moved there with `os.replace`, so a
+reader, or a run that was killed, never sees half of anything.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+PARTIAL_PREFIX: Final = ".partial-"
+"""How the hidden name of everything unfinished begins."""
+
+
+def _partial(path: Path) -> Path:
+    return path.parent / f"{PARTIAL_PREFIX}{path.name}-{uuid.uuid4().hex[:12]}"
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it appears whole or not at all.
+
+    Args:
+        path: where; its folder must exist. An older file there is replaced.
+        data: the content.
+
+    Raises:
+        OSError: if it cannot be written; nothing is left behind.
+    """
+    partial = _partial(path)
+    try:
+        partial.write_bytes(data)
+        os.replace(partial, path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder to fill, moved to its place when the block ends without an error.
+
+    Args:
+        path: where it will appear; an older folder there is replaced. Its parent is created.
+
+    Yields:
+        The folder to write into.
+
+    Raises:
+        OSError: if it cannot be written; nothing is left behind.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = _partial(path)
+    partial.mkdir()
+    try:
+        yield partial
+        if path.exists():
+            old = _partial(path)
+            os.replace(path, old)
+            shutil.rmtree(old)
+        os.replace(partial, path)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def remove_partial(folder: Path) -> int:
+    """Remove what earlier, killed writers left unfinished directly in a folder.
+
+    Args:
+        folder: where to look; it may be missing.
+
+    Returns:
+        How many leftovers were removed.
+    """
+    if not folder.is_dir():
+        return 0
+    leftovers = sorted(folder.glob(f"{PARTIAL_PREFIX}*"))
+    for leftover in leftovers:
+        if leftover.is_dir() and not leftover.is_symlink():
+            shutil.rmtree(leftover, ignore_errors=True)
+        else:
+            leftover.unlink(missing_ok=True)
+    return len(leftovers)
