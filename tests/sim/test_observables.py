@@ -1,0 +1,207 @@
+"""Observables on hand-made roads with known answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
+from sim.lane_graph import DIRECTIONS, LaneGraph
+from sim.observables import CROSSING_MARGIN_M, LaneTraffic, along, crossing_people, observe
+from sim.road import Connection, Crossing, Lane, Road
+
+
+def lane(name, points, edge=None, index=0, limit=10.0, internal=False, walking=False):
+    return Lane(
+        name, edge or name, index, np.array(points, dtype=float), 3.2, limit, walking, internal
+    )
+
+
+@pytest.fixture
+def junction() -> Road:
+    """Two lanes east into a junction: straight or left; a zebra 20 m beyond it."""
+    lanes = (
+        lane("in_0", [[0, 0], [100, 0]], "in", 0),
+        lane("in_1", [[0, 3.2], [100, 3.2]], "in", 1),
+        lane(":s", [[100, 0], [120, 0]], ":j", 0, internal=True),
+        lane(":l", [[100, 0], [110, 2], [115, 12]], ":j", 1, limit=5.0, internal=True),
+        lane("out", [[120, 0], [220, 0]], limit=15.0),
+        lane("up", [[115, 12], [115, 112]]),
+        lane("walk", [[0, -5], [220, -5]], walking=True),
+    )
+    connections = (
+        Connection("in_0", "up", (":l",), "left", signal=1, must_yield=True),
+        Connection("in_0", "out", (":s",), "straight", signal=0),
+    )
+    zebra = Crossing("zebra", np.array([[142.0, -4.0], [142.0, 4.0]]), 4.0, ("out",))
+    return Road("junction", lanes, connections, (zebra,), ("s", "l"), Path("none"))
+
+
+def frame(xy, speed, heading=None, length=4.0, kind=None, signals=(0, 2), time_s=0.0) -> Frame:
+    n = len(xy)
+    return Frame(
+        time_s=time_s,
+        ids=np.arange(n),
+        xy=np.array(xy, dtype=float),
+        heading=np.zeros(n) if heading is None else np.array(heading),
+        speed=np.array(speed, dtype=float),
+        length=np.full(n, length),
+        width=np.full(n, 1.8),
+        kind=np.zeros(n) if kind is None else np.array(kind),
+        signals=np.array(signals),
+    )
+
+
+def test_lane_graph_orders_ways_on_from_straight_to_turning(junction):
+    graph = LaneGraph.of(junction)
+    at = junction.lane_index
+    assert graph.successors[at["in_0"]].tolist() == [at[":s"], at[":l"]]
+    assert graph.ahead[at["in_1"]] == -1
+    assert graph.behind[at["up"]] == at[":l"]
+    assert graph.left[at["in_0"]] == at["in_1"]
+    assert graph.right[at["in_1"]] == at["in_0"]
+    assert graph.left[at["in_1"]] == -1
+    assert DIRECTIONS[graph.direction[at[":l"]]] == "left"
+    assert graph.signal[[at[":s"], at[":l"], at["out"]]].tolist() == [0, 1, -1]
+    assert graph.must_yield[at[":l"]]
+    assert not graph.must_yield[at[":s"]]
+
+
+def test_position_inverts_project_and_goes_on_straight(junction):
+    graph = LaneGraph.of(junction)
+    lanes = np.array([0, 3, 3, 4])
+    s = np.array([30.0, 5.0, 14.0, 140.0])
+    xy, heading = graph.position(lanes, s, np.array([1.0, 0.0, 0.0, 0.0]))
+    assert xy[0] == pytest.approx([30.0, 1.0])
+    assert xy[3] == pytest.approx([260.0, 0.0])
+    back = junction.project(xy[:3], heading[:3])
+    assert back.lane.tolist() == [0, 3, 3]
+    assert back.s == pytest.approx(s[:3], abs=1e-9)
+    assert back.offset == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_leader_on_the_lane_and_across_the_junction(junction):
+    seen = observe(frame([[60, 0], [90, 0], [130, 0], [70, 3.2]], [10, 8, 2, 5]), junction)
+    assert seen.leader.tolist() == [1, 2, -1, -1]
+    assert seen.gap.tolist() == [26.0, 36.0, np.inf, np.inf]
+    assert seen.closing.tolist() == [2.0, 6.0, 0.0, 0.0]
+    assert seen.headway[:2] == pytest.approx([2.6, 4.5])
+    assert seen.time_to_collision[:2] == pytest.approx([13.0, 6.0])
+    assert np.isinf(seen.time_to_collision[2])
+    assert seen.follower.tolist() == [-1, 0, 1, -1]
+    assert seen.limit.tolist() == [10.0, 10.0, 15.0, 10.0]
+
+
+def test_opening_gap_has_no_time_to_collision_and_standing_no_headway(junction):
+    seen = observe(frame([[60, 0], [90, 0]], [0.0, 8.0]), junction)
+    assert np.isinf(seen.headway[0])
+    assert np.isinf(seen.time_to_collision[0])
+    assert seen.closing[0] == -8.0
+
+
+def test_signal_and_distance_to_the_stop_line(junction):
+    seen = observe(frame([[60, 0], [110, 0], [150, 0]], [10, 10, 10]), junction)
+    assert seen.stop_distance.tolist() == [38.0, -12.0, np.inf]
+    assert Signal.RED.code == seen.signal[0]
+    assert seen.signal[1:].tolist() == [Signal.OFF.code] * 2
+
+
+def test_crossing_ahead_occupied_and_waiting(junction):
+    empty = observe(frame([[130, 0], [145, 0]], [10, 10]), junction)
+    assert empty.crossing.tolist() == [0, -1]
+    assert empty.crossing_distance[0] == pytest.approx(8.0)
+    assert not empty.crossing_occupied.any()
+    walker = frame([[130, 0], [142, 1.0]], [10, 1.3], [0.0, np.pi / 2], kind=[0, PEDESTRIAN])
+    assert observe(walker, junction).crossing_occupied.tolist() == [True, False]
+    waiting = frame([[130, 0], [142, -5.0]], [10, 0], [0.0, np.pi / 2], kind=[0, PEDESTRIAN])
+    seen = observe(waiting, junction)
+    assert seen.crossing_waiting.tolist() == [True, False]
+    assert not seen.crossing_occupied.any()
+
+
+def test_pedestrians_and_vehicles_off_the_road_have_no_lane(junction):
+    seen = observe(
+        frame([[60, 0], [70, 0], [80, 30]], [5, 1, 5], kind=[0, PEDESTRIAN, 0]), junction
+    )
+    assert seen.on_road.tolist() == [True, False, False]
+    assert seen.lane.tolist() == [0, -1, -1]
+    assert seen.leader.tolist() == [-1, -1, -1]
+
+
+def test_wrong_way_driver_is_seen_as_such_and_follows_nobody(junction):
+    seen = observe(frame([[60, 0], [90, 0]], [10, 10], [0.0, np.pi]), junction)
+    assert abs(seen.lane_heading[1]) == pytest.approx(np.pi)
+    assert seen.leader.tolist() == [1, -1]
+
+
+def test_tracks_give_at_each_instant_what_each_frame_gives(junction):
+    rng = np.random.default_rng(3)
+    frames = []
+    for step in range(12):
+        xy = np.column_stack([rng.uniform(0, 220, 20), rng.uniform(-1, 4.5, 20)])
+        frames.append(
+            frame(xy, rng.uniform(0, 14, 20), rng.normal(0, 0.1, 20), time_s=0.1 * step,
+                  kind=(np.arange(20) % 7 == 0) * PEDESTRIAN, signals=rng.integers(0, 3, 2))
+        )  # fmt: skip
+    together = observe(Tracks.from_frames(frames), junction)
+    for step, one in enumerate(frames):
+        alone = observe(one, junction)
+        for name in ("leader", "gap", "follower", "lane", "signal", "crossing_occupied", "s"):
+            assert np.array_equal(
+                getattr(together, name)[:, step], getattr(alone, name), equal_nan=name == "s"
+            ), name
+
+
+def test_unseen_agents_observe_nothing(junction):
+    tracks = Tracks.from_frames(
+        [frame([[60, 0], [90, 0]], [5, 5]), frame([[61, 0]], [5], time_s=1.0)]
+    )
+    seen = observe(tracks, junction)
+    assert seen.leader.tolist() == [[1, -1], [-1, -1]]
+    assert np.isnan(seen.s[1, 1])
+
+
+def test_leader_search_equals_brute_force():
+    road = Road("ring road", (lane("a", [[0, 0], [500, 0]]),), (), (), (), Path("none"))
+    rng = np.random.default_rng(0)
+    s = rng.uniform(0, 500, 60)
+    traffic = LaneTraffic.of(LaneGraph.of(road), np.zeros(60, int), np.zeros(60, int), s)
+    ask = rng.uniform(0, 500, 200)
+    zero = np.zeros(200, dtype=np.int64)
+    for found, distance, sign in (
+        (*traffic.ahead(zero, zero, ask), 1.0),
+        (*traffic.behind(zero, zero, ask), -1.0),
+    ):
+        for i, place in enumerate(ask):
+            ahead = sign * (s - place)
+            ahead[(ahead <= 0) | (ahead > 200.0)] = np.inf
+            expected = -1 if np.isinf(ahead).all() else int(ahead.argmin())
+            assert found[i] == expected
+            assert distance[i] == ahead.min()
+
+
+def test_nobody_is_seen_on_an_empty_road(junction):
+    seen = observe(frame(np.empty((0, 2)), []), junction)
+    assert seen.gap.shape == (0,)
+
+
+def test_along_bent_line():
+    u, left, total = along(
+        np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]), np.array([[4.0, 1.0], [9.0, 7.0]])
+    )
+    assert u == pytest.approx([4.0, 17.0])
+    assert left == pytest.approx([1.0, 1.0])
+    assert total == pytest.approx(20.0)
+
+
+def test_crossing_people_by_instant(junction):
+    occupied, waiting = crossing_people(
+        junction,
+        np.array([0, 2, 2]),
+        np.array([[142.0, 0.0], [141.0, 4.0 + CROSSING_MARGIN_M / 2], [160.0, 0.0]]),
+        3,
+    )
+    assert occupied.tolist() == [[True, False, False]]
+    assert waiting.tolist() == [[False, False, True]]
