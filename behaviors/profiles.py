@@ -41,6 +41,8 @@ class Profile:
         yield_probability: chance to let pedestrians go first, drawn once per encounter.
         red_run_probability: chance to run a red light when first in line, drawn per encounter.
         yellow_run_s: for how long after the onset of yellow a driver still goes, s.
+        insistence: how far others with priority are made to brake when merging into or crossing
+            their way, 0 (not at all) to 1 (as hard as they can).
         startup_delay_s: time from being able to go to going, s.
         cut_in_rate_per_min: wish to cut in front of a chosen neighbour, per minute.
         stop_rate_per_min: unprovoked slowing or stopping, per minute.
@@ -61,6 +63,7 @@ class Profile:
     yield_probability: float
     red_run_probability: float
     yellow_run_s: float
+    insistence: float
     startup_delay_s: float
     cut_in_rate_per_min: float
     stop_rate_per_min: float
@@ -83,50 +86,56 @@ class Profile:
 PROFILE_FIELDS: Final[tuple[str, ...]] = tuple(f.name for f in dataclasses.fields(Profile))
 """The order of the profile numbers wherever they stand in a table."""
 
-_PROBABILITIES: Final = ("politeness", "yield_probability", "red_run_probability")
+_PROBABILITIES: Final = ("politeness", "yield_probability", "red_run_probability", "insistence")
 
 PROFILES: Final[dict[Behavior, Profile]] = {
     Behavior.IMPATIENT: Profile(
         speed_factor=1.35, time_headway_s=0.7, min_gap_m=1.2, max_accel_mps2=3.5,
         comfort_decel_mps2=4.5, politeness=0.0, lane_change_gain=20.0, lane_change_patience_s=3.0,
         lane_change_assertiveness=2.0, gap_acceptance_s=0.5, crossing_gap_s=3.0,
-        yield_probability=0.95, red_run_probability=0.0, yellow_run_s=3.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+        yield_probability=0.95, red_run_probability=0.0, yellow_run_s=3.0, insistence=1.0,
+        startup_delay_s=0.2, cut_in_rate_per_min=0.0, stop_rate_per_min=0.0,
+        wrong_way_rate_per_min=0.0,
     ),
     Behavior.RECKLESS: Profile(
         speed_factor=1.2, time_headway_s=1.0, min_gap_m=1.5, max_accel_mps2=3.0,
         comfort_decel_mps2=5.0, politeness=0.0, lane_change_gain=5.0, lane_change_patience_s=5.0,
         lane_change_assertiveness=1.5, gap_acceptance_s=0.1, crossing_gap_s=0.5,
-        yield_probability=0.0, red_run_probability=1.0, yellow_run_s=3.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=1.0,
+        yield_probability=0.0, red_run_probability=1.0, yellow_run_s=3.0, insistence=1.0,
+        startup_delay_s=0.2, cut_in_rate_per_min=0.0, stop_rate_per_min=0.0,
+        wrong_way_rate_per_min=1.0,
     ),
     Behavior.THREATENING: Profile(
         speed_factor=1.1, time_headway_s=0.5, min_gap_m=0.7, max_accel_mps2=4.0,
         comfort_decel_mps2=6.0, politeness=0.0, lane_change_gain=10.0, lane_change_patience_s=3.0,
         lane_change_assertiveness=5.0, gap_acceptance_s=0.3, crossing_gap_s=2.0,
-        yield_probability=0.5, red_run_probability=0.0, yellow_run_s=1.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=3.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+        yield_probability=0.5, red_run_probability=0.0, yellow_run_s=1.0, insistence=1.0,
+        startup_delay_s=0.2, cut_in_rate_per_min=3.0, stop_rate_per_min=0.0,
+        wrong_way_rate_per_min=0.0,
     ),
     Behavior.CAREFUL: Profile(
         speed_factor=0.97, time_headway_s=1.5, min_gap_m=2.5, max_accel_mps2=1.8,
         comfort_decel_mps2=2.5, politeness=0.8, lane_change_gain=0.05, lane_change_patience_s=20.0,
         lane_change_assertiveness=0.8, gap_acceptance_s=1.5, crossing_gap_s=10.0,
-        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, startup_delay_s=0.7,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, insistence=0.0,
+        startup_delay_s=0.7, cut_in_rate_per_min=0.0, stop_rate_per_min=0.0,
+        wrong_way_rate_per_min=0.0,
     ),
     Behavior.CAUTIOUS: Profile(
         speed_factor=0.88, time_headway_s=2.1, min_gap_m=3.0, max_accel_mps2=1.5,
         comfort_decel_mps2=2.2, politeness=1.0, lane_change_gain=0.2, lane_change_patience_s=20.0,
         lane_change_assertiveness=0.6, gap_acceptance_s=2.0, crossing_gap_s=25.0,
-        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, startup_delay_s=1.5,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, insistence=0.0,
+        startup_delay_s=1.5, cut_in_rate_per_min=0.0, stop_rate_per_min=0.0,
+        wrong_way_rate_per_min=0.0,
     ),
     Behavior.TIMID: Profile(
         speed_factor=0.68, time_headway_s=2.8, min_gap_m=4.0, max_accel_mps2=1.2,
         comfort_decel_mps2=3.0, politeness=1.0, lane_change_gain=0.0, lane_change_patience_s=20.0,
         lane_change_assertiveness=0.6, gap_acceptance_s=2.5, crossing_gap_s=20.0,
-        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, startup_delay_s=1.2,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=1.0, wrong_way_rate_per_min=0.0,
+        yield_probability=1.0, red_run_probability=0.0, yellow_run_s=0.0, insistence=0.0,
+        startup_delay_s=1.2, cut_in_rate_per_min=0.0, stop_rate_per_min=1.0,
+        wrong_way_rate_per_min=0.0,
     ),
 }  # fmt: skip
 """The median driver of each behaviour."""

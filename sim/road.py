@@ -94,6 +94,42 @@ class Crossing:
 
 
 @dataclass(frozen=True, slots=True)
+class SignalPlan:
+    """The fixed-time programme of one set of traffic lights.
+
+    Attributes:
+        id: the traffic lights' id in the net.
+        groups: indices of the signal groups that it controls.
+        links: for each of those groups, one of its links' index in the programme's state strings.
+        duration_s: (P,) length of each phase, s.
+        states: per phase, the code into ``SIGNALS`` of each of its groups.
+        offset_s: how far into the programme time 0 is, s, negated as SUMO has it.
+    """
+
+    id: str
+    groups: tuple[int, ...]
+    links: tuple[int, ...]
+    duration_s: tuple[float, ...]
+    states: tuple[tuple[int, ...], ...]
+    offset_s: float = 0.0
+
+    def state_at(self, time_s: float) -> tuple[int, ...]:
+        """Codes into ``SIGNALS`` of ``groups`` at a time.
+
+        Example:
+            >>> plan = SignalPlan("t", (0,), (0,), (30.0, 30.0), ((2,), (0,)))
+            >>> plan.state_at(29.9), plan.state_at(30.0), plan.state_at(60.0)
+            ((2,), (0,), (2,))
+        """
+        into = (time_s - self.offset_s) % sum(self.duration_s)
+        for duration, state in zip(self.duration_s, self.states, strict=True):
+            into -= duration
+            if into < -1e-9:
+                return state
+        return self.states[0]
+
+
+@dataclass(frozen=True, slots=True)
 class LanePosition:
     """Points in lane coordinates.
 
@@ -119,6 +155,7 @@ class Road:
         crossings: where pedestrians cross.
         signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
         source: the SUMO net it was read from.
+        signal_plans: the programmes behind the signal groups.
     """
 
     name: str
@@ -127,6 +164,7 @@ class Road:
     crossings: tuple[Crossing, ...]
     signal_groups: tuple[str, ...]
     source: Path
+    signal_plans: tuple[SignalPlan, ...] = ()
 
     @cached_property
     def lane_index(self) -> dict[str, int]:

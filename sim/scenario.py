@@ -5,6 +5,7 @@ The population is drawn here, before any engine runs, so that the same drivers d
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -122,6 +123,34 @@ DIMENSIONS_M: Final[dict[AgentKind, tuple[float, float, float]]] = {
 """Median length and width, m, and log-normal spread of the length (SUMO's defaults for its vehicle
 classes, cars rounded to a European median; the spreads are our choice)."""
 
+
+@dataclass(frozen=True, slots=True)
+class KindLimits:
+    """What a kind of vehicle can do, whoever drives it.
+
+    Attributes:
+        max_speed_mps: m/s.
+        max_accel_mps2: m/s2.
+        max_decel_mps2: largest ordinary braking, m/s2.
+        emergency_decel_mps2: hardest braking physically possible, m/s2.
+    """
+
+    max_speed_mps: float
+    max_accel_mps2: float
+    max_decel_mps2: float
+    emergency_decel_mps2: float
+
+
+KIND_LIMITS: Final[dict[AgentKind, KindLimits]] = {
+    AgentKind.CAR: KindLimits(55.6, 8.0, 9.0, 9.0),
+    AgentKind.BUS: KindLimits(23.6, 1.2, 4.0, 7.0),
+    AgentKind.TRUCK: KindLimits(36.1, 1.3, 4.0, 7.0),
+    AgentKind.MOTORCYCLE: KindLimits(55.6, 6.0, 10.0, 10.0),
+    AgentKind.BICYCLE: KindLimits(5.56, 1.2, 3.0, 7.0),
+}
+"""SUMO's defaults for its vehicle classes; a car's acceleration and ordinary braking are left to
+its driver, up to what tyres hold."""
+
 WALKING_SPEED_MPS: Final = (1.34, 0.26)
 """Mean and standard deviation of pedestrians' free speed (Weidmann 1993)."""
 
@@ -189,7 +218,13 @@ def _draw(
         )
     behavior = behaviors[int(rng.choice(len(behaviors), p=weights / weights.sum()))]
     kind = kinds[int(rng.choice(len(kinds), p=kind_weights / kind_weights.sum()))]
-    profile = sample_profile(behavior, rng, scenario.spread)
+    limits = KIND_LIMITS[kind]
+    wanted = sample_profile(behavior, rng, scenario.spread)
+    profile = dataclasses.replace(
+        wanted,
+        max_accel_mps2=min(wanted.max_accel_mps2, limits.max_accel_mps2),
+        comfort_decel_mps2=min(wanted.comfort_decel_mps2, limits.max_decel_mps2),
+    )
     median, width, spread = DIMENSIONS_M[kind]
     length = float(median * np.exp(spread * rng.standard_normal()))
     return AgentSpec(0, kind, behavior, profile, stream.route, depart_s, length, width, 0.0, seed)

@@ -1,0 +1,119 @@
+"""The command every scenario has: ``python -m scenarios.NAME`` runs it headless."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from behaviors.profiles import DEFAULT_SPREAD
+from scenarios import get_scenario
+from sim.engines import ENGINES, get_engine
+from sim.frames import EventKind, Frame
+from sim.scenario import AgentSpec, Scenario, sample_agents
+
+
+@dataclass
+class RunSummary:
+    """What a run adds up to, gathered while its frames pass.
+
+    Attributes:
+        frames: how many frames there were.
+        seen: ids of the agents that appeared.
+        events: how often each kind of event happened.
+        distance_m: sum of speed times step over all that drive, m.
+        driving_s: time driven by all that drive, s.
+    """
+
+    frames: int = 0
+    seen: set[int] = field(default_factory=set)
+    events: Counter[EventKind] = field(default_factory=Counter)
+    distance_m: float = 0.0
+    driving_s: float = 0.0
+
+    def watch(self, frames: Iterable[Frame], step_s: float) -> Iterator[Frame]:
+        """Pass frames on and count what is in them."""
+        for frame in frames:
+            self.frames += 1
+            self.seen.update(frame.ids.tolist())
+            self.events.update(event.kind for event in frame.events)
+            driving = frame.driving
+            self.distance_m += float(frame.speed[driving].sum()) * step_s
+            self.driving_s += float(driving.sum()) * step_s
+            yield frame
+
+    def lines(self, agents: Sequence[AgentSpec]) -> list[str]:
+        """The summary in words, one fact a line."""
+        present = [a for a in agents if a.id in self.seen]
+        kinds = Counter(a.kind for a in present)
+        behaviors = Counter(a.behavior for a in present if a.behavior is not None)
+        speed = self.distance_m / self.driving_s if self.driving_s else 0.0
+        return [
+            f"frames: {self.frames}",
+            f"agents: {len(present)} of {len(agents)} entered ("
+            + ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items()))
+            + ")",
+            "behaviours: " + ", ".join(f"{b} {behaviors[b]}" for b in BEHAVIORS),
+            f"mean speed: {speed:.2f} m/s",
+            f"collisions: {self.events[EventKind.COLLISION]}",
+        ]
+
+
+def parser(name: str) -> argparse.ArgumentParser:
+    """The options of a scenario's command."""
+    made = argparse.ArgumentParser(
+        prog=f"python -m scenarios.{name}",
+        description="Run the scenario headless and print a summary.",
+        epilog=f"example: python -m scenarios.{name} --flow dense --seed 1 --duration-s 60",
+    )
+    made.add_argument("--engine", default="sumo", help=f"one of {', '.join(ENGINES)}")
+    made.add_argument("--flow", default="medium", help="light, medium, dense or vehicles per hour")
+    made.add_argument("--mix", help="share of each behaviour: impatient=.2,timid=.8; default equal")
+    made.add_argument("--spread", type=float, default=DEFAULT_SPREAD, help="spread between drivers")
+    made.add_argument("--seed", type=int, default=0)
+    made.add_argument("--duration-s", type=float, default=300.0, help="length, s")
+    made.add_argument("--step-s", type=float, default=0.1, help="time between frames, s")
+    made.add_argument("--out", type=Path, help="folder to write the episode to")
+    return made
+
+
+def main(name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run a scenario from the command line.
+
+    Args:
+        name: a key of ``SCENARIOS``.
+        arguments: the command's arguments; by default those of the process.
+
+    Returns:
+        0, or 2 after one line on stderr if the user asked for what cannot be.
+    """
+    options = parser(name).parse_args(arguments)
+    try:
+        scenario = get_scenario(name)(
+            flow=options.flow,
+            mix=options.mix,
+            spread=options.spread,
+            duration_s=options.duration_s,
+            step_s=options.step_s,
+        )
+        agents = sample_agents(scenario, options.seed)
+        summary = _run(scenario, agents, options)
+    except InputError as error:
+        sys.stderr.write(f"scenarios.{name}: error: {error}\n")
+        return 2
+    sys.stdout.write("\n".join([f"scenario: {name}", *summary.lines(agents)]) + "\n")
+    return 0
+
+
+def _run(scenario: Scenario, agents: Sequence[AgentSpec], options: Any) -> RunSummary:
+    summary = RunSummary()
+    frames = get_engine(options.engine)(scenario, agents, options.seed)
+    for _ in summary.watch(frames, scenario.step_s):
+        pass
+    return summary

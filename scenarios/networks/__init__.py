@@ -1,0 +1,1 @@
+"""Road networks: the sources, the built nets, and the script that builds them."""

@@ -1,0 +1,175 @@
+"""The shapes of the shipped roads, as the plain XML that netconvert turns into a SUMO net.
+
+A geometry is a few numbers; `sources` writes the nodes, edges and connections for it. Axes: the
+straight road runs along +x from x = 0; the intersection's centre is the origin.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from behaviors.errors import InputError
+
+SIDEWALK_WIDTH_M: Final = 2.0
+LANE_WIDTH_M: Final = 3.2
+"""SUMO's default lane width, m."""
+
+CROSSING_WIDTH_M: Final = 4.0
+"""SUMO's default crossing width, m."""
+
+CONTROLS: Final[tuple[str, ...]] = (
+    "traffic_light",
+    "priority",
+    "allway_stop",
+    "right_before_left",
+)
+"""How a four-way intersection can be controlled (SUMO's node types)."""
+
+ARMS: Final[dict[str, tuple[float, float]]] = {
+    "east": (1.0, 0.0),
+    "north": (0.0, 1.0),
+    "west": (-1.0, 0.0),
+    "south": (0.0, -1.0),
+}
+"""The intersection's arms and the direction each points in."""
+
+_MOST_LANES: Final = 5
+"""The most lanes per direction that a geometry may have (our choice)."""
+
+
+def _check_lanes(lanes: int) -> None:
+    if not 1 <= lanes <= _MOST_LANES:
+        raise InputError(f"lanes: found {lanes}, expected 1 to {_MOST_LANES}")
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not math.isfinite(value) or value <= 0:
+            raise InputError(f"{name}: found {value}, expected a number > 0")
+
+
+@dataclass(frozen=True, slots=True)
+class StraightGeometry:
+    """A straight road with a sidewalk on either side.
+
+    Attributes:
+        lanes: lanes per direction, 1 to 5.
+        two_way: whether there is traffic in the other direction too.
+        crossing: whether pedestrians cross half-way, with priority.
+        length_m: m.
+        limit_mps: speed limit, m/s.
+    """
+
+    lanes: int = 3
+    two_way: bool = False
+    crossing: bool = True
+    length_m: float = 800.0
+    limit_mps: float = 13.89
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built."""
+        _check_lanes(self.lanes)
+        _check_positive(length_m=self.length_m, limit_mps=self.limit_mps)
+
+    def sources(self) -> dict[str, str]:
+        """Plain XML by file name: nodes, edges, connections."""
+        half = self.length_m / 2
+        nodes = [("west", 0.0), ("middle", half), ("east", self.length_m)]
+        node_rows = [f'    <node id="{n}" x="{x:g}" y="0" type="priority"/>' for n, x in nodes]
+        road = (
+            f'priority="2" numLanes="{self.lanes}" speed="{self.limit_mps:g}" '
+            f'sidewalkWidth="{SIDEWALK_WIDTH_M:g}" spreadType="right"'
+        )
+        walk = f'priority="1" numLanes="1" speed="{self.limit_mps:g}" allow="pedestrian" ' + (
+            f'width="{SIDEWALK_WIDTH_M:g}" spreadType="right"'
+        )
+        back = road if self.two_way else walk
+        edge_rows = []
+        for edge, begin, end, kind, opposite in (
+            ("east_in", "west", "middle", road, "west_out"),
+            ("east_out", "middle", "east", road, "west_in"),
+            ("west_in", "east", "middle", back, "east_out"),
+            ("west_out", "middle", "west", back, "east_in"),
+        ):
+            row = f'    <edge id="{edge}" from="{begin}" to="{end}" {kind}'
+            if self.two_way:
+                inner = self.lanes  # the sidewalk is lane 0
+                row += (
+                    f'>\n        <lane index="{inner}"><neigh lane="{opposite}_{inner}"/></lane>'
+                    "\n    </edge>"
+                )
+            else:
+                row += "/>"
+            edge_rows.append(row)
+        connection_rows = []
+        if self.crossing:
+            crossed = "east_in west_out" if self.two_way else "east_in"
+            connection_rows.append(
+                f'    <crossing node="middle" edges="{crossed}" priority="true" '
+                f'width="{CROSSING_WIDTH_M:g}"/>'
+            )
+        return {
+            "road.nod.xml": _document("nodes", node_rows),
+            "road.edg.xml": _document("edges", edge_rows),
+            "road.con.xml": _document("connections", connection_rows),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class FourWayGeometry:
+    """A four-way intersection with sidewalks and crossings on every arm.
+
+    Attributes:
+        control: one of ``CONTROLS``.
+        lanes: lanes per direction, 1 to 5.
+        arm_m: length of each arm, m.
+        limit_mps: speed limit, m/s.
+    """
+
+    control: str = "traffic_light"
+    lanes: int = 2
+    arm_m: float = 250.0
+    limit_mps: float = 13.89
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built."""
+        if self.control not in CONTROLS:
+            raise InputError(f"control: found {self.control!r}, expected one of {CONTROLS}")
+        _check_lanes(self.lanes)
+        _check_positive(arm_m=self.arm_m, limit_mps=self.limit_mps)
+
+    def sources(self) -> dict[str, str]:
+        """Plain XML by file name: nodes, edges, connections."""
+        node_rows = [f'    <node id="centre" x="0" y="0" type="{self.control}"/>']
+        edge_rows = []
+        for arm, (dx, dy) in ARMS.items():
+            x, y = dx * self.arm_m, dy * self.arm_m
+            node_rows.append(f'    <node id="{arm}" x="{x:g}" y="{y:g}" type="priority"/>')
+            main = self.control == "priority" and arm in ("east", "west")
+            road = (
+                f'priority="{3 if main else 2}" numLanes="{self.lanes}" '
+                f'speed="{self.limit_mps:g}" sidewalkWidth="{SIDEWALK_WIDTH_M:g}"'
+            )
+            edge_rows += [
+                f'    <edge id="{arm}_in" from="{arm}" to="centre" {road}/>',
+                f'    <edge id="{arm}_out" from="centre" to="{arm}" {road}/>',
+            ]
+        connection_rows = [
+            f'    <crossing node="centre" edges="{arm}_in {arm}_out" '
+            f'width="{CROSSING_WIDTH_M:g}" priority="true"/>'
+            for arm in ARMS
+        ]
+        return {
+            "road.nod.xml": _document("nodes", node_rows),
+            "road.edg.xml": _document("edges", edge_rows),
+            "road.con.xml": _document("connections", connection_rows),
+        }
+
+
+Geometry: TypeAlias = StraightGeometry | FourWayGeometry
+
+
+def _document(root: str, rows: list[str]) -> str:
+    return "\n".join([f"<{root}>", *rows, f"</{root}>", ""])

@@ -1,0 +1,213 @@
+"""Reads a SUMO net into a `Road` with sumolib; no simulator is needed."""
+
+from __future__ import annotations
+
+import xml.sax
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from sim.frames import Signal
+from sim.road import Connection, Crossing, Lane, Road, SignalPlan
+
+_DIRECTIONS: Final = {
+    "s": "straight",
+    "l": "left",
+    "L": "left",
+    "r": "right",
+    "R": "right",
+    "t": "turnaround",
+    "T": "turnaround",
+}
+"""SUMO's link directions in words; partial turns count as turns."""
+
+_STATES: Final = {
+    "r": Signal.RED,
+    "s": Signal.RED,
+    "u": Signal.RED,
+    "y": Signal.YELLOW,
+    "Y": Signal.YELLOW,
+    "g": Signal.GREEN,
+    "G": Signal.GREEN,
+    "o": Signal.OFF,
+    "O": Signal.OFF,
+}
+"""SUMO's signal letters as states; red-yellow ("u") and green arrow ("s") still mean stop."""
+
+YIELDING_STATES: Final = frozenset("msw=")
+"""Link states of connections that do not have priority: minor, stop, all-way stop, equal."""
+
+STOPPING_STATES: Final = frozenset("sw")
+"""Link states of connections with a stop sign."""
+
+
+def signal_code(letter: str) -> int:
+    """The code into ``SIGNALS`` of one letter of a SUMO signal state.
+
+    Example:
+        >>> signal_code("G"), signal_code("r")
+        (2, 0)
+    """
+    return _STATES[letter].code
+
+
+def read_road(path: str | Path, name: str | None = None) -> Road:
+    """Read a SUMO net.
+
+    Args:
+        path: a ``.net.xml`` file (or ``.net.xml.gz``).
+        name: what to call the road; by default the file's name without its ending.
+
+    Returns:
+        Its lanes (junction paths and sidewalks too), connections, crossings and signals.
+
+    Raises:
+        InputError: if the file is missing or is no SUMO net with at least one drivable lane.
+    """
+    import sumolib
+
+    source = Path(path)
+    if not source.is_file():
+        raise InputError(f"{source}: found no file, expected a SUMO net (.net.xml)")
+    try:
+        net = sumolib.net.readNet(
+            str(source), withInternal=True, withPedestrianConnections=True, withPrograms=True
+        )
+    except (xml.sax.SAXException, KeyError, ValueError, AttributeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{source}: expected a SUMO net, found a broken file: {reason}") from None
+    lanes = tuple(_lane(lane, edge) for edge in _edges(net) for lane in edge.getLanes())
+    if not any(not lane.walking for lane in lanes):
+        raise InputError(f"{source}: found no drivable lane, expected at least one")
+    plans, groups, group_of = _signals(net)
+    return Road(
+        name=name if name is not None else source.name.split(".")[0],
+        lanes=lanes,
+        connections=tuple(_connections(net, group_of)),
+        crossings=tuple(_crossings(net, group_of)),
+        signal_groups=groups,
+        source=source.resolve(),
+        signal_plans=plans,
+    )
+
+
+def _edges(net: Any) -> list[Any]:
+    """Roads, sidewalks and junction paths, in the order of their ids."""
+    kept = [e for e in net.getEdges() if e.getFunction() in ("", "internal")]
+    return sorted(kept, key=lambda e: str(e.getID()))
+
+
+def _points(lane: Any) -> np.ndarray:
+    shape = np.array(lane.getShape(), dtype=np.float64)[:, :2]
+    shape.flags.writeable = False
+    return shape
+
+
+def _lane(lane: Any, edge: Any) -> Lane:
+    return Lane(
+        id=str(lane.getID()),
+        edge=str(edge.getID()),
+        index=int(lane.getIndex()),
+        centerline=_points(lane),
+        width_m=float(lane.getWidth()),
+        speed_limit_mps=float(lane.getSpeed()),
+        walking=not lane.allows("passenger") and lane.allows("pedestrian"),
+        internal=edge.getFunction() == "internal",
+    )
+
+
+def _signals(
+    net: Any,
+) -> tuple[tuple[SignalPlan, ...], tuple[str, ...], dict[tuple[str, int], tuple[int, bool]]]:
+    """The signal plans, the names of all groups, and each link's group and whether it yields.
+
+    Links of one set of traffic lights whose states are equal in every phase form one group.
+    """
+    plans: list[SignalPlan] = []
+    names: list[str] = []
+    group_of: dict[tuple[str, int], tuple[int, bool]] = {}
+    for lights in sorted(net.getTrafficLights(), key=lambda t: str(t.getID())):
+        programs = lights.getPrograms()
+        if not programs:
+            continue
+        program = next(iter(programs.values()))
+        phases = program.getPhases()
+        letters = [phase.state for phase in phases]
+        codes = np.array([[signal_code(c) for c in state] for state in letters])
+        columns: dict[tuple[int, ...], int] = {}
+        firsts: list[int] = []
+        for link in range(codes.shape[1]):
+            key = tuple(int(c) for c in codes[:, link])
+            if key not in columns:
+                columns[key] = len(names)
+                names.append(f"{lights.getID()}/{len(columns) - 1}")
+                firsts.append(link)
+            yields = any(state[link] in "go" for state in letters)
+            group_of[str(lights.getID()), link] = (columns[key], yields)
+        plans.append(
+            SignalPlan(
+                id=str(lights.getID()),
+                groups=tuple(columns.values()),
+                links=tuple(firsts),
+                duration_s=tuple(float(phase.duration) for phase in phases),
+                states=tuple(tuple(int(c) for c in row) for row in codes[:, firsts]),
+                offset_s=float(program.getOffset()),
+            )
+        )
+    return tuple(plans), tuple(names), group_of
+
+
+def _connections(net: Any, group_of: dict[tuple[str, int], tuple[int, bool]]) -> list[Connection]:
+    found = []
+    for edge in sorted(net.getEdges(withInternal=False), key=lambda e: str(e.getID())):
+        for lane in edge.getLanes():
+            for link in lane.getOutgoing():
+                to = link.getToLane()
+                if link.getTo().getFunction() or not lane.allows("passenger"):
+                    continue
+                via = []
+                at = link.getViaLaneID()
+                while at:
+                    via.append(str(at))
+                    at = net.getLane(at).getOutgoing()[0].getViaLaneID()
+                lights = (str(link.getTLSID()), int(link.getTLLinkIndex()))
+                signal, permissive = group_of.get(lights, (-1, False))
+                state = str(link.getState())
+                found.append(
+                    Connection(
+                        from_lane=str(lane.getID()),
+                        to_lane=str(to.getID()),
+                        via=tuple(via),
+                        direction=_DIRECTIONS[link.getDirection()],
+                        signal=signal,
+                        must_yield=permissive or state in YIELDING_STATES,
+                        must_stop=state in STOPPING_STATES,
+                    )
+                )
+    return found
+
+
+def _crossings(net: Any, group_of: dict[tuple[str, int], tuple[int, bool]]) -> list[Crossing]:
+    found = []
+    edges = [e for e in net.getEdges() if e.getFunction() == "crossing"]
+    for edge in sorted(edges, key=lambda e: str(e.getID())):
+        lane = edge.getLanes()[0]
+        links = [link for group in edge.getIncoming().values() for link in group]
+        signal, priority = -1, True
+        for link in links:
+            lights = (str(link.getTLSID()), int(link.getTLLinkIndex()))
+            signal = max(signal, group_of.get(lights, (-1, False))[0])
+            priority = priority and link.getState() not in YIELDING_STATES
+        found.append(
+            Crossing(
+                id=str(edge.getID()),
+                centerline=_points(lane),
+                width_m=float(lane.getWidth()),
+                edges=tuple(str(e.getID()) for e in edge.getCrossingEdges()),
+                signal=signal,
+                priority=priority,
+            )
+        )
+    return found

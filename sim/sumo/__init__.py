@@ -1,0 +1,1 @@
+"""The SUMO engine: the only place that knows libsumo."""

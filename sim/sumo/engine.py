@@ -1,0 +1,265 @@
+"""Runs a scenario in SUMO through libsumo and yields `Frame`s.
+
+libsumo holds one simulation per process: a second `run` in the same process is refused while the
+first is open. Run episodes in parallel in separate processes.
+
+References:
+    Lopez et al. (2018), Microscopic traffic simulation using SUMO, IEEE ITSC.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.frames import AgentKind, Event, EventKind, Frame
+from sim.net import signal_code
+from sim.road import Road
+from sim.scenario import AgentSpec, Scenario
+from sim.sumo.vehicle_types import route_file
+
+LONGEST_STEP_S: Final = 0.1
+"""SUMO's own step is at most this long; frames further apart are made of several steps."""
+
+OPTIONS: Final[tuple[str, ...]] = (
+    "--thread-rngs", "64",
+    "--collision.action", "warn",
+    "--collision.mingap-factor", "0",
+    "--collision.check-junctions", "true",
+    "--intermodal-collision.action", "warn",
+    "--time-to-teleport", "-1",
+    "--ignore-junction-blocker", "20",
+    "--max-depart-delay", "60",
+    "--xml-validation.routes", "always",
+    "--no-step-log", "true",
+    "--no-warnings", "true",
+    "--duration-log.disable", "true",
+)  # fmt: skip
+"""SUMO's options for every run: nobody teleports, collisions are reported and go on."""
+
+
+class SumoError(InputError):
+    """SUMO could not run: one line with SUMO's own reason."""
+
+
+class _Simulation:
+    """The one simulation of this process."""
+
+    def __init__(self) -> None:
+        self.running = False
+
+    def start(self, arguments: list[str], log: Path) -> Any:
+        """Start libsumo and return its C module (the quick getters)."""
+        os.environ.setdefault("LIBSUMO_AS_TRACI", "quiet")  # its warning would go to stdout
+        import libsumo
+        from libsumo import _libsumo
+
+        if self.running or libsumo.isLoaded():
+            raise SumoError(
+                "sumo: found a simulation running in this process, expected none: close its "
+                "frames first or use another process"
+            )
+        try:
+            libsumo.start(["sumo", *arguments])
+        except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+            if libsumo.isLoaded():
+                libsumo.close()
+            raise SumoError(f"sumo: could not start: {_reason(log, str(error))}") from None
+        self.running = True
+        return _libsumo
+
+    def close(self) -> None:
+        """Close the simulation that `start` opened."""
+        import libsumo
+
+        self.running = False
+        libsumo.close()
+
+
+_SIMULATION: Final = _Simulation()
+
+
+def _reason(log: Path, fallback: str) -> str:
+    """The first error in SUMO's log, in one line."""
+    lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.exists() else []
+    for line in lines:
+        if line.startswith("Error:"):
+            return line.removeprefix("Error:").strip()
+    return " ".join(fallback.split()) or "no reason given"
+
+
+def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
+    """Drive a scenario in SUMO.
+
+    Args:
+        scenario: the road, the duration and the step.
+        agents: who travels, as drawn by `sim.scenario.sample_agents`.
+        seed: seed of the simulator's own noise; the same seed gives the same frames to the bit.
+
+    Yields:
+        Frames from time ``step_s`` to ``duration_s``. Who never found room to enter is in none.
+
+    Raises:
+        SumoError: if SUMO refuses the net or the routes, fails on the way, or is already running
+            in this process.
+        InputError: if the net is missing or the agents or the seed are not usable.
+    """
+    _check(scenario, agents, seed)
+    return _frames(scenario, tuple(sorted(agents, key=lambda a: a.id)), seed)
+
+
+def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
+    if not 0 <= seed < 2**31:
+        raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
+    if not scenario.road.source.is_file():
+        raise InputError(f"{scenario.road.source}: found no file, expected a SUMO net (.net.xml)")
+    milliseconds = scenario.step_s * 1000
+    if abs(milliseconds - round(milliseconds)) > 1e-6:
+        raise InputError(f"step_s: found {scenario.step_s}, expected whole milliseconds")
+    if len({a.id for a in agents}) != len(agents):
+        raise InputError("agents: found an id twice, expected unique ids")
+    edges = {lane.edge for lane in scenario.road.lanes if not lane.internal}
+    for agent in agents:
+        for edge in agent.route:
+            if edge not in edges:
+                raise InputError(
+                    f"agent {agent.id}: found edge {edge!r} in its route, "
+                    f"expected an edge of road {scenario.road.name!r}"
+                )
+
+
+def _substeps(step_s: float) -> tuple[int, int]:
+    """How many SUMO steps make a frame, and each one's length in ms."""
+    milliseconds = round(step_s * 1000)
+    count = math.ceil(milliseconds / (LONGEST_STEP_S * 1000) - 1e-9)
+    while milliseconds % count:
+        count += 1
+    return count, milliseconds // count
+
+
+def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Iterator[Frame]:
+    substeps, step_ms = _substeps(scenario.step_s)
+    with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
+        routes, log = Path(scratch) / "agents.rou.xml", Path(scratch) / "sumo.log"
+        routes.write_text("\n".join(route_file(agents)), encoding="utf-8")
+        arguments = [
+            "--net-file", str(scenario.road.source),
+            "--route-files", str(routes),
+            "--seed", str(seed),
+            "--step-length", f"{step_ms / 1000:.3f}",
+            "--log", str(log),
+            *OPTIONS,
+        ]  # fmt: skip
+        sumo = _SIMULATION.start(arguments, log)
+        try:
+            reader = _Reader(sumo, scenario.road, agents)
+            import libsumo
+
+            for index in range(1, round(scenario.duration_s / scenario.step_s) + 1):
+                try:
+                    for _ in range(substeps):
+                        sumo.simulation_step(0.0)
+                        reader.watch(index * scenario.step_s)
+                    frame = reader.read(index * scenario.step_s)
+                except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+                    raise SumoError(
+                        f"sumo: stopped at {index * scenario.step_s:g} s: "
+                        f"{_reason(log, str(error))}"
+                    ) from None
+                yield frame
+        finally:
+            _SIMULATION.close()
+
+
+class _Reader:
+    """Reads the state of the running simulation into frames.
+
+    SUMO gives the centre of the front bumper and degrees clockwise from north; frames have the
+    centre of the box and radians counter-clockwise from east.
+    """
+
+    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+        self._sumo = sumo
+        self._plans = road.signal_plans
+        self._groups = len(road.signal_groups)
+        self._ids = np.array([a.id for a in agents], dtype=np.int64)
+        self._length = np.array([a.length_m for a in agents])
+        self._width = np.array([a.width_m for a in agents])
+        self._kind = np.array([a.kind.code for a in agents], dtype=np.int8)
+        self._walk = any(a.kind is AgentKind.PEDESTRIAN for a in agents)
+        self._touching: set[tuple[int, int]] = set()
+        self._events: list[Event] = []
+
+    def watch(self, time_s: float) -> None:
+        """Note what happened in the last simulation step."""
+        collisions = self._sumo.simulation_getCollisions()
+        touching = {(int(c.collider), int(c.victim)) for c in collisions}
+        for collider, victim in sorted(touching - self._touching):
+            self._events.append(Event(EventKind.COLLISION, time_s, collider, victim))
+        self._touching = touching
+
+    def read(self, time_s: float) -> Frame:
+        """The state now, with the events since the last reading."""
+        sumo = self._sumo
+        vehicles = sumo.vehicle_getIDList()
+        state = self._state(
+            vehicles,
+            sumo.vehicle_getPosition,
+            sumo.vehicle_getAngle,
+            sumo.vehicle_getSpeed,
+        )
+        ids = np.fromiter(map(int, vehicles), np.int64, len(vehicles))
+        if self._walk:
+            persons = sumo.person_getIDList()
+            walking = self._state(
+                persons, sumo.person_getPosition, sumo.person_getAngle, sumo.person_getSpeed
+            )
+            state = np.concatenate([state, walking])
+            ids = np.concatenate([ids, np.fromiter(map(int, persons), np.int64, len(persons))])
+        order = np.argsort(ids)
+        ids, state = ids[order], state[order]
+        rows = np.searchsorted(self._ids, ids)
+        length = self._length[rows]
+        heading = math.pi / 2 - np.radians(state[:, 2])
+        heading = math.pi - np.mod(math.pi - heading, 2 * math.pi)
+        forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        events, self._events = tuple(self._events), []
+        return Frame(
+            time_s=time_s,
+            ids=ids,
+            xy=state[:, :2] - 0.5 * length[:, None] * forward,
+            heading=heading,
+            speed=state[:, 3],
+            length=length,
+            width=self._width[rows],
+            kind=self._kind[rows],
+            signals=self._signals(),
+            events=events,
+        )
+
+    def _state(
+        self, names: tuple[str, ...], position: Any, angle: Any, speed: Any
+    ) -> NDArray[np.float64]:
+        """(n, 4) x and y of the front bumper, m; degrees clockwise from north; m/s."""
+        state = np.empty((len(names), 4))
+        for row, name in enumerate(names):
+            state[row, :2] = position(name)
+        state[:, 2] = np.fromiter(map(angle, names), np.float64, len(names))
+        state[:, 3] = np.fromiter(map(speed, names), np.float64, len(names))
+        return state
+
+    def _signals(self) -> NDArray[np.int8]:
+        codes = np.zeros(self._groups, dtype=np.int8)
+        for plan in self._plans:
+            letters = self._sumo.trafficlight_getRedYellowGreenState(plan.id)
+            for group, link in zip(plan.groups, plan.links, strict=True):
+                codes[group] = signal_code(letters[link])
+        return codes

@@ -1,0 +1,157 @@
+"""Turns drawn agents into SUMO's route file: one vehicle type per driver.
+
+Everybody drives by Krauss's car-following model and SUMO's LC2013 lane-change model with the same
+imperfection; only what a `Profile` says differs. SUMO accepts a misspelled attribute silently, so
+attributes are written from the one table below and from nowhere else.
+
+References:
+    Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08.
+    Erdmann (2015), SUMO's lane-changing model, Modeling Mobility with Open Data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+from xml.sax.saxutils import quoteattr
+
+from behaviors.errors import InputError
+from behaviors.profiles import Profile
+from sim.frames import AgentKind
+from sim.scenario import KIND_LIMITS, AgentSpec
+
+IMPERFECTION: Final = 0.2
+"""Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5)."""
+
+VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
+    AgentKind.CAR: "passenger",
+    AgentKind.BUS: "bus",
+    AgentKind.TRUCK: "truck",
+    AgentKind.MOTORCYCLE: "motorcycle",
+    AgentKind.BICYCLE: "bicycle",
+    AgentKind.PEDESTRIAN: "pedestrian",
+}
+"""SUMO's class of each kind."""
+
+ATTRIBUTES: Final[frozenset[str]] = frozenset(
+    {
+        "id", "vClass", "length", "width", "maxSpeed", "carFollowModel", "laneChangeModel",
+        "speedFactor", "tau", "minGap", "accel", "decel", "emergencyDecel", "sigma",
+        "startupDelay", "impatience", "lcStrategic", "lcCooperative", "lcSpeedGain",
+        "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
+        "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime", "jmDriveAfterRedTime",
+        "jmDriveRedSpeed", "jmIgnoreFoeProb", "jmIgnoreFoeSpeed", "jmIgnoreJunctionFoeProb",
+    }
+)  # fmt: skip
+"""Every vType attribute that may be written (SUMO 1.28's names)."""
+
+
+def driver_attributes(profile: Profile) -> dict[str, str]:
+    """The vType attributes that a driver's profile sets.
+
+    Args:
+        profile: the driver's own numbers.
+
+    Returns:
+        Attribute values by name.
+    """
+    found = {
+        "speedFactor": _number(profile.speed_factor),
+        "tau": _number(profile.time_headway_s),
+        "minGap": _number(profile.min_gap_m),
+        "accel": _number(profile.max_accel_mps2),
+        "decel": _number(profile.comfort_decel_mps2),
+        "startupDelay": _number(profile.startup_delay_s),
+        "impatience": _number(profile.insistence),
+        "lcCooperative": _number(min(profile.politeness, 1.0)),
+        "lcSpeedGain": _number(profile.lane_change_gain),
+        "lcSpeedGainRemainTime": _number(profile.lane_change_patience_s),
+        "lcAssertive": _number(profile.lane_change_assertiveness),
+        "jmTimegapMinor": _number(profile.gap_acceptance_s),
+        "jmCrossingGap": _number(profile.crossing_gap_s),
+        "jmDriveAfterYellowTime": _number(profile.yellow_run_s),
+    }
+    if profile.red_run_probability > 0:
+        found |= {
+            "jmDriveAfterRedTime": "1000",
+            "jmDriveRedSpeed": "10",
+            "jmIgnoreFoeProb": "1",
+            "jmIgnoreFoeSpeed": "30",
+            "jmIgnoreJunctionFoeProb": "1",
+        }
+    return found
+
+
+def vehicle_type(agent: AgentSpec) -> dict[str, str]:
+    """All vType attributes of one agent.
+
+    Raises:
+        InputError: if a driver has no profile.
+    """
+    common = {
+        "id": str(agent.id),
+        "vClass": VEHICLE_CLASS[agent.kind],
+        "length": _number(agent.length_m),
+        "width": _number(agent.width_m),
+    }
+    if agent.kind is AgentKind.PEDESTRIAN:
+        return _checked(common | {"maxSpeed": _number(agent.speed_mps), "speedFactor": "1"})
+    if agent.profile is None:
+        raise InputError(f"agent {agent.id}: found no profile, expected one for a {agent.kind}")
+    limits = KIND_LIMITS[agent.kind]
+    return _checked(
+        common
+        | {
+            "maxSpeed": _number(limits.max_speed_mps),
+            "carFollowModel": "Krauss",
+            "laneChangeModel": "LC2013",
+            "sigma": _number(IMPERFECTION),
+            "emergencyDecel": _number(
+                max(limits.emergency_decel_mps2, agent.profile.comfort_decel_mps2)
+            ),
+            "lcOpposite": "0",
+        }
+        | driver_attributes(agent.profile)
+    )
+
+
+def route_file(agents: Sequence[AgentSpec]) -> Iterator[str]:
+    """The lines of a SUMO route file, in order of departure.
+
+    Args:
+        agents: who travels; any order.
+
+    Yields:
+        Lines of XML, without line ends.
+    """
+    yield "<routes>"
+    ordered = sorted(agents, key=lambda a: (a.depart_s, a.id))
+    for agent in ordered:
+        yield f"<vType{_attributes(vehicle_type(agent))}/>"
+    for agent in ordered:
+        edges = quoteattr(" ".join(agent.route))
+        depart = f"{agent.depart_s:.3f}"
+        if agent.kind is AgentKind.PEDESTRIAN:
+            yield f'<person id="{agent.id}" type="{agent.id}" depart="{depart}">'
+            yield f"<walk edges={edges}/></person>"
+        else:
+            yield (
+                f'<vehicle id="{agent.id}" type="{agent.id}" depart="{depart}" '
+                f'departLane="best" departSpeed="max"><route edges={edges}/></vehicle>'
+            )
+    yield "</routes>"
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}"
+
+
+def _checked(attributes: dict[str, str]) -> dict[str, str]:
+    unknown = attributes.keys() - ATTRIBUTES
+    if unknown:
+        raise InputError(f"vType: found attribute {min(unknown)!r}, expected one that SUMO knows")
+    return attributes
+
+
+def _attributes(values: dict[str, str]) -> str:
+    return "".join(f" {name}={quoteattr(value)}" for name, value in values.items())
