@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
@@ -104,6 +103,9 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         )
         agents = sample_agents(scenario, options.seed)
         summary = _run(scenario, agents, options)
+    except OSError as error:
+        sys.stderr.write(f"scenarios.{name}: error: {options.out}: {error.strerror}\n")
+        return 2
     except InputError as error:
         sys.stderr.write(f"scenarios.{name}: error: {error}\n")
         return 2
@@ -111,9 +113,34 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _run(scenario: Scenario, agents: Sequence[AgentSpec], options: Any) -> RunSummary:
+def _run(
+    scenario: Scenario, agents: Sequence[AgentSpec], options: argparse.Namespace
+) -> RunSummary:
     summary = RunSummary()
-    frames = get_engine(options.engine)(scenario, agents, options.seed)
-    for _ in summary.watch(frames, scenario.step_s):
-        pass
+    frames = summary.watch(
+        get_engine(options.engine)(scenario, agents, options.seed), scenario.step_s
+    )
+    if options.out is None:
+        for _ in frames:
+            pass
+        return summary
+    from sim.dataset import made_with, write_episode, write_manifest
+    from sim.schema import EpisodeMeta
+
+    chosen = {
+        "flow": options.flow,
+        "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
+        "spread": scenario.spread,
+        "duration_s": scenario.duration_s,
+        "step_s": scenario.step_s,
+    }
+    meta = EpisodeMeta(
+        scenario=scenario.name,
+        engine=options.engine,
+        seed=options.seed,
+        options=chosen,
+        made_with=made_with(options.engine),
+    )
+    entry = write_episode(options.out, meta, frames, agents, scenario.road.source)
+    write_manifest(options.out, {"scenario": scenario.name, **chosen}, [entry])
     return summary
