@@ -45,7 +45,7 @@ class Posterior:
     @property
     def most_likely(self) -> NDArray[np.int64]:
         """(n,) code of each agent's most likely behaviour."""
-        return self.probability.argmax(axis=1)
+        return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
 
     def of(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
         """(m, 6) probabilities of the given agents; uniform for those not known yet."""

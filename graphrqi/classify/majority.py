@@ -1,0 +1,44 @@
+"""The majority class: what every accuracy has to be held against."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.classify.contract import CodeArray, FloatArray
+
+
+class Majority:
+    """Answers with the shares of the training classes, whatever it is shown.
+
+    Args:
+        num_classes: C.
+    """
+
+    def __init__(self, num_classes: int) -> None:
+        self._share = np.full(num_classes, 1.0 / num_classes)
+
+    def fit(
+        self,
+        features: FloatArray,
+        codes: CodeArray,
+        validation: tuple[FloatArray, CodeArray] | None,
+        seed: int,
+    ) -> None:
+        """Count the classes."""
+        count = np.bincount(codes, minlength=self._share.size).astype(np.float64)
+        self._share = count / count.sum()
+
+    def posterior(self, features: FloatArray) -> FloatArray:
+        """The same row for everyone."""
+        return np.tile(self._share, (len(features), 1))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The shares."""
+        return {"share": self._share}
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Take saved shares."""
+        self._share = np.asarray(arrays["share"], dtype=np.float64)

@@ -1,0 +1,1 @@
+"""Features of drivers, from positions only: spectral, graph-signal, kinematic, interaction."""

@@ -1,0 +1,166 @@
+"""Motion from positions: velocity, acceleration, direction, sideways movement.
+
+Everything is differenced over a short span rather than from one frame to the next, because
+recorded positions are rounded and shaken. Positions at single missing instants are bridged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SPAN_S: Final = 0.4
+"""Time over which velocity is differenced (our choice: four frames at 10 Hz)."""
+
+DIRECTION_SPAN_S: Final = 2.0
+"""Time over which the direction of travel is taken (our choice: longer than a lane change's
+sideways speed matters, shorter than a turn)."""
+
+MIN_TRAVEL_M: Final = 1.0
+"""Displacement below which the last known direction is kept (our choice: above position noise)."""
+
+FORGET_S: Final = 3.0
+"""An agent unseen for longer than this is a new one when it returns (our choice)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the agents present now move; NaN where not known yet.
+
+    Attributes:
+        ids: (n,) agent ids, ascending.
+        xy: (n, 2) m.
+        velocity: (n, 2) m/s.
+        direction: (n, 2) unit vector of travel.
+        speed: (n,) m/s, along the direction.
+        acceleration: (n,) m/s2, along the direction.
+        sideways: (n,) displacement to the left over the last second, m.
+        step_s: time since the frame before, s; 0 at the first.
+    """
+
+    ids: IntArray
+    xy: FloatArray
+    velocity: FloatArray
+    direction: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    sideways: FloatArray
+    step_s: float
+
+
+def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
+    """Where agents of a sorted id array stand in another.
+
+    Args:
+        old_ids: (m,) ascending.
+        new_ids: (n,) ascending.
+
+    Returns:
+        Indices into ``new_ids`` and into ``old_ids`` of those in both.
+
+    Example:
+        >>> align(np.array([2, 5, 9]), np.array([5, 7, 9]))
+        (array([0, 2]), array([1, 2]))
+    """
+    if old_ids.size == 0 or new_ids.size == 0:
+        none = np.empty(0, dtype=np.int64)
+        return none, none
+    at = np.minimum(np.searchsorted(old_ids, new_ids), old_ids.size - 1)
+    into = np.flatnonzero(old_ids[at] == new_ids)
+    return into, at[into]
+
+
+class MotionEstimator:
+    """Follows positions frame by frame and tells how everyone moves.
+
+    Memory is bounded: a ring of the last two seconds of the agents seen in the last three.
+    """
+
+    def __init__(self) -> None:
+        self._ids: IntArray = np.empty(0, dtype=np.int64)
+        self._times: list[float] = []
+        self._trail: FloatArray = np.empty((0, 0, 2))
+        self._direction: FloatArray = np.empty((0, 2))
+        self._velocity: FloatArray = np.empty((0, 0, 2))
+        self._seen_s: FloatArray = np.empty(0)
+
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray) -> Motion:
+        """Take the next positions.
+
+        Args:
+            time_s: later than at the call before.
+            ids: (n,) ascending agent ids.
+            xy: (n, 2) m.
+
+        Returns:
+            Motion of exactly these agents.
+        """
+        step_s = time_s - self._times[-1] if self._times else 0.0
+        self._remember(time_s, ids, xy)
+        rows = np.searchsorted(self._ids, ids)
+        times = np.array(self._times)
+        velocity = self._difference(rows, times, self._trail, SPAN_S)
+        self._velocity[rows, -1] = velocity
+
+        travel = self._displacement(rows, times, DIRECTION_SPAN_S)
+        size = np.hypot(travel[:, 0], travel[:, 1])
+        moved = size > MIN_TRAVEL_M
+        self._direction[rows[moved]] = travel[moved] / size[moved, None]
+        direction = self._direction[rows]
+
+        speed = (velocity * direction).sum(axis=1)
+        acceleration = (self._difference(rows, times, self._velocity, SPAN_S) * direction).sum(
+            axis=1
+        )
+        last_second = self._displacement(rows, times, 1.0)
+        sideways = direction[:, 0] * last_second[:, 1] - direction[:, 1] * last_second[:, 0]
+        return Motion(ids, xy, velocity, direction, speed, acceleration, sideways, step_s)
+
+    def _remember(self, time_s: float, ids: IntArray, xy: FloatArray) -> None:
+        known = self._ids[self._seen_s >= time_s - FORGET_S]
+        merged = np.union1d(known, ids)
+        drop = sum(1 for t in self._times if t < time_s - DIRECTION_SPAN_S - 1e-6)
+        kept = len(self._times) - drop
+        into, source = align(self._ids, merged)
+        trail = np.full((merged.size, kept + 1, 2), np.nan)
+        velocity = np.full((merged.size, kept + 1, 2), np.nan)
+        direction = np.full((merged.size, 2), np.nan)
+        seen = np.full(merged.size, time_s)
+        trail[into, :kept] = self._trail[source, drop:]
+        velocity[into, :kept] = self._velocity[source, drop:]
+        direction[into] = self._direction[source]
+        seen[into] = self._seen_s[source]
+        rows = np.searchsorted(merged, ids)
+        trail[rows, -1] = xy
+        seen[rows] = time_s
+        self._times = [*self._times[drop:], time_s]
+        self._ids, self._trail, self._velocity = merged, trail, velocity
+        self._direction, self._seen_s = direction, seen
+
+    @staticmethod
+    def _reference(
+        rows: IntArray, times: FloatArray, values: FloatArray, span_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """The oldest known value within the span, and how long ago it was."""
+        inside = np.flatnonzero(times >= times[-1] - span_s - 1e-6)[:-1]
+        if inside.size == 0:
+            return np.full((rows.size, 2), np.nan), np.ones(rows.size)
+        past = values[rows][:, inside]
+        first = np.argmax(~np.isnan(past[..., 0]), axis=1)
+        return past[np.arange(rows.size), first], times[-1] - times[inside[first]]
+
+    def _displacement(self, rows: IntArray, times: FloatArray, span_s: float) -> FloatArray:
+        reference, _ = self._reference(rows, times, self._trail, span_s)
+        return np.asarray(self._trail[rows, -1] - reference)
+
+    def _difference(
+        self, rows: IntArray, times: FloatArray, values: FloatArray, span_s: float
+    ) -> FloatArray:
+        reference, ago = self._reference(rows, times, values, span_s)
+        return np.asarray((values[rows, -1] - reference) / ago[:, None])

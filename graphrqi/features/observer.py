@@ -1,0 +1,343 @@
+"""Observers: positions in, a feature vector for every driver out, frame by frame.
+
+`SpectrumObserver` sees nothing but the traffic graph; `DrivingObserver` adds how drivers move and
+how they treat those that the graph joins them to. Both are plain-array classes with one contract,
+used alike on live frames and on recordings, so training and streaming cannot differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.features.graph_signal import differences
+from graphrqi.features.interaction import Interaction, interactions
+from graphrqi.features.kinematic import FORGET_S, Motion, MotionEstimator, align
+from graphrqi.features.spectral import INVARIANT_NAMES, NUM_PAIRS, eigenvector_rows, invariant
+from graphrqi.features.statistics import Block, describe, describe_names
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum import SOLVERS, Spectrum
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+NEIGHBORS: Final = 4
+"""Nearest neighbours joined by an edge (the paper)."""
+
+RESET: Final = 100
+"""Steps after which the accumulated graph starts anew (the paper)."""
+
+INTERACTION_NEIGHBORS: Final = 8
+"""Nearest neighbours among which leaders are looked for (our choice: on a three-lane road the
+four nearest are often all in the next lanes)."""
+
+SPECTRUM_EVERY_S: Final = 0.5
+"""How often the driving observer looks at the spectrum (our choice: a graph changes by a few
+per cent of its edges per tenth of a second)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What is known of the drivers present now.
+
+    Attributes:
+        ids: (n,) ascending.
+        seconds: (n,) time observed so far, s.
+        sums: (n, S) additive evidence since each was first seen.
+        instant: (n, I) what holds now only.
+    """
+
+    ids: IntArray
+    seconds: FloatArray
+    sums: FloatArray
+    instant: FloatArray
+
+
+class Observer(Protocol):
+    """Follows traffic and describes each driver."""
+
+    feature_names: tuple[str, ...]
+
+    def update(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> Observation:
+        """Take the next positions; return what is known of the drivers among them."""
+        ...
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """Turn evidence over any stretch of time into feature vectors (n, F)."""
+        ...
+
+
+class _Evidence:
+    """Running sums per driver, kept while it is in sight (and a little longer)."""
+
+    def __init__(self, width: int) -> None:
+        self._ids: IntArray = np.empty(0, dtype=np.int64)
+        self._sums: FloatArray = np.zeros((0, width))
+        self._seconds: FloatArray = np.zeros(0)
+        self._seen_s: FloatArray = np.zeros(0)
+
+    def add(
+        self, time_s: float, ids: IntArray, moment: FloatArray, step_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Add one moment of each driver; returns its seconds and sums so far."""
+        merged = np.union1d(self._ids[self._seen_s >= time_s - FORGET_S], ids)
+        sums = np.zeros((merged.size, self._sums.shape[1]))
+        seconds = np.zeros(merged.size)
+        seen = np.full(merged.size, time_s)
+        into, source = align(self._ids, merged)
+        sums[into], seconds[into] = self._sums[source], self._seconds[source]
+        seen[into] = self._seen_s[source]
+        rows = np.searchsorted(merged, ids)
+        fresh = np.ones(merged.size, dtype=bool)
+        fresh[into] = False
+        sums[rows] += moment * step_s
+        seconds[rows] += np.where(fresh[rows], 0.0, step_s)
+        seen[rows] = time_s
+        self._ids, self._sums, self._seconds, self._seen_s = merged, sums, seconds, seen
+        return seconds[rows], sums[rows]
+
+
+class _GraphSpectrum:
+    """The paper's accumulated graph and its largest eigenpairs, warm-started step by step."""
+
+    def __init__(self, solver: str) -> None:
+        self._solve: Callable[..., Spectrum] = SOLVERS[solver]
+        self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
+        self._previous: Spectrum | None = None
+
+    def observe(self, ids: IntArray, xy: FloatArray) -> None:
+        """Take the next positions into the graph."""
+        self._graph = self._graph.observe(ids, xy)
+
+    def solve(self, ids: IntArray) -> tuple[Spectrum, IntArray, FloatArray]:
+        """The spectrum now, the rows of the given agents in it, and all degrees."""
+        self._previous = self._solve(
+            self._graph, num_pairs=NUM_PAIRS + 1, end="largest", previous=self._previous
+        )
+        rows = np.searchsorted(self._graph.ids, ids)
+        degrees = np.asarray(self._graph.adjacency.sum(axis=1), dtype=np.float64).ravel()
+        return self._previous, rows, degrees
+
+
+class EigenvectorObserver:
+    """What the paper feeds its classifier: rows of the largest-end eigenvector matrix, now.
+
+    Args:
+        solver: a key of ``SOLVERS``.
+    """
+
+    feature_names = tuple(f"u_{k + 1}" for k in range(NUM_PAIRS))
+
+    def __init__(self, solver: str = "graphrqi") -> None:
+        self._spectrum = _GraphSpectrum(solver)
+        self._evidence = _Evidence(0)
+        self._last_s: float | None = None
+
+    def update(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> Observation:
+        """Take the next positions; return what is known of the drivers among them."""
+        step_s = 0.0 if self._last_s is None else time_s - self._last_s
+        self._last_s = time_s
+        self._spectrum.observe(ids, xy)
+        drivers = ids[drives]
+        spectrum, rows, _ = self._spectrum.solve(drivers)
+        instant = eigenvector_rows(np.asarray(spectrum.eigenvectors))[rows]
+        seconds, sums = self._evidence.add(time_s, drivers, np.zeros((drivers.size, 0)), step_s)
+        return Observation(drivers, seconds, sums, instant)
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """The rows as they are."""
+        return instant
+
+
+class SpectrumObserver:
+    """Invariant spectral features of each driver, averaged over the time observed.
+
+    Args:
+        solver: a key of ``SOLVERS``.
+    """
+
+    feature_names = tuple(f"spectrum_{name}" for name in INVARIANT_NAMES)
+
+    def __init__(self, solver: str = "graphrqi") -> None:
+        self._spectrum = _GraphSpectrum(solver)
+        self._evidence = _Evidence(len(INVARIANT_NAMES) + 1)
+        self._last_s: float | None = None
+
+    def update(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> Observation:
+        """Take the next positions; return what is known of the drivers among them."""
+        step_s = 0.0 if self._last_s is None else time_s - self._last_s
+        self._last_s = time_s
+        self._spectrum.observe(ids, xy)
+        drivers = ids[drives]
+        spectrum, rows, degrees = self._spectrum.solve(drivers)
+        values = invariant(
+            np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
+        )
+        moment = np.concatenate([values[rows], np.ones((drivers.size, 1))], axis=1)
+        seconds, sums = self._evidence.add(time_s, drivers, moment, step_s)
+        return Observation(drivers, seconds, sums, np.zeros((drivers.size, 0)))
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """Means over the time observed."""
+        total = sums[:, -1:]
+        return np.asarray(sums[:, :-1] / np.where(total > 1e-9, total, 1.0))
+
+
+_HEADWAY_S = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.1, 1.3, 1.55, 1.85, 2.2, 2.6, 3.1, 3.8, 5.0)
+_SPEED_MPS = (0.0, 0.5, 2.0, 4.0, 6.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0,
+              18.0, 20.0, 24.0, 30.0)  # fmt: skip
+_ACCEL_MPS2 = (-7.0, -5.0, -3.5, -2.5, -1.7, -1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0, 1.5, 2.0, 2.7,
+               3.5, 5.0)  # fmt: skip
+_POSITIVE_MPS2 = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.9, 2.3, 2.8, 3.4, 4.0, 5.0, 6.5, 8.0)
+_DIFFERENCE_MPS = (-10.0, -6.0, -4.0, -2.5, -1.5, -0.8, -0.3, 0.0, 0.3, 0.8, 1.5, 2.5, 4.0, 6.0,
+                   10.0)  # fmt: skip
+_STANDSTILL_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0)
+_SIDEWAYS_M = (0.0, 0.2, 0.5, 1.0, 1.8, 3.0, 4.5)
+_INVERSE_TTC = (0.0, 0.03, 0.07, 0.12, 0.2, 0.3, 0.5, 0.8, 1.5)
+
+BLOCKS: Final[tuple[Block, ...]] = (
+    Block("speed", _SPEED_MPS),
+    Block("free speed", _SPEED_MPS),
+    Block("speed over neighbours", _DIFFERENCE_MPS),
+    Block("speed over wider neighbours", _DIFFERENCE_MPS),
+    Block("acceleration", _ACCEL_MPS2),
+    Block("acceleration when free", _ACCEL_MPS2),
+    Block("acceleration while following", _ACCEL_MPS2),
+    Block("pull-away", _POSITIVE_MPS2),
+    Block("braking", _POSITIVE_MPS2),
+    Block("headway while following", _HEADWAY_S),
+    Block("headway", _HEADWAY_S),
+    Block("steady headway", _HEADWAY_S),
+    Block("standstill gap", _STANDSTILL_M),
+    Block("closing", _DIFFERENCE_MPS),
+    Block("inverse time to collision", _INVERSE_TTC),
+    Block("rear headway", _HEADWAY_S),
+    Block("rear headway after moving over", _HEADWAY_S),
+    Block("sideways", _SIDEWAYS_M),
+    Block("sideways over neighbours", _SIDEWAYS_M),
+    Block("beside", (0.0, 1.0, 2.0, 4.0)),
+    Block("speed near pedestrian", _SPEED_MPS),
+    Block("acceleration near pedestrian", _ACCEL_MPS2),
+)
+"""What the driving observer watches (our choice of quantities and scales)."""
+
+_WIDTHS = tuple(len(b.nodes) for b in BLOCKS)
+_OFFSETS = tuple(int(x) for x in np.cumsum((0, *_WIDTHS)))
+
+
+class DrivingObserver:
+    """How each driver moves, differs from its neighbours, and treats those around it.
+
+    Args:
+        solver: a key of ``SOLVERS`` for the spectral part.
+    """
+
+    feature_names = (
+        *describe_names(BLOCKS),
+        *(f"spectrum_{name}" for name in INVARIANT_NAMES),
+        "log_seconds",
+    )
+
+    def __init__(self, solver: str = "graphrqi") -> None:
+        self._spectrum = _GraphSpectrum(solver)
+        self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
+        self._motion = MotionEstimator()
+        self._evidence = _Evidence(_OFFSETS[-1] + len(INVARIANT_NAMES) + 1)
+        self._spectrum_s: float | None = None
+        self._waiting_s = 0.0
+
+    def update(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> Observation:
+        """Take the next positions; return what is known of the drivers among them."""
+        motion = self._motion.update(time_s, ids, xy)
+        self._near = self._near.observe(ids, xy)
+        self._spectrum.observe(ids, xy)
+        adjacency = self._near.adjacency
+        around = interactions(motion, drives, adjacency)
+        moment = np.zeros((ids.size, _OFFSETS[-1] + len(INVARIANT_NAMES) + 1))
+        self._watch(motion, around, drives, moment)
+        if self._spectrum_s is None or time_s - self._spectrum_s >= SPECTRUM_EVERY_S - 1e-6:
+            self._spectrum_s = time_s
+            spectrum, rows, degrees = self._spectrum.solve(ids)
+            values = invariant(
+                np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
+            )
+            moment[:, _OFFSETS[-1] : -1] = values[rows]
+            moment[:, -1] = 1.0
+        drivers = ids[drives]
+        seconds, sums = self._evidence.add(time_s, drivers, moment[drives], motion.step_s)
+        return Observation(drivers, seconds, sums, np.zeros((drivers.size, 0)))
+
+    def _watch(
+        self, motion: Motion, around: Interaction, drives: BoolArray, out: FloatArray
+    ) -> None:
+        """Write this moment's weights of every block."""
+        adjacency = self._near.adjacency
+        v, a = np.maximum(motion.speed, 0.0), motion.acceleration
+        moving = v > 2.0
+        gap, rear = around.gap, around.rear_gap
+        has_leader, has_follower = around.leader >= 0, around.follower >= 0
+        closing = v - around.leader_speed
+        with np.errstate(divide="ignore", invalid="ignore"):
+            headway = gap / v
+            rear_headway = rear / np.maximum(around.rear_speed, 0.1)
+            inverse_ttc = np.maximum(closing, 0.0) / np.maximum(gap, 0.3)
+        clear = ~has_leader | (gap > np.maximum(25.0, 4.0 * v))
+        following = has_leader & moving & (headway < 5.0)
+        speed_signal = differences(adjacency, v, drives)
+        sideways_signal = differences(adjacency, motion.sideways, drives, scales=1)
+        side = np.abs(motion.sideways)
+        standing = has_leader & (v < 0.3) & (around.leader_speed < 0.3)
+        walker = ~np.isnan(around.pedestrian_m)
+        always = np.ones(v.size, dtype=bool)
+        watched: tuple[tuple[FloatArray, BoolArray], ...] = (
+            (v, always),
+            (v, clear & (np.abs(a) < 0.5) & moving),
+            (speed_signal[:, 0], always),
+            (speed_signal[:, 1], always),
+            (a, v > 0.5),
+            (a, clear & moving),
+            (a, following),
+            (a, (a > 0.2) & (v < 9.0) & (clear | (closing < 0.0))),
+            (-a, a < -0.3),
+            (headway, following),
+            (headway, has_leader & moving),
+            (headway, following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.6)),
+            (gap, standing),
+            (closing, following),
+            (inverse_ttc, has_leader & (closing > 0.2)),
+            (rear_headway, has_follower & moving),
+            (rear_headway, has_follower & moving & (side > 1.2)),
+            (side, moving),
+            (np.abs(sideways_signal[:, 0]), moving),
+            (around.beside, moving),
+            (v, walker),
+            (a, walker),
+        )
+        for block, start, (values, counts) in zip(BLOCKS, _OFFSETS[:-1], watched, strict=True):
+            block.spread(values, counts, out[:, start : start + len(block.nodes)])
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """Distributions of what was watched, mean spectral features, and the time observed."""
+        spectral = sums[:, _OFFSETS[-1] :]
+        total = spectral[:, -1:]
+        return np.concatenate(
+            [
+                describe(sums[:, : _OFFSETS[-1]], BLOCKS),
+                spectral[:, :-1] / np.where(total > 1e-9, total, 1.0),
+                np.log1p(seconds)[:, None],
+            ],
+            axis=1,
+        )

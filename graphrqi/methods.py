@@ -1,0 +1,247 @@
+"""Methods: features, solver and classifier as one thing that can be trained, saved and streamed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from behaviors.errors import InputError, lookup
+from behaviors.labels import BEHAVIORS
+from graphrqi.classify import Classifier, make_classifier, restore_classifier
+from graphrqi.features.observer import (
+    DrivingObserver,
+    EigenvectorObserver,
+    Observer,
+    SpectrumObserver,
+)
+from graphrqi.samples import Samples
+
+FloatArray = NDArray[np.float64]
+
+SCHEMA_VERSION: Final = 1
+"""Of model folders; a newer one is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """How a driver's behaviour is told.
+
+    Attributes:
+        name: registered name.
+        summary: one line for people.
+        observer: makes what turns positions into features, from a solver's name.
+        classifier: a key of ``graphrqi.classify.CLASSIFIERS``.
+        options: of that classifier.
+    """
+
+    name: str
+    summary: str
+    observer: Callable[[str], Observer]
+    classifier: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+METHODS: Final[dict[str, Method]] = {
+    "majority": Method(
+        "majority",
+        "the most frequent class of the training data, whatever is seen",
+        EigenvectorObserver,
+        "majority",
+    ),
+    "graphrqi": Method(
+        "graphrqi",
+        "the paper: rows of the largest-end eigenvectors, perceptron, squared error",
+        EigenvectorObserver,
+        "mlp",
+        {"loss": "squared-error", "hidden": (64, 32), "dropout": 0.0},
+    ),
+    "graphrqi-invariant": Method(
+        "graphrqi-invariant",
+        "the spectrum alone, independent of sign, rotation, order and size",
+        SpectrumObserver,
+        "mlp",
+        {"hidden": (64, 32), "dropout": 0.0},
+    ),
+    "graphrqi-plus": Method(
+        "graphrqi-plus",
+        "spectrum, graph signals, motion and interaction, from positions only",
+        DrivingObserver,
+        "mlp",
+        {"hidden": (192, 96), "members": 3, "dropout": 0.3},
+    ),
+}
+"""The methods there are; the keys are the methods' names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A trained method.
+
+    Attributes:
+        method: what was trained.
+        solver: which eigenvalue algorithm its observer uses.
+        classifier: what was learned.
+        card: what it was trained on and how it scored, in words and numbers.
+    """
+
+    method: Method
+    solver: str
+    classifier: Classifier
+    card: Mapping[str, Any]
+
+    def observer(self) -> Observer:
+        """A fresh observer of the kind the model was trained with."""
+        return self.method.observer(self.solver)
+
+    def posterior(self, features: FloatArray) -> FloatArray:
+        """(n, 6) probabilities of feature vectors (n, F)."""
+        return self.classifier.posterior(features)
+
+
+def train(
+    method: str,
+    training: Samples,
+    validation: Samples | None = None,
+    solver: str = "graphrqi",
+    seed: int = 0,
+    card: Mapping[str, Any] | None = None,
+) -> Model:
+    """Train a method.
+
+    Args:
+        method: a key of ``METHODS``.
+        training: samples of the training episodes.
+        validation: samples of other episodes, to stop and to calibrate by.
+        solver: a key of ``graphrqi.spectrum.SOLVERS``.
+        seed: same seed and samples, same model.
+        card: what to note in the model's card.
+
+    Returns:
+        The trained model.
+    """
+    chosen = lookup(METHODS, method, "method")
+    classifier = make_classifier(chosen.classifier, len(BEHAVIORS), **chosen.options)
+    held = None
+    if validation is not None:
+        held = (validation.features.astype(np.float64), validation.codes)
+    classifier.fit(training.features.astype(np.float64), training.codes, held, seed)
+    return Model(chosen, solver, classifier, dict(card or {}))
+
+
+class _ModelFile(BaseModel):
+    """``model.json`` in a model folder."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    schema_version: int
+    method: str
+    solver: str
+    classes: tuple[str, ...]
+    features: tuple[str, ...]
+    card: dict[str, Any]
+
+
+def save_model(model: Model, folder: Path) -> None:
+    """Write a model folder: ``model.json`` and ``weights.safetensors``.
+
+    The JSON holds method, class order, feature names and card. The folder appears whole; a model
+    that stands there is replaced.
+
+    Raises:
+        InputError: if the folder holds something that is not a model.
+    """
+    from safetensors.numpy import save_file
+
+    if folder.exists() and (not folder.is_dir() or not (folder / "model.json").exists()):
+        raise InputError(f"{folder}: found something that is not a model, expected no such folder")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        file = _ModelFile(
+            schema_version=SCHEMA_VERSION,
+            method=model.method.name,
+            solver=model.solver,
+            classes=tuple(b.value for b in BEHAVIORS),
+            features=model.observer().feature_names,
+            card=dict(model.card),
+        )
+        (partial / "model.json").write_text(json.dumps(file.model_dump(), indent=1) + "\n")
+        arrays = {k: np.ascontiguousarray(v) for k, v in model.classifier.arrays().items()}
+        save_file(arrays, partial / "weights.safetensors")
+        partial.chmod(0o755)
+        if folder.exists():
+            shutil.rmtree(folder)
+        os.replace(partial, folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+MODELS: Final = Path(__file__).parent / "models"
+"""Where the models that ship with the package are."""
+
+
+def load_model(name_or_folder: str | Path) -> Model:
+    """Load a trained model.
+
+    Args:
+        name_or_folder: a model that ships with the package ("graphrqi-plus") or a folder.
+
+    Returns:
+        The model.
+
+    Raises:
+        InputError: if there is no such model, or it is broken, newer, or of other classes.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    folder = Path(name_or_folder)
+    if not folder.is_dir() and os.sep not in str(name_or_folder):
+        folder = MODELS / str(name_or_folder)
+    if not (folder / "model.json").is_file():
+        shipped = sorted(p.parent.name for p in MODELS.glob("*/model.json"))
+        raise InputError(
+            f"model {str(name_or_folder)!r}: found no model.json, expected a model folder "
+            f"or one of {', '.join(shipped) or 'none shipped'}"
+        )
+    path = folder / "model.json"
+    try:
+        file = _ModelFile.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(x) for x in first["loc"]) or "content"
+        raise InputError(f"{path}: {where}: {first['msg']}") from None
+    if file.schema_version > SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: schema_version: found {file.schema_version}, expected at most "
+            f"{SCHEMA_VERSION}: written by a newer version of this package"
+        )
+    if file.classes != tuple(b.value for b in BEHAVIORS):
+        raise InputError(f"{path}: classes: found {file.classes}, expected {tuple(BEHAVIORS)}")
+    method = lookup(METHODS, file.method, "method")
+    if file.features != method.observer(file.solver).feature_names:
+        raise InputError(
+            f"{path}: features: found those of another version, expected this version's; "
+            "train the model again"
+        )
+    weights = folder / "weights.safetensors"
+    try:
+        arrays = load_file(weights)
+        classifier = restore_classifier(
+            method.classifier, len(BEHAVIORS), dict(method.options), arrays
+        )
+    except (SafetensorError, OSError, KeyError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{weights}: found weights that do not load ({reason})") from None
+    return Model(method, file.solver, classifier, file.card)

@@ -1,0 +1,134 @@
+"""Every way on from every lane, with the places on it where one may have to stop."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.lane_graph import LaneGraph
+from sim.road import Road
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+REACH_M: Final = 150.0
+"""Paths go on at least this far beyond the lane they begin on (our choice: 5 s at 30 m/s)."""
+
+MOST_LANES: Final = 10
+"""Lanes per path at most (our choice)."""
+
+PRIOR: Final = (0.5, 0.2, 0.25, 0.05)
+"""How likely one goes straight, right, left or back where all are open (our choice; a third to a
+half of urban junction traffic turns)."""
+
+STOP_LINE_REACH_M: Final = 8.0
+"""A crossing this close behind a stop line is waited for at the line (our choice: the depth of a
+crosswalk and its set-back)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathTable:
+    """All paths of a road; lanes and gates padded at the end.
+
+    Attributes:
+        lane: (Q, P) lanes in order, -1 after the end.
+        start: (Q, P) distance from the start of the first lane at which each begins, m; +inf after.
+        limit: (Q, P) speed limit, m/s.
+        probability: (Q,) of taking this path from its first lane.
+        turn: (Q,) code into ``lane_graph.DIRECTIONS`` of the first turn on it, 0 if none.
+        gate_x: (Q, G) places where one may have to stop, m; +inf after the last.
+        gate_row: (Q, G) rows of the scene's table of closed gates: signal groups first, then the
+            places where lanes and crossings meet, then yielding entries.
+        first: (L,) first path of each lane.
+        count: (L,) how many paths each lane has.
+        groups: number of signal groups.
+    """
+
+    lane: IntArray
+    start: FloatArray
+    limit: FloatArray
+    probability: FloatArray
+    turn: IntArray
+    gate_x: FloatArray
+    gate_row: IntArray
+    first: IntArray
+    count: IntArray
+    groups: int
+
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def of(road: Road) -> PathTable:
+        """The paths of a road, built on first use and kept."""
+        return _build(road)
+
+
+def _continue(graph: LaneGraph, chain: list[int], beyond_m: float) -> list[list[int]]:
+    ways = graph.successors[chain[-1]]
+    ways = ways[ways >= 0]
+    if not ways.size or len(chain) >= MOST_LANES or beyond_m >= REACH_M:
+        return [chain]
+    return [
+        path
+        for way in ways
+        for path in _continue(graph, [*chain, int(way)], beyond_m + float(graph.length[way]))
+    ]
+
+
+def _build(road: Road) -> PathTable:
+    graph = LaneGraph.of(road)
+    groups = len(road.signal_groups)
+    lanes = graph.length.size
+    first, count = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+    rows: list[list[int]] = []
+    for lane in range(lanes):
+        first[lane] = len(rows)
+        if graph.drivable[lane]:
+            rows += _continue(graph, [lane], 0.0)
+        count[lane] = len(rows) - first[lane]
+    most = max((len(r) for r in rows), default=1)
+    lane_table = np.full((len(rows), most), -1)
+    start = np.full((len(rows), most), np.inf)
+    limit = np.zeros((len(rows), most))
+    probability, turn = np.ones(len(rows)), np.zeros(len(rows), np.int64)
+    gates: list[list[tuple[float, int]]] = []
+    for q, chain in enumerate(rows):
+        lane_table[q, : len(chain)] = chain
+        begin = np.concatenate([[0.0], np.cumsum(graph.length[chain])[:-1]])
+        start[q, : len(chain)] = begin
+        limit[q, : len(chain)] = graph.limit[chain]
+        mine: list[tuple[float, int]] = []
+        for j, lane in enumerate(chain):
+            if j > 0:
+                open_ways = graph.successors[chain[j - 1]]
+                weights = [PRIOR[graph.direction[w]] for w in open_ways[open_ways >= 0]]
+                probability[q] *= PRIOR[graph.direction[lane]] / sum(weights)
+                if turn[q] == 0:
+                    turn[q] = graph.direction[lane]
+                if graph.signal[lane] >= 0:
+                    mine.append((float(begin[j]), int(graph.signal[lane])))
+            for z in np.flatnonzero(graph.cross_lane == lane):
+                near = float(graph.cross_s[z])
+                at_line = j > 0 and graph.internal[lane] and near <= STOP_LINE_REACH_M
+                mine.append((float(begin[j]) + (0.0 if at_line else near), groups + int(z)))
+        gates.append(sorted(mine))
+    width = max((len(g) for g in gates), default=0) or 1
+    gate_x, gate_row = np.full((len(rows), width), np.inf), np.zeros((len(rows), width), np.int64)
+    for q, some in enumerate(gates):
+        for g, (at, row) in enumerate(some):
+            gate_x[q, g], gate_row[q, g] = at, row
+    return PathTable(
+        lane=lane_table,
+        start=start,
+        limit=limit,
+        probability=probability,
+        turn=turn,
+        gate_x=gate_x,
+        gate_row=gate_row,
+        first=first,
+        count=count,
+        groups=groups,
+    )

@@ -1,0 +1,66 @@
+"""Where every agent may be over the next seconds, and how likely each way is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """K possible futures of n agents at H coming times.
+
+    Attributes:
+        ids: (n,) agent ids, ascending.
+        time_s: (H,) seconds from the present, increasing, all > 0.
+        xy: (n, K, H, 2) places of the boxes' centres, m.
+        probability: (n, K) of each future; rows sum to 1.
+
+    Example:
+        >>> one = Prediction([4], [1.0], np.zeros((1, 2, 1, 2)), [[0.3, 0.7]])
+        >>> one.best.shape
+        (1, 1, 2)
+    """
+
+    ids: NDArray[np.int64]
+    time_s: FloatArray
+    xy: FloatArray
+    probability: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check shapes and probabilities, and make the arrays read-only."""
+        ids, time_s = np.asarray(self.ids, np.int64), np.asarray(self.time_s, np.float64)
+        xy, probability = np.asarray(self.xy, np.float64), np.asarray(self.probability, np.float64)
+        n, h = ids.size, time_s.size
+        if xy.ndim != 4 or xy.shape != (n, xy.shape[1], h, 2):
+            raise InputError(f"Prediction.xy: found shape {xy.shape}, expected ({n}, K, {h}, 2)")
+        if probability.shape != xy.shape[:2]:
+            raise InputError(
+                f"Prediction.probability: found shape {probability.shape}, expected {xy.shape[:2]}"
+            )
+        if n and not np.allclose(probability.sum(axis=1), 1.0, atol=1e-6):
+            raise InputError("Prediction.probability: found rows that do not sum to 1, expected 1")
+        for name, array in (
+            ("ids", ids), ("time_s", time_s), ("xy", xy), ("probability", probability)
+        ):  # fmt: skip
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    @property
+    def modes(self) -> int:
+        """How many futures each agent has (K)."""
+        return int(self.xy.shape[1])
+
+    @property
+    def best(self) -> FloatArray:
+        """(n, H, 2) the most likely future of each agent, m."""
+        return np.asarray(
+            self.xy[np.arange(self.ids.size), self.probability.argmax(axis=1)], dtype=np.float64
+        )

@@ -1,0 +1,79 @@
+"""The stream: a frame in, a posterior over the six behaviours of every driver out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from graphrqi.methods import Model, load_model
+from graphrqi.posterior import Posterior
+from sim.buffer import FrameBuffer
+from sim.frames import Frame, Tracks
+
+MIN_SECONDS: Final = 1.0
+"""Time after which a driver is classified (our choice: before it, velocity is hardly known)."""
+
+HISTORY_STEPS: Final = 50
+"""Frames remembered for prediction (our choice: 5 s at 10 Hz)."""
+
+DEFAULT_MODEL: Final = "graphrqi-plus"
+"""The model that ships with the package."""
+
+
+class BehaviorStream:
+    """Classifies drivers as they drive.
+
+    Uses nothing of a frame but its time and the ids, positions and kinds (driving or walking).
+    Evidence on a driver accumulates for as long as it stays in sight.
+
+    Args:
+        model: a trained model.
+        min_seconds: a driver is classified from this long after it was first seen.
+    """
+
+    def __init__(self, model: Model, min_seconds: float = MIN_SECONDS) -> None:
+        self.model = model
+        self.min_seconds = min_seconds
+        self._observer = model.observer()
+        self._buffer = FrameBuffer(HISTORY_STEPS)
+
+    def update(self, frame: Frame) -> Posterior:
+        """Take the next frame.
+
+        Args:
+            frame: later than the one before.
+
+        Returns:
+            Posterior of every driver present and seen long enough.
+
+        Raises:
+            InputError: if the frame's time does not increase.
+        """
+        self._buffer.push(frame)
+        seen = self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        ready = seen.seconds >= self.min_seconds - 1e-6
+        features = self._observer.features(
+            seen.seconds[ready], seen.sums[ready], seen.instant[ready]
+        )
+        return Posterior(ids=seen.ids[ready], probability=self.model.posterior(features))
+
+    @property
+    def history(self) -> Tracks:
+        """The last frames of the agents present now; the last column is the present."""
+        return self._buffer.tracks()
+
+
+def load_stream(name_or_folder: str | Path = DEFAULT_MODEL) -> BehaviorStream:
+    """A stream over a trained model.
+
+    Args:
+        name_or_folder: a model that ships with the package, or a folder that ``graphrqi train``
+            wrote.
+
+    Returns:
+        A fresh stream.
+
+    Raises:
+        InputError: if there is no such model.
+    """
+    return BehaviorStream(load_model(name_or_folder))
