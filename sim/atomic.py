@@ -6,11 +6,12 @@ reader, or a run that was killed, never sees half of anything.
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -59,14 +60,26 @@ def whole_folder(path: Path) -> Iterator[Path]:
     partial.mkdir()
     try:
         yield partial
-        if path.exists():
-            old = _partial(path)
-            os.replace(path, old)
-            shutil.rmtree(old)
-        os.replace(partial, path)
+        _move_folder(partial, path)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
+
+
+def _move_folder(partial: Path, path: Path) -> None:
+    """Put a folder in its place; whoever else writes the same place at the same time, it works."""
+    while True:
+        try:
+            os.replace(partial, path)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+            old = _partial(path)
+            with suppress(FileNotFoundError):
+                os.replace(path, old)
+                shutil.rmtree(old)
+        else:
+            return
 
 
 def remove_partial(folder: Path) -> int:

@@ -261,7 +261,8 @@ def _events_table(events: Sequence[Event]) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=EVENTS)
 
 
-def _write_table(path: Path, table: pa.Table) -> None:
+def _parquet_bytes(table: pa.Table) -> bytes:
+    sink = pa.BufferOutputStream()
     numbers = [f.name for f in table.schema if pa.types.is_floating(f.type)]
     integers = [f.name for f in table.schema if pa.types.is_integer(f.type)]
     words = [
@@ -271,7 +272,7 @@ def _write_table(path: Path, table: pa.Table) -> None:
     ]
     pq.write_table(
         table,
-        path,
+        sink,
         compression="zstd",
         use_dictionary=words,
         column_encoding={
@@ -280,6 +281,7 @@ def _write_table(path: Path, table: pa.Table) -> None:
         },
         store_schema=False,
     )
+    return cast(bytes, sink.getvalue().to_pybytes())
 
 
 # --- writing ------------------------------------------------------------------------------------
@@ -293,17 +295,31 @@ def _canonical(value: object) -> bytes:
     return json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode() + b"\n"
 
 
-def episode_id(meta: EpisodeMeta, road: str | None = None) -> str:
+def episode_id(meta: EpisodeMeta, agents: Sequence[AgentSpec], road: Path | None = None) -> str:
     """The name of an episode: the hash of everything that determines its content.
 
     Args:
         meta: what it is made from.
-        road: checksum of its road file, if any.
+        agents: everyone who may appear in it.
+        road: its SUMO net, if any.
 
     Returns:
         16 hexadecimal digits.
     """
-    made_from = {"schema_version": SCHEMA_VERSION, "road": road, **meta.model_dump()}
+    return _identity(
+        meta,
+        _parquet_bytes(_agents_table(sorted(agents, key=lambda a: a.id), {})),
+        None if road is None else _sha256(road.read_bytes()),
+    )
+
+
+def _identity(meta: EpisodeMeta, agents: bytes, road: str | None) -> str:
+    made_from = {
+        **meta.model_dump(),
+        "schema_version": SCHEMA_VERSION,
+        "agents": _sha256(agents),
+        "road": road,
+    }
     return _sha256(_canonical(made_from))[:16]
 
 
@@ -394,7 +410,6 @@ def _write(
 ) -> EpisodeEntry:
     _check_finite(steps)
     road_sha256 = None if road is None else _write_road(folder, road)
-    identity = episode_id(meta, road_sha256)
     tables: dict[FileName, pa.Table] = {
         "steps.parquet": _steps_table(steps),
         "agents.parquet": agents,
@@ -402,12 +417,11 @@ def _write(
         "signals.parquet": _signals_table(steps),
         "events.parquet": _events_table(steps.events),
     }
+    content = {name: _parquet_bytes(table) for name, table in tables.items()}
+    identity = _identity(meta, content["agents.parquet"], road_sha256)
     with whole_folder(folder / "episodes" / identity) as partial:
-        files: dict[FileName, FileEntry] = {}
-        for name, table in tables.items():
-            _write_table(partial / name, table)
-            data = (partial / name).read_bytes()
-            files[name] = FileEntry(sha256=_sha256(data), size=len(data))
+        for name, data in content.items():
+            (partial / name).write_bytes(data)
         entry = EpisodeEntry(
             **meta.model_dump(),
             id=identity,
@@ -415,7 +429,7 @@ def _write(
             frames=int(steps.time_s.size),
             agents=seen,
             agent_steps=int(steps.agent.size),
-            files=files,
+            files={n: FileEntry(sha256=_sha256(d), size=len(d)) for n, d in content.items()},
         )
         (partial / ENTRY).write_bytes(_canonical(entry.model_dump()))
     return entry
@@ -624,7 +638,7 @@ class Dataset:
             raise InputError(f"{path}: found no file, expected the road of episode {entry.id}")
         if _sha256(path.read_bytes()) != entry.road:
             raise InputError(f"{path}: found another checksum than its name, expected it unaltered")
-        return read_road(path)
+        return read_road(path, entry.scenario)
 
 
 def open_dataset(path: str | Path) -> Dataset:
