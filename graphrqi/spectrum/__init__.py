@@ -8,13 +8,32 @@ Example:
     [4.0, 1.0]
 """
 
-from graphrqi.spectrum import eigh, exact
+from graphrqi.spectrum import (
+    arpack,
+    conjugate_gradient,
+    eigh,
+    exact,
+    incremental_svd,
+    lobpcg,
+    paper,
+    restart_svd,
+    svd,
+    truncated_svd,
+)
 from graphrqi.spectrum.contract import Solver, Spectrum
 
 SOLVERS: dict[str, Solver] = {
     "graphrqi": exact.solve,
+    "graphrqi-paper": paper.solve,
     "graphrqi-exact": exact.solve,
     "eigh": eigh.solve,
+    "svd": svd.solve,
+    "truncated-svd": truncated_svd.solve,
+    "incremental-svd": incremental_svd.solve,
+    "restart-svd": restart_svd.solve,
+    "conjugate-gradient": conjugate_gradient.solve,
+    "arpack": arpack.solve,
+    "lobpcg": lobpcg.solve,
 }
 """Every eigenvalue algorithm by name; the first is the default."""
 

@@ -36,7 +36,7 @@ class Spectrum:
         graph: the graph the pairs belong to.
         end: which end of the spectrum.
         note: what the solver has to say about this answer, such as that it fell back; or "".
-        carried: arrays the same solver needs for its next step; empty for most.
+        carried: what the same solver needs for its next step; None for most.
     """
 
     ids: NDArray[np.int64]
@@ -47,7 +47,7 @@ class Spectrum:
     graph: TrafficGraph = field(repr=False)
     end: End = "largest"
     note: str = ""
-    carried: tuple[Floats, ...] = field(default=(), repr=False)
+    carried: object = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -167,6 +167,47 @@ def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None =
     return rows
 
 
+def starting_block(
+    graph: TrafficGraph, size: int, previous: Spectrum | None, outside: Floats | None
+) -> Floats:
+    """Orthonormal columns to start an iteration from.
+
+    Args:
+        graph: d vehicles.
+        size: number of columns, at most d less the columns of ``outside``.
+        previous: earlier answer whose eigenvectors come first.
+        outside: (d, c) orthonormal columns the block must be orthogonal to.
+
+    Returns:
+        (d, size) the earlier eigenvectors by vehicle id, filled up with normal noise (of a fixed
+        seed: the same call gives the same block).
+    """
+    noise = np.random.default_rng(graph.ids.size).normal(size=(graph.ids.size, size))
+    if previous is not None:
+        known = carry_rows(previous, graph)[:, :size]
+        noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
+    if outside is not None:
+        noise -= outside @ (outside.T @ noise)
+    block, _ = np.linalg.qr(noise)
+    return block
+
+
+def rayleigh_ritz(graph: TrafficGraph, basis: Floats, end: End) -> tuple[Floats, Floats]:
+    """Best approximations to eigenpairs from a subspace.
+
+    Args:
+        graph: d vehicles.
+        basis: (d, m) orthonormal columns.
+        end: order of the answer.
+
+    Returns:
+        (m,) Ritz values and (d, m) Ritz vectors, in the order of the end.
+    """
+    values, turn = np.linalg.eigh(basis.T @ (graph.laplacian @ basis))
+    order = pick(values, values.size, end)
+    return values[order], basis @ turn[:, order]
+
+
 def answer(
     graph: TrafficGraph,
     eigenvalues: Floats,
@@ -175,7 +216,7 @@ def answer(
     tol: float,
     complete: bool,
     note: str = "",
-    carried: tuple[Floats, ...] = (),
+    carried: object = None,
 ) -> Spectrum:
     """Measure residuals and orthogonality and make a Spectrum of them.
 
@@ -188,7 +229,7 @@ def answer(
         complete: it is known that no eigenvalue was missed, provided the pairs are converged
             and orthonormal.
         note: remark of the solver.
-        carried: arrays for the solver's next step.
+        carried: what the solver needs for its next step.
 
     Returns:
         The answer, certified if converged, orthonormal and complete.

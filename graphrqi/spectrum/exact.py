@@ -20,6 +20,8 @@ back-transformation with d^2 memory: asymptotically no better than solving anew.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +35,7 @@ from graphrqi.spectrum.contract import (
     lambda_max_floor,
     null_space,
     pick,
+    rayleigh_ritz,
 )
 from graphrqi.spectrum.eigh import dense_pairs
 
@@ -43,6 +46,19 @@ DEPENDENT = 0.1
 (our choice)."""
 RESTART_SHARE = 0.25
 """Changed edges per vehicle above which a dense solution is cheaper (our choice)."""
+
+
+@dataclass(frozen=True, eq=False)
+class AllPairs:
+    """What the update starts from.
+
+    Attributes:
+        values: (d,) all eigenvalues.
+        vectors: (d, d) all eigenvectors.
+    """
+
+    values: Floats
+    vectors: Floats
 
 
 def solve(
@@ -80,7 +96,7 @@ def solve(
     goal = 0.1 * tol * max(1.0, lambda_max_floor(graph))
     note = "solved anew: no earlier answer of this solver"
     pairs: tuple[Floats, Floats] | None = None
-    if previous is not None and len(previous.carried) == 2 and previous.ids.size:
+    if previous is not None and isinstance(previous.carried, AllPairs):
         before = previous.graph
         change = change_between(before, graph)
         kept = np.array_equal(graph.ids[: before.ids.size], before.ids)
@@ -92,7 +108,12 @@ def solve(
             order = np.argsort(graph.ids)
             ends = order[np.searchsorted(graph.ids[order], change.edges)]
             values, vectors, finished = _update(
-                previous.carried[0], previous.carried[1], graph.ids.size, ends, change.weights, goal
+                previous.carried.values,
+                previous.carried.vectors,
+                graph.ids.size,
+                ends,
+                change.weights,
+                goal,
             )
             pairs = values, vectors
             if finished < values.size:
@@ -100,7 +121,7 @@ def solve(
             else:
                 note = ""
             drift = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
-            if drift.max() > 10.0 * goal:
+            if drift.max(initial=0.0) > 10.0 * goal:
                 pairs, note = None, "solved anew: rounding errors had built up"
     if pairs is None:
         pairs = dense_pairs(graph, False)
@@ -108,9 +129,9 @@ def solve(
     if nonzero:
         null = null_space(graph)
         outside, _ = np.linalg.qr(np.hstack([null, vectors[:, pick(-values, values.size, end)]]))
-        values, vectors = _rayleigh_ritz(graph, outside[:, null.shape[1] :])
+        values, vectors = rayleigh_ritz(graph, outside[:, null.shape[1] :], end)
     chosen = pick(values, num_pairs, end)
-    return answer(graph, values[chosen], vectors[:, chosen], end, tol, True, note, carried=pairs)
+    return answer(graph, values[chosen], vectors[:, chosen], end, tol, True, note, AllPairs(*pairs))
 
 
 def _update(
@@ -135,7 +156,7 @@ def _update(
     basis = np.eye(d)
     basis[:c, :c] = vectors
     w = basis[ends[:, 0]].T - basis[ends[:, 1]].T  # (d, p) W^ = U^T W
-    scale = max(1.0, float(np.abs(spread).max()) + 2.0 * float(np.abs(weights).sum()))
+    scale = max(1.0, float(np.abs(spread).max(initial=0.0)) + 2.0 * float(np.abs(weights).sum()))
     x = np.eye(d)  # column j is the iterate of pair j in the old eigenbasis
     shift = spread + (w**2) @ weights
     norms = np.full(d, np.inf)
@@ -209,8 +230,3 @@ def _shifted_solves(
             step = np.linalg.lstsq(system, right, rcond=None)[0]
         out[:, j] -= scaled @ step
     return out
-
-
-def _rayleigh_ritz(graph: TrafficGraph, basis: Floats) -> tuple[Floats, Floats]:
-    values, turn = np.linalg.eigh(basis.T @ (graph.laplacian @ basis))
-    return values, basis @ turn
