@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -467,6 +468,20 @@ def finished_episode(folder: Path, identity: str) -> EpisodeEntry | None:
     except (InputError, FileNotFoundError):
         return None
     return entry
+
+
+def unlisted_episodes(folder: Path) -> Iterator[EpisodeEntry]:
+    """The entries of the episodes that are in a folder, whether a manifest lists them or not.
+
+    Args:
+        folder: the dataset.
+
+    Yields:
+        Each readable ``episode.json``, in order of id.
+    """
+    for path in sorted((folder / "episodes").glob(f"[0-9a-f]*/{ENTRY}")):
+        with suppress(InputError):
+            yield _validated(EpisodeEntry, path)
 
 
 def altered_files(folder: Path, entry: EpisodeEntry) -> list[Path]:

@@ -1,0 +1,52 @@
+"""One writer per dataset folder at a time."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from behaviors.errors import InputError
+
+LOCK: Final = ".lock"
+"""Name of the lock file; it is there only while somebody writes."""
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Hold a folder for writing; the operating system lets go of it when the process ends.
+
+    Args:
+        folder: what to hold; created if need be.
+
+    Yields:
+        Nothing; the folder is held inside the block.
+
+    Raises:
+        InputError: if another process holds it, or the path is not a folder.
+        OSError: if the folder cannot be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: found a file, expected a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / LOCK
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise InputError(
+                f"{folder}: another run is writing to it; wait for its end or choose another folder"
+            ) from None
+        if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
+            break
+        os.close(descriptor)  # the holder before us removed the file that we opened
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
