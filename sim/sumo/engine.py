@@ -37,6 +37,7 @@ OPTIONS: Final[tuple[str, ...]] = (
     "--intermodal-collision.action", "warn",
     "--time-to-teleport", "-1",
     "--ignore-junction-blocker", "20",
+    "--lanechange.duration", "3",
     "--max-depart-delay", "60",
     "--xml-validation.routes", "always",
     "--no-step-log", "true",

@@ -109,6 +109,7 @@ def vehicle_type(agent: AgentSpec) -> dict[str, str]:
             "emergencyDecel": _number(
                 max(limits.emergency_decel_mps2, agent.profile.comfort_decel_mps2)
             ),
+            "lcKeepRight": "0",
             "lcOpposite": "0",
         }
         | driver_attributes(agent.profile)
