@@ -36,7 +36,7 @@ VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
 ATTRIBUTES: Final[frozenset[str]] = frozenset(
     {
         "id", "vClass", "length", "width", "maxSpeed", "carFollowModel", "laneChangeModel",
-        "speedFactor", "tau", "minGap", "accel", "decel", "emergencyDecel", "sigma",
+        "speedFactor", "speedDev", "tau", "minGap", "accel", "decel", "emergencyDecel", "sigma",
         "startupDelay", "impatience", "lcStrategic", "lcCooperative", "lcSpeedGain",
         "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
         "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime", "jmDriveAfterRedTime",
@@ -57,6 +57,7 @@ def driver_attributes(profile: Profile) -> dict[str, str]:
     """
     found = {
         "speedFactor": _number(profile.speed_factor),
+        "speedDev": "0",
         "tau": _number(profile.time_headway_s),
         "minGap": _number(profile.min_gap_m),
         "accel": _number(profile.max_accel_mps2),
@@ -95,7 +96,9 @@ def vehicle_type(agent: AgentSpec) -> dict[str, str]:
         "width": _number(agent.width_m),
     }
     if agent.kind is AgentKind.PEDESTRIAN:
-        return _checked(common | {"maxSpeed": _number(agent.speed_mps), "speedFactor": "1"})
+        return _checked(
+            common | {"maxSpeed": _number(agent.speed_mps), "speedFactor": "1", "speedDev": "0"}
+        )
     if agent.profile is None:
         raise InputError(f"agent {agent.id}: found no profile, expected one for a {agent.kind}")
     limits = KIND_LIMITS[agent.kind]
