@@ -1,0 +1,43 @@
+# make demo   install what running needs into .venv, then the whole loop into runs/demo
+# make test   install what testing needs too, then every check
+# make study  every measured figure at full size into runs/study
+# make model  train the models that ship with the package again
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+# Many small processes are faster than a few that fight over the cores.
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: demo test study model
+
+demo: $(VENV)/.installed
+	$(BIN)/python -m experiments.demo
+
+test: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest -q --doctest-modules behaviors sim graphrqi scenarios experiments
+	$(BIN)/pytest -q -n auto --dist loadfile
+
+study: $(VENV)/.installed
+	$(BIN)/python -m experiments.study
+
+model: $(VENV)/.installed
+	$(BIN)/python -m experiments.model
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.exit("found Python %d.%d, expected 3.11 to 3.13: make PYTHON=/path/to/python3.11" % sys.version_info[:2])'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable '.[dev]'
+	@touch $(VENV)/.installed $@

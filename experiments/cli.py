@@ -1,0 +1,189 @@
+"""The ``graphrqi`` command.
+
+Only typer is imported here; each command imports what it needs when it runs, so that help appears
+at once. Whatever a user can do wrong ends in one line on stderr and exit code 2.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer.exceptions import TyperException
+
+app = typer.Typer(
+    name="graphrqi",
+    help="Label, classify and predict drivers in simulated and recorded traffic.",
+    epilog="example: graphrqi run straight_road --stream",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Json = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write the table as JSON; - for standard output."),
+]
+ModelName = Annotated[
+    str, typer.Option("--model", help="A model that ships, or a folder written by train.")
+]
+Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+Engine = Annotated[str, typer.Option(help="Which simulator; see graphrqi list.")]
+Flow = Annotated[
+    str | None, typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour.")
+]
+Mix = Annotated[
+    str | None,
+    typer.Option(metavar="MIX", help="Share of each behaviour: impatient=.2,timid=.8."),
+]
+Spread = Annotated[
+    float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")
+]
+DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s.")]
+
+
+@app.command("list", epilog="example: graphrqi list")
+def list_names(json: Json = None) -> None:
+    """Show the names that other commands take."""
+    from experiments.doctor import registered_names
+    from experiments.tables import show_table
+
+    rows = [
+        {"what": what, "name": name} for what, names in registered_names().items() for name in names
+    ]
+    show_table(rows, json)
+
+
+@app.command(epilog="example: graphrqi run straight_road --flow dense --stream --predict")
+def run(
+    scenario: Annotated[str, typer.Argument(help="Name of a scenario; see graphrqi list.")],
+    engine: Engine = "sumo",
+    stream: Annotated[bool, typer.Option("--stream", help="Classify drivers as they go.")] = False,
+    predict: Annotated[bool, typer.Option("--predict", help="Predict, and score it.")] = False,
+    model: ModelName = "graphrqi-plus",
+    seed: Seed = 0,
+    flow: Flow = None,
+    mix: Mix = None,
+    spread: Spread = None,
+    duration_s: DurationS = None,
+    quiet: Quiet = False,
+    json: Json = None,
+) -> None:
+    """Run a scenario headless and sum up what happened."""
+    from experiments.generate import read_config
+    from experiments.run import run_scenario
+    from experiments.tables import show_table
+
+    config = read_config(
+        None, scenarios=[scenario], episodes=1, seed=seed, engine=engine, flow=flow, mix=mix,
+        spread=spread, duration_s=duration_s,
+    )  # fmt: skip
+    show_table(run_scenario(config, model if stream or predict else None, predict, quiet), json)
+
+
+@app.command(
+    epilog="example: graphrqi generate --scenario straight_road --episodes 10 --seed 1 --out data"
+)
+def generate(
+    out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="A scenario's name; repeat for several.")
+    ] = None,
+    episodes: Annotated[int | None, typer.Option(help="Episodes per scenario.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="The same options in a file.")
+    ] = None,
+    engine: Annotated[str | None, typer.Option(help="Which simulator [default: sumo].")] = None,
+    flow: Flow = None,
+    mix: Mix = None,
+    spread: Spread = None,
+    duration_s: DurationS = None,
+    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a dataset, or what is missing of it."""
+    from experiments.generate import Interrupted, read_config
+    from experiments.generate import generate as make
+
+    chosen = read_config(
+        config, scenarios=scenario or None, episodes=episodes, engine=engine, flow=flow, mix=mix,
+        spread=spread, duration_s=duration_s, seed=seed,
+    )  # fmt: skip
+    try:
+        manifest = make(chosen, out, jobs, quiet)
+    except Interrupted as stop:
+        typer.echo(f"graphrqi: {stop}", err=True)
+        raise typer.Exit(130) from None
+    steps = sum(e.agent_steps for e in manifest.episodes)
+    typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
+
+
+@app.command(epilog="example: graphrqi train data --method graphrqi-plus --out model")
+def train(
+    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
+    out: Annotated[Path, typer.Option(help="Folder of the model.")],
+    method: Annotated[str, typer.Option(help="See graphrqi list.")] = "graphrqi-plus",
+    seed: Seed = 0,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Train a method on a dataset's training split."""
+    from experiments.train import train_dataset
+
+    train_dataset(dataset, method, out, seed, quiet, jobs)
+    typer.echo(f"{out}: {method} trained on {dataset}")
+
+
+@app.command(epilog="example: graphrqi doctor")
+def doctor(json: Json = None) -> None:
+    """Say what is installed, missing, and how to get it."""
+    from experiments.doctor import examine
+    from experiments.tables import show_table
+
+    findings = examine()
+    show_table([finding.row for finding in findings], json)
+    broken = [finding for finding in findings if finding.state == "broken"]
+    if broken:
+        typer.echo(f"graphrqi: error: {broken[0].what}: {broken[0].found}", err=True)
+        raise typer.Exit(2)
+
+
+def _exit_code(error: Exception) -> int | None:
+    """Say what the user did wrong in one line; None if it was not the user."""
+    from behaviors.errors import InputError
+
+    if isinstance(error, TyperException):
+        message = error.format_message()
+    elif isinstance(error, InputError):
+        message = str(error)
+    elif isinstance(error, OSError) and error.strerror:
+        message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    else:
+        return None
+    sys.stderr.write(f"graphrqi: error: {' '.join(message.split())}\n")
+    return 2
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and end the process.
+
+    Args:
+        arguments: the command's arguments; by default those of the process.
+    """
+    try:
+        code = app(arguments, prog_name="graphrqi", standalone_mode=False)
+    except (TyperException, ValueError, OSError) as error:
+        code = _exit_code(error)
+        if code is None:
+            raise
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""Runs one scenario headless, classifying and predicting on the way if asked to."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from behaviors.labels import BEHAVIORS
+from experiments.generate import GenerateConfig
+from experiments.tables import Row
+from scenarios.command import RunSummary
+from sim.engines import get_engine
+from sim.frames import EventKind, Frame, Tracks
+from sim.scenario import AgentSpec, sample_agents
+
+if TYPE_CHECKING:
+    from graphrqi.posterior import Posterior
+    from graphrqi.predict.prediction import Prediction
+    from graphrqi.stream import BehaviorStream
+    from sim.road import Road
+
+HORIZON_S: Final = 5.0
+"""How far ahead predictions are made and scored, s."""
+
+PREDICT_EVERY_S: Final = 1.0
+"""Time between predictions, s (our choice: each is scored, none is drawn)."""
+
+COMPARED: Final = ("constant-velocity", "car-following")
+"""The predictors that a run compares."""
+
+SHOWN_EVERY_S: Final = 0.2
+"""Time between two updates of the live line, s of the clock on the wall."""
+
+
+@dataclass
+class _Believed:
+    """The latest belief about each driver, and how it fits the truth."""
+
+    truth: dict[int, int]
+    latest: dict[int, int] = field(default_factory=dict)
+
+    def rows(self) -> list[Row]:
+        """How often the latest belief is right."""
+        right = Counter[int]()
+        total = Counter[int]()
+        for agent, code in self.latest.items():
+            total[self.truth[agent]] += 1
+            right[self.truth[agent]] += code == self.truth[agent]
+        if not total:
+            return [{"what": "drivers classified", "value": 0}]
+        recalls = [right[code] / total[code] for code in total]
+        rows: list[Row] = [
+            {"what": "drivers classified", "value": sum(total.values())},
+            {"what": "accuracy", "value": sum(right.values()) / sum(total.values())},
+            {"what": "balanced accuracy", "value": float(np.mean(recalls))},
+        ]
+        for code in sorted(total):
+            what = f"{BEHAVIORS[code]} recognised"
+            rows.append({"what": what, "value": right[code] / total[code]})
+        return rows
+
+
+@dataclass
+class _Predicted:
+    """Predictions that wait for their time, and the errors of those whose time has come."""
+
+    waiting: deque[tuple[float, str, Prediction]] = field(default_factory=deque)
+    errors: dict[str, list[float]] = field(default_factory=lambda: {n: [] for n in COMPARED})
+
+    def predict(self, history: Tracks, posterior: Posterior, road: Road) -> None:
+        """Predict with every compared predictor; scored when the time has come."""
+        from graphrqi.predict import predict
+
+        due_s = float(history.time_s[-1]) + HORIZON_S
+        for name in COMPARED:
+            prediction = predict(history, posterior, road, HORIZON_S, name)
+            self.waiting.append((due_s, name, prediction))
+
+    def score(self, frame: Frame) -> None:
+        """Compare what was predicted for now with what is."""
+        while self.waiting and self.waiting[0][0] <= frame.time_s + 1e-6:
+            _, name, prediction = self.waiting.popleft()
+            common, row, now = np.intersect1d(
+                prediction.ids, frame.ids, assume_unique=True, return_indices=True
+            )
+            if common.size:
+                away = prediction.best[row, -1] - frame.xy[now]
+                self.errors[name].extend(np.hypot(away[:, 0], away[:, 1]).tolist())
+
+    def rows(self) -> list[Row]:
+        """The mean error of each predictor."""
+        return [
+            {
+                "what": f"{name}: mean error at {HORIZON_S:g} s, m",
+                "value": float(np.mean(errors)) if errors else None,
+            }
+            for name, errors in self.errors.items()
+        ]
+
+
+@contextmanager
+def _live(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A line on the terminal that can be replaced; nothing elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+
+    last = 0.0
+    with Console(stderr=True).status("starting") as status:
+
+        def show(text: str) -> None:
+            nonlocal last
+            if time.monotonic() - last >= SHOWN_EVERY_S:
+                last = time.monotonic()
+                status.update(text)
+
+        yield show
+
+
+def run_scenario(
+    config: GenerateConfig, model: str | None = None, predict: bool = False, quiet: bool = False
+) -> list[Row]:
+    """Run the first scenario of a configuration once.
+
+    Args:
+        config: scenario, engine, options and seed; its ``episodes`` does not matter.
+        model: name or folder of the model that classifies; None not to classify.
+        predict: whether to predict too, and score it.
+        quiet: whether to show no live line.
+
+    Returns:
+        Rows of ``what`` and ``value`` that sum the run up.
+
+    Raises:
+        InputError: if an option is wrong or the engine cannot run.
+    """
+    scenario = config.scenario(config.scenarios[0])
+    agents = sample_agents(scenario, config.seed)
+    summary = RunSummary()
+    believed, predicted = _Believed(_truth(agents)), _Predicted()
+    stream = _stream(model)
+    started = time.monotonic()
+    next_prediction_s = PREDICT_EVERY_S
+    simulated_s = 0.0
+    frames = get_engine(config.engine)(scenario, agents, config.seed)
+    with _live(quiet) as show:
+        for frame in summary.watch(frames, scenario.step_s):
+            simulated_s = frame.time_s
+            if stream is not None:
+                posterior = stream.update(frame)
+                for agent, code in zip(posterior.ids, posterior.most_likely, strict=True):
+                    believed.latest[int(agent)] = int(code)
+                if predict:
+                    predicted.score(frame)
+                if predict and frame.time_s >= next_prediction_s and len(frame):
+                    next_prediction_s += PREDICT_EVERY_S
+                    predicted.predict(stream.history, posterior, scenario.road)
+            factor = simulated_s / max(time.monotonic() - started, 1e-9)
+            show(
+                f"{scenario.name}: {frame.time_s:.1f} of {scenario.duration_s:g} s, "
+                f"{len(frame)} agents, {factor:.0f}x real time"
+            )
+    factor = simulated_s / max(time.monotonic() - started, 1e-9)
+    mean_speed = summary.distance_m / summary.driving_s if summary.driving_s else None
+    return [
+        {"what": "scenario", "value": scenario.name},
+        {"what": "simulated, s", "value": round(simulated_s, 3)},
+        {"what": "times real time", "value": round(factor, 1)},
+        {"what": "agents that entered", "value": len(summary.seen)},
+        {"what": "mean speed, m/s", "value": mean_speed},
+        {"what": "collisions", "value": summary.events[EventKind.COLLISION]},
+        *(believed.rows() if stream is not None else []),
+        *(predicted.rows() if predict else []),
+    ]
+
+
+def _truth(agents: tuple[AgentSpec, ...]) -> dict[int, int]:
+    return {a.id: a.behavior.code for a in agents if a.behavior is not None}
+
+
+def _stream(model: str | None) -> BehaviorStream | None:
+    if model is None:
+        return None
+    from graphrqi.stream import load_stream
+
+    return load_stream(model)
