@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +23,7 @@ from graphrqi.features.observer import (
     SpectrumObserver,
 )
 from graphrqi.samples import Samples
+from sim.atomic import whole_folder
 
 FloatArray = NDArray[np.float64]
 
@@ -160,31 +159,22 @@ def save_model(model: Model, folder: Path) -> None:
     Raises:
         InputError: if the folder holds something that is not a model.
     """
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     if folder.exists() and (not folder.is_dir() or not (folder / "model.json").exists()):
         raise InputError(f"{folder}: found something that is not a model, expected no such folder")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        file = _ModelFile(
-            schema_version=SCHEMA_VERSION,
-            method=model.method.name,
-            solver=model.solver,
-            classes=tuple(b.value for b in BEHAVIORS),
-            features=model.observer().feature_names,
-            card=dict(model.card),
-        )
+    file = _ModelFile(
+        schema_version=SCHEMA_VERSION,
+        method=model.method.name,
+        solver=model.solver,
+        classes=tuple(b.value for b in BEHAVIORS),
+        features=model.observer().feature_names,
+        card=dict(model.card),
+    )
+    arrays = {k: np.ascontiguousarray(v) for k, v in model.classifier.arrays().items()}
+    with whole_folder(folder) as partial:
         (partial / "model.json").write_text(json.dumps(file.model_dump(), indent=1) + "\n")
-        arrays = {k: np.ascontiguousarray(v) for k, v in model.classifier.arrays().items()}
-        save_file(arrays, partial / "weights.safetensors")
-        partial.chmod(0o755)
-        if folder.exists():
-            shutil.rmtree(folder)
-        os.replace(partial, folder)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
+        (partial / "weights.safetensors").write_bytes(save(arrays))
 
 
 MODELS: Final = Path(__file__).parent / "models"

@@ -33,9 +33,26 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         OSError: if it cannot be written; nothing is left behind.
     """
+    with whole_file(path) as partial:
+        partial.write_bytes(data)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A new file to write, moved to its place when the block ends without an error.
+
+    Args:
+        path: where it will appear; an older file there is replaced. Its folder must exist.
+
+    Yields:
+        The path to write to.
+
+    Raises:
+        OSError: if it cannot be written; nothing is left behind.
+    """
     partial = _partial(path)
     try:
-        partial.write_bytes(data)
+        yield partial
         os.replace(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ from graphrqi.features.graph_signal import differences
 from graphrqi.features.interaction import Interaction, interactions
 from graphrqi.features.kinematic import FORGET_S, Motion, MotionEstimator, align
 from graphrqi.features.spectral import INVARIANT_NAMES, NUM_PAIRS, eigenvector_rows, invariant
-from graphrqi.features.statistics import Block, describe, describe_names
+from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
 
@@ -121,9 +121,9 @@ class _GraphSpectrum:
         self._previous = self._solve(
             self._graph, num_pairs=NUM_PAIRS + 1, end="largest", previous=self._previous
         )
-        rows = np.searchsorted(self._graph.ids, ids)
-        degrees = np.asarray(self._graph.adjacency.sum(axis=1), dtype=np.float64).ravel()
-        return self._previous, rows, degrees
+        order = np.argsort(self._graph.ids)  # the graph's rows are in order of first sight
+        rows = order[np.searchsorted(self._graph.ids, ids, sorter=order)]
+        return self._previous, rows, self._graph.degree
 
 
 class EigenvectorObserver:
@@ -232,8 +232,8 @@ BLOCKS: Final[tuple[Block, ...]] = (
 )
 """What the driving observer watches (our choice of quantities and scales)."""
 
-_WIDTHS = tuple(len(b.nodes) for b in BLOCKS)
-_OFFSETS = tuple(int(x) for x in np.cumsum((0, *_WIDTHS)))
+_WATCHED: Final = sum(len(b.nodes) for b in BLOCKS)
+"""Columns of evidence that belong to the blocks; the spectral ones follow."""
 
 
 class DrivingObserver:
@@ -253,7 +253,7 @@ class DrivingObserver:
         self._spectrum = _GraphSpectrum(solver)
         self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
         self._motion = MotionEstimator()
-        self._evidence = _Evidence(_OFFSETS[-1] + len(INVARIANT_NAMES) + 1)
+        self._evidence = _Evidence(_WATCHED + len(INVARIANT_NAMES) + 1)
         self._spectrum_s: float | None = None
         self._waiting_s = 0.0
 
@@ -266,7 +266,7 @@ class DrivingObserver:
         self._spectrum.observe(ids, xy)
         adjacency = self._near.adjacency
         around = interactions(motion, drives, adjacency)
-        moment = np.zeros((ids.size, _OFFSETS[-1] + len(INVARIANT_NAMES) + 1))
+        moment = np.zeros((ids.size, _WATCHED + len(INVARIANT_NAMES) + 1))
         self._watch(motion, around, drives, moment)
         if self._spectrum_s is None or time_s - self._spectrum_s >= SPECTRUM_EVERY_S - 1e-6:
             self._spectrum_s = time_s
@@ -274,7 +274,7 @@ class DrivingObserver:
             values = invariant(
                 np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
             )
-            moment[:, _OFFSETS[-1] : -1] = values[rows]
+            moment[:, _WATCHED:-1] = values[rows]
             moment[:, -1] = 1.0
         drivers = ids[drives]
         seconds, sums = self._evidence.add(time_s, drivers, moment[drives], motion.step_s)
@@ -326,16 +326,17 @@ class DrivingObserver:
             (v, walker),
             (a, walker),
         )
-        for block, start, (values, counts) in zip(BLOCKS, _OFFSETS[:-1], watched, strict=True):
-            block.spread(values, counts, out[:, start : start + len(block.nodes)])
+        values = np.stack([value for value, _ in watched])
+        counts = np.stack([condition for _, condition in watched])
+        spread(values, counts, BLOCKS, out)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """Distributions of what was watched, mean spectral features, and the time observed."""
-        spectral = sums[:, _OFFSETS[-1] :]
+        spectral = sums[:, _WATCHED:]
         total = spectral[:, -1:]
         return np.concatenate(
             [
-                describe(sums[:, : _OFFSETS[-1]], BLOCKS),
+                describe(sums[:, :_WATCHED], BLOCKS),
                 spectral[:, :-1] / np.where(total > 1e-9, total, 1.0),
                 np.log1p(seconds)[:, None],
             ],

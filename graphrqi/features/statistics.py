@@ -11,6 +11,7 @@ worth.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,23 +32,35 @@ class Block:
     name: str
     nodes: tuple[float, ...]
 
-    def spread(self, values: FloatArray, counts: BoolArray, out: FloatArray) -> None:
-        """Write each value's weights on the nodes.
 
-        Args:
-            values: (n,) of the quantity; NaN where unknown.
-            counts: (n,) whether the condition holds.
-            out: (n, len(nodes)) receives the weights, zero elsewhere before the call.
-        """
-        rows = np.flatnonzero(counts & ~np.isnan(values))
-        if rows.size == 0:
-            return
-        nodes = np.asarray(self.nodes)
-        inside = np.clip(values[rows], nodes[0], nodes[-1])
-        upper = np.clip(np.searchsorted(nodes, inside), 1, nodes.size - 1)
-        share = (inside - nodes[upper - 1]) / (nodes[upper] - nodes[upper - 1])
-        out[rows, upper - 1] = 1.0 - share
-        out[rows, upper] = share
+def spread(
+    values: FloatArray, counts: BoolArray, blocks: tuple[Block, ...], out: FloatArray
+) -> None:
+    """Write each value's weights on the nodes of its block.
+
+    Args:
+        values: (B, n) one row per block; NaN where unknown.
+        counts: (B, n) whether the block's condition holds.
+        blocks: B of them.
+        out: (n, S) receives the weights, the blocks' nodes side by side; must be zero before.
+
+    Example:
+        >>> out = np.zeros((1, 2))
+        >>> spread(np.array([[0.25]]), np.array([[True]]), (Block("gap", (0.0, 1.0)),), out)
+        >>> out
+        array([[0.75, 0.25]])
+    """
+    from graphrqi.features.spread_kernel import spread_on_nodes
+
+    nodes, starts = _scale(blocks)
+    spread_on_nodes(values, counts & ~np.isnan(values), nodes, starts, out)
+
+
+@cache
+def _scale(blocks: tuple[Block, ...]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """All nodes side by side, and where each block's begin (and the last's end)."""
+    nodes = np.concatenate([np.asarray(b.nodes) for b in blocks])
+    return nodes, np.cumsum([0, *(len(b.nodes) for b in blocks)])
 
 
 def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
@@ -58,31 +71,27 @@ def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
         blocks: whose nodes the columns are.
 
     Returns:
-        (n, S + 2 B) for each block the square roots of its distribution (all zero where it never
-        counted; the root evens out rare and common values), its mean, and log(1 + its total in
-        tenths of a second).
+        (n, S + 2 B) the square roots of all blocks' distributions (all zero where one never
+        counted; the root evens out rare and common values), then their means, then log(1 + their
+        totals in tenths of a second).
 
     Example:
         >>> b = Block("gap", (0.0, 1.0))
         >>> describe(np.array([[3.0, 1.0]]), (b,)).round(2)
         array([[0.87, 0.5 , 0.25, 3.71]])
     """
-    columns: list[FloatArray] = []
-    at = 0
-    for block in blocks:
-        width = len(block.nodes)
-        part = np.maximum(sums[:, at : at + width], 0.0)
-        at += width
-        total = part.sum(axis=1, keepdims=True)
-        share = part / np.where(total > 1e-9, total, 1.0)
-        columns += [np.sqrt(share), share @ np.asarray(block.nodes)[:, None], np.log1p(10 * total)]
-    return np.concatenate(columns, axis=1)
+    nodes, starts = _scale(blocks)
+    part = np.maximum(sums, 0.0)
+    total = np.add.reduceat(part, starts[:-1], axis=1)
+    share = part / np.repeat(np.where(total > 1e-9, total, 1.0), np.diff(starts), axis=1)
+    mean = np.add.reduceat(share * nodes, starts[:-1], axis=1)
+    return np.concatenate([np.sqrt(share), mean, np.log1p(10.0 * total)], axis=1)
 
 
 def describe_names(blocks: tuple[Block, ...]) -> tuple[str, ...]:
     """The columns of `describe`, named."""
-    names: list[str] = []
-    for block in blocks:
-        names += [f"{block.name}~{node:g}" for node in block.nodes]
-        names += [f"{block.name}:mean", f"{block.name}:evidence"]
-    return tuple(names)
+    return (
+        *(f"{block.name}~{node:g}" for block in blocks for node in block.nodes),
+        *(f"{block.name}:mean" for block in blocks),
+        *(f"{block.name}:evidence" for block in blocks),
+    )

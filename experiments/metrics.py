@@ -1,0 +1,167 @@
+"""Scores of classifiers from confusion matrices, with intervals over episodes.
+
+Everything is computed from one confusion matrix per episode, so that a bootstrap resamples
+episodes (windows of one episode are not independent) and costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS, Style
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+RESAMPLES: Final = 2000
+"""Bootstrap resamples (enough for two digits of a 95 % interval)."""
+
+_STYLE: Final = np.array([0 if b.style is Style.AGGRESSIVE else 1 for b in BEHAVIORS])
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its 95 % interval.
+
+    Attributes:
+        value: over all episodes together.
+        low: 2.5 % quantile of the bootstrap over episodes.
+        high: 97.5 % quantile.
+        n: how many samples it rests on.
+        split: which part of the data it was measured on.
+    """
+
+    value: float
+    low: float
+    high: float
+    n: int
+    split: str
+
+    def as_dict(self) -> dict[str, float | int | str]:
+        """For JSON."""
+        return asdict(self)
+
+
+def confusion(truth: NDArray[np.int8], answer: IntArray, episode: IntArray) -> FloatArray:
+    """Count answers.
+
+    Args:
+        truth: (n,) true codes.
+        answer: (n,) codes answered.
+        episode: (n,) episode numbers.
+
+    Returns:
+        (E, 6, 6) one matrix per episode; rows are true classes.
+    """
+    k = len(BEHAVIORS)
+    _, number = np.unique(episode, return_inverse=True)
+    count = int(number.max()) + 1 if number.size else 0
+    flat = (number * k + truth.astype(np.int64)) * k + answer
+    return np.bincount(flat, minlength=count * k * k).reshape(count, k, k).astype(np.float64)
+
+
+def _recall(matrix: FloatArray) -> FloatArray:
+    """(..., K) recall of each class; NaN where the class does not occur."""
+    total = matrix.sum(axis=-1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.diagonal(matrix, axis1=-2, axis2=-1) / np.where(total, total, np.nan))
+
+
+def weighted_accuracy(matrix: FloatArray) -> FloatArray:
+    """The paper's A_w = sum of class share times class recall, which is plain accuracy."""
+    return np.asarray(np.trace(matrix, axis1=-2, axis2=-1) / matrix.sum(axis=(-2, -1)))
+
+
+def balanced_accuracy(matrix: FloatArray) -> FloatArray:
+    """Mean recall of the classes that occur.
+
+    Example:
+        >>> float(balanced_accuracy(np.array([[8.0, 2.0], [0.0, 2.0]])))
+        0.9
+    """
+    return np.asarray(np.nanmean(_recall(matrix), axis=-1))
+
+
+def macro_f1(matrix: FloatArray) -> FloatArray:
+    """Mean F1 of the classes that occur."""
+    hit = np.diagonal(matrix, axis1=-2, axis2=-1)
+    occurs = matrix.sum(axis=-1) > 0
+    whole = matrix.sum(axis=-1) + matrix.sum(axis=-2)
+    f1 = 2.0 * hit / np.where(whole > 0, whole, 1.0)
+    return np.asarray(np.where(occurs, f1, 0.0).sum(axis=-1) / occurs.sum(axis=-1))
+
+
+def style_balanced_accuracy(matrix: FloatArray) -> FloatArray:
+    """Mean recall of aggressive and conservative."""
+    to_style = np.eye(2)[_STYLE]
+    return balanced_accuracy(np.asarray(to_style.T @ matrix @ to_style))
+
+
+METRICS: Final[dict[str, Callable[[FloatArray], FloatArray]]] = {
+    "weighted_accuracy": weighted_accuracy,
+    "balanced_accuracy": balanced_accuracy,
+    "macro_f1": macro_f1,
+    "style_balanced_accuracy": style_balanced_accuracy,
+}
+"""Scores of one confusion matrix (or a stack of them), larger is better."""
+
+
+def bootstrap(
+    statistic: Callable[[FloatArray], FloatArray], per_episode: FloatArray, seed: int = 0
+) -> tuple[float, float, float]:
+    """A statistic of summed per-episode counts, with its 95 % interval over episodes.
+
+    Args:
+        statistic: of summed counts; takes a stack.
+        per_episode: (E, ...) counts of each episode.
+        seed: of the resampling.
+
+    Returns:
+        Value, low, high; with a single episode nothing is known of the spread and low and high
+        are NaN.
+    """
+    value = float(statistic(per_episode.sum(axis=0)))
+    episodes = len(per_episode)
+    if episodes < 2:
+        return value, float("nan"), float("nan")
+    rng = np.random.default_rng(seed)
+    weight = rng.multinomial(episodes, np.full(episodes, 1.0 / episodes), size=RESAMPLES)
+    drawn = statistic(np.tensordot(weight.astype(np.float64), per_episode, axes=1))
+    low, high = np.nanquantile(drawn, [0.025, 0.975])
+    return value, float(low), float(high)
+
+
+def score(
+    truth: NDArray[np.int8],
+    probability: FloatArray,
+    episode: IntArray,
+    majority: int,
+    split: str,
+) -> dict[str, Estimate]:
+    """All scores of a classifier, and the majority class beside them.
+
+    Args:
+        truth: (n,) true codes.
+        probability: (n, 6) posteriors.
+        episode: (n,) episode numbers.
+        majority: the most frequent class of the training data.
+        split: which part of the data this is.
+
+    Returns:
+        ``METRICS`` by name and ``majority_weighted_accuracy``.
+    """
+    matrices = confusion(truth, probability.argmax(axis=1), episode)
+    constant = confusion(truth, np.full(truth.size, majority), episode)
+    out = {
+        name: Estimate(*bootstrap(metric, matrices), n=int(truth.size), split=split)
+        for name, metric in METRICS.items()
+    }
+    out["majority_weighted_accuracy"] = Estimate(
+        *bootstrap(weighted_accuracy, constant), n=int(truth.size), split=split
+    )
+    return out
