@@ -714,16 +714,22 @@ def _read_table(
             raise InputError(
                 f"{path}: found {file.metadata.num_rows} rows, expected at most {max_rows}"
             )
-        return file.read(columns=columns, use_threads=False)
-    except (pa.ArrowException, OSError) as error:
-        reason = str(error).splitlines()[0]
+        table = file.read(columns=columns, use_threads=False)
+        table.validate(full=True)  # words are valid UTF-8, offsets are inside
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+    return table
 
 
 def _same_columns(found: pa.Schema, expected: pa.Schema) -> bool:
+    """Whether names and types agree; how lists name their items does not matter."""
+
+    def plain(kind: pa.DataType) -> pa.DataType:
+        return pa.list_(kind.value_type) if pa.types.is_list(kind) else kind
+
     return found.names == expected.names and all(
-        a.type == b.type or (pa.types.is_list(a.type) and pa.types.is_list(b.type))
-        for a, b in zip(found, expected, strict=True)
+        plain(a.type) == plain(b.type) for a, b in zip(found, expected, strict=True)
     )
 
 
@@ -737,9 +743,13 @@ def _numbers(path: Path, table: pa.Table, name: str) -> NDArray[Any]:
     return values
 
 
-def _codes(path: Path, table: pa.Table, name: str, words: Sequence[str]) -> NDArray[np.int8]:
-    """Each row's place in ``words``; -1 for null."""
+def _codes(
+    path: Path, table: pa.Table, name: str, words: Sequence[str], optional: bool = False
+) -> NDArray[np.int8]:
+    """Each row's place in ``words``; -1 for null, which only optional columns may have."""
     column = table.column(name)
+    if column.null_count and not optional:
+        raise InputError(f"{path}: found an empty {name}, expected one of {', '.join(words)}")
     codes = pc.index_in(column, value_set=pa.array(words))
     if codes.null_count != column.null_count:
         strange = column.filter(pc.and_(pc.is_null(codes), pc.is_valid(column)))[0].as_py()
@@ -764,7 +774,8 @@ def _read_episode(home: Path, entry: EpisodeEntry, data: Mapping[str, bytes]) ->
         raise InputError(f"{agents_path}: found agents out of order, expected ascending ids")
     dense = _read_steps(home / "steps.parquet", entry, data["steps.parquet"], ids, time_s.size)
     seen = np.flatnonzero(dense.valid.any(axis=1))
-    behavior = _codes(agents_path, agents, "behavior", BEHAVIORS)[seen]
+    behavior = _codes(agents_path, agents, "behavior", BEHAVIORS, optional=True)[seen]
+    specs = _agent_specs(agents_path, agents)
     names = agents.column("name").to_pylist()
     sizes = {c: _numbers(agents_path, agents, c)[seen] for c in ("length_m", "width_m")}
     take = slice(None) if seen.size == ids.size else seen
@@ -783,7 +794,7 @@ def _read_episode(home: Path, entry: EpisodeEntry, data: Mapping[str, bytes]) ->
         behavior=behavior if (behavior >= 0).any() else None,
         events=_read_events(home / "events.parquet", data["events.parquet"]),
     )
-    return Episode(entry, tracks, _agent_specs(agents_path, agents))
+    return Episode(entry, tracks, specs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -835,7 +846,7 @@ def _read_signals(path: Path, data: bytes, steps: int) -> NDArray[np.int8]:
         raise InputError(f"{path}: found a signal group outside of 0 to {MAX_CELLS // steps}")
     first = np.zeros(groups, dtype=bool)
     first[group[step == 0]] = True
-    if not first.all() or (state < 0).any():
+    if not first.all():
         raise InputError(f"{path}: expected a state of every signal group at step 0")
     signals = np.zeros((groups, steps), dtype=np.int8)
     last = np.zeros((groups, steps), dtype=np.int64)
@@ -848,9 +859,7 @@ def _read_signals(path: Path, data: bytes, steps: int) -> NDArray[np.int8]:
 def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
     table = _read_table(path, data, [EVENTS], MAX_CELLS, None)
     kinds = [k.value for k in EventKind]
-    codes = _codes(path, table, "kind", kinds)
-    if (codes < 0).any():
-        raise InputError(f"{path}: found an empty kind, expected one of {', '.join(kinds)}")
+    _codes(path, table, "kind", kinds)
     _numbers(path, table, "time_s")
     _numbers(path, table, "agent")
     return tuple(
@@ -860,9 +869,13 @@ def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
 
 
 def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
-    behavior = _codes(path, table, "behavior", BEHAVIORS)
+    behavior = _codes(path, table, "behavior", BEHAVIORS, optional=True)
+    _codes(path, table, "kind", KINDS)
     for name in ("length_m", "width_m", "depart_s", "walking_speed_mps", "seed"):
         _numbers(path, table, name)
+    for name in ("name", "route"):
+        if table.column(name).null_count:
+            raise InputError(f"{path}: found an empty {name}, expected one in every row")
     specs: list[AgentSpec] = []
     for code, row in zip(behavior, table.to_pylist(), strict=True):
         numbers = {name: row[name] for name in PROFILE_FIELDS}
@@ -879,7 +892,7 @@ def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
                 kind=AgentKind(row["kind"]),
                 behavior=None if code < 0 else Behavior(row["behavior"]),
                 profile=profile,
-                route=tuple(row["route"] or ()),
+                route=tuple(row["route"]),
                 depart_s=row["depart_s"],
                 length_m=row["length_m"],
                 width_m=row["width_m"],
