@@ -37,7 +37,9 @@ def _safe_speed(gap: float, leader_speed: float, headway: float, decel: float) -
     if gap <= 0.0:
         return 0.0
     reach = decel * headway
-    return max(0.0, -reach + math.sqrt(reach * reach + leader_speed * leader_speed + 2 * decel * gap))
+    return max(
+        0.0, -reach + math.sqrt(reach * reach + leader_speed * leader_speed + 2 * decel * gap)
+    )
 
 
 @numba.njit(cache=True, fastmath=True)

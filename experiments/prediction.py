@@ -1,0 +1,492 @@
+"""How well predictors foresee what drivers did next.
+
+Predictions are made at regular instants of unseen episodes, from what was seen until then and the
+classifier's beliefs at that moment, and compared with what happened. Errors are summed per
+episode, so that intervals resample episodes.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+import numpy as np
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.metrics import bootstrap
+from experiments.progress import Progress
+from experiments.tables import Row, show_table
+from graphrqi.methods import Model, load_model
+from graphrqi.posterior import Posterior
+from graphrqi.predict import get_predictor
+from graphrqi.predict.calibrate import Sample, by_behavior, calibrate, without_behavior
+from graphrqi.predict.drivers import DriverTable, table_to_json
+from graphrqi.predict.metrics import METRICS, SAMPLE_S, distances
+from graphrqi.predict.scene import make_scene
+from graphrqi.stream import DEFAULT_MODEL, MIN_SECONDS
+from sim.atomic import write_whole
+from sim.dataset import open_dataset
+from sim.frames import PEDESTRIAN, CodeArray, FloatArray, IntArray, Tracks
+from sim.road import Road
+from sim.schema import EpisodeEntry, Split
+
+T = TypeVar("T")
+
+HORIZONS_S: Final = (1.0, 3.0, 5.0)
+"""Horizons reported, s."""
+
+HISTORY_S: Final = 5.0
+"""What predictors see of the past at most, s: what a stream remembers."""
+
+EVERY_S: Final = 2.0
+"""Time between the instants of prediction, s (our choice)."""
+
+WARM_UP_S: Final = 5.0
+"""No prediction is made before an episode is this old, s (our choice)."""
+
+LEAST_SEEN_S: Final = 1.0
+"""Agents seen for less than this are not scored (our choice: nothing is known of them)."""
+
+CALIBRATE_EVERY_S: Final = 3.0
+"""Time between scenes used for calibration, s (our choice)."""
+
+GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
+"""Whose errors: all that drive, those of one true behaviour, those that walk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Errors of one predictor in one episode, summed over agents and instants.
+
+    Attributes:
+        total: (group, horizon, metric) sums, in the order of `GROUPS`, the horizons and
+            ``graphrqi.predict.metrics.METRICS``.
+        count: (group,) agents times instants.
+    """
+
+    total: FloatArray
+    count: FloatArray
+
+
+def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iterator[int]:
+    """Indices one past the present, at which predictions are made.
+
+    Args:
+        tracks: an episode.
+        horizon_s: so much of the future has to be known.
+        every_s: time between them.
+
+    Yields:
+        Stops, ascending.
+    """
+    first = float(tracks.time_s[0]) if tracks.time_s.size else 0.0
+    due = first + min(WARM_UP_S, horizon_s)
+    for column, time_s in enumerate(tracks.time_s):
+        if time_s + horizon_s > tracks.time_s[-1] + 1e-6:
+            return
+        if time_s >= due - 1e-6:
+            yield column + 1
+            due = time_s + every_s
+
+
+def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> FloatArray:
+    """Where agents went, at given times after the present.
+
+    Args:
+        tracks: an episode.
+        rows: (n,) whose.
+        stop: one past the present's index.
+        time_s: (H,) seconds from the present.
+
+    Returns:
+        (n, H, 2) m, between frames on the straight line; NaN where either frame is missing.
+    """
+    at = tracks.time_s[stop - 1] + time_s
+    after = np.clip(np.searchsorted(tracks.time_s, at - 1e-6), 1, tracks.time_s.size - 1)
+    span = tracks.time_s[after] - tracks.time_s[after - 1]
+    share = np.clip((at - tracks.time_s[after - 1]) / span, 0.0, 1.0)[None, :, None]
+    share = np.where(share > 1.0 - 1e-4, 1.0, share)
+    begin, end = tracks.xy[rows][:, after - 1], tracks.xy[rows][:, after]
+    out = np.where(share == 1.0, end, begin + share * (end - begin))
+    out[:, at > tracks.time_s[-1] + 1e-3] = np.nan
+    return np.asarray(out)
+
+
+def evaluate(
+    tracks: Tracks,
+    posteriors: Mapping[int, Posterior],
+    road: Road,
+    predictors: Sequence[str],
+    horizons_s: Sequence[float] = HORIZONS_S,
+) -> dict[str, Errors]:
+    """Errors of predictors in one episode.
+
+    Args:
+        tracks: the episode; its labels only sort the errors.
+        posteriors: beliefs at each instant of prediction, by the index one past the present.
+        road: where it happened.
+        predictors: keys of ``PREDICTORS``.
+        horizons_s: ascending, s.
+
+    Returns:
+        Errors by predictor.
+    """
+    longest = float(max(horizons_s))
+    sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
+    steps = round(HISTORY_S / tracks.step_s)
+    functions = {name: get_predictor(name) for name in predictors}
+    shape = (len(GROUPS), len(horizons_s), len(METRICS))
+    total = {name: np.zeros(shape) for name in predictors}
+    count = np.zeros(len(GROUPS))
+    for stop, posterior in posteriors.items():
+        history = tracks.window(stop, steps)
+        rows = np.searchsorted(tracks.ids, history.ids)
+        truth = future(tracks, rows, stop, sample)
+        seen_s = history.valid.sum(axis=1) * tracks.step_s
+        scored = np.flatnonzero(
+            np.isfinite(truth).all(axis=(1, 2)) & (seen_s > LEAST_SEEN_S - 1e-6)
+        )
+        if not scored.size:
+            continue
+        scene = make_scene(history, road, longest)
+        member = _membership(history, scored)
+        count += member.sum(axis=0)
+        for name, function in functions.items():
+            prediction = function(scene, posterior)
+            at = np.searchsorted(prediction.time_s, sample - 1e-6)
+            gap = distances(prediction.xy[scored][:, :, at], truth[scored])
+            probability = prediction.probability[scored]
+            for h, horizon_s in enumerate(horizons_s):
+                until = gap[:, :, : round(horizon_s / SAMPLE_S)]
+                values = np.stack([f(until, probability) for f in METRICS.values()], axis=1)
+                total[name][:, h] += member.T @ values
+    return {name: Errors(total[name], count) for name in predictors}
+
+
+def _membership(history: Tracks, scored: IntArray) -> FloatArray:
+    """(m, group) 1 where an agent belongs to a group."""
+    walks = history.kind[scored] == PEDESTRIAN
+    member = np.zeros((scored.size, len(GROUPS)))
+    member[:, 0], member[:, -1] = ~walks, walks
+    if history.behavior is not None:
+        code = history.behavior[scored].astype(np.int64)
+        known = np.flatnonzero((code >= 0) & ~walks)
+        member[known, code[known] + 1] = 1.0
+    return member
+
+
+def summarize(
+    episodes: Sequence[Mapping[str, Errors]],
+    scenario: str,
+    split: str,
+    horizons_s: Sequence[float] = HORIZONS_S,
+) -> list[dict[str, Any]]:
+    """Rows over episodes, with intervals, and each predictor's paired difference to the first.
+
+    Args:
+        episodes: errors by predictor, one mapping per episode.
+        scenario: its name, for the rows.
+        split: which part of the data, for the rows.
+        horizons_s: as given to `evaluate`.
+
+    Returns:
+        Flat rows ``scenario predictor horizon_s behavior split metric value low high n``. A row
+        whose metric is ``ade_m_minus_NAME`` is the mean difference to predictor NAME in the same
+        episodes.
+    """
+    rows: list[dict[str, Any]] = []
+    if not episodes:
+        return rows
+    names = list(episodes[0])
+    for g, group in enumerate(GROUPS):
+        count = np.array([e[names[0]].count[g] for e in episodes])
+        if not count.sum():
+            continue
+        for name in names:
+            for h, horizon_s in enumerate(horizons_s):
+                key = {
+                    "scenario": scenario, "predictor": name, "horizon_s": horizon_s,
+                    "behavior": group, "split": split,
+                }  # fmt: skip
+                for m, metric in enumerate(METRICS):
+                    mine = np.array([e[name].total[g, h, m] for e in episodes])
+                    mean = _root_mean if metric == "rmse_m" else _mean
+                    rows.append(key | _estimate(mean, mine, count, metric))
+                    if metric in ("ade_m", "fde_m"):
+                        for other in names[: names.index(name)]:
+                            theirs = np.array([e[other].total[g, h, m] for e in episodes])
+                            against = f"{metric}_minus_{other}"
+                            rows.append(key | _estimate(_mean, mine - theirs, count, against))
+    return rows
+
+
+def _mean(counts: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(counts[..., 0] / counts[..., 1])
+
+
+def _root_mean(counts: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(_mean(counts)))
+
+
+def _estimate(
+    statistic: Callable[[FloatArray], FloatArray],
+    total: FloatArray,
+    count: FloatArray,
+    metric: str,
+) -> dict[str, Any]:
+    value, low, high = bootstrap(statistic, np.stack([total, count], axis=1))
+    interval = (low, high) if np.isfinite(low) else (None, None)
+    return {
+        "metric": metric, "value": value, "low": interval[0], "high": interval[1],
+        "n": int(count.sum()),
+    }  # fmt: skip
+
+
+def metrics_tree(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Rows as ``prediction.<scenario>.<predictor>.{ade_m,fde_m}.{1s,3s,5s}`` of ``metrics.json``.
+
+    Args:
+        rows: from `summarize`.
+
+    Returns:
+        Nested dictionaries that end in value, low, high, n and split, of all drivers together.
+    """
+    tree: dict[str, Any] = {}
+    for row in rows:
+        if row["behavior"] != "all" or row["metric"] not in ("ade_m", "fde_m"):
+            continue
+        by_horizon = (
+            tree.setdefault(row["scenario"], {})
+            .setdefault(row["predictor"], {})
+            .setdefault(row["metric"], {})
+        )
+        by_horizon[f"{cast(float, row['horizon_s']):g}s"] = {
+            key: row[key] for key in ("value", "low", "high", "n", "split")
+        }
+    return tree
+
+
+def beliefs(tracks: Tracks, model: Model, stops: Sequence[int]) -> dict[int, Posterior]:
+    """What a classifier believes at each instant of prediction.
+
+    The same as a `graphrqi.stream.BehaviorStream` says, asked only where needed.
+
+    Args:
+        tracks: an episode.
+        model: the trained classifier.
+        stops: indices one past each present, ascending.
+
+    Returns:
+        Posterior by stop.
+    """
+    observer, wanted = model.observer(), set(stops)
+    found: dict[int, Posterior] = {}
+    for column, frame in enumerate(tracks.frames()):
+        seen = observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        if column + 1 in wanted:
+            ready = seen.seconds >= MIN_SECONDS - 1e-6
+            features = observer.features(seen.seconds[ready], seen.sums[ready], seen.instant[ready])
+            found[column + 1] = Posterior(seen.ids[ready], model.posterior(features))
+    return found
+
+
+def evaluate_episode(
+    folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
+    model: str,
+) -> dict[str, Errors]:  # fmt: skip
+    """Errors of predictors in one episode of a dataset, with a classifier's beliefs.
+
+    Raises:
+        InputError: if the episode has no road, or the model cannot be read.
+    """
+    dataset = open_dataset(folder)
+    tracks, road = dataset.read(entry).tracks, dataset.road(entry)
+    if road is None:
+        raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to predict on")
+    stops = list(instants(tracks, max(horizons_s)))
+    return evaluate(tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s)
+
+
+def predict_dataset(
+    source: Path,
+    predictors: Sequence[str],
+    horizon_s: float = 5.0,
+    model: str = DEFAULT_MODEL,
+    json_path: Path | None = None,
+    *,
+    split: Split = "test",
+    jobs: int | None = None,
+    quiet: bool = False,
+) -> list[Row]:
+    """Predict every episode of a dataset's split, print the errors and return them.
+
+    Args:
+        source: a dataset.
+        predictors: keys of ``PREDICTORS``.
+        horizon_s: how far ahead, s.
+        model: the classifier whose beliefs are used: a shipped one's name or a folder.
+        json_path: where to write the rows; ``-`` for standard output.
+        split: which part of the dataset.
+        jobs: processes; None for one per core.
+        quiet: whether to show neither progress nor table.
+
+    Returns:
+        Rows as `summarize` gives them, over all scenarios.
+
+    Raises:
+        InputError: if the dataset, the model or a predictor's name is wrong.
+    """
+    if not np.isfinite(horizon_s) or horizon_s < SAMPLE_S:
+        raise InputError(f"horizon_s: found {horizon_s}, expected seconds >= {SAMPLE_S}")
+    if not predictors:
+        raise InputError("predictors: found none, expected at least one name")
+    for name in predictors:
+        get_predictor(name)
+    load_model(model)
+    horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
+    dataset = open_dataset(source)
+    rows: list[Row] = []
+    entries = [
+        (scenario, entry)
+        for scenario in dataset.scenarios
+        for entry in dataset.episodes(split, scenario)
+    ]
+    if not entries:
+        raise InputError(f"{source}: found no {split} episode, expected at least 1")
+    found: dict[str, list[dict[str, Errors]]] = {}
+    arguments = [(source, entry, predictors, horizons_s, model) for _, entry in entries]
+    with Progress("predicting episodes", len(entries), quiet) as progress:
+        for (scenario, entry), errors in zip(
+            entries, in_parallel(evaluate_episode, arguments, jobs), strict=True
+        ):
+            found.setdefault(scenario, []).append(errors)
+            progress.advance(entry.agents, entry.agent_steps)
+    for scenario, episodes in found.items():
+        rows += summarize(episodes, scenario, split, horizons_s)
+    if json_path is not None:
+        write_rows(rows, json_path)
+    if not quiet and str(json_path) != "-":
+        show_table(short_table(rows), title="prediction")
+    return rows
+
+
+def write_rows(rows: Sequence[Row], json_path: Path) -> None:
+    """Write rows as one JSON list; ``-`` is standard output."""
+    text = json.dumps(list(rows), indent=1, allow_nan=False) + "\n"
+    if str(json_path) == "-":
+        sys.stdout.write(text)
+    else:
+        write_whole(json_path, text.encode())
+
+
+def short_table(rows: Sequence[Row]) -> list[Row]:
+    """One line per scenario and predictor: ADE and FDE of all drivers at each horizon."""
+    lines: dict[tuple[Any, Any], dict[str, Any]] = {}
+    for row in rows:
+        if row["behavior"] == "all" and row["metric"] in ("ade_m", "fde_m"):
+            line = lines.setdefault(
+                (row["scenario"], row["predictor"]),
+                {"scenario": row["scenario"], "predictor": row["predictor"]},
+            )
+            line[f"{row['metric']} {cast(float, row['horizon_s']):g}s"] = round(
+                cast(float, row["value"]), 3
+            )
+    return list(lines.values())
+
+
+def in_parallel(
+    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int | None
+) -> Iterator[T]:
+    """Results of a function over argument tuples, in order, from several processes."""
+    if jobs == 1 or len(arguments) == 1:
+        for one in arguments:
+            yield function(*one)
+        return
+    from joblib import cpu_count
+    from loky import get_reusable_executor
+
+    workers = min(jobs or cpu_count(), len(arguments))
+    executor = get_reusable_executor(max_workers=workers, env={"OMP_NUM_THREADS": "1"})
+    futures = [executor.submit(function, *one) for one in arguments]
+    for future_ in futures:
+        yield future_.result()
+
+
+def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:
+    """Scenes of one episode with what happened next, for calibration and training."""
+    dataset = open_dataset(folder)
+    tracks, road = dataset.read(entry).tracks, dataset.road(entry)
+    if road is None or tracks.behavior is None:
+        raise InputError(f"{folder}: episode {entry.id}: found no road or no labels, expected both")
+    horizon_s = max(HORIZONS_S)
+    found = []
+    for stop in instants(tracks, horizon_s, every_s):
+        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
+        scene = make_scene(history, road, horizon_s)
+        truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, scene.time_s)
+        counts = (
+            (history.kind != PEDESTRIAN)
+            & np.isfinite(truth).all(axis=(1, 2))
+            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
+        )
+        if counts.any():
+            behavior = cast("CodeArray", history.behavior).astype(np.int64)
+            found.append(Sample(scene, truth, counts, behavior))
+    return found
+
+
+def calibrate_drivers(
+    source: Path, out: Path, *, iterations: int = 80, seed: int = 0, quiet: bool = False
+) -> DriverTable:
+    """Calibrate the car-following numbers on a dataset's training episodes and save them.
+
+    Args:
+        source: a dataset.
+        out: the file to write, with a card of data, split and scores.
+        iterations: perturbations tried.
+        seed: of the search.
+        quiet: whether to show no progress.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        InputError: if there is no training episode, or one without road or labels.
+    """
+    dataset = open_dataset(source)
+    splits: dict[str, list[Sample]] = {}
+    for split in ("train", "validation"):
+        entries = dataset.episodes(split)
+        with Progress(f"reading {split} scenes", len(entries), quiet) as progress:
+            for entry in entries:
+                splits.setdefault(split, []).extend(samples_of(source, entry, CALIBRATE_EVERY_S))
+                progress.advance()
+    if not splits.get("train"):
+        raise InputError(f"{source}: found no training scene, expected at least 1")
+    table = calibrate(splits["train"], iterations, seed)
+    scores = {
+        split: {
+            "behavior_known_ade_m": dict(
+                zip(map(str, BEHAVIORS), by_behavior(samples, table).round(3).tolist(), strict=True)
+            ),
+            "behavior_unknown_ade_m": round(without_behavior(samples, table), 3),
+            "scenes": len(samples),
+        }
+        for split, samples in splits.items()
+        if samples
+    }
+    card = {
+        "data": dict(dataset.manifest.configuration),
+        "split": "train",
+        "iterations": iterations,
+        "seed": seed,
+        "scores": scores,
+    }
+    write_whole(out, table_to_json(table, card).encode())
+    return table

@@ -1,0 +1,69 @@
+"""Trajectory prediction: a history, beliefs about the drivers and the road in, futures out.
+
+``PREDICTORS`` names every predictor; each is a function ``(scene, posterior) -> Prediction``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, TypeAlias, cast
+
+from behaviors.errors import lookup
+
+if TYPE_CHECKING:
+    from graphrqi.posterior import Posterior
+    from graphrqi.predict.prediction import Prediction
+    from graphrqi.predict.scene import Scene
+    from sim.frames import Tracks
+    from sim.road import Road
+
+    Predictor: TypeAlias = Callable[[Scene, Posterior], Prediction]
+
+PREDICTORS: Final[dict[str, str]] = {
+    "constant-velocity": "graphrqi.predict.constant:constant_velocity",
+    "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
+    "car-following-blind": "graphrqi.predict.following:blind",
+    "car-following": "graphrqi.predict.following:aware",
+}
+"""Where each predictor lives, as "module:function"."""
+
+
+def get_predictor(name: str) -> Predictor:
+    """The predictor of that name.
+
+    Raises:
+        InputError: if there is none; the message suggests the nearest name.
+    """
+    module, function = lookup(PREDICTORS, name, "predictor").split(":")
+    return cast("Predictor", getattr(importlib.import_module(module), function))
+
+
+def predict(
+    history: Tracks,
+    posterior: Posterior,
+    road: Road,
+    horizon_s: float = 5.0,
+    predictor: str = "car-following",
+) -> Prediction:
+    """Predict where every agent of a history will be.
+
+    Args:
+        history: tracks whose last column is the present.
+        posterior: beliefs about the drivers; agents it does not name count as unknown.
+        road: where it happens.
+        horizon_s: how far ahead, s.
+        predictor: a key of ``PREDICTORS``.
+
+    Returns:
+        Futures of every agent present now, every 0.1 s up to the horizon.
+
+    Raises:
+        InputError: if the predictor is unknown, the horizon too short or the history empty.
+    """
+    from graphrqi.predict.scene import make_scene
+
+    return get_predictor(predictor)(make_scene(history, road, horizon_s), posterior)
+
+
+__all__ = ["PREDICTORS", "get_predictor", "predict"]

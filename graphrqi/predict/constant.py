@@ -1,0 +1,24 @@
+"""Predictors that know no road: constant velocity and constant acceleration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graphrqi.posterior import Posterior
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.scene import Scene
+
+
+def constant_velocity(scene: Scene, posterior: Posterior) -> Prediction:
+    """Everyone keeps speed and heading (the recorded ones, which beat differenced positions)."""
+    return scene.predicted(scene.straight_on())
+
+
+def constant_acceleration(scene: Scene, posterior: Posterior) -> Prediction:
+    """Everyone keeps heading and acceleration; who brakes stops and stays."""
+    time_s, speed, accel = scene.time_s[None], scene.speed[:, None], scene.accel[:, None]
+    until_stop = np.divide(-speed, accel, out=np.full_like(speed, np.inf), where=accel < 0)
+    moving_s = np.minimum(time_s, until_stop)
+    travelled = speed * moving_s + 0.5 * accel * moving_s**2
+    facing = np.stack([np.cos(scene.heading), np.sin(scene.heading)], axis=1)
+    return scene.predicted(scene.xy[:, None] + travelled[..., None] * facing[:, None])

@@ -1,0 +1,74 @@
+"""Predictors that drive everyone on by a car-following law: blind, and knowing who drives how."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.posterior import Posterior
+from graphrqi.predict.drivers import RUNS_RED, YIELDS, DriverTable, default_table
+from graphrqi.predict.paths import PathTable
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.rollout import places, roll
+from graphrqi.predict.scene import Scene
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def blind(scene: Scene, posterior: Posterior) -> Prediction:
+    """Everyone drives as the average driver does."""
+    return blind_with(scene, default_table())
+
+
+def aware(scene: Scene, posterior: Posterior) -> Prediction:
+    """Everyone drives by the numbers expected of its behaviour.
+
+    The numbers are the posterior's expectation over the behaviours' calibrated ones, not those of
+    the most likely behaviour alone: with a classifier that is often wrong, the latter loses what
+    knowing the behaviour gains. Who is unknown yet drives as the mean of all behaviours.
+    """
+    return aware_with(scene, posterior.of(scene.ids), default_table())
+
+
+def blind_with(scene: Scene, table: DriverTable) -> Prediction:
+    """`blind` with the given numbers."""
+    driver = np.broadcast_to(table.average, (scene.ids.size, table.average.size))
+    return scene.predicted(
+        places(scene, roll(scene, personal(scene, driver), None, table.average_decay_s))
+    )
+
+
+def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
+    """`aware` with the given numbers and (n, 6) beliefs."""
+    rollout = roll(
+        scene,
+        personal(scene, table.expected(probability)),
+        ignored_gates(scene, probability),
+        table.decay_s,
+    )
+    return scene.predicted(places(scene, rollout))
+
+
+def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
+    """(n, R) gates that each driver more likely runs than respects, under (n, 6) beliefs."""
+    groups = PathTable.of(scene.road).groups
+    ignores = np.zeros((scene.ids.size, scene.closed.shape[0]), dtype=np.bool_)
+    ignores[:, :groups] = (probability @ RUNS_RED > 0.5)[:, None]
+    ignores[:, groups:] = (probability @ YIELDS < 0.5)[:, None]
+    return ignores
+
+
+FREE_WEIGHT: float = 0.1
+
+
+def personal(scene: Scene, driver: FloatArray) -> FloatArray:
+    """Driver numbers with each one's wished speed corrected by what it was seen to drive."""
+    wished = np.log(driver[:, 0])
+    seen = ~np.isnan(scene.free_factor)
+    wished[seen] = (
+        FREE_WEIGHT * wished[seen] + np.log(np.maximum(scene.free_factor[seen], 0.1))
+    ) / (1.0 + FREE_WEIGHT)
+    out = driver.copy()
+    out[:, 0] = np.maximum(np.exp(wished), scene.least_factor)
+    return out

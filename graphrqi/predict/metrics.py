@@ -1,0 +1,132 @@
+"""How wrong predictions are, as Argoverse 2 defines it, and whom they let collide.
+
+Every function takes the futures (n, K, H, 2), their probabilities (n, K) and what happened
+(n, H, 2) of agents seen throughout, and gives one number per agent.
+
+References:
+    Wilson et al. (2021), "Argoverse 2: next generation datasets for self-driving perception and
+    forecasting", NeurIPS Datasets and Benchmarks; ``av2.datasets.motion_forecasting.eval.metrics``.
+    Deo, Trivedi (2018), "Convolutional social pooling for vehicle trajectory prediction", CVPR
+    Workshops: RMSE per second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+MISS_THRESHOLD_M: Final = 2.0
+"""An agent is missed when no future ends this close (Argoverse 2)."""
+
+SAMPLE_S: Final = 0.5
+"""Displacement errors are averaged over every half second: 0.5, 1, 1.5, ..."""
+
+
+def distances(xy: FloatArray, truth: FloatArray) -> FloatArray:
+    """(n, K, H) distance of each future to what happened, m."""
+    return np.asarray(np.linalg.norm(xy - truth[:, None], axis=-1))
+
+
+def _likeliest(values: FloatArray, probability: FloatArray) -> FloatArray:
+    return np.asarray(values[np.arange(len(values)), probability.argmax(axis=1)])
+
+
+def ade_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
+    """(n,) mean distance of the likeliest future, m; ``gap`` from `distances`."""
+    return _likeliest(gap.mean(axis=2), probability)
+
+
+def fde_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
+    """(n,) final distance of the likeliest future, m."""
+    return _likeliest(gap[:, :, -1], probability)
+
+
+def squared_m2(gap: FloatArray, probability: FloatArray) -> FloatArray:
+    """(n,) squared final distance of the likeliest future, m2; RMSE is the root of its mean."""
+    return fde_m(gap, probability) ** 2
+
+
+def min_ade_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
+    """(n,) mean distance of the best future, m."""
+    return np.asarray(gap.mean(axis=2).min(axis=1))
+
+
+def min_fde_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
+    """(n,) final distance of the best future, m."""
+    return np.asarray(gap[:, :, -1].min(axis=1))
+
+
+def miss_rate(gap: FloatArray, probability: FloatArray) -> FloatArray:
+    """(n,) 1 where every future ends farther than `MISS_THRESHOLD_M` away, else 0.
+
+    Example:
+        >>> miss_rate(np.array([[[0.5], [3.0]], [[2.5], [4.0]]]), np.full((2, 2), 0.5)).tolist()
+        [0.0, 1.0]
+    """
+    return np.asarray(min_fde_m(gap, probability) > MISS_THRESHOLD_M, dtype=np.float64)
+
+
+def brier_min_fde_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
+    """(n,) final distance of the best future plus (1 - its probability)^2, m."""
+    best = gap[:, :, -1].argmin(axis=1)
+    row = np.arange(len(gap))
+    return np.asarray(gap[row, best, -1] + (1.0 - probability[row, best]) ** 2)
+
+
+METRICS: Final[dict[str, Callable[[FloatArray, FloatArray], FloatArray]]] = {
+    "ade_m": ade_m,
+    "fde_m": fde_m,
+    "rmse_m": squared_m2,
+    "miss_rate": miss_rate,
+    "min_ade_m": min_ade_m,
+    "min_fde_m": min_fde_m,
+    "brier_min_fde_m": brier_min_fde_m,
+}
+"""Numbers per agent whose mean (of ``rmse_m``: the root of the mean) is the metric."""
+
+
+def overlap(
+    xy: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray
+) -> NDArray[np.bool_]:
+    """(n,) whether each agent's box overlaps another's at one instant.
+
+    Boxes are compared by separating axes.
+
+    Args:
+        xy: (n, 2) centres, m.
+        heading: (n,) rad.
+        length: (n,) m.
+        width: (n,) m.
+
+    Returns:
+        Whether each touches any other.
+
+    Example:
+        >>> overlap(np.array([[0.0, 0.0], [4.0, 0.5], [9.0, 0.0]]), np.zeros(3), np.full(3, 4.5),
+        ...         np.full(3, 2.0)).tolist()
+        [True, True, False]
+    """
+    out = np.zeros(len(xy), dtype=bool)
+    reach = np.hypot(length, width) / 2
+    apart = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    a, b = np.nonzero(np.triu(apart < reach[:, None] + reach[None], k=1))
+    if not a.size:
+        return out
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+    touching = np.ones(a.size, dtype=bool)
+    for axis in (forward[a], left[a], forward[b], left[b]):
+        between = np.abs(((xy[b] - xy[a]) * axis).sum(axis=1))
+        extent = sum(
+            0.5 * length[i] * np.abs((forward[i] * axis).sum(axis=1))
+            + 0.5 * width[i] * np.abs((left[i] * axis).sum(axis=1))
+            for i in (a, b)
+        )
+        touching &= between < extent
+    out[a[touching]] = out[b[touching]] = True
+    return out

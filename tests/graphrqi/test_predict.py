@@ -1,0 +1,326 @@
+"""Predictions on hand-made scenes with known answers, and one contract over all predictors."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior
+from graphrqi.posterior import Posterior
+from graphrqi.predict import PREDICTORS, get_predictor, predict
+from graphrqi.predict.drivers import (
+    DRIVER_FIELDS,
+    DriverTable,
+    default_table,
+    initial_table,
+    table_from_json,
+    table_to_json,
+)
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.rollout import places, roll
+from graphrqi.predict.scene import CLOSED, OPEN, make_scene
+from scenarios import SCENARIOS
+from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
+
+NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return SCENARIOS["straight_road"]().road
+
+
+@pytest.fixture(scope="module")
+def four_way():
+    return SCENARIOS["four_way_intersection"]().road
+
+
+def history(xy, heading, speed, *, accel=0.0, kind=None, signals=None, seconds=1.0, end_s=100.0):
+    """Agents that have kept heading and acceleration until now."""
+    xy, heading = np.array(xy, dtype=float), np.array(heading, dtype=float)
+    speed = np.array(speed, dtype=float)
+    n = len(xy)
+    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    frames = []
+    for ago in np.arange(round(seconds * 10), -1, -1) / 10:
+        past = speed - accel * ago
+        frames.append(
+            Frame(
+                time_s=end_s - ago,
+                ids=np.arange(n) * 3,
+                xy=xy - ((speed + past) / 2 * ago)[:, None] * facing,
+                heading=heading,
+                speed=past,
+                length=np.full(n, 4.5),
+                width=np.full(n, 1.8),
+                kind=np.zeros(n) if kind is None else np.array(kind),
+                signals=np.empty(0) if signals is None else np.array(signals),
+            )
+        )
+    return Tracks.from_frames(frames)
+
+
+def on_lane(road, lane, s, offset=0.0):
+    """Place and heading at a distance along a lane, by its id."""
+    line = next(x.centerline for x in road.lanes if x.id == lane)
+    forward = line[-1] - line[0]
+    forward = forward / np.hypot(*forward)
+    left = np.array([-forward[1], forward[0]])
+    return line[0] + s * forward + offset * left, float(np.arctan2(forward[1], forward[0]))
+
+
+def driver(**numbers):
+    average = dict(
+        zip(DRIVER_FIELDS, np.exp(np.log(initial_table().behavior).mean(axis=0)), strict=True)
+    )
+    return np.array([[{**average, **numbers}[f] for f in DRIVER_FIELDS]])
+
+
+def believing(ids, behavior: Behavior) -> Posterior:
+    ids = np.asarray(ids)
+    return Posterior(ids, np.tile(np.eye(len(BEHAVIORS))[behavior.code], (ids.size, 1)))
+
+
+@pytest.mark.parametrize("name", PREDICTORS)
+def test_every_predictor_keeps_the_contract(name, four_way):
+    place, heading = on_lane(four_way, "west_in_1", 60.0)
+    other, _ = on_lane(four_way, "west_in_1", 30.0)
+    past = history(
+        [place, other, [5.0, -12.0], [400.0, 400.0]],
+        [heading, heading, 1.0, 0.3],
+        [9.0, 12.0, 1.3, 20.0],
+        kind=[0, 0, PEDESTRIAN, 0],
+        signals=np.full(len(four_way.signal_groups), Signal.GREEN.code),
+    )
+    told = predict(past, NOBODY, four_way, horizon_s=4.0, predictor=name)
+    assert told.ids.tolist() == [0, 3, 6, 9]
+    assert told.time_s == pytest.approx(np.arange(1, 41) * 0.1)
+    assert told.xy.shape == (4, told.modes, 40, 2)
+    assert np.isfinite(told.xy).all()
+    assert told.probability.sum(axis=1) == pytest.approx(1.0)
+    first_step = np.linalg.norm(told.xy[:, :, 0] - past.xy[:, None, -1], axis=2)
+    assert (first_step <= past.speed[:, -1][:, None] * 0.1 + 0.25).all()
+    again = predict(past, NOBODY, four_way, horizon_s=4.0, predictor=name)
+    assert np.array_equal(told.xy, again.xy)
+
+
+@pytest.mark.parametrize("name", PREDICTORS)
+def test_nobody_present_predicts_nobody(name, straight):
+    empty = history(np.empty((0, 2)), [], [])
+    assert predict(empty, NOBODY, straight, predictor=name).xy.shape[0] == 0
+
+
+def test_constant_velocity_goes_straight_on(straight):
+    told = predict(
+        history([[100.0, 50.0]], [np.pi / 2], [4.0]),
+        NOBODY,
+        straight,
+        predictor="constant-velocity",
+    )
+    assert told.xy[0, 0, -1] == pytest.approx([100.0, 70.0])
+
+
+def test_constant_acceleration_stops_rather_than_reverses(straight):
+    past = history([[100.0, 0.0]], [0.0], [4.0], accel=-2.0)
+    told = predict(past, NOBODY, straight, predictor="constant-acceleration")
+    assert told.xy[0, 0, -1] == pytest.approx([104.0, 0.0], abs=1e-6)
+
+
+def free_scene(road, speed=10.0, accel=0.0, lane="east_in_1", s=60.0):
+    place, heading = on_lane(road, lane, s)
+    return make_scene(history([place], [heading], [speed], accel=accel), road)
+
+
+def test_free_driver_reaches_its_wished_speed(straight):
+    scene = free_scene(straight)
+    result = roll(scene, driver(speed_factor=1.0, max_accel_mps2=2.0), decay_s=0.0)
+    assert result.v[0, 9] == pytest.approx(12.0)
+    assert result.v[0, -1] == pytest.approx(13.89)
+    assert np.diff(result.x[0]) == pytest.approx((result.v[0, 1:] + result.v[0, :-1]) / 20)
+
+
+def test_residual_acceleration_fades(straight):
+    scene = free_scene(straight, speed=5.0, accel=2.0)
+    numbers = driver(speed_factor=1.5, max_accel_mps2=1.0)
+    lasting = roll(scene, numbers, decay_s=2.0)
+    gained = np.diff(lasting.v[0], prepend=5.0) / 0.1
+    assert gained == pytest.approx(1.0 + np.exp(-np.arange(50) * 0.1 / 2.0))
+
+
+def test_followers_stop_behind_a_standing_vehicle_in_the_order_of_their_gaps(straight):
+    a, heading = on_lane(straight, "east_in_1", 150.0)
+    b, _ = on_lane(straight, "east_in_1", 100.0)
+    scene = make_scene(history([a, b], [heading] * 2, [0.0, 13.0]), straight, horizon_s=15.0)
+    scene = dataclasses.replace(scene, accel=np.zeros(2))
+    gaps = []
+    for min_gap in (1.0, 3.0):
+        numbers = np.tile(driver(min_gap_m=min_gap, max_accel_mps2=2.0), (2, 1))
+        numbers[0, 3] = 1e-6  # the leader stays
+        result = roll(scene, numbers, decay_s=0.0)
+        gaps.append(result.x[0, -1] - result.x[1, -1] - 4.5)
+        assert result.v[1, -1] < 0.1
+    assert gaps == pytest.approx([1.0, 3.0], abs=0.3)
+
+
+def test_longer_headway_keeps_a_longer_gap(straight):
+    a, heading = on_lane(straight, "east_in_1", 90.0)
+    b, _ = on_lane(straight, "east_in_1", 60.0)
+    past = history([a, b], [heading] * 2, [10.0, 12.0])
+    scene = make_scene(past, straight, horizon_s=10.0)
+    final = []
+    for headway in (0.5, 2.5):
+        numbers = np.tile(driver(time_headway_s=headway), (2, 1))
+        numbers[0, 0] = 10.0 / 13.89
+        result = roll(dataclasses.replace(scene, accel=np.zeros(2)), numbers, decay_s=0.0)
+        final.append(result.x[0, -1] - result.x[1, -1])
+    assert final[1] > final[0] + 10.0
+
+
+def test_stops_at_red_and_goes_at_green(four_way):
+    group = next(
+        c.signal for c in four_way.connections if c.from_lane == "west_in_2" and c.signal >= 0
+    )
+    length = next(x.length_m for x in four_way.lanes if x.id == "west_in_2")
+    place, heading = on_lane(four_way, "west_in_2", length - 40.0)
+    scene = make_scene(history([place], [heading], [12.0]), four_way, horizon_s=8.0)
+    ends = {}
+    for state in (CLOSED, OPEN):
+        closed = scene.closed.copy()
+        closed[group] = state
+        ends[state] = roll(dataclasses.replace(scene, closed=closed), driver(), decay_s=0.0)
+    assert ends[CLOSED].v[0, -1] < 0.5
+    assert ends[CLOSED].x[0, -1] + 2.25 <= length + 1e-6
+    assert ends[OPEN].x[0, -1] > length + 10.0
+
+
+def test_who_cannot_stop_any_more_goes_through(four_way):
+    length = next(x.length_m for x in four_way.lanes if x.id == "west_in_2")
+    place, heading = on_lane(four_way, "west_in_2", length - 6.0)
+    scene = make_scene(history([place], [heading], [13.0]), four_way)
+    closed = np.zeros_like(scene.closed)
+    closed[: len(four_way.signal_groups)] = CLOSED
+    result = roll(dataclasses.replace(scene, closed=closed), driver(), decay_s=0.0)
+    assert result.x[0, -1] > length + 20.0
+
+
+def test_waits_for_a_pedestrian_and_reckless_does_not(straight):
+    crossing = straight.crossings[0]
+    lane = "east_in_2"
+    length = next(x.length_m for x in straight.lanes if x.id == lane)
+    place, heading = on_lane(straight, lane, length - 45.0)
+    line = crossing.centerline
+    toward = (line[-1] - line[0]) / np.hypot(*(line[-1] - line[0]))
+    walk = float(np.arctan2(toward[1], toward[0]))
+    past = history(
+        [place, line[0] + 1.0 * toward], [heading, walk], [11.0, 1.0], kind=[0, PEDESTRIAN]
+    )
+    ends = {}
+    for behavior in (Behavior.CAREFUL, Behavior.RECKLESS):
+        told = predict(past, believing([0], behavior), straight, predictor="car-following")
+        ends[behavior] = told.xy[0, 0, -1, 0]
+    assert ends[Behavior.RECKLESS] > place[0] + 45.0
+    assert ends[Behavior.CAREFUL] < place[0] + 45.0
+
+
+def test_aggressive_belief_predicts_farther_than_timid_on_a_free_road(straight):
+    place, heading = on_lane(straight, "east_in_1", 60.0)
+    past = history([place], [heading], [8.0], accel=1.0)
+    ends = [
+        predict(past, believing([0], b), straight, predictor="car-following").xy[0, 0, -1, 0]
+        for b in (Behavior.THREATENING, Behavior.CAREFUL, Behavior.TIMID)
+    ]
+    assert ends[0] > ends[1] > ends[2]
+
+
+def test_blind_does_not_listen(straight):
+    place, heading = on_lane(straight, "east_in_1", 60.0)
+    past = history([place], [heading], [8.0])
+    one, other = (
+        predict(past, believing([0], b), straight, predictor="car-following-blind").xy
+        for b in (Behavior.THREATENING, Behavior.TIMID)
+    )
+    assert np.array_equal(one, other)
+
+
+def test_places_follow_the_lane_and_return_to_its_centre(straight):
+    place, heading = on_lane(straight, "east_in_2", 60.0, offset=0.5)
+    scene = make_scene(history([place], [heading], [10.0]), straight)
+    xy = places(scene, roll(scene, driver(), decay_s=0.0))
+    centre, _ = on_lane(straight, "east_in_2", 0.0)
+    assert xy[0, 0, 1] - centre[1] == pytest.approx(0.5, abs=0.06)
+    assert xy[0, -1, 1] - centre[1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_signals_follow_their_programme(four_way):
+    plan = four_way.signal_plans[0]
+    change_s = plan.duration_s[0] + 1000 * sum(plan.duration_s)
+    frames = []
+    for time_s in np.arange(change_s - 6.0, change_s - 2.0, 0.1):
+        signals = np.zeros(len(four_way.signal_groups), dtype=np.int8)
+        signals[list(plan.groups)] = plan.state_at(time_s)
+        frames.append(
+            Frame(
+                time_s=time_s, ids=[0], xy=[[0.0, 0.0]], heading=[0.0], speed=[1.0], length=[4.0],
+                width=[2.0], kind=[0], signals=signals,
+            )
+        )  # fmt: skip
+    scene = make_scene(Tracks.from_frames(frames), four_way)
+    gate = {0: CLOSED, 1: 1, 2: OPEN, 3: OPEN}
+    for j, group in enumerate(plan.groups):
+        assert scene.closed[group, 0] == gate[plan.states[0][j]]
+        assert scene.closed[group, -1] == gate[plan.state_at(change_s + 2.9)[j]]
+
+
+def test_signals_off_their_programme_are_held(four_way):
+    red = np.full(len(four_way.signal_groups), Signal.RED.code)
+    scene = make_scene(history([[0.0, 0.0]], [0.0], [1.0], signals=red), four_way)
+    groups = len(four_way.signal_groups)
+    assert (scene.closed[:groups] == CLOSED).all()
+
+
+def test_wrong_input_is_refused_by_name(straight):
+    past = history([[0.0, 0.0]], [0.0], [1.0])
+    with pytest.raises(InputError, match="did you mean 'car-following'"):
+        predict(past, NOBODY, straight, predictor="car-folowing")
+    with pytest.raises(InputError, match="horizon_s: found 0"):
+        predict(past, NOBODY, straight, horizon_s=0)
+    with pytest.raises(InputError, match=r"Prediction\.xy"):
+        Prediction([1], [1.0], np.zeros((2, 1, 1, 2)), [[1.0]])
+    with pytest.raises(InputError, match="sum to 1"):
+        Prediction([1], [1.0], np.zeros((1, 2, 1, 2)), [[0.2, 0.2]])
+
+
+def test_driver_numbers_survive_their_file():
+    table = default_table()
+    again = table_from_json(table_to_json(table, {}), "again")
+    assert np.array_equal(again.behavior, table.behavior)
+    assert np.array_equal(again.average, table.average)
+    assert again.decay_s == table.decay_s
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "broken file"),
+        ('{"schema_version": 99}', "schema_version: found 99, expected 1"),
+        ('{"schema_version": 1}', "broken file"),
+    ],
+)
+def test_broken_driver_files_are_refused(text, message):
+    with pytest.raises(InputError, match=message):
+        table_from_json(text, "drivers.json")
+
+
+def test_calibrated_profiles_are_ordered_as_the_behaviours_are():
+    table = default_table()
+    assert isinstance(table, DriverTable)
+    headway = table.behavior[:, DRIVER_FIELDS.index("time_headway_s")]
+    aggressive, conservative = headway[:3], headway[3:]
+    assert aggressive.max() < conservative.min()
+
+
+def test_get_predictor_finds_each():
+    assert all(callable(get_predictor(name)) for name in PREDICTORS)
