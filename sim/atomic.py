@@ -23,6 +23,12 @@ def _partial(path: Path) -> Path:
     return path.parent / f"{PARTIAL_PREFIX}{path.name}-{uuid.uuid4().hex[:12]}"
 
 
+def _name(error: BaseException, path: Path) -> None:
+    """Say in an error which path it is about: a full disk's error does not."""
+    if isinstance(error, OSError) and error.filename is None:
+        error.filename = str(path)
+
+
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file so that it appears whole or not at all.
 
@@ -54,8 +60,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     try:
         yield partial
         os.replace(partial, path)
-    except BaseException:
+    except BaseException as error:
         partial.unlink(missing_ok=True)
+        _name(error, path)
         raise
 
 
@@ -78,8 +85,9 @@ def whole_folder(path: Path) -> Iterator[Path]:
     try:
         yield partial
         _move_folder(partial, path)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
+        _name(error, path)
         raise
 
 

@@ -1,0 +1,107 @@
+"""The command line: quick to start, an example in every help, one line for every mistake."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments.cli import app, main
+
+COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
+
+
+def graphrqi(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    said = capsys.readouterr()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code, said.out, said.err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_shows_an_example(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    code, out, _ = graphrqi(capsys, command, "--help")
+    assert code == 0
+    assert f"example: graphrqi {command}" in " ".join(out.split())
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ("numpy", "scipy", "torch", "pyarrow", "numba", "sklearn", "sumolib", "sim")
+    code = (
+        "import sys, contextlib\n"
+        "from experiments.cli import main\n"
+        "with contextlib.suppress(SystemExit): main(['generate', '--help'])\n"
+        f"print([m for m in {heavy!r} if m in sys.modules], file=sys.stderr)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["generat"], "No such command 'generat'"),
+        (["generate"], "Missing option '--out'"),
+        (["generate", "--out", "{tmp}/x"], "scenarios: Field required"),
+        (["generate", "--out", "{tmp}/x", "--scenario", "straight", "--episodes", "1"], "straight"),
+        (["generate", "--out", "{tmp}/x", "--config", "{tmp}/none.toml"], "No such file"),
+        (["generate", "--out", "{tmp}/x", "--jobs", "many"], "--jobs"),
+        (["run", "straight_road", "--engine", "sumoo"], "did you mean 'sumo'"),
+        (["run", "straight_road", "--mix", "timid=3"], "mix: found shares adding to 3"),
+        (["run", "straight_road", "--seed", "-1"], "--seed"),
+        (["train", "{tmp}/none", "--out", "{tmp}/m"], "none"),
+        (["train", "{tmp}", "--out", "{tmp}/m"], "manifest.json"),
+    ],
+)
+def test_every_mistake_is_one_line_and_exit_code_2(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    filled = [a.format(tmp=tmp_path) for a in arguments]
+    code, out, err = graphrqi(capsys, *filled)
+    assert code == 2
+    assert err.startswith("graphrqi: error: ")
+    assert err.count("\n") == 1
+    assert message in err
+    assert out == ""
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    import experiments.doctor
+
+    def bug() -> dict[str, list[str]]:
+        raise ValueError("not the user's fault")
+
+    monkeypatch.setattr(experiments.doctor, "registered_names", bug)
+    with pytest.raises(ValueError, match="not the user's fault"):
+        main(["list"])
+
+
+def test_list_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = graphrqi(capsys, "list", "--json", "-")
+    names = {(row["what"], row["name"]) for row in json.loads(out)}
+    assert code == 0
+    assert {("scenario", "straight_road"), ("engine", "sumo"), ("solver", "graphrqi")} <= names
+
+
+def test_run_sums_up(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    code, out, _ = graphrqi(
+        capsys, "run", "straight_road", "--duration-s", "15", "--flow", "dense", "--json", str(path)
+    )
+    rows = {row["what"]: row["value"] for row in json.loads(path.read_text())}
+    assert code == 0
+    assert rows["simulated, s"] == 15.0
+    assert rows["agents that entered"] > 3
+    assert "mean speed" in out
+
+
+def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = graphrqi(capsys, "doctor", "--json", "-")
+    rows = {row["what"]: row for row in json.loads(out)}
+    assert rows["numpy"]["state"] == "ok"
+    assert rows["scenarios"]["state"] == "ok"
+    assert rows["sumo starts"]["state"] == "ok", rows["sumo starts"]

@@ -1,0 +1,254 @@
+"""Generated datasets: the same bytes every time, only what is missing, one writer at a time."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from behaviors import InputError
+from experiments.generate import GenerateConfig, Task, generate, read_config
+from sim.dataset import open_dataset
+from sim.lock import sole_writer
+
+CONFIG = GenerateConfig(
+    scenarios=("straight_road", "four_way_intersection"), episodes=1, seed=7, duration_s=12.0
+)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (p for p in folder.rglob("*") if p.is_file())
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("generate") / "data"
+    generate(CONFIG, folder, jobs=1, quiet=True)
+    return folder
+
+
+def test_the_dataset_opens_and_is_labelled(made: Path) -> None:
+    dataset = open_dataset(made)
+    assert dataset.scenarios == ("four_way_intersection", "straight_road")
+    for entry in dataset.episodes():
+        episode = dataset.read(entry)
+        assert episode.tracks.time_s[-1] == pytest.approx(12.0)
+        assert episode.tracks.behavior is not None
+        road = dataset.road(entry)
+        assert road is not None
+        assert road.name == entry.scenario
+    assert not (made / ".lock").exists()
+
+
+def test_same_bytes_for_two_jobs_and_another_order(made: Path, tmp_path: Path) -> None:
+    generate(CONFIG, tmp_path / "again", jobs=2, quiet=True)
+    assert content(tmp_path / "again") == content(made)
+
+
+def test_only_what_is_missing_is_made_again(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(made, folder)
+    kept, lost = sorted((folder / "episodes").iterdir())
+    before = (kept / "steps.parquet").stat().st_ino
+    (lost / "steps.parquet").write_bytes(b"altered")
+    (folder / "manifest.json").unlink()
+    (folder / "episodes" / ".partial-left-behind").mkdir()
+    generate(CONFIG, folder, jobs=1, quiet=True)
+    assert content(folder) == content(made)
+    assert (kept / "steps.parquet").stat().st_ino == before
+
+
+def test_a_dataset_grows_but_is_never_mixed(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(made, folder)
+    old = {e.id for e in open_dataset(folder).episodes()}
+    more = CONFIG.model_copy(update={"episodes": 2})
+    grown = generate(more, folder, jobs=2, quiet=True)
+    assert old < {e.id for e in grown.episodes}
+    assert [e.split for e in open_dataset(folder).episodes(scenario="straight_road")] == [
+        "train",
+        "validation",
+    ]
+    with pytest.raises(InputError, match="expected at least as many"):
+        generate(CONFIG, folder, quiet=True)
+    with pytest.raises(InputError, match="was made with seed 7, now 8"):
+        generate(more.model_copy(update={"seed": 8}), folder, quiet=True)
+    (folder / "manifest.json").unlink()
+    with pytest.raises(InputError, match="unfinished episodes of another configuration"):
+        generate(more.model_copy(update={"duration_s": 13.0}), folder, quiet=True)
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "thesis.tex").touch()
+    with pytest.raises(InputError, match=r"found thesis\.tex"):
+        generate(CONFIG, tmp_path / "else", quiet=True)
+
+
+def test_seeds_differ_and_depend_on_nothing_else() -> None:
+    tasks = [Task(CONFIG, name, i) for name in CONFIG.scenarios for i in range(50)]
+    assert len({t.seed for t in tasks}) == 100
+    alone = CONFIG.model_copy(update={"scenarios": ("straight_road",), "episodes": 99})
+    assert Task(alone, "straight_road", 3).seed == Task(CONFIG, "straight_road", 3).seed
+
+
+# --- interruptions ------------------------------------------------------------------------------
+
+
+def _hold(folder: str, held: multiprocessing.synchronize.Event) -> None:
+    with sole_writer(Path(folder)):
+        held.set()
+        time.sleep(60)
+
+
+def test_a_second_run_is_refused_while_the_first_lives(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    held = context.Event()
+    holder = context.Process(target=_hold, args=(str(tmp_path), held))
+    holder.start()
+    try:
+        assert held.wait(60)
+        with pytest.raises(InputError, match="another run is writing"):
+            generate(CONFIG, tmp_path, quiet=True)
+    finally:
+        holder.kill()
+        holder.join()
+    with sole_writer(tmp_path):  # the dead holder's lock is gone with it
+        assert (tmp_path / ".lock").exists()
+    assert not (tmp_path / ".lock").exists()
+
+
+def _command(folder: Path, episodes: int, duration_s: float = 30, flow: str = "light") -> list[str]:
+    return [
+        *(sys.executable, "-m", "experiments.cli", "generate", "--out", str(folder)),
+        *("--scenario", "straight_road", "--episodes", str(episodes), "--jobs", "2"),
+        *("--duration-s", str(duration_s), "--flow", flow, "--seed", "3"),
+    ]
+
+
+def _workers(parent: int) -> list[int]:
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rsplit(")", 1)[1].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(fields[1]) == parent:
+            found.append(int(status.parent.name))
+    return found
+
+
+def _until(condition: object, seconds: float = 60.0) -> None:
+    assert callable(condition)
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for child processes in /proc")
+def test_stopped_and_killed_runs_go_on_to_the_same_bytes(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    episodes = 12
+
+    def some_done() -> bool:
+        return any((folder / "episodes").glob("*/episode.json"))
+
+    run = subprocess.Popen(_command(folder, episodes), stderr=subprocess.PIPE, text=True)
+    _until(some_done)
+    run.send_signal(signal.SIGINT)
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "run the same command again to go on" in said
+    assert "Traceback" not in said
+    assert not list((folder / "episodes").glob(".partial*"))
+
+    run = subprocess.Popen(_command(folder, episodes), stderr=subprocess.DEVNULL)
+    _until(lambda: len(_workers(run.pid)) >= 2)
+    orphans = _workers(run.pid)
+    run.kill()
+    run.wait()
+    _until(lambda: not any(Path(f"/proc/{pid}/cmdline").exists() for pid in orphans), 10.0)
+
+    run = subprocess.Popen(_command(folder, episodes), stderr=subprocess.DEVNULL)
+    _until(lambda: len(_workers(run.pid)) >= 2)
+    time.sleep(1.0)
+    for pid in _workers(run.pid)[-1:]:
+        os.kill(pid, signal.SIGKILL)
+    assert run.wait(timeout=120) == 0
+
+    subprocess.run([*_command(tmp_path / "undisturbed", episodes), "--quiet"], check=True)
+    assert content(folder) == content(tmp_path / "undisturbed")
+
+
+def test_a_read_only_folder_is_one_clear_error(tmp_path: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("the superuser can write everywhere")
+    tmp_path.chmod(0o500)
+    with pytest.raises(OSError, match="Permission denied"):
+        generate(CONFIG, tmp_path / "data", quiet=True)
+
+
+def test_a_full_disk_is_one_clear_error_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    command = [*_command(folder, 1, 200, "dense"), "--quiet"]
+    limited = ["bash", "-c", 'ulimit -f 200; exec "$@"', "-", *command]  # KiB per file
+    run = subprocess.run(limited, capture_output=True, text=True, check=False)
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.startswith(f"graphrqi: error: {folder}")
+    assert run.stderr.endswith("File too large\n")
+    assert run.stderr.count("\n") == 1
+    assert {p.suffix for p in folder.rglob("*") if p.is_file()} <= {".xml"}
+
+
+# --- configuration ------------------------------------------------------------------------------
+
+
+def test_options_win_over_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text('scenarios = ["straight_road"]\nepisodes = 3\nseed = 1\n[mix]\ntimid = 1.0\n')
+    config = read_config(path, seed=5, flow=None)
+    assert (config.episodes, config.seed, config.mix) == (3, 5, {"timid": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("episodes = ", "study.toml: Invalid value"),
+        ('scenarios = ["straight_road"]\nepisodes = 1\ncolour = 2', "study.toml: colour: Extra"),
+        ('scenarios = ["straight_road"]\nepisodes = "many"', "study.toml: episodes: "),
+        ("scenarios = []\nepisodes = 1", "study.toml: scenarios: "),
+    ],
+)
+def test_broken_configuration_files(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_config(path)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scenarios": ("straight_raod",)}, "did you mean 'straight_road'"),
+        ({"engine": "sumoo"}, "did you mean 'sumo'"),
+        ({"mix": "timid=2"}, "mix: found shares adding to 2"),
+        ({"mix": {"angry": 1.0}}, "mix: found behaviour 'angry'"),
+        ({"flow": -5.0}, "flow: found"),
+        ({"duration_s": 0.0}, "duration_s: found 0"),
+        ({"spread": -1.0}, "spread: found -1"),
+        ({"scenarios": ("straight_road", "straight_road")}, "expected each once"),
+    ],
+)
+def test_wrong_options_are_refused_before_anything_is_written(
+    tmp_path: Path, change: dict[str, object], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        generate(CONFIG.model_copy(update=change), tmp_path / "data", quiet=True)
+    assert not (tmp_path / "data").exists()
