@@ -120,7 +120,7 @@ PROFILES: Final[dict[Behavior, Profile]] = {
         lane_change_patience_s=3.0, lane_change_assertiveness=5.0, gap_acceptance_s=0.3,
         crossing_gap_s=2.0, yield_probability=0.5, red_run_probability=0.0,
         stop_roll_probability=0.0, yellow_run_s=1.0, insistence=1.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=6.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+        cut_in_rate_per_min=15.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
     ),
     Behavior.CAREFUL: Profile(
         speed_factor=0.97, time_headway_s=1.45, min_gap_m=2.5, max_accel_mps2=1.9,

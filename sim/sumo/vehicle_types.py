@@ -39,8 +39,7 @@ ATTRIBUTES: Final[frozenset[str]] = frozenset(
         "speedFactor", "speedDev", "tau", "minGap", "accel", "decel", "emergencyDecel", "sigma",
         "startupDelay", "impatience", "lcStrategic", "lcCooperative", "lcSpeedGain",
         "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
-        "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime", "jmDriveAfterRedTime",
-        "jmDriveRedSpeed", "jmIgnoreFoeProb", "jmIgnoreFoeSpeed", "jmIgnoreJunctionFoeProb",
+        "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime",
     }
 )  # fmt: skip
 """Every vType attribute that may be written (SUMO 1.28's names)."""
@@ -55,7 +54,7 @@ def driver_attributes(profile: Profile) -> dict[str, str]:
     Returns:
         Attribute values by name.
     """
-    found = {
+    return {
         "speedFactor": _number(profile.speed_factor),
         "speedDev": "0",
         "tau": _number(profile.time_headway_s),
@@ -72,15 +71,6 @@ def driver_attributes(profile: Profile) -> dict[str, str]:
         "jmCrossingGap": _number(profile.crossing_gap_s),
         "jmDriveAfterYellowTime": _number(profile.yellow_run_s),
     }
-    if profile.red_run_probability > 0:
-        found |= {
-            "jmDriveAfterRedTime": "1000",
-            "jmDriveRedSpeed": "10",
-            "jmIgnoreFoeProb": "1",
-            "jmIgnoreFoeSpeed": "30",
-            "jmIgnoreJunctionFoeProb": "1",
-        }
-    return found
 
 
 def vehicle_type(agent: AgentSpec) -> dict[str, str]:

@@ -1,0 +1,149 @@
+"""Red lights run, stop lines rolled, pedestrians cut across: decided once per encounter.
+
+SUMO's speed mode says which rules a vehicle regards. A driver's mode is the ordinary one until an
+encounter for which the driver's probability says otherwise, and again after the junction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from sim.road import Road
+from sim.scenario import AgentSpec
+from sim.sumo.control.approaches import Approach, approaches
+
+ORDINARY: Final = 31
+"""SUMO's default speed mode: safe speed, limits of the vehicle, right of way, red lights."""
+
+IGNORE_RED: Final = ORDINARY & ~16
+"""Red lights are not regarded; those already in the way still are."""
+
+IGNORE_PRIORITY: Final = (ORDINARY & ~8) | 32
+"""Right of way is not regarded, neither before nor in the junction."""
+
+SIGHT_M: Final = 45.0
+"""How far before a junction a driver decides (our choice: about three seconds at 50 km/h)."""
+
+
+@dataclass(slots=True)
+class _Driver:
+    """One rule breaker's decisions at the approach it is on."""
+
+    agent: AgentSpec
+    following: Mapping[str, str]
+    rng: np.random.Generator
+    edge: str = ""
+    red: bool = False
+    rolls: bool = False
+    cuts: bool = False
+    mode: int = ORDINARY
+    decided: set[str] = field(default_factory=set)
+
+
+class Obedience:
+    """Lets drivers break the rules that their profiles say they break.
+
+    Args:
+        sumo: libsumo's C module.
+        road: the road.
+        agents: everyone; those who break no rule are left alone.
+    """
+
+    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+        self._sumo = sumo
+        self._approaches = approaches(road)
+        self._length = {lane.id: lane.length_m for lane in road.lanes}
+        self._edge = {lane.id: lane.edge for lane in road.lanes if not lane.internal}
+        self._crossings = frozenset(c.id for c in road.crossings)
+        self._drivers = {
+            str(a.id): _Driver(
+                a, dict(zip(a.route, a.route[1:], strict=False)), np.random.default_rng((a.seed, 1))
+            )
+            for a in agents
+            if breaks_rules(a)
+        }
+
+    def step(self, vehicles: Sequence[str], persons: Sequence[str]) -> None:
+        """Decide and set the speed modes for the next simulation step.
+
+        Args:
+            vehicles: names of the vehicles on the road.
+            persons: names of the pedestrians on the road.
+        """
+        sumo = self._sumo
+        occupied: frozenset[str] | None = None
+        for name in vehicles:
+            driver = self._drivers.get(name)
+            if driver is None:
+                continue
+            lane = sumo.vehicle_getLaneID(name)
+            edge = self._edge.get(lane, "")
+            if not edge:  # inside the junction: what was decided holds
+                continue
+            if edge != driver.edge:
+                self._enter(driver, edge)
+            ahead = self._approaches.get((edge, driver.following.get(edge, "")))
+            near = (
+                ahead is not None
+                and self._length[lane] - sumo.vehicle_getLanePosition(name) <= SIGHT_M
+            )
+            mode = ORDINARY
+            if near and ahead is not None:
+                if occupied is None:
+                    occupied = self._occupied(persons)
+                mode = self._decide(driver, ahead, occupied)
+            if mode != driver.mode:
+                sumo.vehicle_setSpeedMode(name, mode)
+                driver.mode = mode
+
+    def _enter(self, driver: _Driver, edge: str) -> None:
+        """Draw what the driver will do at the next junction's signal and stop line."""
+        profile = driver.agent.profile
+        assert profile is not None
+        driver.edge, driver.cuts = edge, False
+        driver.red = bool(driver.rng.random() < profile.red_run_probability)
+        driver.rolls = bool(driver.rng.random() < profile.stop_roll_probability)
+        driver.decided.clear()
+
+    def _decide(self, driver: _Driver, ahead: Approach, occupied: frozenset[str]) -> int:
+        profile = driver.agent.profile
+        assert profile is not None
+        for crossing in sorted(ahead.crossings & occupied):
+            if crossing not in driver.decided:
+                driver.decided.add(crossing)
+                if driver.rng.random() >= profile.yield_probability:
+                    driver.cuts = True
+        mode = ORDINARY
+        if driver.red and ahead.signal:
+            mode &= IGNORE_RED
+        if driver.cuts or (driver.rolls and ahead.stop):
+            mode = (mode & ~8) | 32
+        return mode
+
+    def _occupied(self, persons: Sequence[str]) -> frozenset[str]:
+        """Crossings that someone walks on or is about to step on."""
+        sumo = self._sumo
+        found = set()
+        for name in persons:
+            place = sumo.person_getRoadID(name)
+            if place in self._crossings:
+                found.add(place)
+            elif place.startswith(":"):
+                onward = sumo.person_getNextEdge(name)
+                if onward in self._crossings:
+                    found.add(onward)
+        return frozenset(found)
+
+
+def breaks_rules(agent: AgentSpec) -> bool:
+    """Whether an agent's profile ever breaks a rule at a junction or crossing."""
+    profile = agent.profile
+    return profile is not None and (
+        profile.red_run_probability > 0
+        or profile.stop_roll_probability > 0
+        or profile.yield_probability < 1
+    )
