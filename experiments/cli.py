@@ -140,6 +140,51 @@ def train(
     typer.echo(f"{out}: {method} trained on {dataset}")
 
 
+@app.command(epilog="example: graphrqi classify data --out labels.parquet")
+def classify(
+    source: Annotated[Path, typer.Argument(help="A dataset.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Parquet file for the labels.")],
+    model: ModelName = "graphrqi-plus",
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Name each driver's behaviour as it drives."""
+    from experiments.classification import classify_dataset
+    from experiments.tables import show_table
+
+    show_table(classify_dataset(source, model, out, quiet), json)
+
+
+@app.command(epilog="example: graphrqi predict data --predictors car-following --horizon-s 5")
+def predict(
+    source: Annotated[Path, typer.Argument(help="A dataset.")],
+    predictors: Annotated[
+        str, typer.Option(metavar="A,B", help="Names, separated by commas; see graphrqi list.")
+    ] = "constant-velocity,car-following-blind,car-following",
+    horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
+    model: ModelName = "graphrqi-plus",
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Predict where everyone goes, and score it."""
+    from experiments.prediction import predict_dataset
+
+    names = [name.strip() for name in predictors.split(",") if name.strip()]
+    predict_dataset(source, names, horizon_s, model, json, jobs=jobs, quiet=quiet)
+
+
+@app.command(epilog="example: graphrqi report runs/demo")
+def report(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
+) -> None:
+    """Draw the page of each run."""
+    from experiments.report import write_report
+
+    for run in runs:
+        typer.echo(write_report(run))
+
+
 @app.command(epilog="example: graphrqi doctor")
 def doctor(json: Json = None) -> None:
     """Say what is installed, missing, and how to get it."""
