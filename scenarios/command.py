@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
@@ -64,6 +65,32 @@ class RunSummary:
         ]
 
 
+_NAMED: Final = frozenset({"flow", "mix", "kinds", "spread", "duration_s", "step_s"})
+"""Options of every scenario that have their own flag."""
+
+
+def _set_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
+    """Options given as ``NAME=VALUE``: true, false, a number, or a word."""
+    found: dict[str, bool | int | float | str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InputError(f"--set: found {text!r}, expected NAME=VALUE")
+        found[name] = _value(value)
+    return found
+
+
+def _value(text: str) -> bool | int | float | str:
+    if text in ("true", "false"):
+        return text == "true"
+    for number in (int, float):
+        try:
+            return number(text)
+        except ValueError:
+            continue
+    return text
+
+
 def parser(name: str) -> argparse.ArgumentParser:
     """The options of a scenario's command."""
     made = argparse.ArgumentParser(
@@ -74,10 +101,19 @@ def parser(name: str) -> argparse.ArgumentParser:
     made.add_argument("--engine", default="sumo", help=f"one of {', '.join(ENGINES)}")
     made.add_argument("--flow", default="medium", help="light, medium, dense or vehicles per hour")
     made.add_argument("--mix", help="share of each behaviour: impatient=.2,timid=.8; default equal")
+    made.add_argument("--kinds", help="share of each kind: car=.9,truck=.1; default cars only")
     made.add_argument("--spread", type=float, default=DEFAULT_SPREAD, help="spread between drivers")
     made.add_argument("--seed", type=int, default=0)
     made.add_argument("--duration-s", type=float, default=300.0, help="length, s")
     made.add_argument("--step-s", type=float, default=0.1, help="time between frames, s")
+    made.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="another option of the scenario, such as "
+        + ", ".join(n for n in get_scenario(name).options if n not in _NAMED),
+    )
     made.add_argument("--out", type=Path, help="folder to write the episode to")
     return made
 
@@ -94,15 +130,18 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     """
     options = parser(name).parse_args(arguments)
     try:
+        more = _set_options(options.set)
         scenario = get_scenario(name)(
             flow=options.flow,
             mix=options.mix,
+            kinds=options.kinds,
             spread=options.spread,
             duration_s=options.duration_s,
             step_s=options.step_s,
+            **more,
         )
         agents = sample_agents(scenario, options.seed)
-        summary = _run(scenario, agents, options)
+        summary = _run(scenario, agents, options, more)
     except OSError as error:
         sys.stderr.write(f"scenarios.{name}: error: {options.out}: {error.strerror}\n")
         return 2
@@ -114,7 +153,10 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(
-    scenario: Scenario, agents: Sequence[AgentSpec], options: argparse.Namespace
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    options: argparse.Namespace,
+    more: Mapping[str, bool | int | float | str],
 ) -> RunSummary:
     summary = RunSummary()
     frames = summary.watch(
@@ -130,9 +172,11 @@ def _run(
     chosen = {
         "flow": options.flow,
         "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
+        "kinds": {str(kind): share for kind, share in scenario.kinds.items()},
         "spread": scenario.spread,
         "duration_s": scenario.duration_s,
         "step_s": scenario.step_s,
+        **more,
     }
     meta = EpisodeMeta(
         scenario=scenario.name,

@@ -1,25 +1,25 @@
-"""How much traffic and whose: flows and mixes as a user writes them."""
+"""How much traffic and whose: flows, mixes and kinds as a user writes them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from typing import TypeVar
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior
+from sim.frames import AgentKind
 from sim.scenario import EQUAL_MIX
 
-FLOW_LEVELS: Final[tuple[str, ...]] = ("light", "medium", "dense")
-"""The named flows; what they mean in vehicles per hour is each scenario's own."""
 
-
-def parse_flow(flow: str | float, levels: Mapping[str, float]) -> float:
+def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flow") -> float:
     """Vehicles per hour.
 
     Args:
         flow: a level's name or a number, possibly written as text.
         levels: vehicles per hour of each named level.
+        field: what messages call it.
 
     Returns:
         Vehicles per hour over all entries of the road together.
@@ -33,13 +33,13 @@ def parse_flow(flow: str | float, levels: Mapping[str, float]) -> float:
     """
     if isinstance(flow, str) and flow in levels:
         return levels[flow]
-    expected = f"{', '.join(levels)} or vehicles per hour >= 0"
+    expected = " or ".join([*levels, "a number per hour >= 0"])
     try:
         value = float(flow)
     except ValueError:
-        raise InputError(f"flow: found {flow!r}, expected {expected}") from None
+        raise InputError(f"{field}: found {flow!r}, expected {expected}") from None
     if not math.isfinite(value) or value < 0:
-        raise InputError(f"flow: found {flow!r}, expected {expected}")
+        raise InputError(f"{field}: found {flow!r}, expected {expected}")
     return value
 
 
@@ -63,37 +63,64 @@ def parse_mix(
         >>> parse_mix("reckless=.25, timid=.75")
         {<Behavior.RECKLESS: 'reckless'>: 0.25, <Behavior.TIMID: 'timid'>: 0.75}
     """
-    if mix is None:
-        return dict(EQUAL_MIX)
-    pairs = _split(mix) if isinstance(mix, str) else [(str(k), v) for k, v in mix.items()]
-    shares: dict[Behavior, float] = {}
+    return dict(EQUAL_MIX) if mix is None else _shares("mix", mix, list(Behavior))
+
+
+def parse_kinds(
+    kinds: str | Mapping[AgentKind, float] | Mapping[str, float] | None,
+) -> dict[AgentKind, float]:
+    """The share of each kind of vehicle.
+
+    Args:
+        kinds: None for cars only, a mapping, or text like ``"car=.9,truck=.1"``.
+
+    Returns:
+        Shares by kind.
+
+    Raises:
+        InputError: as `parse_mix` does; pedestrians are not vehicles.
+
+    Example:
+        >>> parse_kinds("car=.9,bus=.1")
+        {<AgentKind.CAR: 'car'>: 0.9, <AgentKind.BUS: 'bus'>: 0.1}
+    """
+    vehicles = [kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN]
+    return {AgentKind.CAR: 1.0} if kinds is None else _shares("kinds", kinds, vehicles)
+
+
+K = TypeVar("K", bound=StrEnum)
+
+
+def _shares(
+    field: str, given: str | Mapping[K, float] | Mapping[str, float], members: Sequence[K]
+) -> dict[K, float]:
+    names = {str(member): member for member in members}
+    pairs = _split(field, given) if isinstance(given, str) else [*given.items()]
+    shares: dict[K, float] = {}
     for name, value in pairs:
-        try:
-            behavior = Behavior(name)
-        except ValueError:
-            raise InputError(
-                f"mix: found behaviour {name!r}, expected one of {', '.join(Behavior)}"
-            ) from None
-        if behavior in shares:
-            raise InputError(f"mix: found {name!r} twice, expected each behaviour once")
+        if str(name) not in names:
+            raise InputError(f"{field}: found {str(name)!r}, expected one of {', '.join(names)}")
+        member = names[str(name)]
+        if member in shares:
+            raise InputError(f"{field}: found {str(name)!r} twice, expected it once")
         try:
             share = float(value)
         except ValueError:
-            raise InputError(f"mix: found {name}={value!r}, expected a share >= 0") from None
+            raise InputError(f"{field}: found {name}={value!r}, expected a share >= 0") from None
         if not math.isfinite(share) or share < 0:
-            raise InputError(f"mix: found {name}={share:g}, expected a share >= 0")
-        shares[behavior] = share
+            raise InputError(f"{field}: found {name}={share:g}, expected a share >= 0")
+        shares[member] = share
     total = sum(shares.values())
     if abs(total - 1.0) > 1e-6:
-        raise InputError(f"mix: found shares adding to {total:g}, expected 1")
+        raise InputError(f"{field}: found shares adding to {total:g}, expected 1")
     return shares
 
 
-def _split(text: str) -> list[tuple[str, str | float]]:
-    pairs: list[tuple[str, str | float]] = []
+def _split(field: str, text: str) -> list[tuple[str, str]]:
+    pairs = []
     for part in text.split(","):
         name, equals, value = part.partition("=")
         if not equals:
-            raise InputError(f"mix: found {part.strip()!r}, expected behaviour=share")
+            raise InputError(f"{field}: found {part.strip()!r}, expected name=share")
         pairs.append((name.strip(), value.strip()))
     return pairs

@@ -120,22 +120,21 @@ def _lane(lane: Any, edge: Any) -> Lane:
 
 def _signals(
     net: Any,
-) -> tuple[tuple[SignalPlan, ...], tuple[str, ...], dict[tuple[str, int], tuple[int, bool]]]:
-    """The signal plans, the names of all groups, and each link's group and whether it yields.
+) -> tuple[tuple[SignalPlan, ...], tuple[str, ...], dict[tuple[str, int], int]]:
+    """The signal plans, the names of all groups, and each link's group.
 
     Links of one set of traffic lights whose states are equal in every phase form one group.
     """
     plans: list[SignalPlan] = []
     names: list[str] = []
-    group_of: dict[tuple[str, int], tuple[int, bool]] = {}
+    group_of: dict[tuple[str, int], int] = {}
     for lights in sorted(net.getTrafficLights(), key=lambda t: str(t.getID())):
         programs = lights.getPrograms()
         if not programs:
             continue
         program = next(iter(programs.values()))
         phases = program.getPhases()
-        letters = [phase.state for phase in phases]
-        codes = np.array([[signal_code(c) for c in state] for state in letters])
+        codes = np.array([[signal_code(c) for c in phase.state] for phase in phases])
         columns: dict[tuple[int, ...], int] = {}
         firsts: list[int] = []
         for link in range(codes.shape[1]):
@@ -144,8 +143,7 @@ def _signals(
                 columns[key] = len(names)
                 names.append(f"{lights.getID()}/{len(columns) - 1}")
                 firsts.append(link)
-            yields = any(state[link] in "go" for state in letters)
-            group_of[str(lights.getID()), link] = (columns[key], yields)
+            group_of[str(lights.getID()), link] = columns[key]
         plans.append(
             SignalPlan(
                 id=str(lights.getID()),
@@ -159,37 +157,53 @@ def _signals(
     return tuple(plans), tuple(names), group_of
 
 
-def _connections(net: Any, group_of: dict[tuple[str, int], tuple[int, bool]]) -> list[Connection]:
+def _lights(link: Any) -> tuple[str, int]:
+    """The traffic lights that control a link, and its index there."""
+    return str(link.getTLSID()), int(link.getTLLinkIndex())
+
+
+def _connections(net: Any, group_of: dict[tuple[str, int], int]) -> list[Connection]:
+    links = [
+        link
+        for edge in sorted(net.getEdges(withInternal=False), key=lambda e: str(e.getID()))
+        for lane in edge.getLanes()
+        if lane.allows("passenger")
+        for link in lane.getOutgoing()
+        if not link.getTo().getFunction()
+    ]
     found = []
-    for edge in sorted(net.getEdges(withInternal=False), key=lambda e: str(e.getID())):
-        for lane in edge.getLanes():
-            for link in lane.getOutgoing():
-                to = link.getToLane()
-                if link.getTo().getFunction() or not lane.allows("passenger"):
-                    continue
-                via = []
-                at = link.getViaLaneID()
-                while at:
-                    via.append(str(at))
-                    at = net.getLane(at).getOutgoing()[0].getViaLaneID()
-                lights = (str(link.getTLSID()), int(link.getTLLinkIndex()))
-                signal, permissive = group_of.get(lights, (-1, False))
-                state = str(link.getState())
-                found.append(
-                    Connection(
-                        from_lane=str(lane.getID()),
-                        to_lane=str(to.getID()),
-                        via=tuple(via),
-                        direction=_DIRECTIONS[link.getDirection()],
-                        signal=signal,
-                        must_yield=permissive or state in YIELDING_STATES,
-                        must_stop=state in STOPPING_STATES,
-                    )
-                )
+    for link in links:
+        junction = link.getJunction()
+        signal = group_of.get(_lights(link), -1)
+        stronger = tuple(
+            i
+            for i, other in enumerate(links)
+            if other is not link
+            and other.getJunction() is junction
+            and group_of.get(_lights(other), -1) == signal  # else they are never let go together
+            and junction.forbids(other, link)
+        )
+        via = []
+        at = link.getViaLaneID()
+        while at:
+            via.append(str(at))
+            at = net.getLane(at).getOutgoing()[0].getViaLaneID()
+        found.append(
+            Connection(
+                from_lane=str(link.getFromLane().getID()),
+                to_lane=str(link.getToLane().getID()),
+                via=tuple(via),
+                direction=_DIRECTIONS[link.getDirection()],
+                signal=signal,
+                must_yield=bool(stronger),
+                must_stop=str(link.getState()) in STOPPING_STATES,
+                yields_to=stronger,
+            )
+        )
     return found
 
 
-def _crossings(net: Any, group_of: dict[tuple[str, int], tuple[int, bool]]) -> list[Crossing]:
+def _crossings(net: Any, group_of: dict[tuple[str, int], int]) -> list[Crossing]:
     found = []
     edges = [e for e in net.getEdges() if e.getFunction() == "crossing"]
     for edge in sorted(edges, key=lambda e: str(e.getID())):
@@ -197,8 +211,7 @@ def _crossings(net: Any, group_of: dict[tuple[str, int], tuple[int, bool]]) -> l
         links = [link for group in edge.getIncoming().values() for link in group]
         signal, priority = -1, True
         for link in links:
-            lights = (str(link.getTLSID()), int(link.getTLLinkIndex()))
-            signal = max(signal, group_of.get(lights, (-1, False))[0])
+            signal = max(signal, group_of.get(_lights(link), -1))
             priority = priority and link.getState() not in YIELDING_STATES
         found.append(
             Crossing(

@@ -59,8 +59,9 @@ class Connection:
         via: ids of the internal lanes in between, in order.
         direction: "straight", "left", "right" or "turnaround".
         signal: index of the signal group that controls it, -1 if none.
-        must_yield: whether others have priority over it.
+        must_yield: whether other vehicles have priority over it (pedestrians: see `Crossing`).
         must_stop: whether it has a stop sign.
+        yields_to: indices into ``Road.connections`` of those that have priority over it.
     """
 
     from_lane: str
@@ -70,6 +71,7 @@ class Connection:
     signal: int = -1
     must_yield: bool = False
     must_stop: bool = False
+    yields_to: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

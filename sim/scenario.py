@@ -19,6 +19,9 @@ from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile
 from sim.frames import AgentKind
 from sim.road import Road
 
+DEFAULT_JAYWALK_SHARE: Final = 0.1
+"""Share of pedestrians who cross where and when they should not (our choice)."""
+
 EQUAL_MIX: Final[dict[Behavior, float]] = {b: 1.0 / len(BEHAVIORS) for b in BEHAVIORS}
 """Every behaviour as often as any other."""
 
@@ -53,6 +56,7 @@ class AgentSpec:
         width_m: m.
         speed_mps: walking speed of a pedestrian, m/s; 0 for those that drive.
         seed: seed of the agent's own chance decisions.
+        jaywalks: whether a pedestrian crosses anywhere and on red.
     """
 
     id: int
@@ -65,6 +69,7 @@ class AgentSpec:
     width_m: float
     speed_mps: float = 0.0
     seed: int = 0
+    jaywalks: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,7 @@ class Scenario:
         duration_s: length of an episode, s.
         step_s: time between frames, s.
         kinds: share of each vehicle kind; sums to 1.
+        jaywalk_share: share of pedestrians who cross where and when they should not.
     """
 
     name: str
@@ -90,6 +96,7 @@ class Scenario:
     duration_s: float = 300.0
     step_s: float = 0.1
     kinds: Mapping[AgentKind, float] = field(default_factory=lambda: {AgentKind.CAR: 1.0})
+    jaywalk_share: float = DEFAULT_JAYWALK_SHARE
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated, by name."""
@@ -106,6 +113,8 @@ class Scenario:
                 )
         if not math.isfinite(self.spread) or self.spread < 0:
             raise InputError(f"spread: found {self.spread}, expected a number >= 0")
+        if not 0 <= self.jaywalk_share <= 1:
+            raise InputError(f"jaywalk_share: found {self.jaywalk_share}, expected 0 to 1")
         if not math.isfinite(self.duration_s) or self.duration_s <= 0:
             raise InputError(f"duration_s: found {self.duration_s}, expected seconds > 0")
         if not math.isfinite(self.step_s) or not 0.01 <= self.step_s <= 1.0:
@@ -133,12 +142,15 @@ class KindLimits:
         max_accel_mps2: m/s2.
         max_decel_mps2: largest ordinary braking, m/s2.
         emergency_decel_mps2: hardest braking physically possible, m/s2.
+        cruise_mps: speed that an average driver chooses however high the limit, m/s; multiplied by
+            the driver's speed factor.
     """
 
     max_speed_mps: float
     max_accel_mps2: float
     max_decel_mps2: float
     emergency_decel_mps2: float
+    cruise_mps: float = math.inf
 
 
 KIND_LIMITS: Final[dict[AgentKind, KindLimits]] = {
@@ -146,7 +158,7 @@ KIND_LIMITS: Final[dict[AgentKind, KindLimits]] = {
     AgentKind.BUS: KindLimits(23.6, 1.2, 4.0, 7.0),
     AgentKind.TRUCK: KindLimits(36.1, 1.3, 4.0, 7.0),
     AgentKind.MOTORCYCLE: KindLimits(55.6, 6.0, 10.0, 10.0),
-    AgentKind.BICYCLE: KindLimits(5.56, 1.2, 3.0, 7.0),
+    AgentKind.BICYCLE: KindLimits(13.9, 1.2, 3.0, 7.0, 5.56),
 }
 """SUMO's defaults for its vehicle classes; a car's acceleration and ordinary braking are left to
 its driver, up to what tyres hold."""
@@ -188,14 +200,7 @@ def sample_agents(scenario: Scenario, seed: int) -> tuple[AgentSpec, ...]:
                 _draw(scenario, stream, time_s, rng, behaviors, weights, kinds, kind_weights)
             )
     drawn.sort(key=lambda a: a.depart_s)
-    return tuple(
-        AgentSpec(
-            id=i, kind=a.kind, behavior=a.behavior, profile=a.profile, route=a.route,
-            depart_s=a.depart_s, length_m=a.length_m, width_m=a.width_m, speed_mps=a.speed_mps,
-            seed=a.seed,
-        )
-        for i, a in enumerate(drawn)
-    )  # fmt: skip
+    return tuple(dataclasses.replace(agent, id=i) for i, agent in enumerate(drawn))
 
 
 def _draw(
@@ -212,9 +217,18 @@ def _draw(
     if stream.walking:
         length, width, _ = DIMENSIONS_M[AgentKind.PEDESTRIAN]
         mean, sd = WALKING_SPEED_MPS
-        speed = float(np.clip(rng.normal(mean, sd), 0.6, 2.2))
         return AgentSpec(
-            0, AgentKind.PEDESTRIAN, None, None, stream.route, depart_s, length, width, speed, seed
+            id=0,
+            kind=AgentKind.PEDESTRIAN,
+            behavior=None,
+            profile=None,
+            route=stream.route,
+            depart_s=depart_s,
+            length_m=length,
+            width_m=width,
+            speed_mps=float(np.clip(rng.normal(mean, sd), 0.6, 2.2)),
+            seed=seed,
+            jaywalks=bool(rng.random() < scenario.jaywalk_share),
         )
     behavior = behaviors[int(rng.choice(len(behaviors), p=weights / weights.sum()))]
     kind = kinds[int(rng.choice(len(kinds), p=kind_weights / kind_weights.sum()))]

@@ -5,7 +5,9 @@ Run ``python -m scenarios.networks.build`` to rebuild every shipped net from its
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
@@ -13,29 +15,46 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from behaviors.errors import InputError, lookup
-from scenarios.networks.geometry import FourWayGeometry, Geometry, StraightGeometry
+from behaviors.errors import InputError
+from scenarios.networks.geometry import (
+    CONTROLS,
+    TWO_WAY_LENGTH_M,
+    FourWayGeometry,
+    Geometry,
+    StraightGeometry,
+)
 
 FOLDER: Final = Path(__file__).resolve().parent
 """Where the shipped nets lie: ``<name>/road.net.xml`` beside its sources."""
 
+NET: Final = "road.net.xml"
+SETTINGS: Final = "road.netccfg"
+
 SHIPPED: Final[dict[str, Geometry]] = {
     "straight_road": StraightGeometry(),
+    **{
+        f"one_way_{lanes}{'' if crossing else '_plain'}": StraightGeometry(
+            lanes=lanes, crossing=crossing
+        )
+        for lanes in (2, 3, 4, 5)
+        for crossing in (True, False)
+        if (lanes, crossing) != (3, True)
+    },
+    **{
+        f"two_way_{lanes}{'' if crossing else '_plain'}": StraightGeometry(
+            lanes=lanes, two_way=True, crossing=crossing, length_m=TWO_WAY_LENGTH_M
+        )
+        for lanes in (1, 2)
+        for crossing in (True, False)
+    },
     "four_way_intersection": FourWayGeometry(),
+    **{
+        f"four_way_{control}": FourWayGeometry(control=control, lanes=1)
+        for control in CONTROLS
+        if control != "traffic_light"
+    },
 }
 """The geometries whose nets are shipped, by folder name."""
-
-OPTIONS: Final[tuple[str, ...]] = (
-    "--no-turnarounds", "true",
-    "--opposites.guess.fix-lengths", "true",
-    "--offset.disable-normalization", "true",
-    "--junctions.limit-turn-speed", "5.5",
-    "--tls.default-type", "static",
-    "--tls.cycle.time", "60",
-    "--tls.allred.time", "1",
-    "--no-warnings", "true",
-)  # fmt: skip
-"""netconvert's options for every net."""
 
 
 def find_netconvert() -> str:
@@ -58,17 +77,35 @@ def find_netconvert() -> str:
     return found
 
 
-def shipped_net(name: str) -> Path:
-    """The path of a shipped net.
+def net_of(geometry: Geometry) -> Path:
+    """The net of a geometry: a shipped one, or one built now and kept for the next time.
 
     Args:
-        name: a key of ``SHIPPED``.
+        geometry: what the road looks like.
+
+    Returns:
+        The path of its net.
 
     Raises:
-        InputError: if there is no such net.
+        InputError: if it is not shipped and netconvert is missing.
+        OSError: if the built net cannot be kept.
     """
-    lookup(SHIPPED, name, "net")
-    return FOLDER / name / "road.net.xml"
+    for name, shipped in SHIPPED.items():
+        if shipped == geometry:
+            return FOLDER / name / NET
+    text = "".join(geometry.sources().values())
+    folder = cache_folder() / hashlib.sha256(text.encode()).hexdigest()[:16]
+    if not (folder / NET).is_file():
+        find_netconvert()
+        write_sources(geometry, folder)
+        build(folder)
+    return folder / NET
+
+
+def cache_folder() -> Path:
+    """Where nets built on the fly are kept: in the user's cache folder."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "graphrqi" / "networks"
 
 
 def write_sources(geometry: Geometry, folder: Path) -> None:
@@ -82,7 +119,7 @@ def build(folder: Path) -> Path:
     """Turn the sources in a folder into ``road.net.xml`` beside them.
 
     Args:
-        folder: holds ``road.nod.xml``, ``road.edg.xml`` and ``road.con.xml``.
+        folder: holds what `write_sources` writes.
 
     Returns:
         The net's path. The file appears whole or not at all.
@@ -91,17 +128,10 @@ def build(folder: Path) -> Path:
         InputError: if netconvert is missing or refuses the sources.
     """
     program = find_netconvert()
-    net = folder / "road.net.xml"
+    net = folder / NET
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch) / net.name
-        command = [
-            program,
-            "--node-files", "road.nod.xml",
-            "--edge-files", "road.edg.xml",
-            "--connection-files", "road.con.xml",
-            "--output-file", str(made),
-            *OPTIONS,
-        ]  # fmt: skip
+        command = [program, "--configuration-file", SETTINGS, "--output-file", str(made)]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode != 0 or not made.is_file():
             reason = (done.stderr.strip() or "no reason given").splitlines()[0]
@@ -120,12 +150,18 @@ def _without_header(text: str) -> str:
     return text[:begin] + text[end + len("-->") :].lstrip()
 
 
-def main() -> None:
-    """Rebuild every shipped net."""
-    for name, geometry in SHIPPED.items():
-        write_sources(geometry, FOLDER / name)
-        sys.stdout.write(f"{build(FOLDER / name).name} of {name}\n")
+def main() -> int:
+    """Rebuild every shipped net; 2 if that cannot be done."""
+    try:
+        for name, geometry in SHIPPED.items():
+            write_sources(geometry, FOLDER / name)
+            build(FOLDER / name)
+            sys.stdout.write(f"built {name}\n")
+    except InputError as error:
+        sys.stderr.write(f"scenarios.networks.build: error: {error}\n")
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

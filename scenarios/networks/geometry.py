@@ -19,6 +19,15 @@ LANE_WIDTH_M: Final = 3.2
 CROSSING_WIDTH_M: Final = 4.0
 """SUMO's default crossing width, m."""
 
+TWO_WAY_LENGTH_M: Final = 1200.0
+"""Length of the shipped two-way roads, m: overtaking against oncoming traffic takes room."""
+
+LIMIT_MPS: Final = 13.89
+"""50 km/h: the usual limit in towns."""
+
+ARM_M: Final = 250.0
+"""Length of an intersection's arm, m (our choice)."""
+
 CONTROLS: Final[tuple[str, ...]] = (
     "traffic_light",
     "priority",
@@ -40,14 +49,14 @@ _MOST_LANES: Final = 5
 
 
 def _check_lanes(lanes: int) -> None:
-    if not 1 <= lanes <= _MOST_LANES:
-        raise InputError(f"lanes: found {lanes}, expected 1 to {_MOST_LANES}")
+    if not isinstance(lanes, int) or not 1 <= lanes <= _MOST_LANES:
+        raise InputError(f"lanes: found {lanes!r}, expected 1 to {_MOST_LANES}")
 
 
 def _check_positive(**values: float) -> None:
     for name, value in values.items():
-        if not math.isfinite(value) or value <= 0:
-            raise InputError(f"{name}: found {value}, expected a number > 0")
+        if not isinstance(value, int | float) or not math.isfinite(value) or value <= 0:
+            raise InputError(f"{name}: found {value!r}, expected a number > 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +75,7 @@ class StraightGeometry:
     two_way: bool = False
     crossing: bool = True
     length_m: float = 800.0
-    limit_mps: float = 13.89
+    limit_mps: float = LIMIT_MPS
 
     def __post_init__(self) -> None:
         """Refuse what cannot be built."""
@@ -74,7 +83,7 @@ class StraightGeometry:
         _check_positive(length_m=self.length_m, limit_mps=self.limit_mps)
 
     def sources(self) -> dict[str, str]:
-        """Plain XML by file name: nodes, edges, connections."""
+        """Text by file name: nodes, edges, connections and netconvert's settings."""
         half = self.length_m / 2
         nodes = [("west", 0.0), ("middle", half), ("east", self.length_m)]
         node_rows = [f'    <node id="{n}" x="{x:g}" y="0" type="priority"/>' for n, x in nodes]
@@ -87,22 +96,13 @@ class StraightGeometry:
         )
         back = road if self.two_way else walk
         edge_rows = []
-        for edge, begin, end, kind, opposite in (
-            ("east_in", "west", "middle", road, "west_out"),
-            ("east_out", "middle", "east", road, "west_in"),
-            ("west_in", "east", "middle", back, "east_out"),
-            ("west_out", "middle", "west", back, "east_in"),
+        for edge, begin, end, kind in (
+            ("east_in", "west", "middle", road),
+            ("east_out", "middle", "east", road),
+            ("west_in", "east", "middle", back),
+            ("west_out", "middle", "west", back),
         ):
-            row = f'    <edge id="{edge}" from="{begin}" to="{end}" {kind}'
-            if self.two_way:
-                inner = self.lanes  # the sidewalk is lane 0
-                row += (
-                    f'>\n        <lane index="{inner}"><neigh lane="{opposite}_{inner}"/></lane>'
-                    "\n    </edge>"
-                )
-            else:
-                row += "/>"
-            edge_rows.append(row)
+            edge_rows.append(f'    <edge id="{edge}" from="{begin}" to="{end}" {kind}/>')
         connection_rows = []
         if self.crossing:
             crossed = "east_in west_out" if self.two_way else "east_in"
@@ -114,6 +114,7 @@ class StraightGeometry:
             "road.nod.xml": _document("nodes", node_rows),
             "road.edg.xml": _document("edges", edge_rows),
             "road.con.xml": _document("connections", connection_rows),
+            "road.netccfg": _settings(opposites=self.two_way),
         }
 
 
@@ -130,8 +131,8 @@ class FourWayGeometry:
 
     control: str = "traffic_light"
     lanes: int = 2
-    arm_m: float = 250.0
-    limit_mps: float = 13.89
+    arm_m: float = ARM_M
+    limit_mps: float = LIMIT_MPS
 
     def __post_init__(self) -> None:
         """Refuse what cannot be built."""
@@ -141,7 +142,7 @@ class FourWayGeometry:
         _check_positive(arm_m=self.arm_m, limit_mps=self.limit_mps)
 
     def sources(self) -> dict[str, str]:
-        """Plain XML by file name: nodes, edges, connections."""
+        """Text by file name: nodes, edges, connections and netconvert's settings."""
         node_rows = [f'    <node id="centre" x="0" y="0" type="{self.control}"/>']
         edge_rows = []
         for arm, (dx, dy) in ARMS.items():
@@ -165,6 +166,7 @@ class FourWayGeometry:
             "road.nod.xml": _document("nodes", node_rows),
             "road.edg.xml": _document("edges", edge_rows),
             "road.con.xml": _document("connections", connection_rows),
+            "road.netccfg": _settings(opposites=False),
         }
 
 
@@ -173,3 +175,22 @@ Geometry: TypeAlias = StraightGeometry | FourWayGeometry
 
 def _document(root: str, rows: list[str]) -> str:
     return "\n".join([f"<{root}>", *rows, f"</{root}>", ""])
+
+
+def _settings(opposites: bool) -> str:
+    """Netconvert's settings; ``opposites``: whether lanes may be used against their direction."""
+    values = {
+        "node-files": "road.nod.xml",
+        "edge-files": "road.edg.xml",
+        "connection-files": "road.con.xml",
+        "no-turnarounds": "true",
+        "offset.disable-normalization": "true",
+        "junctions.limit-turn-speed": "5.5",
+        "tls.default-type": "static",
+        "tls.cycle.time": "60",
+        "tls.allred.time": "1",
+        "no-warnings": "true",
+    }
+    if opposites:
+        values |= {"opposites.guess": "true", "opposites.guess.fix-lengths": "true"}
+    return _document("configuration", [f'    <{k} value="{v}"/>' for k, v in values.items()])

@@ -11,6 +11,7 @@ References:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 from xml.sax.saxutils import quoteattr
@@ -35,10 +36,10 @@ VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
 
 ATTRIBUTES: Final[frozenset[str]] = frozenset(
     {
-        "id", "vClass", "length", "width", "maxSpeed", "carFollowModel", "laneChangeModel",
-        "speedFactor", "speedDev", "tau", "minGap", "accel", "decel", "emergencyDecel", "sigma",
-        "startupDelay", "impatience", "lcStrategic", "lcCooperative", "lcSpeedGain",
-        "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
+        "id", "vClass", "length", "width", "maxSpeed", "desiredMaxSpeed", "carFollowModel",
+        "laneChangeModel", "speedFactor", "speedDev", "tau", "minGap", "accel", "decel",
+        "emergencyDecel", "sigma", "startupDelay", "impatience", "lcStrategic", "lcCooperative",
+        "lcSpeedGain", "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
         "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime",
     }
 )  # fmt: skip
@@ -92,8 +93,12 @@ def vehicle_type(agent: AgentSpec) -> dict[str, str]:
     if agent.profile is None:
         raise InputError(f"agent {agent.id}: found no profile, expected one for a {agent.kind}")
     limits = KIND_LIMITS[agent.kind]
+    cruise = (
+        {} if math.isinf(limits.cruise_mps) else {"desiredMaxSpeed": _number(limits.cruise_mps)}
+    )
     return _checked(
         common
+        | cruise
         | {
             "maxSpeed": _number(limits.max_speed_mps),
             "carFollowModel": "Krauss",

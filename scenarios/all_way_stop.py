@@ -1,0 +1,12 @@
+"""A four-way intersection where everybody stops.
+
+The road and the demand are made by the function that `scenarios.SCENARIOS` names; this module is
+the scenario's command.
+"""
+
+from __future__ import annotations
+
+from scenarios.command import main
+
+if __name__ == "__main__":
+    raise SystemExit(main("all_way_stop"))
