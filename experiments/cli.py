@@ -185,6 +185,28 @@ def report(
         typer.echo(write_report(run))
 
 
+@app.command(epilog="example: graphrqi verify data --repair")
+def verify(
+    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
+    repair: Annotated[bool, typer.Option("--repair", help="Make wrong files again.")] = False,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare every file with its checksum."""
+    from experiments.tables import show_table
+    from experiments.verify import verify_dataset
+
+    flaws = verify_dataset(dataset, repair, jobs, quiet)
+    if flaws or json is not None:
+        show_table([{"file": str(f.path), "state": f.state} for f in flaws], json)
+    if flaws:
+        typer.echo(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
+        raise typer.Exit(2)
+    if json is None:
+        typer.echo(f"{dataset}: every file is as its manifest says")
+
+
 @app.command(epilog="example: graphrqi doctor")
 def doctor(json: Json = None) -> None:
     """Say what is installed, missing, and how to get it."""

@@ -32,6 +32,7 @@ from sim.dataset import (
     MANIFEST,
     episode_id,
     finished_episode,
+    keep_road,
     made_with,
     open_dataset,
     unlisted_episodes,
@@ -194,6 +195,7 @@ def make_episode(folder: Path, task: Task) -> EpisodeEntry:
     agents = sample_agents(scenario, task.seed)
     meta = task.meta(scenario)
     road = scenario.road.source
+    keep_road(folder, road)
     entry = finished_episode(folder, episode_id(meta, agents, road))
     if entry is not None:
         return entry

@@ -410,7 +410,7 @@ def _write(
     road: Path | None,
 ) -> EpisodeEntry:
     _check_finite(steps)
-    road_sha256 = None if road is None else _write_road(folder, road)
+    road_sha256 = None if road is None else keep_road(folder, road)
     tables: dict[FileName, pa.Table] = {
         "steps.parquet": _steps_table(steps),
         "agents.parquet": agents,
@@ -440,7 +440,19 @@ def _road_path(folder: Path, sha256: str) -> Path:
     return folder / "roads" / f"{sha256}.net.xml"
 
 
-def _write_road(folder: Path, road: Path) -> str:
+def keep_road(folder: Path, road: Path) -> str:
+    """Copy a road into a dataset, unless it is there already, unaltered.
+
+    Args:
+        folder: the dataset.
+        road: a SUMO net.
+
+    Returns:
+        Its checksum.
+
+    Raises:
+        OSError: if it cannot be read or written.
+    """
     data = road.read_bytes()
     sha256 = _sha256(data)
     path = _road_path(folder, sha256)

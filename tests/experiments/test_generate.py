@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -11,12 +12,16 @@ import sys
 import time
 from pathlib import Path
 
+import cloudpickle
 import pytest
 
+import experiments.generate
 from behaviors import InputError
-from experiments.generate import GenerateConfig, Task, generate, read_config
+from experiments.generate import GenerateConfig, Task, generate, make_episode, read_config
+from experiments.verify import verify_dataset
 from sim.dataset import open_dataset
 from sim.lock import sole_writer
+from sim.schema import EpisodeEntry
 
 CONFIG = GenerateConfig(
     scenarios=("straight_road", "four_way_intersection"), episodes=1, seed=7, duration_s=12.0
@@ -204,6 +209,82 @@ def test_a_full_disk_is_one_clear_error_and_leaves_nothing_half_written(tmp_path
     assert run.stderr.endswith("File too large\n")
     assert run.stderr.count("\n") == 1
     assert {p.suffix for p in folder.rglob("*") if p.is_file()} <= {".xml"}
+
+
+def _deadly(folder: Path, task: Task) -> EpisodeEntry:
+    if task.index == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return make_episode(folder, task)
+
+
+def _failing(folder: Path, task: Task) -> EpisodeEntry:
+    if task.index == 1:
+        raise InputError("engine: fell over")
+    return make_episode(folder, task)
+
+
+@pytest.mark.parametrize(
+    ("stand_in", "reason"),
+    [(_deadly, "killed its worker 3 times"), (_failing, "engine: fell over")],
+    ids=["kills its worker", "fails"],
+)
+def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand_in: object, reason: str
+) -> None:
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    monkeypatch.setattr(experiments.generate, "make_episode", stand_in)
+    config = CONFIG.model_copy(update={"scenarios": ("straight_road",), "episodes": 4})
+    seed = Task(config, "straight_road", 1).seed
+    with pytest.raises(InputError, match=rf"1 of 4 .* episode 1 \(seed {seed}\): {reason}"):
+        generate(config, tmp_path, jobs=2, quiet=True)
+    cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+    assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 2, 3]
+    monkeypatch.undo()
+    generate(config, tmp_path, jobs=2, quiet=True)
+    assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 1, 2, 3]
+
+
+# --- verify -------------------------------------------------------------------------------------
+
+
+def test_verify_finds_and_repairs(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(made, folder)
+    assert verify_dataset(folder) == []
+    first, second = sorted(p.name for p in (folder / "episodes").iterdir())
+    (road, _) = sorted((folder / "roads").iterdir())
+    steps = folder / "episodes" / first / "steps.parquet"
+    steps.write_bytes(steps.read_bytes()[:-1])
+    (folder / "episodes" / second / "events.parquet").unlink()
+    (folder / "episodes" / second / "episode.json").write_text("{}")
+    (folder / "episodes" / first / "extra").touch()
+    (folder / "episodes" / "stranger").mkdir()
+    (folder / "episodes" / "stranger" / "file").touch()
+    (folder / "notes.txt").touch()
+    road.write_text("<net/>")
+    flaws = {str(f.path): f.state for f in verify_dataset(folder)}
+    assert flaws == {
+        f"episodes/{first}/steps.parquet": "altered",
+        f"episodes/{first}/extra": "foreign",
+        f"episodes/{second}/events.parquet": "missing",
+        f"episodes/{second}/episode.json": "altered",
+        "episodes/stranger/file": "foreign",
+        "notes.txt": "foreign",
+        f"roads/{road.name}": "altered",
+    }
+    left = verify_dataset(folder, mend=True, jobs=1, quiet=True)
+    assert [str(f.path) for f in left] == ["notes.txt"]
+    (folder / "notes.txt").unlink()
+    assert content(folder) == content(made)
+
+
+def test_what_was_made_with_other_versions_is_not_repaired(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(made, folder)
+    manifest = folder / "manifest.json"
+    manifest.write_text(re.sub(r'"libsumo": "[^"]+"', '"libsumo": "0.1"', manifest.read_text()))
+    with pytest.raises(InputError, match=r"was made with .*'libsumo': '0.1'.*install those"):
+        verify_dataset(folder, mend=True, quiet=True)
 
 
 # --- configuration ------------------------------------------------------------------------------
