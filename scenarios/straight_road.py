@@ -21,7 +21,7 @@ near capacity with a crossing in use)."""
 TWO_WAY_FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 150.0, "medium": 350.0, "dense": 600.0}
 """The same for two-way roads, where overtaking needs gaps in the oncoming traffic (our choice)."""
 
-PEDESTRIANS_PER_H: Final = 120.0
+PEDESTRIANS_PER_H: Final = 160.0
 """Pedestrians per hour over the crossing (our choice; several hundred jam a dense road)."""
 
 

@@ -115,6 +115,7 @@ def _lane(lane: Any, edge: Any) -> Lane:
         speed_limit_mps=float(lane.getSpeed()),
         walking=not lane.allows("passenger") and lane.allows("pedestrian"),
         internal=edge.getFunction() == "internal",
+        opposite=str(lane.getNeigh() or ""),
     )
 
 

@@ -32,6 +32,8 @@ class Lane:
         speed_limit_mps: m/s.
         walking: whether it is a sidewalk (pedestrians only).
         internal: whether it crosses a junction.
+        opposite: id of the neighbouring lane of the other direction; "" if there is none that may
+            be used for overtaking.
     """
 
     id: str
@@ -42,6 +44,7 @@ class Lane:
     speed_limit_mps: float
     walking: bool = False
     internal: bool = False
+    opposite: str = ""
 
     @property
     def length_m(self) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -163,9 +163,10 @@ def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Ite
             *OPTIONS,
         ]  # fmt: skip
         sumo = _SIMULATION.start(arguments, log)
+        controls: Controls | None = None
         try:
             reader = _Reader(sumo, scenario.road, agents)
-            controls = Controls(sumo, scenario.road, agents)
+            controls = Controls(sumo, scenario.road, agents, step_ms / 1000)
             import libsumo
 
             for index in range(1, round(scenario.duration_s / scenario.step_s) + 1):
@@ -175,7 +176,8 @@ def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Ite
                         now_s = ((index - 1) * substeps + part) * step_ms / 1000
                         reader.watch(now_s)
                         controls.step(now_s)
-                    frame = reader.read(index * scenario.step_s)
+                        reader.note_removed(controls.removed, now_s)
+                    frame = reader.read(index * scenario.step_s, controls.walking_speeds)
                 except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                     raise SumoError(
                         f"sumo: stopped at {index * scenario.step_s:g} s: "
@@ -183,7 +185,11 @@ def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Ite
                     ) from None
                 yield frame
         finally:
-            _SIMULATION.close()
+            try:
+                if controls is not None and controls.moved:
+                    sumo.simulation_step(0.0)  # closing right after placing someone crashes libsumo
+            finally:
+                _SIMULATION.close()
 
 
 class _Reader:
@@ -213,8 +219,20 @@ class _Reader:
             self._events.append(Event(EventKind.COLLISION, time_s, collider, victim))
         self._touching = touching
 
-    def read(self, time_s: float) -> Frame:
-        """The state now, with the events since the last reading."""
+    def note_removed(self, agents: Sequence[int], time_s: float) -> None:
+        """Note who was taken off the road."""
+        for agent in agents:
+            self._events.append(
+                Event(EventKind.REMOVAL, time_s, agent, rule="stood on the wrong side")
+            )
+
+    def read(self, time_s: float, walking_speeds: Mapping[str, float]) -> Frame:
+        """The state now, with the events since the last reading.
+
+        Args:
+            time_s: simulated time, s.
+            walking_speeds: speeds, m/s, of pedestrians whose speed SUMO does not know.
+        """
         sumo = self._sumo
         vehicles = sumo.vehicle_getIDList()
         state = self._state(
@@ -229,6 +247,8 @@ class _Reader:
             walking = self._state(
                 persons, sumo.person_getPosition, sumo.person_getAngle, sumo.person_getSpeed
             )
+            for row, name in enumerate(persons):
+                walking[row, 3] = walking_speeds.get(name, walking[row, 3])
             state = np.concatenate([state, walking])
             ids = np.concatenate([ids, np.fromiter(map(int, persons), np.int64, len(persons))])
         order = np.argsort(ids)

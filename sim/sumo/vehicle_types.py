@@ -40,7 +40,7 @@ ATTRIBUTES: Final[frozenset[str]] = frozenset(
         "laneChangeModel", "speedFactor", "speedDev", "tau", "minGap", "accel", "decel",
         "emergencyDecel", "sigma", "startupDelay", "impatience", "lcStrategic", "lcCooperative",
         "lcSpeedGain", "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
-        "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime",
+        "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime", "jmDriveAfterRedTime",
     }
 )  # fmt: skip
 """Every vType attribute that may be written (SUMO 1.28's names)."""
@@ -87,9 +87,10 @@ def vehicle_type(agent: AgentSpec) -> dict[str, str]:
         "width": _number(agent.width_m),
     }
     if agent.kind is AgentKind.PEDESTRIAN:
-        return _checked(
-            common | {"maxSpeed": _number(agent.speed_mps), "speedFactor": "1", "speedDev": "0"}
-        )
+        walking = {"maxSpeed": _number(agent.speed_mps), "speedFactor": "1", "speedDev": "0"}
+        if agent.jaywalks:
+            walking["jmDriveAfterRedTime"] = "1000"
+        return _checked(common | walking)
     if agent.profile is None:
         raise InputError(f"agent {agent.id}: found no profile, expected one for a {agent.kind}")
     limits = KIND_LIMITS[agent.kind]

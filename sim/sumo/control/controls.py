@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.cutting_in import CuttingIn
+from sim.sumo.control.jaywalking import Jaywalking
 from sim.sumo.control.obedience import Obedience
 from sim.sumo.control.stopping import Stopping
+from sim.sumo.control.wrong_way import WrongWay
 
 
 class Controls:
@@ -19,13 +21,16 @@ class Controls:
         sumo: libsumo's C module.
         road: the road.
         agents: everyone.
+        step_s: length of a simulation step, s.
     """
 
-    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
         self._sumo = sumo
         self._obedience = Obedience(sumo, road, agents)
         self._cutting_in = CuttingIn(sumo, road, agents)
         self._stopping = Stopping(sumo, road, agents)
+        self._wrong_way = WrongWay(sumo, road, agents)
+        self._jaywalking = Jaywalking(sumo, road, agents, step_s)
 
     def step(self, time_s: float) -> None:
         """Act after a simulation step.
@@ -38,3 +43,20 @@ class Controls:
         self._obedience.step(vehicles, persons)
         self._cutting_in.step(time_s, vehicles)
         self._stopping.step(time_s, vehicles)
+        self._wrong_way.step(time_s, vehicles)
+        self._jaywalking.step(time_s, vehicles, persons)
+
+    @property
+    def removed(self) -> Sequence[int]:
+        """Ids of the agents that the last step took off the road."""
+        return self._wrong_way.removed
+
+    @property
+    def walking_speeds(self) -> Mapping[str, float]:
+        """Speed of the pedestrians who are led by hand, m/s: SUMO does not know it."""
+        return self._jaywalking.speeds
+
+    @property
+    def moved(self) -> bool:
+        """Whether somebody was placed by hand since the last simulation step."""
+        return self._jaywalking.moved

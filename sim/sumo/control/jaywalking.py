@@ -1,0 +1,225 @@
+"""Pedestrians who cross anywhere: from the sidewalk straight over, when they find the gap."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from sim.frames import AgentKind
+from sim.road import Lane, Road
+from sim.scenario import AgentSpec
+
+MARGIN_S: Final = 1.5
+"""A vehicle may come this long after the walker has left its lane, not sooner (our choice)."""
+
+SIGHT_M: Final = 150.0
+"""Vehicles farther than this are not looked at (our choice)."""
+
+PATIENCE_S: Final = 60.0
+"""Who finds no gap for this long walks on (our choice)."""
+
+BEYOND_M: Final = 0.8
+"""The walk ends this far beyond the carriageway, on the other sidewalk."""
+
+MARGIN_M: Final = 40.0
+"""No jaywalking nearer to a junction or crossing (our choice)."""
+
+
+@dataclass(slots=True)
+class _Walker:
+    """One jaywalker."""
+
+    agent: AgentSpec
+    edge: str
+    at_m: float
+    begin: tuple[float, float] = (0.0, 0.0)
+    aim: tuple[float, float] = (0.0, 0.0)
+    waiting_since_s: float = -1.0
+    walked_m: float = -1.0
+    done: bool = False
+
+
+class Jaywalking:
+    """Walks jaywalkers over the road, away from any crossing.
+
+    Args:
+        sumo: libsumo's C module.
+        road: the road.
+        agents: everyone; who does not jaywalk is left alone.
+        step_s: length of a simulation step, s.
+
+    Attributes:
+        speeds: walking speed of everyone who is led by hand now, m/s, by name.
+    """
+
+    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
+        self._sumo = sumo
+        self._step_s = step_s
+        self._road = road
+        self._walkers: dict[str, _Walker] = {}
+        self.speeds: dict[str, float] = {}
+        self.moved = False
+        places = {
+            lane.edge: _places(road, lane)
+            for lane in road.lanes
+            if lane.walking and not lane.internal
+        }
+        for agent in agents:
+            if agent.kind is not AgentKind.PEDESTRIAN or not agent.jaywalks:
+                continue
+            choice = places.get(agent.route[0], ())
+            if not choice:
+                continue
+            rng = np.random.default_rng((agent.seed, 5))
+            at = choice[int(rng.integers(len(choice)))]
+            self._walkers[str(agent.id)] = _Walker(agent, agent.route[0], at)
+
+    def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
+        """Stop jaywalkers at the kerb, look for gaps, lead them over.
+
+        Args:
+            time_s: simulated time, s.
+            vehicles: names of the vehicles on the road.
+            persons: names of the pedestrians on the road.
+        """
+        self.moved = False
+        self.speeds.clear()
+        for name in persons:
+            walker = self._walkers.get(name)
+            if walker is None or walker.done:
+                continue
+            if walker.walked_m >= 0:
+                self._walk(name, walker)
+            elif walker.waiting_since_s >= 0:
+                self._wait(name, walker, time_s, vehicles)
+            elif self._arrived(name, walker):
+                walker.waiting_since_s = time_s
+                self._wait(name, walker, time_s, vehicles)
+
+    def _arrived(self, name: str, walker: _Walker) -> bool:
+        """Whether the walker has come to the chosen place; chooses where to aim at."""
+        sumo = self._sumo
+        if sumo.person_getRoadID(name) != walker.edge:
+            return False
+        x, y = sumo.person_getPosition(name)
+        lane = next(one for one in self._road.lanes if one.edge == walker.edge and one.walking)
+        line = lane.centerline
+        direction = (line[-1] - line[0]) / np.hypot(*(line[-1] - line[0]))
+        along = float((np.array([x, y]) - line[0]) @ direction)
+        if along < walker.at_m if walker.agent.route[0] == walker.edge else along > walker.at_m:
+            return False
+        aim = _other_side(self._road, lane, np.array([x, y]), direction)
+        if aim is None or abs(along - walker.at_m) > MARGIN_M:
+            walker.done = True
+            return False
+        walker.begin, walker.aim = (x, y), aim
+        return True
+
+    def _wait(self, name: str, walker: _Walker, time_s: float, vehicles: Sequence[str]) -> None:
+        if time_s - walker.waiting_since_s > PATIENCE_S:
+            walker.done = True
+            return
+        if self._gap(walker, vehicles):
+            walker.walked_m = 0.0
+            self._walk(name, walker)
+        else:
+            self._place(name, walker, 0.0, 0.0)
+
+    def _gap(self, walker: _Walker, vehicles: Sequence[str]) -> bool:
+        """Whether everyone who comes will come after the walker has left their lane."""
+        sumo = self._sumo
+        (x, y), (ax, ay) = walker.begin, walker.aim
+        width = math.hypot(ax - x, ay - y)
+        over = ((ax - x) / width, (ay - y) / width)
+        for name in vehicles:
+            vx, vy = sumo.vehicle_getPosition(name)
+            dx, dy = x - vx, y - vy
+            angle = math.radians(sumo.vehicle_getAngle(name))
+            ahead = dx * math.sin(angle) + dy * math.cos(angle)
+            if ahead < -20.0 or ahead > SIGHT_M:
+                continue
+            aside = -(dx * over[0] + dy * over[1])
+            if not -2.0 < aside < width + 2.0:
+                continue
+            leaves_s = (aside + 2.0) / walker.agent.speed_mps
+            enters_s = (aside - 2.0) / walker.agent.speed_mps
+            speed = max(sumo.vehicle_getSpeed(name), 3.0)  # who stands now may start
+            if ahead < 0:  # passing or past: clear once the rear is
+                if -ahead < 12.0 + 2.0 and enters_s < 2.0:
+                    return False
+            elif ahead / speed < leaves_s + MARGIN_S:
+                return False
+        return True
+
+    def _walk(self, name: str, walker: _Walker) -> None:
+        walker.walked_m += walker.agent.speed_mps * self._step_s
+        (x, y), (ax, ay) = walker.begin, walker.aim
+        if walker.walked_m >= math.hypot(ax - x, ay - y):
+            while self._sumo.person_getRemainingStages(name) > 1:
+                self._sumo.person_removeStage(name, 1)
+            self._sumo.person_removeStage(name, 0)
+            walker.done = True
+            return
+        self._place(name, walker, walker.walked_m, walker.agent.speed_mps)
+
+    def _place(self, name: str, walker: _Walker, walked_m: float, speed_mps: float) -> None:
+        (x, y), (ax, ay) = walker.begin, walker.aim
+        share = walked_m / math.hypot(ax - x, ay - y)
+        angle = math.degrees(math.atan2(ax - x, ay - y)) % 360.0
+        self._sumo.person_moveToXY(
+            name, "", x + share * (ax - x), y + share * (ay - y), angle, 2, 100.0
+        )
+        self.speeds[name] = speed_mps
+        self.moved = True
+
+
+def _places(road: Road, sidewalk: Lane) -> tuple[float, ...]:
+    """Distances along a sidewalk, m, where one may jaywalk.
+
+    Away from junctions, and from where vehicles appear: nobody can see who is not there yet.
+    """
+    reached = {link.to_lane for link in road.connections}
+    entries = [
+        lane.centerline[0]
+        for lane in road.lanes
+        if not (lane.walking or lane.internal or lane.id in reached)
+    ]
+    begin, end = sidewalk.centerline[0], sidewalk.centerline[-1]
+    along = np.arange(MARGIN_M, sidewalk.length_m - MARGIN_M, 5.0)
+    return tuple(
+        float(s)
+        for s in along
+        if all(
+            np.hypot(*(begin + (end - begin) * s / sidewalk.length_m - entry)) >= SIGHT_M
+            for entry in entries
+        )
+    )
+
+
+def _other_side(
+    road: Road, sidewalk: Lane, place: np.ndarray, direction: np.ndarray
+) -> tuple[float, float] | None:
+    """Where a straight walk over the carriageway from a sidewalk ends; None if there is no road."""
+    over = np.array([-direction[1], direction[0]])  # to the left: sidewalks are on the right
+    farthest = 0.0
+    for lane in road.lanes:
+        if lane.walking or lane.internal:
+            continue
+        begin, end = lane.centerline[0], lane.centerline[-1]
+        line = (end - begin) / np.hypot(*(end - begin))
+        if abs(float(line @ direction)) < 0.99:
+            continue
+        along = float((place - begin) @ line)
+        if not MARGIN_M / 2 < along < lane.length_m - MARGIN_M / 2:
+            continue
+        aside = float((begin - place) @ over)
+        if 0.0 < aside < 40.0:
+            farthest = max(farthest, aside + lane.width_m / 2)
+    if farthest == 0.0:
+        return None
+    aim = place + (farthest + BEYOND_M) * over
+    return float(aim[0]), float(aim[1])

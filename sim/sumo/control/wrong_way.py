@@ -1,0 +1,207 @@
+"""Driving on the wrong side to get past a slower car, on roads with one lane each way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from sim.road import Road
+from sim.scenario import AgentSpec
+
+NOTHING: Final = 0
+"""Lane-change mode: no change but what is commanded."""
+
+ORDINARY: Final = 1621
+"""SUMO's default lane-change mode; it leads back to the right side as soon as there is room."""
+
+SIGHT_M: Final = 250.0
+"""The oncoming lane must be clear this far to start (our choice: with less there are head-on
+stand-offs)."""
+
+START_S: Final = 14.0
+"""Nor may anyone meet the driver sooner than this."""
+
+RETURN_M, RETURN_S = 100.0, 7.0
+"""Someone oncoming nearer than this, or met sooner: back to the right side."""
+
+LONGEST_S: Final = 20.0
+"""Nobody stays on the wrong side longer on purpose (our choice)."""
+
+LEADER_M: Final = 40.0
+"""A slower car this close ahead is worth passing (our choice)."""
+
+PASSED_M: Final = 12.0
+"""So far behind, front to front, the passed car is passed."""
+
+SLOWER_MPS: Final = 1.5
+"""What counts as slower than the own desired speed (our choice)."""
+
+STAND_S: Final = 5.0
+"""Who stands this long on the wrong side is taken off the road, else everyone waits for good."""
+
+CLEAR_M: Final = 60.0
+"""No start closer to the end of the lane (our choice)."""
+
+_PERIOD_S: Final = 0.5
+"""How often a driver with a wish looks for a chance."""
+
+
+@dataclass(slots=True)
+class _Driver:
+    """One driver who uses the wrong side."""
+
+    agent: AgentSpec
+    rng: np.random.Generator
+    wish_s: float
+    passing: str = ""
+    since_s: float = -1.0
+    returning: bool = False
+    standing_s: float = -1.0
+
+
+class WrongWay:
+    """Makes drivers pass on the wrong side as often as their profiles wish, where it is clear.
+
+    Args:
+        sumo: libsumo's C module.
+        road: the road; those without opposite lanes never see it happen.
+        agents: everyone; those who never do are left alone.
+    """
+
+    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+        self._sumo = sumo
+        self._lanes = {lane.id: lane for lane in road.lanes if not lane.walking}
+        self._passable = frozenset(lane.id for lane in road.lanes if lane.opposite)
+        self._drivers: dict[str, _Driver] = {}
+        self.removed: list[int] = []
+        for agent in agents if self._passable else ():
+            if agent.profile is not None and agent.profile.wrong_way_rate_per_min > 0:
+                driver = _Driver(agent, np.random.default_rng((agent.seed, 4)), 0.0)
+                driver.wish_s = agent.depart_s + _pause_s(driver)
+                self._drivers[str(agent.id)] = driver
+
+    def step(self, time_s: float, vehicles: Sequence[str]) -> None:
+        """Begin, end and clear up drives on the wrong side.
+
+        Args:
+            time_s: simulated time, s.
+            vehicles: names of the vehicles on the road; who is taken off is in `removed`.
+        """
+        self.removed = []
+        for name in vehicles:
+            driver = self._drivers.get(name)
+            if driver is None:
+                continue
+            if driver.since_s >= 0:
+                self._follow_up(name, driver, time_s, vehicles)
+            elif time_s >= driver.wish_s:
+                leader = self._chance(name, vehicles)
+                if leader:
+                    lane = self._lanes[self._sumo.vehicle_getLaneID(name)]
+                    self._sumo.vehicle_setLaneChangeMode(name, NOTHING)
+                    self._sumo.vehicle_changeLane(name, lane.index + 1, 3.0)
+                    driver.passing, driver.since_s = leader, time_s
+                else:
+                    driver.wish_s = time_s + _PERIOD_S
+
+    def _chance(self, name: str, vehicles: Sequence[str]) -> str:
+        """The slower car ahead, if it can be passed now; otherwise nothing."""
+        sumo = self._sumo
+        lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+        if lane is None or lane.id not in self._passable or lane.internal:
+            return ""
+        if lane.length_m - sumo.vehicle_getLanePosition(name) < CLEAR_M:
+            return ""
+        leader = sumo.vehicle_getLeader(name, LEADER_M)
+        if not leader or not leader[0] or leader[1] > LEADER_M:
+            return ""
+        desired = sumo.vehicle_getAllowedSpeed(name)
+        if sumo.vehicle_getSpeed(leader[0]) > desired - SLOWER_MPS:
+            return ""
+        distance, meeting = self._oncoming(name, vehicles)
+        return str(leader[0]) if distance > SIGHT_M and meeting > START_S else ""
+
+    def _follow_up(
+        self, name: str, driver: _Driver, time_s: float, vehicles: Sequence[str]
+    ) -> None:
+        sumo = self._sumo
+        wrong = self._on_wrong_side(name)
+        speed = sumo.vehicle_getSpeed(name)
+        if not driver.returning:
+            distance, meeting = self._oncoming(name, vehicles)
+            passed = driver.passing not in vehicles or self._behind(name, driver.passing)
+            late = time_s - driver.since_s > LONGEST_S
+            if passed or late or distance < RETURN_M or meeting < RETURN_S:
+                driver.returning = True
+                sumo.vehicle_setLaneChangeMode(name, ORDINARY)
+        elif not wrong and time_s - driver.since_s > 3.0:
+            driver.since_s, driver.returning, driver.standing_s = -1.0, False, -1.0
+            driver.wish_s = time_s + _pause_s(driver)
+            return
+        if wrong and speed < 0.1:
+            if driver.standing_s < 0:
+                driver.standing_s = time_s
+            elif time_s - driver.standing_s >= STAND_S:
+                sumo.vehicle_remove(name)
+                self.removed.append(driver.agent.id)
+                driver.since_s = -1.0
+                driver.wish_s = math.inf
+        else:
+            driver.standing_s = -1.0
+
+    def _on_wrong_side(self, name: str) -> bool:
+        """Whether a vehicle is on a lane that leads the other way."""
+        sumo = self._sumo
+        lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+        if lane is None:
+            return False
+        (x0, y0), (x1, y1) = lane.centerline[0], lane.centerline[-1]
+        east, north = _direction(sumo.vehicle_getAngle(name))
+        return bool(east * (x1 - x0) + north * (y1 - y0) < 0)
+
+    def _behind(self, name: str, other: str) -> bool:
+        """Whether another vehicle has fallen behind far enough to return before it."""
+        sumo = self._sumo
+        x, y = sumo.vehicle_getPosition(name)
+        east, north = _direction(sumo.vehicle_getAngle(name))
+        ox, oy = sumo.vehicle_getPosition(other)
+        ahead = (ox - x) * east + (oy - y) * north
+        return bool(ahead < -PASSED_M)
+
+    def _oncoming(self, name: str, vehicles: Sequence[str]) -> tuple[float, float]:
+        """Distance, m, and time to meeting, s, of the nearest vehicle coming the other way."""
+        sumo = self._sumo
+        x, y = sumo.vehicle_getPosition(name)
+        east, north = _direction(sumo.vehicle_getAngle(name))
+        speed = sumo.vehicle_getSpeed(name)
+        nearest, soonest = math.inf, math.inf
+        for other in vehicles:
+            ox, oy = sumo.vehicle_getPosition(other)
+            ahead = (ox - x) * east + (oy - y) * north
+            aside = abs((oy - y) * east - (ox - x) * north)
+            if ahead <= 0 or aside > 8.0:
+                continue
+            o_east, o_north = _direction(sumo.vehicle_getAngle(other))
+            if o_east * east + o_north * north > -0.5 or self._on_wrong_side(other):
+                continue
+            nearest = min(nearest, ahead)
+            closing = speed + sumo.vehicle_getSpeed(other)
+            soonest = min(soonest, ahead / max(closing, 1e-6))
+        return nearest, soonest
+
+
+def _direction(angle: float) -> tuple[float, float]:
+    """East and north part of a direction given in degrees clockwise from north."""
+    radians = math.radians(angle)
+    return math.sin(radians), math.cos(radians)
+
+
+def _pause_s(driver: _Driver) -> float:
+    """Time until the next wish, s."""
+    profile = driver.agent.profile
+    assert profile is not None
+    return float(driver.rng.exponential(60.0 / profile.wrong_way_rate_per_min))
