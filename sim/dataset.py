@@ -230,6 +230,7 @@ def _agents_table(agents: Sequence[AgentSpec], names: Mapping[int, str]) -> pa.T
         "route": [list(a.route) for a in agents],
         "walking_speed_mps": [a.speed_mps for a in agents],
         "seed": [a.seed for a in agents],
+        "jaywalks": [a.jaywalks for a in agents],
     }
     for name in PROFILE_FIELDS:
         columns[name] = [None if a.profile is None else getattr(a.profile, name) for a in agents]
@@ -885,7 +886,7 @@ def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
     _codes(path, table, "kind", KINDS)
     for name in ("length_m", "width_m", "depart_s", "walking_speed_mps", "seed"):
         _numbers(path, table, name)
-    for name in ("name", "route"):
+    for name in ("name", "route", "jaywalks"):
         if table.column(name).null_count:
             raise InputError(f"{path}: found an empty {name}, expected one in every row")
     specs: list[AgentSpec] = []
@@ -910,6 +911,7 @@ def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
                 width_m=row["width_m"],
                 speed_mps=row["walking_speed_mps"],
                 seed=row["seed"],
+                jaywalks=row["jaywalks"],
             )
         )
     return tuple(specs)

@@ -101,6 +101,7 @@ AGENTS: Final = pa.schema(
         pa.field("route", pa.list_(pa.string()), nullable=False),  # edges, first to last
         pa.field("walking_speed_mps", pa.float64(), nullable=False),  # 0 for those that drive
         pa.field("seed", pa.int64(), nullable=False),  # of the agent's own chance decisions
+        pa.field("jaywalks", pa.bool_(), nullable=False),  # crosses anywhere and on red
         *(pa.field(name, pa.float64()) for name in PROFILE_FIELDS),  # null: no profile
     ]
 )
