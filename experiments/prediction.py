@@ -19,6 +19,7 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.metrics import bootstrap
+from experiments.parallel import in_parallel
 from experiments.progress import Progress
 from experiments.tables import Row, show_table
 from graphrqi.methods import Model, load_model
@@ -28,7 +29,7 @@ from graphrqi.predict.calibrate import Sample, by_behavior, calibrate, without_b
 from graphrqi.predict.drivers import DriverTable, table_to_json
 from graphrqi.predict.metrics import METRICS, SAMPLE_S, distances
 from graphrqi.predict.scene import make_scene
-from graphrqi.stream import DEFAULT_MODEL, MIN_SECONDS
+from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.atomic import write_whole
 from sim.dataset import open_dataset
 from sim.frames import PEDESTRIAN, CodeArray, FloatArray, IntArray, Tracks
@@ -285,14 +286,12 @@ def beliefs(tracks: Tracks, model: Model, stops: Sequence[int]) -> dict[int, Pos
     Returns:
         Posterior by stop.
     """
-    observer, wanted = model.observer(), set(stops)
+    stream, wanted = BehaviorStream(model), set(stops)
     found: dict[int, Posterior] = {}
     for column, frame in enumerate(tracks.frames()):
-        seen = observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        stream.push(frame)
         if column + 1 in wanted:
-            ready = seen.seconds >= MIN_SECONDS - 1e-6
-            features = observer.features(seen.seconds[ready], seen.sums[ready], seen.instant[ready])
-            found[column + 1] = Posterior(seen.ids[ready], model.posterior(features))
+            found[column + 1] = stream.posterior()
     return found
 
 
@@ -398,24 +397,6 @@ def short_table(rows: Sequence[Row]) -> list[Row]:
                 cast(float, row["value"]), 3
             )
     return list(lines.values())
-
-
-def in_parallel(
-    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int | None
-) -> Iterator[T]:
-    """Results of a function over argument tuples, in order, from several processes."""
-    if jobs == 1 or len(arguments) == 1:
-        for one in arguments:
-            yield function(*one)
-        return
-    from joblib import cpu_count
-    from loky import get_reusable_executor
-
-    workers = min(jobs or cpu_count(), len(arguments))
-    executor = get_reusable_executor(max_workers=workers, env={"OMP_NUM_THREADS": "1"})
-    futures = [executor.submit(function, *one) for one in arguments]
-    for future_ in futures:
-        yield future_.result()
 
 
 def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:

@@ -2,48 +2,70 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.metrics import Estimate, confusion, score
-from experiments.windows import OBSERVED_S, gather
+from experiments.windows import gather
 from graphrqi.methods import Model
 from sim.dataset import Dataset
 from sim.schema import Split
 
 
-def scores_on(
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """How a model does on one scenario.
+
+    Attributes:
+        scores: by metric, as `experiments.metrics.score` names them.
+        confusion: (6, 6) counts; rows are true classes.
+    """
+
+    scores: dict[str, Estimate]
+    confusion: NDArray[np.int64]
+
+
+def score_model(
     dataset: Dataset,
     model: Model,
-    scenario: str,
     majority: int,
     split: Split = "test",
     jobs: int | None = None,
     quiet: bool = True,
-) -> tuple[dict[str, Estimate], NDArray[np.float64]]:
-    """Scores after 10 s of observation on the episodes of one scenario and split.
+) -> dict[str, Scored]:
+    """Scores after 10 s of observation on the episodes of one split.
 
     Args:
         dataset: labelled.
         model: a trained model.
-        scenario: which scenario.
         majority: the most frequent class of the training data.
         split: which part of the data.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
     Returns:
-        Scores by name, and the (6, 6) confusion matrix (rows are true classes).
+        Scores by scenario.
+
+    Raises:
+        InputError: if the split is empty.
     """
-    samples = gather(
-        dataset, split, model.method.name, scenario=scenario, solver=model.solver,
-        windows_s=(OBSERVED_S,), jobs=jobs, quiet=quiet,
-    )  # fmt: skip
-    probability = model.posterior(samples.features.astype(np.float64))
-    scores = score(samples.codes, probability, samples.episode, majority, split)
-    return scores, confusion(samples.codes, probability.argmax(axis=1), samples.episode).sum(axis=0)
+    samples = gather(dataset, split, model.method.name, solver=model.solver, jobs=jobs, quiet=quiet)
+    scenario = np.array([e.scenario for e in dataset.manifest.episodes])[samples.episode]
+    found = {}
+    for name in dataset.scenarios:
+        here = samples.where(scenario == name)
+        if not len(here):
+            continue
+        probability = model.posterior(here.features.astype(np.float64))
+        counts = confusion(here.codes, probability.argmax(axis=1), here.episode).sum(axis=0)
+        found[name] = Scored(
+            score(here.codes, probability, here.episode, majority, split), counts.astype(np.int64)
+        )
+    return found
 
 
 def training_majority(dataset: Dataset, jobs: int | None = None) -> int:

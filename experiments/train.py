@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 from behaviors.errors import lookup
-from experiments.scoring import scores_on, training_majority
+from experiments.scoring import Scored, score_model, training_majority
 from experiments.windows import OBSERVED_S, gather
 from graphrqi.methods import METHODS, Model, save_model, train
 from graphrqi.samples import WINDOWS_S, Samples
@@ -29,7 +29,7 @@ def train_model(
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = True,
-) -> Model:
+) -> tuple[Model, dict[str, Scored]]:
     """Train on the training episodes of all scenarios; validation episodes stop and calibrate.
 
     Args:
@@ -41,7 +41,8 @@ def train_model(
         quiet: whether to show no progress.
 
     Returns:
-        The model; its card tells the data, the split and the scores.
+        The model, whose card tells the data, the split and the scores; and its scores on the
+        test episodes of each scenario.
     """
     chosen = lookup(METHODS, method, "method")
     wanted: dict[str, Any] = {
@@ -57,19 +58,15 @@ def train_model(
     has_validation = bool(dataset.episodes("validation"))
     validation = gather(dataset, "validation", chosen.name, **wanted) if has_validation else None
     model = train(chosen.name, training, validation, solver, seed)
-    card = _card(dataset, model, training, jobs, quiet)
-    return dataclasses.replace(model, card=card)
+    scored = {}
+    if dataset.episodes("test"):
+        scored = score_model(dataset, model, training_majority(dataset), jobs=jobs, quiet=quiet)
+    return dataclasses.replace(model, card=_card(dataset, model, training, scored)), scored
 
 
 def _card(
-    dataset: Dataset, model: Model, training: Samples, jobs: int | None, quiet: bool
+    dataset: Dataset, model: Model, training: Samples, scored: dict[str, Scored]
 ) -> dict[str, Any]:
-    majority = training_majority(dataset)
-    scores: dict[str, Any] = {}
-    for scenario in dataset.scenarios:
-        if dataset.episodes("test", scenario):
-            found, _ = scores_on(dataset, model, scenario, majority, jobs=jobs, quiet=quiet)
-            scores[scenario] = {name: value.as_dict() for name, value in found.items()}
     return {
         "summary": model.method.summary,
         "data": {
@@ -81,7 +78,10 @@ def _card(
         "windows_s": list(WINDOWS_S),
         "protocol": f"test episodes were never trained on; windows of {OBSERVED_S:g} s, one a "
         "second for every driver; 95 % intervals by bootstrap over episodes",
-        "scores": scores,
+        "scores": {
+            scenario: {name: value.as_dict() for name, value in found.scores.items()}
+            for scenario, found in scored.items()
+        },
     }
 
 
@@ -106,6 +106,6 @@ def train_dataset(
     Returns:
         The trained model, saved.
     """
-    model = train_model(open_dataset(dataset), method, seed=seed, jobs=jobs, quiet=quiet)
+    model, _ = train_model(open_dataset(dataset), method, seed=seed, jobs=jobs, quiet=quiet)
     save_model(model, out)
     return model

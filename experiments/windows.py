@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from behaviors.errors import InputError
+from experiments.parallel import in_parallel
 from experiments.progress import Progress
 from graphrqi.methods import METHODS
 from graphrqi.samples import Samples, collect
@@ -84,23 +85,7 @@ def gather(
     ]  # fmt: skip
     parts: list[Samples] = []
     with Progress(f"{method}: observing {split} episodes", len(entries), quiet) as progress:
-        for part in _parallel(arguments, jobs):
+        for part in in_parallel(episode_samples, arguments, jobs):
             parts.append(part)
             progress.advance()
     return Samples.join(parts)
-
-
-def _parallel(arguments: Sequence[tuple[Any, ...]], jobs: int | None) -> Iterator[Samples]:
-    """Run `episode_samples` on each, in order; in this process if one job is enough."""
-    if jobs == 1 or len(arguments) == 1:
-        for one in arguments:
-            yield episode_samples(*one)
-        return
-    from joblib import cpu_count
-    from loky import get_reusable_executor
-
-    workers = min(jobs or cpu_count(), len(arguments))
-    executor = get_reusable_executor(max_workers=workers, env={"OMP_NUM_THREADS": "1"})
-    futures = [executor.submit(episode_samples, *one) for one in arguments]
-    for future in futures:
-        yield future.result()

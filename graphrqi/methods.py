@@ -17,6 +17,7 @@ from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
 from graphrqi.classify import Classifier, make_classifier, restore_classifier
 from graphrqi.features.observer import (
+    BlindObserver,
     DrivingObserver,
     EigenvectorObserver,
     Observer,
@@ -54,7 +55,7 @@ METHODS: Final[dict[str, Method]] = {
     "majority": Method(
         "majority",
         "the most frequent class of the training data, whatever is seen",
-        EigenvectorObserver,
+        BlindObserver,
         "majority",
     ),
     "graphrqi": Method(

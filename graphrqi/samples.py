@@ -104,10 +104,11 @@ def collect(
     parts: list[Samples] = []
     begin = float(tracks.time_s[0]) if tracks.time_s.size else 0.0
     for frame in tracks.frames():
-        seen = observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
         due = (frame.time_s - begin) / every_s
         if abs(due - round(due)) > 0.25 * tracks.step_s / every_s or round(due) < 1:
             continue
+        seen = observer.observation()
         xy = frame.xy[np.searchsorted(frame.ids, seen.ids)]
         snapshots.append((frame.time_s, seen, xy))
         longest = max((w for w in windows_s if np.isfinite(w)), default=0.0)

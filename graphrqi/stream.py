@@ -38,7 +38,7 @@ class BehaviorStream:
         self._buffer = FrameBuffer(HISTORY_STEPS)
 
     def update(self, frame: Frame) -> Posterior:
-        """Take the next frame.
+        """Take the next frame and classify.
 
         Args:
             frame: later than the one before.
@@ -49,8 +49,17 @@ class BehaviorStream:
         Raises:
             InputError: if the frame's time does not increase.
         """
+        self.push(frame)
+        return self.posterior()
+
+    def push(self, frame: Frame) -> None:
+        """Take the next frame; see `update`."""
         self._buffer.push(frame)
-        seen = self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+
+    def posterior(self) -> Posterior:
+        """Belief about every driver present and seen long enough, now."""
+        seen = self._observer.observation()
         ready = seen.seconds >= self.min_seconds - 1e-6
         features = self._observer.features(
             seen.seconds[ready], seen.sums[ready], seen.instant[ready]

@@ -41,7 +41,6 @@ class Motion:
         speed: (n,) m/s, along the direction.
         acceleration: (n,) m/s2, along the direction.
         sideways: (n,) displacement to the left over the last second, m.
-        step_s: time since the frame before, s; 0 at the first.
     """
 
     ids: IntArray
@@ -51,7 +50,6 @@ class Motion:
     speed: FloatArray
     acceleration: FloatArray
     sideways: FloatArray
-    step_s: float
 
 
 def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
@@ -101,7 +99,6 @@ class MotionEstimator:
         Returns:
             Motion of exactly these agents.
         """
-        step_s = time_s - self._times[-1] if self._times else 0.0
         self._remember(time_s, ids, xy)
         rows = np.searchsorted(self._ids, ids)
         times = np.array(self._times)
@@ -120,7 +117,7 @@ class MotionEstimator:
         )
         last_second = self._displacement(rows, times, 1.0)
         sideways = direction[:, 0] * last_second[:, 1] - direction[:, 1] * last_second[:, 0]
-        return Motion(ids, xy, velocity, direction, speed, acceleration, sideways, step_s)
+        return Motion(ids, xy, velocity, direction, speed, acceleration, sideways)
 
     def _remember(self, time_s: float, ids: IntArray, xy: FloatArray) -> None:
         known = self._ids[self._seen_s >= time_s - FORGET_S]

@@ -7,6 +7,7 @@ used alike on live frames and on recordings, so training and streaming cannot di
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -37,8 +38,8 @@ INTERACTION_NEIGHBORS: Final = 8
 four nearest are often all in the next lanes)."""
 
 SPECTRUM_EVERY_S: Final = 0.5
-"""How often the driving observer looks at the spectrum (our choice: a graph changes by a few
-per cent of its edges per tenth of a second)."""
+"""How often averages of spectral features look at the spectrum (our choice: a graph changes by a
+few per cent of its edges per tenth of a second)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +64,19 @@ class Observer(Protocol):
 
     feature_names: tuple[str, ...]
 
-    def update(
-        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
-    ) -> Observation:
-        """Take the next positions; return what is known of the drivers among them."""
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions.
+
+        Args:
+            time_s: later than at the call before.
+            ids: (n,) ascending agent ids.
+            xy: (n, 2) m.
+            drives: (n,) whether each drives; the others are pedestrians.
+        """
+        ...
+
+    def observation(self) -> Observation:
+        """What is known now of the drivers present."""
         ...
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
@@ -82,11 +92,12 @@ class _Evidence:
         self._sums: FloatArray = np.zeros((0, width))
         self._seconds: FloatArray = np.zeros(0)
         self._seen_s: FloatArray = np.zeros(0)
+        self._time_s: float | None = None
 
-    def add(
-        self, time_s: float, ids: IntArray, moment: FloatArray, step_s: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Add one moment of each driver; returns its seconds and sums so far."""
+    def add(self, time_s: float, ids: IntArray, moment: FloatArray) -> None:
+        """Add one moment (n, S) of each driver, for as long as the time since the last."""
+        step_s = 0.0 if self._time_s is None else time_s - self._time_s
+        self._time_s = time_s
         merged = np.union1d(self._ids[self._seen_s >= time_s - FORGET_S], ids)
         sums = np.zeros((merged.size, self._sums.shape[1]))
         seconds = np.zeros(merged.size)
@@ -101,7 +112,14 @@ class _Evidence:
         seconds[rows] += np.where(fresh[rows], 0.0, step_s)
         seen[rows] = time_s
         self._ids, self._sums, self._seconds, self._seen_s = merged, sums, seconds, seen
-        return seconds[rows], sums[rows]
+
+    def observation(self, instant: FloatArray | None = None) -> Observation:
+        """The evidence on those seen at the last moment."""
+        here = self._seen_s == (np.inf if self._time_s is None else self._time_s)
+        ids = self._ids[here]
+        if instant is None:
+            instant = np.zeros((ids.size, 0))
+        return Observation(ids, self._seconds[here], self._sums[here], instant)
 
 
 class _GraphSpectrum:
@@ -111,6 +129,7 @@ class _GraphSpectrum:
         self._solve: Callable[..., Spectrum] = SOLVERS[solver]
         self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
         self._previous: Spectrum | None = None
+        self._looked_s = -np.inf
 
     def observe(self, ids: IntArray, xy: FloatArray) -> None:
         """Take the next positions into the graph."""
@@ -125,6 +144,52 @@ class _GraphSpectrum:
         rows = order[np.searchsorted(self._graph.ids, ids, sorter=order)]
         return self._previous, rows, self._graph.degree
 
+    def moment(self, time_s: float, ids: IntArray) -> FloatArray:
+        """(n, F + 1) invariant features of the agents and a one, or zeros until it is due again."""
+        if time_s - self._looked_s < SPECTRUM_EVERY_S - 1e-6:
+            return np.zeros((ids.size, _SPECTRAL))
+        self._looked_s = time_s
+        spectrum, rows, degrees = self.solve(ids)
+        values = invariant(
+            np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
+        )
+        return np.concatenate([values[rows], np.ones((ids.size, 1))], axis=1)
+
+
+_SPECTRAL: Final = len(INVARIANT_NAMES) + 1
+"""Columns of spectral evidence: the features, and how often they were taken."""
+
+
+def _spectral_means(sums: FloatArray) -> FloatArray:
+    total = sums[:, -1:]
+    return np.asarray(sums[:, :-1] / np.where(total > 1e-9, total, 1.0))
+
+
+class BlindObserver:
+    """Counts the seconds and sees nothing else.
+
+    Args:
+        solver: not used; every observer takes one.
+    """
+
+    feature_names: tuple[str, ...] = ()
+
+    def __init__(self, solver: str = "graphrqi") -> None:
+        self._evidence = _Evidence(0)
+
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions; see `Observer.update`."""
+        drivers = ids[drives]
+        self._evidence.add(time_s, drivers, np.zeros((drivers.size, 0)))
+
+    def observation(self) -> Observation:
+        """Who is present, and for how long."""
+        return self._evidence.observation()
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """No columns."""
+        return np.zeros((seconds.size, 0))
+
 
 class EigenvectorObserver:
     """What the paper feeds its classifier: rows of the largest-end eigenvector matrix, now.
@@ -138,20 +203,20 @@ class EigenvectorObserver:
     def __init__(self, solver: str = "graphrqi") -> None:
         self._spectrum = _GraphSpectrum(solver)
         self._evidence = _Evidence(0)
-        self._last_s: float | None = None
 
-    def update(
-        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
-    ) -> Observation:
-        """Take the next positions; return what is known of the drivers among them."""
-        step_s = 0.0 if self._last_s is None else time_s - self._last_s
-        self._last_s = time_s
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions; see `Observer.update`."""
         self._spectrum.observe(ids, xy)
         drivers = ids[drives]
-        spectrum, rows, _ = self._spectrum.solve(drivers)
-        instant = eigenvector_rows(np.asarray(spectrum.eigenvectors))[rows]
-        seconds, sums = self._evidence.add(time_s, drivers, np.zeros((drivers.size, 0)), step_s)
-        return Observation(drivers, seconds, sums, instant)
+        self._evidence.add(time_s, drivers, np.zeros((drivers.size, 0)))
+
+    def observation(self) -> Observation:
+        """The rows of the drivers present, of the graph's spectrum now."""
+        present = self._evidence.observation()
+        spectrum, rows, _ = self._spectrum.solve(present.ids)
+        return dataclasses.replace(
+            present, instant=eigenvector_rows(np.asarray(spectrum.eigenvectors))[rows]
+        )
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """The rows as they are."""
@@ -169,29 +234,20 @@ class SpectrumObserver:
 
     def __init__(self, solver: str = "graphrqi") -> None:
         self._spectrum = _GraphSpectrum(solver)
-        self._evidence = _Evidence(len(INVARIANT_NAMES) + 1)
-        self._last_s: float | None = None
+        self._evidence = _Evidence(_SPECTRAL)
 
-    def update(
-        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
-    ) -> Observation:
-        """Take the next positions; return what is known of the drivers among them."""
-        step_s = 0.0 if self._last_s is None else time_s - self._last_s
-        self._last_s = time_s
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions; see `Observer.update`."""
         self._spectrum.observe(ids, xy)
-        drivers = ids[drives]
-        spectrum, rows, degrees = self._spectrum.solve(drivers)
-        values = invariant(
-            np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
-        )
-        moment = np.concatenate([values[rows], np.ones((drivers.size, 1))], axis=1)
-        seconds, sums = self._evidence.add(time_s, drivers, moment, step_s)
-        return Observation(drivers, seconds, sums, np.zeros((drivers.size, 0)))
+        self._evidence.add(time_s, ids[drives], self._spectrum.moment(time_s, ids)[drives])
+
+    def observation(self) -> Observation:
+        """Evidence on the drivers present."""
+        return self._evidence.observation()
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """Means over the time observed."""
-        total = sums[:, -1:]
-        return np.asarray(sums[:, :-1] / np.where(total > 1e-9, total, 1.0))
+        return _spectral_means(sums)
 
 
 _HEADWAY_S = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.1, 1.3, 1.55, 1.85, 2.2, 2.6, 3.1, 3.8, 5.0)
@@ -253,32 +309,22 @@ class DrivingObserver:
         self._spectrum = _GraphSpectrum(solver)
         self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
         self._motion = MotionEstimator()
-        self._evidence = _Evidence(_WATCHED + len(INVARIANT_NAMES) + 1)
-        self._spectrum_s: float | None = None
-        self._waiting_s = 0.0
+        self._evidence = _Evidence(_WATCHED + _SPECTRAL)
 
-    def update(
-        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
-    ) -> Observation:
-        """Take the next positions; return what is known of the drivers among them."""
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions; see `Observer.update`."""
         motion = self._motion.update(time_s, ids, xy)
         self._near = self._near.observe(ids, xy)
         self._spectrum.observe(ids, xy)
-        adjacency = self._near.adjacency
-        around = interactions(motion, drives, adjacency)
-        moment = np.zeros((ids.size, _WATCHED + len(INVARIANT_NAMES) + 1))
+        around = interactions(motion, drives, self._near.adjacency)
+        moment = np.zeros((ids.size, _WATCHED + _SPECTRAL))
         self._watch(motion, around, drives, moment)
-        if self._spectrum_s is None or time_s - self._spectrum_s >= SPECTRUM_EVERY_S - 1e-6:
-            self._spectrum_s = time_s
-            spectrum, rows, degrees = self._spectrum.solve(ids)
-            values = invariant(
-                np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
-            )
-            moment[:, _WATCHED:-1] = values[rows]
-            moment[:, -1] = 1.0
-        drivers = ids[drives]
-        seconds, sums = self._evidence.add(time_s, drivers, moment[drives], motion.step_s)
-        return Observation(drivers, seconds, sums, np.zeros((drivers.size, 0)))
+        moment[:, _WATCHED:] = self._spectrum.moment(time_s, ids)
+        self._evidence.add(time_s, ids[drives], moment[drives])
+
+    def observation(self) -> Observation:
+        """Evidence on the drivers present."""
+        return self._evidence.observation()
 
     def _watch(
         self, motion: Motion, around: Interaction, drives: BoolArray, out: FloatArray
@@ -332,12 +378,10 @@ class DrivingObserver:
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """Distributions of what was watched, mean spectral features, and the time observed."""
-        spectral = sums[:, _WATCHED:]
-        total = spectral[:, -1:]
         return np.concatenate(
             [
                 describe(sums[:, :_WATCHED], BLOCKS),
-                spectral[:, :-1] / np.where(total > 1e-9, total, 1.0),
+                _spectral_means(sums[:, _WATCHED:]),
                 np.log1p(seconds)[:, None],
             ],
             axis=1,

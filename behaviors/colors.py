@@ -1,0 +1,23 @@
+"""One colour per behaviour, wherever behaviours are drawn: warm aggressive, cool conservative.
+
+The palette of Okabe and Ito (2008), which people with any common colour blindness can tell apart.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from behaviors.labels import Behavior
+
+COLORS: Final[dict[Behavior, str]] = {
+    Behavior.IMPATIENT: "#E69F00",
+    Behavior.RECKLESS: "#D55E00",
+    Behavior.THREATENING: "#CC79A7",
+    Behavior.CAREFUL: "#0072B2",
+    Behavior.CAUTIOUS: "#56B4E9",
+    Behavior.TIMID: "#009E73",
+}
+"""sRGB, as in HTML."""
+
+UNKNOWN_COLOR: Final = "#8C8C8C"
+"""Of agents without a behaviour: pedestrians, and drivers not yet classified."""

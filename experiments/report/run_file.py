@@ -1,0 +1,98 @@
+"""What a run leaves behind for its report: ``metrics.json`` and ``run.json``."""
+
+from __future__ import annotations
+
+import json
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from behaviors.errors import InputError
+from sim.atomic import write_whole
+
+SCHEMA_VERSION: Final = 1
+"""Of run files; a newer one is refused."""
+
+_PACKAGES: Final = ("graphrqi", "libsumo", "numpy", "scipy", "torch")
+
+
+class Score(BaseModel):
+    """A number with its 95 % interval (null with a single episode)."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    value: float
+    low: float | None
+    high: float | None
+    n: int
+    split: str
+
+
+class Metrics(BaseModel):
+    """``metrics.json``: the tables of a run.
+
+    ``classification.<scenario>.<method>.<metric>`` and
+    ``prediction.<scenario>.<predictor>.{ade_m,fde_m}.{1s,3s,5s}``.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    classification: dict[str, dict[str, dict[str, Score]]]
+    prediction: dict[str, dict[str, dict[str, dict[str, Score]]]]
+
+
+class RunFile(BaseModel):
+    """``run.json``: how a run was made and where its parts are (relative to its folder)."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    schema_version: int = SCHEMA_VERSION
+    name: str
+    seed: int
+    configuration: dict[str, Any]
+    packages: dict[str, str]
+    dataset: str
+    model: str
+    protocol: str
+    findings: list[str]
+    confusion: dict[str, dict[str, list[list[int]]]]
+
+
+def installed() -> dict[str, str]:
+    """Versions of the packages that results depend on."""
+    return {name: metadata.version(name) for name in _PACKAGES}
+
+
+def write_run(folder: Path, run: RunFile, metrics: Metrics) -> None:
+    """Write both files, each whole or not at all."""
+    for name, content in (("run.json", run), ("metrics.json", metrics)):
+        text = json.dumps(content.model_dump(), indent=1, allow_nan=False) + "\n"
+        write_whole(folder / name, text.encode())
+
+
+def read_run(folder: Path) -> tuple[RunFile, Metrics]:
+    """Read both files of a run.
+
+    Raises:
+        InputError: naming the file that is missing, broken or of a newer version.
+    """
+    found: list[Any] = []
+    for name, kind in (("run.json", RunFile), ("metrics.json", Metrics)):
+        path = folder / name
+        if not path.is_file():
+            raise InputError(f"{path}: found no file, expected a run made by make demo")
+        try:
+            found.append(kind.model_validate_json(path.read_bytes()))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise InputError(f"{path}: {where}: {first['msg']}") from None
+    run: RunFile = found[0]
+    if run.schema_version > SCHEMA_VERSION:
+        raise InputError(
+            f"{folder / 'run.json'}: schema_version: found {run.schema_version}, expected at most "
+            f"{SCHEMA_VERSION}"
+        )
+    return run, found[1]
