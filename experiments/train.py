@@ -14,10 +14,10 @@ from graphrqi.samples import WINDOWS_S, Samples
 from sim.dataset import Dataset, open_dataset
 from sim.schema import Split
 
-TRAINING_EVERY_S: Final = 2.0
+TRAINING_EVERY_S: Final = 3.0
 """Time between the ends of training windows of one driver (our choice)."""
 
-TRAINING_PER_MOMENT: Final = 2
+TRAINING_PER_MOMENT: Final = 1
 """Window lengths drawn for each driver and moment in training (our choice)."""
 
 
