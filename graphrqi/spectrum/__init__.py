@@ -10,6 +10,7 @@ Example:
 
 from graphrqi.spectrum import (
     arpack,
+    certified,
     conjugate_gradient,
     eigh,
     exact,
@@ -20,10 +21,12 @@ from graphrqi.spectrum import (
     svd,
     truncated_svd,
 )
+from graphrqi.spectrum.certified import certify
 from graphrqi.spectrum.contract import Solver, Spectrum
+from graphrqi.spectrum.full import full_spectrum, topology
 
 SOLVERS: dict[str, Solver] = {
-    "graphrqi": exact.solve,
+    "graphrqi": certified.solve,
     "graphrqi-paper": paper.solve,
     "graphrqi-exact": exact.solve,
     "eigh": eigh.solve,
@@ -37,4 +40,4 @@ SOLVERS: dict[str, Solver] = {
 }
 """Every eigenvalue algorithm by name; the first is the default."""
 
-__all__ = ["SOLVERS", "Solver", "Spectrum"]
+__all__ = ["SOLVERS", "Solver", "Spectrum", "certify", "full_spectrum", "topology"]

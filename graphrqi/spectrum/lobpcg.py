@@ -82,4 +82,4 @@ def solve(
     values = np.asarray(values, dtype=np.float64)
     order = pick(values, k, end)
     vectors, _ = np.linalg.qr(vectors[:, order])
-    return answer(graph, values[order], vectors, end, tol, complete=False)
+    return answer(graph, values[order], np.asarray(vectors), end, tol, complete=False)

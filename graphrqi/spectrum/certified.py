@@ -1,0 +1,337 @@
+"""GraphRQI, certified: the default solver.
+
+Rayleigh-quotient iterations for the k wanted pairs that share their factorisations:
+
+1. Reverse Cuthill-McKee order, elimination tree, pattern (almost no fill on traffic graphs).
+2. Rayleigh-Ritz in the span of the earlier eigenvectors, carried over by vehicle id.
+3. One kernel factorises L - s I at eight shifts s at once: the Rayleigh quotients of the
+   unconverged vectors, and places where something has to be counted. Each factorisation is
+   applied twice to its vector, and a Rayleigh-Ritz step in the span of the eight results, outside
+   the pairs found already, gives the next ones.
+4. The number of negative pivots of each factorisation is the number of eigenvalues below its
+   shift (Sylvester's law of inertia). These counts say in which interval an eigenvalue is
+   missing; there a new vector is started, mostly noise on the vehicles whose edges changed,
+   because every eigenvector that the change made has a part there.
+5. It ends when a count just below the k-th value equals the number of pairs found above it,
+   allowing for the rounding error of the factorisation (largest pivot times unit roundoff).
+   Where eigenvalues equal to the k-th follow, those are found too.
+
+At the smallest end it runs on -L outside the null space, which is known exactly (the component
+indicators). Where the certificate is not reached it starts again without the earlier vectors,
+then falls back on dense solutions by component (d up to 3000), then on ARPACK with a count;
+``note`` says so, and ``certified`` is False if even that could not be shown.
+
+Assumes little fill: costs O(d) per step where the factor has O(d) entries, as for vehicles on roads
+seen at one time; an accumulated graph of a crowded crossing fills in, and each factorisation then
+costs the sum of the squared column counts. Small graphs, and requests for a third of all pairs or
+more, are answered densely by component, which is faster there.
+
+References:
+    Parlett (1998), The Symmetric Eigenvalue Problem, sections 3.3, 4.6-4.9, 11.
+    Grimes, Lewis, Simon (1994), A shifted block Lanczos algorithm, SIMAX 15, 228-272.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum import arpack
+from graphrqi.spectrum.contract import (
+    End,
+    Floats,
+    Spectrum,
+    answer,
+    carry_rows,
+    check_arguments,
+    lambda_max_floor,
+    null_space,
+)
+from graphrqi.spectrum.full import pairs_by_component
+
+DENSE_BELOW = 32
+"""Vehicles below which a dense solution is faster (measured)."""
+DENSE_SHARE = 3
+"""One in this many pairs wanted, and a dense solution is faster (measured)."""
+MAX_SWEEPS = 25
+"""Factorisations before starting again without the earlier vectors; the median is 2 to 5."""
+MAX_SWEEPS_COLD = 150
+"""Factorisations before falling back (our choice)."""
+DENSE_UP_TO = 3000
+"""Vehicles up to which the fallback is dense: 9e6 doubles (our choice)."""
+EXTRA = 8
+"""Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the next step starts from.
+
+    Attributes:
+        vectors: (d, m) all eigenvectors found, m >= k, without the null space.
+    """
+
+    vectors: Floats
+
+
+def solve(
+    graph: TrafficGraph,
+    num_pairs: int = 8,
+    end: End = "largest",
+    previous: Spectrum | None = None,
+    tol: float = 1e-8,
+    nonzero: bool = False,
+) -> Spectrum:
+    """Compute pairs at one end and certify that none was missed.
+
+    Args:
+        graph: d vehicles.
+        num_pairs: how many pairs, at most d are returned.
+        end: "largest" or "smallest".
+        previous: earlier answer to start from, of other vehicles too.
+        tol: residual asked for, relative to max(1, lambda_max).
+        nonzero: leave out the null space.
+
+    Returns:
+        The pairs, certified; ``note`` tells of a fallback.
+
+    Raises:
+        InputError: for an argument out of range.
+
+    Example:
+        >>> road = [(i, i + 1) for i in range(99)]
+        >>> first = solve(TrafficGraph.from_edges(range(100), road), 3)
+        >>> exact = 2 - 2 * np.cos(np.pi * np.arange(99, 96, -1) / 100)
+        >>> bool(abs(first.eigenvalues - exact).max() < 1e-12), first.certified
+        (True, True)
+        >>> closed = TrafficGraph.from_edges(range(100), [*road, (99, 0)])
+        >>> solve(closed, 3, previous=first).eigenvalues.round(6).tolist()
+        [4.0, 3.996053, 3.996053]
+    """
+    check_arguments(num_pairs, end, tol)
+    d = graph.ids.size
+    if d < DENSE_BELOW or DENSE_SHARE * num_pairs >= d:
+        return _dense(graph, num_pairs, end, tol, nonzero, "")
+    from graphrqi.spectrum import factorization
+
+    order, label, count = factorization.order_rows(graph.indptr, graph.indices)
+    known = np.empty((d, 0))
+    k = num_pairs
+    if nonzero or end == "smallest":
+        k = min(k, d - count)
+    if end == "smallest" and not nonzero:
+        known = null_space(graph)[:, :num_pairs]
+        k = num_pairs - known.shape[1]
+        if k == 0:  # all of them are zero, and L has no eigenvalue below zero
+            return answer(graph, np.zeros(num_pairs), known, end, tol, complete=True)
+    if DENSE_SHARE * k >= d - count:
+        return _dense(graph, num_pairs, end, tol, nonzero, "")
+    analysis = order, label, count
+    scale = max(1.0, lambda_max_floor(graph))
+    note = ""
+    if previous is not None and previous.end == end:
+        found = _track(graph, analysis, k, end, previous, tol, scale, MAX_SWEEPS)
+        if found is None:
+            note = "started again without the earlier vectors"
+            found = _track(graph, analysis, k, end, None, tol, scale, MAX_SWEEPS_COLD)
+    else:
+        found = _track(graph, analysis, k, end, None, tol, scale, MAX_SWEEPS_COLD)
+    if found is None:
+        return _fall_back(graph, num_pairs, end, tol, nonzero)
+    values, vectors, residuals, carried = found
+    if known.shape[1]:
+        values = np.concatenate([np.zeros(known.shape[1]), values])
+        vectors = np.hstack([known, vectors])
+        residuals = np.concatenate([np.zeros(known.shape[1]), residuals])
+    return Spectrum(
+        graph.ids, values, vectors, residuals, True, graph, end, note, Found(carried)
+    )
+
+
+def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
+    """Count eigenvalues, and say whether a solver's answer is complete.
+
+    Args:
+        spectrum: k pairs from any solver, the null space left out or not.
+        tol: residual up to which pairs count as converged, relative to max(1, lambda_max).
+
+    Returns:
+        The same pairs, certified if they are converged, orthonormal, and a count of the
+        eigenvalues just beyond the last one finds no more than they are. Where more eigenvalues
+        equal the last one, a count just before it will do. A rounding error in the count that
+        could matter leaves the answer uncertified.
+    """
+    from graphrqi.spectrum import factorization
+
+    graph = spectrum.graph
+    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
+    measured = answer(graph, values, vectors, spectrum.end, tol, True, spectrum.note)
+    k, d = values.size, graph.ids.size
+    if not measured.certified or k == 0:
+        return measured
+    scale = max(1.0, lambda_max_floor(graph))
+    order, label, count = factorization.order_rows(graph.indptr, graph.indices)
+    starts, rows, entries, diagonal, _ = factorization.factor_pattern(
+        graph.indptr, graph.indices, graph.values, order
+    )
+    target = factorization.update_targets(starts, rows)
+    away = -1.0 if spectrum.end == "largest" else 1.0
+    floor = 1e-13 * scale
+    delta = min(tol * scale, max(floor, 1e-2 * abs(values[-1])))
+    steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
+    shifts = (values[-1] + away * steps)[None, :]
+    above, growth = np.empty((1, 8)), np.empty((1, 8))
+    factorization.factor_and_solve(
+        starts, rows, target, entries, diagonal, shifts, 1e-15 * scale, 0,
+        np.empty((rows.size, 8)), np.empty((d, 8)), np.zeros((d, 8)), above, growth,
+    )  # fmt: skip
+    zeros = 0
+    if spectrum.end == "smallest":
+        has_null = np.abs(vectors.T @ null_space(graph)).max(initial=0.0) > 0.5
+        zeros = 0 if has_null else count
+    complete = False
+    for s, n, g in zip(shifts[0], above[0], growth[0], strict=True):
+        error = 4.0 * 2.2e-16 * g
+        if (np.abs(values - s) <= error + measured.residuals).any():
+            continue
+        if spectrum.end == "largest":
+            same = int((values > s).sum()) == int(n)
+            beyond = s + error <= values[-1] + delta
+        else:
+            same = int((values < s).sum()) == d - int(n) - zeros
+            beyond = s - error >= values[-1] - delta
+        complete = complete or (same and bool(beyond))
+    del label
+    return answer(
+        graph, values, vectors, spectrum.end, tol, complete, spectrum.note, spectrum.carried
+    )
+
+
+def _track(
+    graph: TrafficGraph,
+    analysis: tuple[NDArray[np.int32], NDArray[np.int32], int],
+    k: int,
+    end: End,
+    previous: Spectrum | None,
+    tol: float,
+    scale: float,
+    max_sweeps: int,
+) -> tuple[Floats, Floats, Floats, Floats] | None:
+    """Run the tracker once.
+
+    Args:
+        graph: d vehicles.
+        analysis: order, components and their number.
+        k: wanted pairs, outside the null space at the smallest end.
+        end: which end.
+        previous: earlier answer to start from.
+        tol: residual asked for, relative to ``scale``.
+        scale: lower bound on lambda_max, at least 1.
+        max_sweeps: factorisations to give up after.
+
+    Returns:
+        None if the certificate was not reached; else (k,) values in the order of the end, (d, k)
+        vectors, (k,) residuals and (d, m) all vectors found.
+    """
+    from graphrqi.spectrum import factorization, tracking
+
+    order, label, count = analysis
+    d = order.size
+    warm, changed = np.empty((d, 0)), np.zeros(d, np.bool_)
+    if previous is not None:
+        old = previous.carried.vectors if isinstance(previous.carried, Found) else None
+        if old is None:
+            old = previous.eigenvectors
+        if previous.ids is graph.ids or np.array_equal(previous.ids, graph.ids):
+            warm = old
+            old_row = np.arange(d)
+        else:
+            warm = carry_rows(previous, graph, old)
+            old_row = rows_before(previous.graph, graph)
+        before = previous.graph
+        changed = tracking.changed_rows(
+            old_row,
+            before.indptr, before.indices, before.values,
+            graph.indptr, graph.indices, graph.values,
+        )  # fmt: skip
+    starts, rows, entries, diagonal, _ = factorization.factor_pattern(
+        graph.indptr, graph.indices, graph.values, order
+    )
+    target = factorization.update_targets(starts, rows)
+    deflate = end == "smallest"
+    bound = 2.0 * scale + 1.0
+    if deflate:
+        entries, diagonal = -entries, -diagonal
+    low, high = (-bound, 0.0) if deflate else (-1.0, bound)
+    room = min(k + EXTRA, d)
+    vectors, values, residuals = np.empty((d, room)), np.empty(room), np.empty(room)
+    certified, found, _, departure = tracking.track(
+        order, starts, rows, target, entries, diagonal, label, count, deflate,
+        warm, changed, k, scale, tol, low, high, max_sweeps, vectors, values, residuals,
+    )  # fmt: skip
+    values, residuals = values[:k], residuals[:k]
+    if not certified or departure > 1e-11 or residuals.max(initial=0.0) > tol * scale:
+        return None
+    chosen = np.ascontiguousarray(vectors[:, :k])
+    carried = chosen if found == k else vectors[:, :found].copy()
+    return -values if deflate else values, chosen, residuals, carried
+
+
+def rows_before(before: TrafficGraph, graph: TrafficGraph) -> NDArray[np.int64]:
+    """Row of every vehicle in an earlier graph.
+
+    Args:
+        before: the earlier graph.
+        graph: d vehicles.
+
+    Returns:
+        (d,) rows, -1 for a vehicle it does not have.
+    """
+    rows = np.full(graph.ids.size, -1)
+    if before.ids.size:
+        order = np.argsort(before.ids)
+        place = np.searchsorted(before.ids[order], graph.ids)
+        place[place == order.size] = 0
+        known = before.ids[order[place]] == graph.ids
+        rows[known] = order[place[known]]
+    return rows
+
+
+def _dense(
+    graph: TrafficGraph, num_pairs: int, end: End, tol: float, nonzero: bool, note: str
+) -> Spectrum:
+    values, vectors, null = pairs_by_component(graph)
+    carried = Found(np.empty((graph.ids.size, 0)))
+    if not nonzero:
+        values = np.concatenate([np.zeros(null.shape[1]), values])
+        vectors = np.hstack([null, vectors])
+    if end == "largest":
+        values, vectors = values[::-1], vectors[:, ::-1]
+    values, vectors = values[:num_pairs].copy(), vectors[:, :num_pairs].copy()
+    carried = Found(vectors)
+    return answer(graph, values, vectors, end, tol, True, note, carried)
+
+
+def _fall_back(
+    graph: TrafficGraph, num_pairs: int, end: End, tol: float, nonzero: bool
+) -> Spectrum:
+    if graph.ids.size <= DENSE_UP_TO:
+        return _dense(graph, num_pairs, end, tol, nonzero, "fell back on a dense solution")
+    found = arpack.solve(graph, num_pairs, end, None, tol, nonzero)
+    return certify(
+        Spectrum(
+            found.ids,
+            found.eigenvalues,
+            found.eigenvectors,
+            found.residuals,
+            False,
+            graph,
+            end,
+            "fell back on ARPACK",
+            Found(found.eigenvectors),
+        ),
+        tol,
+    )
