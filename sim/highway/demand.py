@@ -1,0 +1,132 @@
+"""Lets drawn agents enter the road when their time has come and there is room."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Final
+
+from behaviors.errors import InputError
+from sim.frames import AgentKind
+from sim.highway import driving
+from sim.highway.network import LaneIndex
+from sim.highway.traffic import TrafficRoad
+from sim.highway.vehicle import ProfileVehicle
+from sim.highway.walkers import Footway, Walker, find_footway
+from sim.scenario import AgentSpec
+
+LONGEST_WAIT_S: Final = 60.0
+"""Who found no room for this long stays away (as in the SUMO engine)."""
+
+
+class Demand:
+    """The agents still to come.
+
+    Args:
+        road: where they will travel.
+        agents: who they are; any order.
+        seed: mixed into every driver's own chance.
+
+    Raises:
+        InputError: if a route is not of this road, or a driver has no profile.
+    """
+
+    def __init__(self, road: TrafficRoad, agents: Sequence[AgentSpec], seed: int) -> None:
+        self.road = road
+        self.seed = seed
+        self._footways: dict[tuple[str, ...], Footway] = {}
+        self._stretches: dict[tuple[str, ...], tuple[tuple[str, str], ...]] = {}
+        self._walking: deque[AgentSpec] = deque()
+        self._queues: dict[tuple[tuple[str, str], ...], deque[AgentSpec]] = {}
+        for agent in sorted(agents, key=lambda a: (a.depart_s, a.id)):
+            if agent.kind is AgentKind.PEDESTRIAN:
+                if agent.route not in self._footways:
+                    self._footways[agent.route] = find_footway(road.network_info.road, agent.route)
+                self._walking.append(agent)
+                continue
+            if agent.profile is None:
+                raise InputError(
+                    f"agent {agent.id}: found no profile, expected one for a {agent.kind}"
+                )
+            if agent.route not in self._stretches:
+                self._stretches[agent.route] = tuple(road.network_info.stretches(agent.route))
+            way = self._stretches[agent.route]
+            self._queues.setdefault((way[0], *way[1:2]), deque()).append(agent)
+
+    def enter(self) -> None:
+        """Let in everybody whose time has come and who has room, in order of departure."""
+        road, now = self.road, self.road.time_s
+        while self._walking and self._walking[0].depart_s <= now:
+            agent = self._walking.popleft()
+            walker = Walker(agent, self._footways[agent.route], (self.seed, agent.seed))
+            road.walkers.append(walker)
+            road.objects.append(walker)
+        waiting = [queue for queue in self._queues.values() if queue and queue[0].depart_s <= now]
+        for queue in sorted(waiting, key=lambda q: (q[0].depart_s, q[0].id)):
+            while queue and queue[0].depart_s <= now:
+                agent = queue[0]
+                if now - agent.depart_s > LONGEST_WAIT_S:
+                    queue.popleft()
+                    continue
+                vehicle = self._place(agent)
+                if vehicle is None:
+                    break
+                queue.popleft()
+                road.vehicles.append(vehicle)
+
+    def _place(self, agent: AgentSpec) -> ProfileVehicle | None:
+        """The vehicle on the lane with most room, or None if there is none."""
+        road, network = self.road, self.road.network_info
+        way = self._stretches[agent.route]
+        then = way[1] if len(way) > 1 else None
+        assert agent.profile is not None
+        numbers = driving.driver_numbers(agent.profile, agent.kind)
+        best: tuple[float, float, LaneIndex] | None = None
+        for lane in network.lanes_towards(way[0], then):
+            gap, ahead = self._room(lane, agent.length_m)
+            limit = float(network.lanes[lane].speed_limit)
+            wanted = min(numbers[driving.SPEED_FACTOR] * limit, numbers[driving.TOP_SPEED])
+            speed = wanted
+            if gap < math.inf:
+                if driving.idm(numbers, speed, wanted, gap, ahead) < -1.0:
+                    speed = min(wanted, ahead)
+                needed = numbers[driving.MIN_GAP] + numbers[driving.TIME_HEADWAY] * speed
+                if gap < needed:
+                    continue
+            if best is None or gap > best[0]:
+                best = (gap, float(speed), lane)
+        if best is None:
+            return None
+        _, speed, lane = best
+        geometry = network.lanes[lane]
+        s = agent.length_m / 2
+        return ProfileVehicle(
+            road,
+            geometry.position(s, 0.0),
+            geometry.heading_at(s),
+            speed,
+            profile=agent.profile,
+            kind=agent.kind,
+            length=agent.length_m,
+            width=agent.width_m,
+            agent=agent.id,
+            behavior=agent.behavior,
+            seed=(self.seed, agent.seed),
+            lane_index=lane,
+            stretches=way,
+        )
+
+    def _room(self, lane: LaneIndex, length: float) -> tuple[float, float]:
+        """Bumper gap to the first vehicle on a lane, m, and its speed, m/s."""
+        geometry = self.road.network_info.lanes[lane]
+        nearest, speed = math.inf, 0.0
+        for vehicle in self.road.vehicles:
+            s, lateral = geometry.local_coordinates(vehicle.position)
+            if abs(lateral) > geometry.width / 2 + 1.0 or s > geometry.length:
+                continue
+            gap = s - length - vehicle.LENGTH / 2
+            if gap < nearest:
+                nearest = gap
+                speed = vehicle.speed * math.cos(vehicle.heading - geometry.heading_at(s))
+        return nearest, max(speed, 0.0)

@@ -1,0 +1,329 @@
+"""The equations every driver drives by, compiled, on one driver at a time.
+
+The same functions serve the vehicle objects and the compiled step of straight roads, so the two
+cannot drift apart. A driver's numbers are one row, laid out by the indices below (`driver_numbers`
+makes it from a `Profile`).
+
+References:
+    Treiber, Hennecke, Helbing (2000), Phys. Rev. E 62, 1805: IDM.
+    Kesting, Treiber, Helbing (2007), Transportation Research Record 1999, 86: MOBIL.
+    Polack et al. (2017), IEEE IV: the kinematic bicycle; highway-env's steering cascade.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from behaviors.profiles import Profile
+from sim.frames import AgentKind
+from sim.scenario import KIND_LIMITS
+
+FloatArray = NDArray[np.float64]
+
+SPEED_FACTOR: Final = 0
+TIME_HEADWAY: Final = 1
+MIN_GAP: Final = 2
+MAX_ACCEL: Final = 3
+COMFORT_DECEL: Final = 4
+POLITENESS: Final = 5
+CHANGE_THRESHOLD: Final = 6
+PATIENCE: Final = 7
+IMPOSED_BRAKING: Final = 8
+CHANGE_GAP: Final = 9
+EMERGENCY_DECEL: Final = 10
+STARTUP_DELAY: Final = 11
+TOP_SPEED: Final = 12
+
+EXPONENT: Final = 4.0
+"""IDM's acceleration exponent (Treiber et al. 2000)."""
+
+CHANGE_GAIN_MPS2: Final = 0.2
+"""MOBIL's threshold of an average driver, m/s2 (highway-env's; Kesting et al. use 0.1)."""
+
+IMPOSED_BRAKING_MPS2: Final = 2.0
+"""Braking that an average driver imposes on a new follower at most, m/s2 (highway-env's)."""
+
+MOST_IMPOSED_MPS2: Final = 6.0
+"""Nobody imposes more than this, m/s2 (our choice: hard braking without locking wheels)."""
+
+LEAST_CHANGE_GAP_M: Final = 0.5
+"""Nobody changes into a smaller gap than this, m (our choice)."""
+
+STOP_MARGIN_M: Final = 1.0
+"""How far before a stop line or a crossing one comes to rest, m (our choice)."""
+
+BRAKING_RESERVE: Final = 2.0
+"""Nobody brakes harder than comfortably unless the distance left demands it with this factor to
+spare (our choice: IDM alone brakes to a standstill whenever someone cuts in)."""
+
+STANDING_MPS: Final = 0.2
+"""Below this a vehicle stands (our choice)."""
+
+LATERAL_GAIN_PER_S: Final = 1.0 / 0.6
+"""Lateral speed wanted per metre off the lane's centre (highway-env's KP_LATERAL)."""
+
+LATERAL_SPEED_MPS: Final = 1.5
+"""Largest lateral speed, m/s: a lane change takes about 3 s (our choice, as in SUMO's runs)."""
+
+HEADING_GAIN_PER_S: Final = 5.0
+"""Heading rate wanted per radian off (highway-env's KP_HEADING)."""
+
+MAX_STEERING_RAD: Final = math.pi / 3
+"""highway-env's MAX_STEERING_ANGLE."""
+
+CUT_IN_REAR_M: Final = (2.0, 15.0)
+"""Bumper gap to the one cut in front of, m: nearer is a collision, farther is no cut-in (our
+choice)."""
+
+CUT_IN_BRAKING_MPS2: Final = 4.0
+"""Braking that a cut-in may demand of either party at once, m/s2 (our choice)."""
+
+
+def driver_numbers(profile: Profile, kind: AgentKind) -> FloatArray:
+    """One driver's numbers as the row that the equations read.
+
+    Args:
+        profile: what the driver wants and dares.
+        kind: what is driven; its physics limit the driver.
+
+    Returns:
+        (13,) read-only.
+    """
+    limits = KIND_LIMITS[kind]
+    gain = profile.lane_change_gain
+    assertive = profile.lane_change_assertiveness
+    row = np.array(
+        [
+            profile.speed_factor,
+            profile.time_headway_s,
+            profile.min_gap_m,
+            profile.max_accel_mps2,
+            profile.comfort_decel_mps2,
+            profile.politeness,
+            CHANGE_GAIN_MPS2 / gain if gain > 0 else math.inf,
+            profile.lane_change_patience_s,
+            min(IMPOSED_BRAKING_MPS2 * assertive, MOST_IMPOSED_MPS2),
+            max(profile.min_gap_m / max(assertive, 1e-9), LEAST_CHANGE_GAP_M),
+            max(limits.emergency_decel_mps2, profile.comfort_decel_mps2),
+            profile.startup_delay_s,
+            limits.max_speed_mps,
+        ]
+    )
+    row.flags.writeable = False
+    return row
+
+
+@njit(cache=True, error_model="numpy")
+def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float) -> float:
+    """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
+
+    Args:
+        driver: the driver's numbers.
+        speed: own speed, m/s.
+        desired: speed wanted on a free road, m/s.
+        gap: bumper to bumper, m; infinite without leader.
+        leader_speed: along the own lane, m/s.
+    """
+    accel = driver[MAX_ACCEL]
+    free = accel * (1.0 - (speed / max(desired, 0.1)) ** EXPONENT)
+    if gap == np.inf:
+        return float(free)
+    braking = speed * (speed - leader_speed) / (2.0 * math.sqrt(accel * driver[COMFORT_DECEL]))
+    wanted = driver[MIN_GAP] + max(0.0, speed * driver[TIME_HEADWAY] + braking)
+    return float(free - accel * (wanted / max(gap, 0.1)) ** 2)
+
+
+@njit(cache=True, error_model="numpy")
+def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> float:
+    """An acceleration no lower than comfort or, with a reserve, the distance left demands."""
+    limit = driver[COMFORT_DECEL]
+    if closing > 0.0:
+        limit = max(limit, BRAKING_RESERVE * closing * closing / (2.0 * max(gap, 0.1)))
+    return float(max(wanted, -min(limit, driver[EMERGENCY_DECEL])))
+
+
+@njit(cache=True, error_model="numpy")
+def follow(
+    driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
+) -> float:
+    """The acceleration behind a leader, m/s2; arguments as of `idm`."""
+    return bounded(
+        driver, idm(driver, speed, desired, gap, leader_speed), gap, speed - leader_speed
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def approach(driver: FloatArray, speed: float, gap: float) -> float:
+    """The acceleration towards a line at which to stop, m/s2.
+
+    IDM behind a standing obstacle whose minimal gap is `STOP_MARGIN_M` instead of the driver's.
+
+    Args:
+        driver: the driver's numbers.
+        speed: m/s.
+        gap: front bumper to the line, m.
+    """
+    accel = driver[MAX_ACCEL]
+    braking = speed * speed / (2.0 * math.sqrt(accel * driver[COMFORT_DECEL]))
+    wanted = STOP_MARGIN_M + speed * min(driver[TIME_HEADWAY], 1.5) + braking
+    raw = accel * (1.0 - (wanted / max(gap, 0.1)) ** 2)
+    return bounded(driver, raw, gap - 0.5 * STOP_MARGIN_M, speed)
+
+
+@njit(cache=True, error_model="numpy")
+def start_up(
+    driver: FloatArray, speed: float, accel: float, clock: float, go_at: float
+) -> tuple[float, float]:
+    """Hold a standing vehicle back for its driver's start-up delay.
+
+    Args:
+        driver: the driver's numbers.
+        speed: m/s.
+        accel: acceleration wanted, m/s2.
+        clock: the time now, s.
+        go_at: when it may go, s; infinite while there is no cause to.
+
+    Returns:
+        The acceleration, and the new ``go_at``.
+    """
+    if speed > STANDING_MPS:
+        return accel, np.inf
+    if accel <= 0.0:
+        return accel, np.inf
+    if go_at == np.inf:
+        go_at = clock + driver[STARTUP_DELAY]
+    return (accel if clock >= go_at else 0.0), go_at
+
+
+@njit(cache=True, error_model="numpy")
+def change_incentive(
+    driver: FloatArray,
+    speed: float,
+    desired: float,
+    old_gap: float,
+    old_speed: float,
+    new_gap: float,
+    new_speed: float,
+    rear: FloatArray,
+    rear_speed: float,
+    rear_desired: float,
+    rear_gap: float,
+    rear_front_gap: float,
+    old_rear: FloatArray,
+    old_rear_speed: float,
+    old_rear_desired: float,
+    old_rear_gap: float,
+    old_rear_front_gap: float,
+) -> float:
+    """MOBIL's advantage of a lane change beyond the driver's threshold, m/s2.
+
+    Gaps are bumper to bumper and infinite where there is nobody.
+
+    Args:
+        driver: the driver's numbers.
+        speed: own speed, m/s.
+        desired: speed wanted, m/s.
+        old_gap: to the leader on the present lane, m.
+        old_speed: that leader's speed, m/s.
+        new_gap: to the leader on the other lane, m.
+        new_speed: that leader's speed, m/s.
+        rear: the new follower's numbers.
+        rear_speed: its speed, m/s.
+        rear_desired: the speed it wants, m/s.
+        rear_gap: from it to this vehicle, m.
+        rear_front_gap: from it to the leader on the other lane, m.
+        old_rear: the present follower's numbers.
+        old_rear_speed: its speed, m/s.
+        old_rear_desired: the speed it wants, m/s.
+        old_rear_gap: from it to this vehicle, m.
+        old_rear_front_gap: from it to the leader on the present lane, m.
+
+    Returns:
+        Positive if the change is wanted and safe; minus infinity if it is not safe.
+    """
+    threshold = driver[CHANGE_THRESHOLD]
+    if threshold == np.inf:
+        return -np.inf
+    if new_gap < driver[CHANGE_GAP] or rear_gap < driver[CHANGE_GAP]:
+        return -np.inf
+    if new_gap < np.inf and new_speed < desired:
+        lasts = new_gap / (desired - new_speed)
+        better = old_gap < np.inf and new_speed > old_speed + 1.0
+        if lasts < driver[PATIENCE] and not better:
+            return -np.inf
+    after = idm(driver, speed, desired, new_gap, new_speed)
+    if after < -driver[IMPOSED_BRAKING]:
+        return -np.inf
+    gain = after - idm(driver, speed, desired, old_gap, old_speed)
+    others = 0.0
+    if rear_gap < np.inf:
+        imposed = idm(rear, rear_speed, rear_desired, rear_gap, speed)
+        if imposed < -driver[IMPOSED_BRAKING]:
+            return -np.inf
+        others += imposed - idm(rear, rear_speed, rear_desired, rear_front_gap, new_speed)
+    if old_rear_gap < np.inf:
+        others += idm(
+            old_rear, old_rear_speed, old_rear_desired, old_rear_front_gap, old_speed
+        ) - idm(old_rear, old_rear_speed, old_rear_desired, old_rear_gap, speed)
+    return float(gain + driver[POLITENESS] * others - threshold)
+
+
+@njit(cache=True, error_model="numpy")
+def may_cut_in(
+    driver: FloatArray,
+    speed: float,
+    new_gap: float,
+    new_speed: float,
+    rear_gap: float,
+    rear_speed: float,
+) -> bool:
+    """Whether there is someone to cut in front of, and room for it; arguments as above."""
+    if rear_gap < CUT_IN_REAR_M[0] or rear_gap > CUT_IN_REAR_M[1]:
+        return False
+    if new_gap < max(2.0 * driver[CHANGE_GAP], CUT_IN_REAR_M[0]):
+        return False
+    behind = max(rear_speed - speed, 0.0)
+    ahead = max(speed - new_speed, 0.0) if new_gap < np.inf else 0.0
+    if behind * behind > 2.0 * CUT_IN_BRAKING_MPS2 * rear_gap:
+        return False
+    return ahead * ahead <= 2.0 * CUT_IN_BRAKING_MPS2 * new_gap
+
+
+@njit(cache=True, error_model="numpy")
+def steer(
+    lateral: float,
+    lane_heading: float,
+    curvature: float,
+    heading: float,
+    speed: float,
+    length: float,
+) -> float:
+    """The steering angle that keeps to a lane, rad.
+
+    highway-env's cascade (lateral place to heading, heading to heading rate, heading rate to
+    angle). Differs from it: in a bend the body's middle moves at a slip angle to the body, which
+    is allowed for; without that a tight turn is cut by most of a metre.
+
+    Args:
+        lateral: distance to the right of the lane's centre, m.
+        lane_heading: the lane's heading, rad.
+        curvature: the lane's, rad/m, clockwise.
+        heading: own heading, rad.
+        speed: m/s.
+        length: of the vehicle, m.
+    """
+    nonzero = speed if abs(speed) > 1e-2 else (1e-2 if speed >= 0.0 else -1e-2)
+    half = length / 2.0
+    aside = min(max(-LATERAL_GAIN_PER_S * lateral, -LATERAL_SPEED_MPS), LATERAL_SPEED_MPS)
+    turn = math.asin(min(max(aside / nonzero, -1.0), 1.0))
+    slip = math.asin(min(max(half * curvature, -0.9), 0.9))
+    wanted = lane_heading - slip + min(max(turn, -math.pi / 4), math.pi / 4)
+    off = (wanted - heading + math.pi) % (2.0 * math.pi) - math.pi
+    bend = curvature + HEADING_GAIN_PER_S * off / nonzero
+    angle = math.atan(2.0 * math.tan(math.asin(min(max(half * bend, -1.0), 1.0))))
+    return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)

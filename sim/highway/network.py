@@ -1,0 +1,384 @@
+"""Turns a `Road` into highway-env's `RoadNetwork`, and keeps what the network cannot say.
+
+Edges that follow one another lane by lane with nothing else joining or leaving become one
+stretch; every way across a junction becomes one lane from the end of a stretch to the start of
+another. highway-env counts lanes from the left, `Road` from the right.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, TypeAlias
+
+import numpy as np
+from highway_env.road.lane import AbstractLane, LineType
+from highway_env.road.road import RoadNetwork
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.highway.lanes import corners, make_lane
+from sim.lane_graph import LaneGraph
+from sim.road import Connection, Lane, Road
+
+FloatArray = NDArray[np.float64]
+LaneIndex: TypeAlias = tuple[str, str, int]
+
+SAMPLE_M: Final = 0.5
+"""Junction paths are compared at points this far apart to find where they conflict."""
+
+CONFLICT_M: Final = 2.2
+"""Paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
+
+OPPOSITE_M: Final = 1.2
+"""An opposite lane is a neighbour if its centre line is within this many lane widths."""
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """Where a lane runs over a pedestrian crossing.
+
+    Attributes:
+        crossing: index into ``Road.crossings``.
+        near_s: distance along the lane of the near edge, m.
+        far_s: of the far edge, m.
+        u: distance along the crossing of the lane's centre line, m.
+    """
+
+    crossing: int
+    near_s: float
+    far_s: float
+    u: float
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """Where a junction path runs too close to another one.
+
+    Attributes:
+        other: the other path.
+        begin_s: distance along this path at which the conflict begins, m.
+        end_s: at which it ends, m.
+        other_begin_s: distance along the other path at which it begins there, m.
+        other_end_s: at which it ends there, m.
+    """
+
+    other: LaneIndex
+    begin_s: float
+    end_s: float
+    other_begin_s: float
+    other_end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class LaneInfo:
+    """What highway-env does not keep about a lane.
+
+    Attributes:
+        connector: whether it crosses a junction.
+        signal: signal group that guards its entry, -1 if none.
+        must_yield: whether others have priority over those who enter it.
+        must_stop: whether there is a stop sign before it.
+        strips: where it runs over crossings, in order.
+        conflicts: other junction paths in its way, in order of their beginning.
+    """
+
+    connector: bool = False
+    signal: int = -1
+    must_yield: bool = False
+    must_stop: bool = False
+    strips: tuple[Strip, ...] = ()
+    conflicts: tuple[Conflict, ...] = ()
+
+
+@dataclass(frozen=True)
+class HighwayNetwork:
+    """A `Road` in highway-env's terms.
+
+    Attributes:
+        road: where it came from.
+        net: the highway-env network.
+        info: what else is known of each lane.
+        lanes: every lane by its index (the same objects as in ``net``).
+        stretch_of: the stretch, as (from, to), of each edge of ``road``.
+        onward: the junction path from a lane to each next stretch.
+        exit_of: the lane on which each junction path ends.
+        ghost: for leftmost lanes with an opposite neighbour: the lane that runs over it in the
+            same direction, used only by those who drive on the wrong side.
+        edge_at: the edges of each stretch with the distance at which each begins, m.
+    """
+
+    road: Road
+    net: RoadNetwork
+    info: dict[LaneIndex, LaneInfo]
+    lanes: dict[LaneIndex, AbstractLane]
+    stretch_of: dict[str, tuple[str, str]]
+    onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex]
+    exit_of: dict[LaneIndex, LaneIndex]
+    ghost: dict[LaneIndex, LaneIndex]
+    edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = field(default_factory=dict)
+
+    def stretches(self, route: Sequence[str]) -> list[tuple[str, str]]:
+        """The stretches that a route of edges runs over.
+
+        Raises:
+            InputError: if an edge is not of this road, or two stretches are not connected.
+        """
+        found: list[tuple[str, str]] = []
+        for edge in route:
+            if edge not in self.stretch_of:
+                raise InputError(
+                    f"route: found edge {edge!r}, expected a drivable edge of {self.road.name!r}"
+                )
+            stretch = self.stretch_of[edge]
+            if not found or found[-1] != stretch:
+                found.append(stretch)
+        for one, then in itertools.pairwise(found):
+            if not self.lanes_towards(one, then):
+                raise InputError(
+                    f"route: found no way from {one[1].rstrip('>')!r} to "
+                    f"{then[0].rstrip('<')!r} on road {self.road.name!r}, expected a connection"
+                )
+        return found
+
+    def lanes_towards(
+        self, stretch: tuple[str, str], then: tuple[str, str] | None
+    ) -> list[LaneIndex]:
+        """The lanes of a stretch from which the next stretch can be reached; all if None."""
+        every = [(*stretch, i) for i in range(len(self.net.graph[stretch[0]][stretch[1]]))]
+        if then is None:
+            return every
+        return [lane for lane in every if (lane, then) in self.onward]
+
+
+def build_network(road: Road) -> HighwayNetwork:
+    """The highway-env network of a road.
+
+    Args:
+        road: read from a SUMO net.
+
+    Returns:
+        Stretches, junction paths and the ghost lanes over opposite neighbours.
+
+    Raises:
+        InputError: if the road has no drivable lane.
+    """
+    by_id = {lane.id: lane for lane in road.lanes}
+    driving: dict[str, list[Lane]] = {}
+    for lane in road.lanes:
+        if not lane.walking and not lane.internal:
+            driving.setdefault(lane.edge, []).append(lane)
+    if not driving:
+        raise InputError(f"road {road.name!r}: found no drivable lane, expected at least one")
+    for lanes in driving.values():
+        lanes.sort(key=lambda lane: -lane.index)  # from the left
+    connections = [c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id]
+    follows = _continuations(driving, connections, by_id)
+
+    net = RoadNetwork()
+    places: dict[str, list[tuple[LaneIndex, float]]] = {}
+    stretch_of: dict[str, tuple[str, str]] = {}
+    edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = {}
+    begun = set(follows.values())
+    for edge in driving:
+        if edge in begun:
+            continue
+        chain = [edge]
+        while chain[-1] in follows and follows[chain[-1]] not in chain:
+            chain.append(follows[chain[-1]])
+        key = (f"{chain[0]}<", f"{chain[-1]}>")
+        starts: list[tuple[str, float]] = []
+        for k, lane in enumerate(driving[edge]):
+            pieces, at = [lane], 0.0
+            for after in chain[1:]:
+                link = next(
+                    c
+                    for c in connections
+                    if c.from_lane == pieces[-1].id and by_id[c.to_lane].edge == after
+                )
+                pieces += [by_id[via] for via in link.via]
+                pieces.append(by_id[link.to_lane])
+            for piece in pieces:
+                places.setdefault(piece.id, []).append(((*key, k), at))
+                if k == 0 and not piece.internal:
+                    starts.append((piece.edge, at))
+                at += piece.length_m
+            points = np.concatenate([_points(piece) for piece in pieces])
+            left = LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED
+            last = k == len(driving[edge]) - 1
+            right = LineType.CONTINUOUS_LINE if last else LineType.NONE
+            net.add_lane(*key, make_lane(points, lane.width_m, (left, right), lane.speed_limit_mps))
+        edge_at[key] = tuple(starts)
+        for one in chain:
+            stretch_of[one] = key
+
+    info: dict[LaneIndex, LaneInfo] = {}
+    onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex] = {}
+    exit_of: dict[LaneIndex, LaneIndex] = {}
+    for link in connections:
+        begin, end = by_id[link.from_lane].edge, by_id[link.to_lane].edge
+        if follows.get(begin) == end or link.from_lane not in places:
+            continue
+        from_index, to_index = places[link.from_lane][0][0], places[link.to_lane][0][0]
+        inner = [by_id[via] for via in link.via]
+        points = (
+            np.concatenate([_points(piece) for piece in inner])
+            if inner
+            else np.stack([_points(by_id[link.from_lane])[-1], _points(by_id[link.to_lane])[0]])
+        )
+        key = (from_index[1], to_index[0])
+        index = (*key, len(net.graph.get(key[0], {}).get(key[1], [])))
+        limit = min((p.speed_limit_mps for p in inner), default=by_id[link.to_lane].speed_limit_mps)
+        width = by_id[link.from_lane].width_m
+        net.add_lane(*key, make_lane(points, width, (LineType.NONE, LineType.NONE), limit))
+        at = 0.0
+        for piece in inner:
+            places.setdefault(piece.id, []).append((index, at))
+            at += piece.length_m
+        onward[from_index, to_index[:2]] = index
+        exit_of[index] = to_index
+        info[index] = LaneInfo(
+            connector=True,
+            signal=link.signal,
+            must_yield=link.must_yield,
+            must_stop=link.must_stop,
+        )
+    geometry: dict[LaneIndex, AbstractLane] = dict(net.lanes_dict())
+    strips = _strips(road, places)
+    conflicts = _conflicts({i: geometry[i] for i in exit_of}, onward)
+    for index in geometry:
+        kept = info.get(index, LaneInfo())
+        info[index] = LaneInfo(
+            connector=kept.connector,
+            signal=kept.signal,
+            must_yield=kept.must_yield,
+            must_stop=kept.must_stop,
+            strips=tuple(sorted(strips.get(index, ()), key=lambda s: s.near_s)),
+            conflicts=tuple(sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)),
+        )
+    ghost = _add_ghosts(net, geometry, info, set(stretch_of.values()))
+    return HighwayNetwork(
+        road=road,
+        net=net,
+        info=info,
+        lanes=geometry,
+        stretch_of=stretch_of,
+        onward=onward,
+        exit_of=exit_of,
+        ghost=ghost,
+        edge_at=edge_at,
+    )
+
+
+def _points(lane: Lane) -> FloatArray:
+    return np.asarray(lane.centerline * np.array([1.0, -1.0]), dtype=np.float64)
+
+
+def _continuations(
+    driving: dict[str, list[Lane]], connections: list[Connection], by_id: dict[str, Lane]
+) -> dict[str, str]:
+    """The one edge that follows an edge lane by lane, where nothing else leaves or joins."""
+    out: dict[str, list[Connection]] = {}
+    into: dict[str, set[str]] = {}
+    for link in connections:
+        begin, end = by_id[link.from_lane].edge, by_id[link.to_lane].edge
+        out.setdefault(begin, []).append(link)
+        into.setdefault(end, set()).add(begin)
+    found = {}
+    for edge, links in out.items():
+        ends = {by_id[link.to_lane].edge for link in links}
+        if len(ends) != 1:
+            continue
+        (end,) = ends
+        begins, goals = [c.from_lane for c in links], [c.to_lane for c in links]
+        whole = sorted(begins) == sorted(lane.id for lane in driving[edge]) and sorted(
+            goals
+        ) == sorted(lane.id for lane in driving[end])
+        free = all(c.signal < 0 and not c.must_stop and c.direction == "straight" for c in links)
+        if whole and free and into[end] == {edge}:
+            found[edge] = end
+    return found
+
+
+def _strips(
+    road: Road, places: dict[str, list[tuple[LaneIndex, float]]]
+) -> dict[LaneIndex, list[Strip]]:
+    graph = LaneGraph.of(road)
+    found: dict[LaneIndex, list[Strip]] = {}
+    for z in range(graph.cross_lane.size):
+        for index, at in places.get(road.lanes[int(graph.cross_lane[z])].id, ()):
+            found.setdefault(index, []).append(
+                Strip(
+                    crossing=int(graph.cross_id[z]),
+                    near_s=at + float(graph.cross_s[z]),
+                    far_s=at + float(graph.cross_exit_s[z]),
+                    u=float(graph.cross_u[z]),
+                )
+            )
+    return found
+
+
+def _conflicts(
+    paths: dict[LaneIndex, AbstractLane],
+    onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex],
+) -> dict[LaneIndex, list[Conflict]]:
+    """Where junction paths come too close, other than those that begin on the same lane."""
+    begins = {path: lane for (lane, _), path in onward.items()}
+    at = {
+        i: np.linspace(0.0, lane.length, max(int(lane.length / SAMPLE_M), 1) + 1)
+        for i, lane in paths.items()
+    }
+    xy = {i: np.array([lane.position(s, 0.0) for s in at[i]]) for i, lane in paths.items()}
+    found: dict[LaneIndex, list[Conflict]] = {}
+    for one in paths:
+        for other in paths:
+            if one == other or begins[one] == begins[other]:
+                continue
+            near = np.linalg.norm(xy[one][:, None] - xy[other][None], axis=2) < CONFLICT_M
+            if not near.any():
+                continue
+            mine, theirs = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+            found.setdefault(one, []).append(
+                Conflict(
+                    other=other,
+                    begin_s=float(at[one][mine[0]]),
+                    end_s=float(at[one][mine[-1]]),
+                    other_begin_s=float(at[other][theirs[0]]),
+                    other_end_s=float(at[other][theirs[-1]]),
+                )
+            )
+    return found
+
+
+def _add_ghosts(
+    net: RoadNetwork,
+    lanes: dict[LaneIndex, AbstractLane],
+    info: dict[LaneIndex, LaneInfo],
+    stretches: set[tuple[str, str]],
+) -> dict[LaneIndex, LaneIndex]:
+    """Add a lane over the nearest lane of the opposite direction beside each stretch."""
+    ghost: dict[LaneIndex, LaneIndex] = {}
+    for stretch in sorted(stretches):
+        left = (*stretch, 0)
+        lane = lanes[left]
+        middle = lane.position(lane.length / 2, 0.0)
+        for other in sorted(stretches):
+            opposite = lanes[(*other, 0)]
+            if other == stretch or abs(opposite.length - lane.length) > 1.0:
+                continue
+            s, across = opposite.local_coordinates(middle)
+            facing = np.cos(opposite.heading_at(s) - lane.heading_at(lane.length / 2))
+            inside = 0.0 < s < opposite.length
+            if facing < -0.99 and inside and abs(across) < OPPOSITE_M * lane.width:
+                key = (f"~{stretch[0]}", f"~{stretch[1]}")
+                points = corners([opposite])[0][::-1].copy()
+                made = make_lane(
+                    points, opposite.width, (LineType.NONE, LineType.NONE), opposite.speed_limit
+                )
+                made.forbidden = True
+                net.add_lane(*key, made)
+                index = (*key, 0)
+                lanes[index], info[index], ghost[left] = made, LaneInfo(), index
+                break
+    return ghost
