@@ -26,8 +26,8 @@ SCENARIOS: Final = ("straight_road", "four_way_intersection")
 METHODS: Final = ("majority", "graphrqi", "graphrqi-invariant", "graphrqi-plus")
 PREDICTORS: Final = ("constant-velocity", "car-following-blind", "car-following")
 BEST_METHOD: Final = "graphrqi-plus"
-EPISODES: Final = 15
-"""Per scenario: 9 to train, 3 to validate, 3 to test."""
+EPISODES: Final = 20
+"""Per scenario: 12 to train, 4 to validate, 4 to test."""
 DURATION_S: Final = 150.0
 HORIZON_S: Final = 5.0
 

@@ -25,14 +25,16 @@ from experiments.tables import Row, show_table
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
+from graphrqi.predict.bases import KNOT_S, KNOTS, Known, known, to_own_frame, unlabelled
 from graphrqi.predict.calibrate import Sample, by_behavior, calibrate, without_behavior
-from graphrqi.predict.drivers import DriverTable, table_to_json
+from graphrqi.predict.drivers import DriverTable, default_table, table_to_json
 from graphrqi.predict.metrics import METRICS, SAMPLE_S, distances
-from graphrqi.predict.scene import make_scene
+from graphrqi.predict.scene import LEARNED_S, make_scene
+from graphrqi.predict.training import Examples
 from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.atomic import write_whole
 from sim.dataset import open_dataset
-from sim.frames import PEDESTRIAN, CodeArray, FloatArray, IntArray, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.schema import EpisodeEntry, Split
 
@@ -55,6 +57,9 @@ LEAST_SEEN_S: Final = 1.0
 
 CALIBRATE_EVERY_S: Final = 3.0
 """Time between scenes used for calibration, s (our choice)."""
+
+UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.1
+"""Shares of training instants at which nothing, or another's behaviour, is believed (our choice)."""
 
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Whose errors: all that drive, those of one true behaviour, those that walk."""
@@ -154,7 +159,7 @@ def evaluate(
         )
         if not scored.size:
             continue
-        scene = make_scene(history, road, longest)
+        scene = make_scene(history, road, max(longest, LEARNED_S))
         member = _membership(history, scored)
         count += member.sum(axis=0)
         for name, function in functions.items():
@@ -423,13 +428,20 @@ def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample
 
 
 def calibrate_drivers(
-    source: Path, out: Path, *, iterations: int = 80, seed: int = 0, quiet: bool = False
+    source: Path,
+    out: Path,
+    *,
+    every_s: float = CALIBRATE_EVERY_S,
+    iterations: int = 80,
+    seed: int = 0,
+    quiet: bool = False,
 ) -> DriverTable:
     """Calibrate the car-following numbers on a dataset's training episodes and save them.
 
     Args:
         source: a dataset.
         out: the file to write, with a card of data, split and scores.
+        every_s: time between the scenes of an episode, s.
         iterations: perturbations tried.
         seed: of the search.
         quiet: whether to show no progress.
@@ -446,7 +458,7 @@ def calibrate_drivers(
         entries = dataset.episodes(split)
         with Progress(f"reading {split} scenes", len(entries), quiet) as progress:
             for entry in entries:
-                splits.setdefault(split, []).extend(samples_of(source, entry, CALIBRATE_EVERY_S))
+                splits.setdefault(split, []).extend(samples_of(source, entry, every_s))
                 progress.advance()
     if not splits.get("train"):
         raise InputError(f"{source}: found no training scene, expected at least 1")
@@ -471,3 +483,52 @@ def calibrate_drivers(
     }
     write_whole(out, table_to_json(table, card).encode())
     return table
+
+
+def examples_of(
+    folder: Path, entry: EpisodeEntry, model: str, every_s: float, seed: int
+) -> tuple[Examples, Examples]:
+    """What a learned predictor is trained on, from one episode: with and without labels.
+
+    Beliefs are the classifier's own; a share `UNKNOWN_SHARE` of instants has none and a share
+    `SHUFFLED_SHARE` those of other drivers, so that the network learns how far to trust them.
+    """
+    dataset = open_dataset(folder)
+    tracks, road = dataset.read(entry).tracks, dataset.road(entry)
+    if road is None:
+        raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to train on")
+    rng = np.random.default_rng((seed, entry.seed))
+    table = default_table()
+    stops = list(instants(tracks, LEARNED_S, every_s))
+    informed, label_free = [], []
+    for stop, posterior in beliefs(tracks, load_model(model), stops).items():
+        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
+        scene = make_scene(history, road, LEARNED_S)
+        rows = np.searchsorted(tracks.ids, history.ids)
+        sample = np.arange(1, KNOTS + 1) * KNOT_S
+        truth = future(tracks, rows, stop, sample)
+        counts = (
+            (history.kind != PEDESTRIAN)
+            & np.isfinite(truth).all(axis=(1, 2))
+            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
+        )
+        if not counts.any():
+            continue
+        probability = posterior.of(history.ids)
+        chance = rng.random()
+        if chance < UNKNOWN_SHARE:
+            probability = np.full_like(probability, 1.0 / probability.shape[1])
+        elif chance < UNKNOWN_SHARE + SHUFFLED_SHARE:
+            probability = rng.permutation(probability)
+        own = to_own_frame(scene, truth)
+        informed.append(_examples(known(scene, probability, table), own, counts))
+        label_free.append(_examples(unlabelled(scene), own, counts))
+    return Examples.join(informed), Examples.join(label_free)
+
+
+def _examples(data: Known, truth: FloatArray, counts: BoolArray) -> Examples:
+    return Examples(
+        data.inputs[counts].astype(np.float32),
+        data.bases[counts].astype(np.float32),
+        truth[counts].astype(np.float32),
+    )

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.metrics import Estimate, confusion, score
 from experiments.windows import gather
 from graphrqi.methods import Model
+from graphrqi.samples import Samples
 from sim.dataset import Dataset
 from sim.schema import Split
 
@@ -68,13 +68,6 @@ def score_model(
     return found
 
 
-def training_majority(dataset: Dataset, jobs: int | None = None) -> int:
-    """The most frequent class among the drivers of the training episodes."""
-    counts = np.zeros(len(BEHAVIORS), dtype=np.int64)
-    for entry in dataset.episodes("train"):
-        behavior = dataset.read(entry).tracks.behavior
-        if behavior is not None:
-            counts += np.bincount(behavior[behavior >= 0], minlength=counts.size)
-    if not counts.any():
-        raise InputError(f"{dataset.path}: found no labelled driver in training, expected some")
-    return int(counts.argmax())
+def majority_of(samples: Samples) -> int:
+    """The most frequent class among samples (of the training episodes, to be a fair rival)."""
+    return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())

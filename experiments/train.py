@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 from behaviors.errors import lookup
-from experiments.scoring import Scored, score_model, training_majority
+from experiments.scoring import Scored, majority_of, score_model
 from experiments.windows import OBSERVED_S, gather
 from graphrqi.methods import METHODS, Model, save_model, train
 from graphrqi.samples import WINDOWS_S, Samples
@@ -60,7 +60,7 @@ def train_model(
     model = train(chosen.name, training, validation, solver, seed)
     scored = {}
     if dataset.episodes("test"):
-        scored = score_model(dataset, model, training_majority(dataset), jobs=jobs, quiet=quiet)
+        scored = score_model(dataset, model, majority_of(training), jobs=jobs, quiet=quiet)
     return dataclasses.replace(model, card=_card(dataset, model, training, scored)), scored
 
 
