@@ -25,16 +25,12 @@ from experiments.tables import Row, show_table
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
-from graphrqi.predict.bases import KNOT_S, KNOTS, Known, known, to_own_frame, unlabelled
-from graphrqi.predict.calibrate import Sample, by_behavior, calibrate, without_behavior
-from graphrqi.predict.drivers import DriverTable, default_table, table_to_json
 from graphrqi.predict.metrics import METRICS, SAMPLE_S, distances
 from graphrqi.predict.scene import LEARNED_S, make_scene
-from graphrqi.predict.training import Examples
 from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.atomic import write_whole
 from sim.dataset import open_dataset
-from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray, Tracks
+from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.schema import EpisodeEntry, Split
 
@@ -54,12 +50,6 @@ WARM_UP_S: Final = 5.0
 
 LEAST_SEEN_S: Final = 1.0
 """Agents seen for less than this are not scored (our choice: nothing is known of them)."""
-
-CALIBRATE_EVERY_S: Final = 3.0
-"""Time between scenes used for calibration, s (our choice)."""
-
-UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.1
-"""Shares of training instants at which nothing, or another's behaviour, is believed (our choice)."""
 
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Whose errors: all that drive, those of one true behaviour, those that walk."""
@@ -402,133 +392,3 @@ def short_table(rows: Sequence[Row]) -> list[Row]:
                 cast(float, row["value"]), 3
             )
     return list(lines.values())
-
-
-def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:
-    """Scenes of one episode with what happened next, for calibration and training."""
-    dataset = open_dataset(folder)
-    tracks, road = dataset.read(entry).tracks, dataset.road(entry)
-    if road is None or tracks.behavior is None:
-        raise InputError(f"{folder}: episode {entry.id}: found no road or no labels, expected both")
-    horizon_s = max(HORIZONS_S)
-    found = []
-    for stop in instants(tracks, horizon_s, every_s):
-        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
-        scene = make_scene(history, road, horizon_s)
-        truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, scene.time_s)
-        counts = (
-            (history.kind != PEDESTRIAN)
-            & np.isfinite(truth).all(axis=(1, 2))
-            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
-        )
-        if counts.any():
-            behavior = cast("CodeArray", history.behavior).astype(np.int64)
-            found.append(Sample(scene, truth, counts, behavior))
-    return found
-
-
-def calibrate_drivers(
-    source: Path,
-    out: Path,
-    *,
-    every_s: float = CALIBRATE_EVERY_S,
-    iterations: int = 80,
-    seed: int = 0,
-    quiet: bool = False,
-) -> DriverTable:
-    """Calibrate the car-following numbers on a dataset's training episodes and save them.
-
-    Args:
-        source: a dataset.
-        out: the file to write, with a card of data, split and scores.
-        every_s: time between the scenes of an episode, s.
-        iterations: perturbations tried.
-        seed: of the search.
-        quiet: whether to show no progress.
-
-    Returns:
-        The numbers.
-
-    Raises:
-        InputError: if there is no training episode, or one without road or labels.
-    """
-    dataset = open_dataset(source)
-    splits: dict[str, list[Sample]] = {}
-    for split in ("train", "validation"):
-        entries = dataset.episodes(split)
-        with Progress(f"reading {split} scenes", len(entries), quiet) as progress:
-            for entry in entries:
-                splits.setdefault(split, []).extend(samples_of(source, entry, every_s))
-                progress.advance()
-    if not splits.get("train"):
-        raise InputError(f"{source}: found no training scene, expected at least 1")
-    table = calibrate(splits["train"], iterations, seed)
-    scores = {
-        split: {
-            "behavior_known_ade_m": dict(
-                zip(map(str, BEHAVIORS), by_behavior(samples, table).round(3).tolist(), strict=True)
-            ),
-            "behavior_unknown_ade_m": round(without_behavior(samples, table), 3),
-            "scenes": len(samples),
-        }
-        for split, samples in splits.items()
-        if samples
-    }
-    card = {
-        "data": dict(dataset.manifest.configuration),
-        "split": "train",
-        "iterations": iterations,
-        "seed": seed,
-        "scores": scores,
-    }
-    write_whole(out, table_to_json(table, card).encode())
-    return table
-
-
-def examples_of(
-    folder: Path, entry: EpisodeEntry, model: str, every_s: float, seed: int
-) -> tuple[Examples, Examples]:
-    """What a learned predictor is trained on, from one episode: with and without labels.
-
-    Beliefs are the classifier's own; a share `UNKNOWN_SHARE` of instants has none and a share
-    `SHUFFLED_SHARE` those of other drivers, so that the network learns how far to trust them.
-    """
-    dataset = open_dataset(folder)
-    tracks, road = dataset.read(entry).tracks, dataset.road(entry)
-    if road is None:
-        raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to train on")
-    rng = np.random.default_rng((seed, entry.seed))
-    table = default_table()
-    stops = list(instants(tracks, LEARNED_S, every_s))
-    informed, label_free = [], []
-    for stop, posterior in beliefs(tracks, load_model(model), stops).items():
-        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
-        scene = make_scene(history, road, LEARNED_S)
-        rows = np.searchsorted(tracks.ids, history.ids)
-        sample = np.arange(1, KNOTS + 1) * KNOT_S
-        truth = future(tracks, rows, stop, sample)
-        counts = (
-            (history.kind != PEDESTRIAN)
-            & np.isfinite(truth).all(axis=(1, 2))
-            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
-        )
-        if not counts.any():
-            continue
-        probability = posterior.of(history.ids)
-        chance = rng.random()
-        if chance < UNKNOWN_SHARE:
-            probability = np.full_like(probability, 1.0 / probability.shape[1])
-        elif chance < UNKNOWN_SHARE + SHUFFLED_SHARE:
-            probability = rng.permutation(probability)
-        own = to_own_frame(scene, truth)
-        informed.append(_examples(known(scene, probability, table), own, counts))
-        label_free.append(_examples(unlabelled(scene), own, counts))
-    return Examples.join(informed), Examples.join(label_free)
-
-
-def _examples(data: Known, truth: FloatArray, counts: BoolArray) -> Examples:
-    return Examples(
-        data.inputs[counts].astype(np.float32),
-        data.bases[counts].astype(np.float32),
-        truth[counts].astype(np.float32),
-    )

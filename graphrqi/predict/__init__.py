@@ -61,9 +61,12 @@ def predict(
     Raises:
         InputError: if the predictor is unknown, the horizon too short or the history empty.
     """
-    from graphrqi.predict.scene import make_scene
+    from graphrqi.predict.scene import LEARNED_S, check_horizon, make_scene
 
-    return get_predictor(predictor)(make_scene(history, road, horizon_s), posterior)
+    function = get_predictor(predictor)
+    check_horizon(horizon_s)
+    scene = make_scene(history, road, max(horizon_s, LEARNED_S))
+    return function(scene, posterior).until(horizon_s)
 
 
 __all__ = ["PREDICTORS", "get_predictor", "predict"]

@@ -33,6 +33,10 @@ EVERY: Final = 5
 FIRST_WIDTH: Final = 0.15
 """Standard deviation of the first perturbations' logarithm: the drivers' own spread."""
 
+FARTHEST: Final = 2.0
+"""Numbers stay within this factor of the profiles' own, so that they keep their meaning where the
+data cannot tell two of them apart (our choice)."""
+
 RECHECK: Final = 15
 """Perturbations after which the error to beat is measured anew (our choice)."""
 
@@ -105,15 +109,18 @@ def calibrate(
         The best numbers found.
     """
     rng = np.random.default_rng(seed)
-    table = start or initial_table()
+    origin = initial_table()
+    table = start or origin
     width = np.full(len(BEHAVIORS), FIRST_WIDTH)
     best = by_behavior(samples, table)
     average_width, average_best = FIRST_WIDTH, without_behavior(samples, table)
     for iteration in range(iterations):
         trial = dataclasses.replace(
             table,
-            behavior=table.behavior * _factors(rng, width),
-            average=table.average * _factors(rng, np.array([average_width]))[0],
+            behavior=_near(table.behavior * _factors(rng, width), origin.behavior),
+            average=_near(
+                table.average * _factors(rng, np.array([average_width]))[0], origin.average
+            ),
         )
         error = by_behavior(samples, trial)
         won = error < best
@@ -135,6 +142,11 @@ def _factors(rng: np.random.Generator, width: FloatArray) -> FloatArray:
     shape = (width.size, len(DRIVER_FIELDS))
     step = rng.standard_normal(shape) * (rng.random(shape) < 0.6)
     return np.asarray(np.exp(width[:, None] * step))
+
+
+def _near(values: FloatArray, origin: FloatArray) -> FloatArray:
+    """The values, kept within a factor `FARTHEST` of where calibration starts."""
+    return np.asarray(np.clip(values, origin / FARTHEST, origin * FARTHEST))
 
 
 def _with_best_decay(samples: Sequence[Sample], table: DriverTable) -> DriverTable:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene import Scene
+
+FloatArray = NDArray[np.float64]
 
 
 def constant_velocity(scene: Scene, posterior: Posterior) -> Prediction:
@@ -16,9 +19,14 @@ def constant_velocity(scene: Scene, posterior: Posterior) -> Prediction:
 
 def constant_acceleration(scene: Scene, posterior: Posterior) -> Prediction:
     """Everyone keeps heading and acceleration; who brakes stops and stays."""
+    return scene.predicted(by_inertia(scene))
+
+
+def by_inertia(scene: Scene) -> FloatArray:
+    """(n, H, 2) everyone at constant acceleration, m."""
     time_s, speed, accel = scene.time_s[None], scene.speed[:, None], scene.accel[:, None]
     until_stop = np.divide(-speed, accel, out=np.full_like(speed, np.inf), where=accel < 0)
     moving_s = np.minimum(time_s, until_stop)
     travelled = speed * moving_s + 0.5 * accel * moving_s**2
     facing = np.stack([np.cos(scene.heading), np.sin(scene.heading)], axis=1)
-    return scene.predicted(scene.xy[:, None] + travelled[..., None] * facing[:, None])
+    return np.asarray(scene.xy[:, None] + travelled[..., None] * facing[:, None])

@@ -10,7 +10,9 @@ from graphrqi.predict.drivers import RUNS_RED, YIELDS, DriverTable, default_tabl
 from graphrqi.predict.paths import PathTable
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
+from graphrqi.predict.route import on_likely_paths
 from graphrqi.predict.scene import Scene
+from sim.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -34,28 +36,30 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
     """`blind` with the given numbers."""
     driver = np.broadcast_to(table.average, (scene.ids.size, table.average.size))
-    return scene.predicted(
-        places(scene, roll(scene, personal(scene, driver), None, table.average_decay_s))
-    )
+    return _driven(scene, personal(scene, driver), None, table.average_decay_s)
 
 
 def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
     """`aware` with the given numbers and (n, 6) beliefs."""
-    rollout = roll(
-        scene,
-        personal(scene, table.expected(probability)),
-        ignored_gates(scene, probability),
-        table.decay_s,
-    )
-    return scene.predicted(places(scene, rollout))
+    driver = personal(scene, table.expected(probability))
+    return _driven(scene, driver, ignored_gates(scene, probability), table.decay_s)
+
+
+def _driven(
+    scene: Scene, driver: FloatArray, ignores: BoolArray | None, decay_s: float
+) -> Prediction:
+    """Everyone driven on along its most likely way."""
+    routed = on_likely_paths(scene, driver, ignores)
+    return scene.predicted(places(routed, roll(routed, driver, ignores, decay_s)))
 
 
 def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
     """(n, R) gates that each driver more likely runs than respects, under (n, 6) beliefs."""
     groups = PathTable.of(scene.road).groups
+    crossings = groups + LaneGraph.of(scene.road).cross_lane.size
     ignores = np.zeros((scene.ids.size, scene.closed.shape[0]), dtype=np.bool_)
     ignores[:, :groups] = (probability @ RUNS_RED > 0.5)[:, None]
-    ignores[:, groups:] = (probability @ YIELDS < 0.5)[:, None]
+    ignores[:, groups:crossings] = (probability @ YIELDS < 0.5)[:, None]
     return ignores
 
 

@@ -28,6 +28,9 @@ IntArray = NDArray[np.int64]
 LOOK_AHEAD_M = 120.0
 """Drivers react to nothing farther ahead (our choice: 5 s at 24 m/s)."""
 
+SIGHT_M = 4.5
+"""From here drivers see who comes (SUMO's default visibility distance at minor links)."""
+
 HARD_DECEL = 8.0
 """Nobody brakes harder, m/s2 (dry asphalt)."""
 
@@ -64,7 +67,8 @@ def roll(
         gate_x: (n, G) places along the path where one may have to stop, m; +inf where none.
         gate_row: (n, G) rows of ``closed``.
         gate_run: (n, G) whether this driver ignores the gate.
-        closed: (R, steps + 1) 0 open, 1 closing (stop if comfortable), 2 closed.
+        closed: (R, steps + 1) 0 open, 1 closing (stop if comfortable), 2 closed, 3 approach ready
+            to stop until it can be seen that nobody comes.
         lanes: number of lanes of the road.
         step_s: s.
         steps: how many.
@@ -148,7 +152,7 @@ def roll(
                 if room < -1.0 or gate_run[i, g]:
                     continue
                 state = closed[gate_row[i, g], h]
-                if state == 0:
+                if state == 0 or (state == 3 and room < SIGHT_M):
                     continue
                 need = speed * speed / (2.0 * max(room, 0.1))
                 if need > (decel if state == 1 else HARD_DECEL) and speed > 1.0:
@@ -164,10 +168,10 @@ def roll(
 
 @numba.njit(cache=True, fastmath=True)
 def place(
-    x: Any, offset: Any, offset_fade: Any, path_lane: Any, path_start: Any, segment_start: Any,
+    x: Any, offset: Any, path_lane: Any, path_start: Any, segment_start: Any,
     segment_direction: Any, segment_at: Any, segment_first: Any, segment_last: Any,
 ) -> Any:  # fmt: skip
-    """(n, H, 2) places of distances x (n, H) along paths, with a fading offset to the left."""
+    """(n, H, 2) places of distances x (n, H) along paths, with (n, H) offsets to the left."""
     n, steps = x.shape
     out = np.empty((n, steps, 2))
     for i in range(n):
@@ -184,7 +188,7 @@ def place(
             while g < segment_last[path_lane[i, k]] and segment_at[g + 1] <= s:
                 g += 1
             along = s - segment_at[g]
-            side = offset[i] * offset_fade[h]
+            side = offset[i, h]
             out[i, h, 0] = (
                 segment_start[g, 0] + along * segment_direction[g, 0]
                 - side * segment_direction[g, 1]

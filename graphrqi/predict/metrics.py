@@ -130,3 +130,61 @@ def overlap(
         touching &= between < extent
     out[a[touching]] = out[b[touching]] = True
     return out
+
+
+COVERAGE: Final = 0.9
+"""Nominal coverage of the predicted sets."""
+
+_SET_SAMPLES: Final = 64
+"""Draws per future from which a set's density threshold is taken (our choice)."""
+
+
+def log_density(
+    at: FloatArray, xy: FloatArray, spread: FloatArray, probability: FloatArray
+) -> FloatArray:
+    """(n, Q) log density of a mixture of round normal distributions.
+
+    Args:
+        at: (n, Q, 2) where, m.
+        xy: (n, K, 2) the futures' places at one time, m.
+        spread: (n, K) standard deviation of each coordinate, m.
+        probability: (n, K).
+    """
+    squared = ((at[:, :, None] - xy[:, None]) ** 2).sum(axis=-1)
+    exponent = (
+        -0.5 * squared / spread[:, None] ** 2
+        - np.log(2 * np.pi * spread[:, None] ** 2)
+        + np.log(np.maximum(probability[:, None], 1e-12))
+    )
+    top = exponent.max(axis=2, keepdims=True)
+    return np.asarray(top[..., 0] + np.log(np.exp(exponent - top).sum(axis=2)))
+
+
+def covered(
+    xy: FloatArray, spread: FloatArray, probability: FloatArray, truth: FloatArray
+) -> NDArray[np.bool_]:
+    """(n,) whether what happened lies in the predicted 90 % set at one time.
+
+    The set is where the predicted density is highest: the smallest that holds `COVERAGE` of it
+    (Hyndman 1996, "Computing and graphing highest density regions", Am. Stat. 50). Its threshold
+    is a quantile over fixed draws from each future.
+
+    Args:
+        xy: (n, K, 2) the futures' places, m.
+        spread: (n, K) standard deviation of each coordinate, m.
+        probability: (n, K).
+        truth: (n, 2) m.
+    """
+    if not len(xy):
+        return np.zeros(0, dtype=bool)
+    draws = np.random.default_rng(0).standard_normal((_SET_SAMPLES, 2))
+    points = xy[:, :, None] + spread[:, :, None, None] * draws
+    n = len(xy)
+    density = log_density(points.reshape(n, -1, 2), xy, spread, probability)
+    weight = np.repeat(probability / _SET_SAMPLES, _SET_SAMPLES, axis=1)
+    order = np.argsort(density, axis=1)
+    below = np.cumsum(np.take_along_axis(weight, order, axis=1), axis=1)
+    first = (below > 1.0 - COVERAGE).argmax(axis=1)
+    row = np.arange(n)
+    threshold = density[row, order[row, first]]
+    return np.asarray(log_density(truth[:, None], xy, spread, probability)[:, 0] >= threshold)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.lane_graph import LaneGraph
+from sim.lane_graph import DIRECTIONS, LaneGraph
 from sim.road import Road
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 REACH_M: Final = 150.0
 """Paths go on at least this far beyond the lane they begin on (our choice: 5 s at 30 m/s)."""
@@ -46,6 +48,11 @@ class PathTable:
         first: (L,) first path of each lane.
         count: (L,) how many paths each lane has.
         groups: number of signal groups.
+        yield_entry: (Y,) whether each yielding place is where a junction is entered: there one
+            slows down until one can see.
+        foe_gate: (F,) yielding place that each conflict belongs to.
+        foe_lane: (F,) lane of those who have priority there.
+        foe_s: (F,) distance along that lane at which the ways cross, m.
     """
 
     lane: IntArray
@@ -58,6 +65,10 @@ class PathTable:
     first: IntArray
     count: IntArray
     groups: int
+    yield_entry: BoolArray
+    foe_gate: IntArray
+    foe_lane: IntArray
+    foe_s: FloatArray
 
     @staticmethod
     @functools.lru_cache(maxsize=32)
@@ -89,6 +100,8 @@ def _build(road: Road) -> PathTable:
         if graph.drivable[lane]:
             rows += _continue(graph, [lane], 0.0)
         count[lane] = len(rows) - first[lane]
+    yield_lane, yield_entry, foes = _yielding(road, graph)
+    yield_row = {lane: groups + graph.cross_lane.size + y for y, lane in enumerate(yield_lane)}
     most = max((len(r) for r in rows), default=1)
     lane_table = np.full((len(rows), most), -1)
     start = np.full((len(rows), most), np.inf)
@@ -110,6 +123,8 @@ def _build(road: Road) -> PathTable:
                     turn[q] = graph.direction[lane]
                 if graph.signal[lane] >= 0:
                     mine.append((float(begin[j]), int(graph.signal[lane])))
+            if j > 0 and lane in yield_row:
+                mine.append((float(begin[j]), yield_row[lane]))
             for z in np.flatnonzero(graph.cross_lane == lane):
                 near = float(graph.cross_s[z])
                 at_line = j > 0 and graph.internal[lane] and near <= STOP_LINE_REACH_M
@@ -131,4 +146,68 @@ def _build(road: Road) -> PathTable:
         first=first,
         count=count,
         groups=groups,
+        yield_entry=np.array(yield_entry, dtype=np.bool_),
+        foe_gate=np.array([f[0] for f in foes], dtype=np.int64),
+        foe_lane=np.array([f[1] for f in foes], dtype=np.int64),
+        foe_s=np.array([f[2] for f in foes], dtype=np.float64),
     )
+
+
+def _yielding(
+    road: Road, graph: LaneGraph
+) -> tuple[list[int], list[bool], list[tuple[int, int, float]]]:
+    """Lanes on which others have priority, whether each is a junction entry, and the conflicts.
+
+    At signals those who turn yield; elsewhere the road says who does. A way has priority over a
+    yielding one if it does not yield itself, or if it turns right where the other turns left.
+    """
+    index = road.lane_index
+    ways: dict[int, tuple[int, int, int, bool]] = {}  # lane: from, to, direction, yields
+    entries: set[int] = set()
+    for connection in road.connections:
+        via = [index[v] for v in connection.via if v in index]
+        if not via or connection.from_lane not in index or connection.to_lane not in index:
+            continue
+        entries.add(via[0])
+        for lane in via:
+            ways[lane] = (
+                index[connection.from_lane],
+                index[connection.to_lane],
+                DIRECTIONS.index(connection.direction),
+                connection.direction != "straight"
+                if connection.signal >= 0
+                else connection.must_yield,
+            )
+    right, left = DIRECTIONS.index("right"), DIRECTIONS.index("left")
+    lanes: list[int] = []
+    foes: list[tuple[int, int, float]] = []
+    for lane, (origin, target, direction, yields) in ways.items():
+        if not yields:
+            continue
+        lanes.append(lane)
+        for other, (from_, to, way, also) in ways.items():
+            first = not also or (way == right and direction == left)
+            if from_ == origin or not first:
+                continue
+            at = _crossing_at(road.lanes[other].centerline, road.lanes[lane].centerline)
+            if at is None and to == target:
+                at = float(graph.length[other])
+            if at is not None:
+                foes.append((len(lanes) - 1, other, at))
+    return lanes, [lane in entries for lane in lanes], foes
+
+
+def _crossing_at(line: FloatArray, other: FloatArray) -> float | None:
+    """Distance along a line at which another crosses it, m; None if it does not."""
+    before = 0.0
+    for a, b in itertools.pairwise(line):
+        for c, d in itertools.pairwise(other):
+            step, across, gap = b - a, d - c, c - a
+            det = step[0] * across[1] - step[1] * across[0]
+            if abs(det) > 1e-9:
+                t = (gap[0] * across[1] - gap[1] * across[0]) / det
+                u = (gap[0] * step[1] - gap[1] * step[0]) / det
+                if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
+                    return before + float(t * np.hypot(*step))
+        before += float(np.hypot(*(b - a)))
+    return None

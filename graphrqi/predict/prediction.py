@@ -21,6 +21,8 @@ class Prediction:
         time_s: (H,) seconds from the present, increasing, all > 0.
         xy: (n, K, H, 2) places of the boxes' centres, m.
         probability: (n, K) of each future; rows sum to 1.
+        spread: (n, K, H) standard deviation of each coordinate about each future, m, or None
+            where a predictor says nothing of it.
 
     Example:
         >>> one = Prediction([4], [1.0], np.zeros((1, 2, 1, 2)), [[0.3, 0.7]])
@@ -32,6 +34,7 @@ class Prediction:
     time_s: FloatArray
     xy: FloatArray
     probability: FloatArray
+    spread: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and probabilities, and make the arrays read-only."""
@@ -46,6 +49,14 @@ class Prediction:
             )
         if n and not np.allclose(probability.sum(axis=1), 1.0, atol=1e-6):
             raise InputError("Prediction.probability: found rows that do not sum to 1, expected 1")
+        if self.spread is not None:
+            spread = np.asarray(self.spread, np.float64)
+            if spread.shape != xy.shape[:3]:
+                raise InputError(
+                    f"Prediction.spread: found shape {spread.shape}, expected {xy.shape[:3]}"
+                )
+            spread.flags.writeable = False
+            object.__setattr__(self, "spread", spread)
         for name, array in (
             ("ids", ids), ("time_s", time_s), ("xy", xy), ("probability", probability)
         ):  # fmt: skip
@@ -57,6 +68,14 @@ class Prediction:
     def modes(self) -> int:
         """How many futures each agent has (K)."""
         return int(self.xy.shape[1])
+
+    def until(self, horizon_s: float) -> Prediction:
+        """The same futures up to a horizon, s."""
+        keep = self.time_s <= horizon_s + 1e-6
+        spread = None if self.spread is None else self.spread[:, :, keep]
+        return Prediction(
+            self.ids, self.time_s[keep], self.xy[:, :, keep], self.probability, spread
+        )
 
     @property
     def best(self) -> FloatArray:

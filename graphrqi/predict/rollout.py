@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from graphrqi.predict import kernel
 from graphrqi.predict.paths import PathTable
-from graphrqi.predict.scene import OFFSET_DECAY_S, STEP_S, Scene
+from graphrqi.predict.scene import STEP_S, Scene
 from sim.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
@@ -37,6 +37,7 @@ def roll(
     ignores: BoolArray | None = None,
     decay_s: float = 2.0,
     others: Rollout | None = None,
+    steps: int | None = None,
 ) -> Rollout:
     """Drive the scene's drivers on along their paths.
 
@@ -46,6 +47,7 @@ def roll(
         ignores: (n, R) gates that each driver ignores; none by default.
         decay_s: time in which what a driver does beyond the model falls to 1/e, s; 0: at once.
         others: where everyone else is taken to be; by default all move together.
+        steps: how many; the scene's by default.
 
     Returns:
         Distances and speeds; rows of agents that are on no path stand still and mean nothing.
@@ -74,7 +76,7 @@ def roll(
     if decay_s > 0:
         _, first = run(nothing, 1, 1.0)
         residual = np.where(scene.on_path, scene.accel - (first[:, 0] - speed) / STEP_S, 0.0)
-    return Rollout(*run(residual, scene.steps, max(decay_s, 1e-3)))
+    return Rollout(*run(residual, steps or scene.steps, max(decay_s, 1e-3)))
 
 
 def places(scene: Scene, rollout: Rollout) -> FloatArray:
@@ -84,7 +86,7 @@ def places(scene: Scene, rollout: Rollout) -> FloatArray:
     on = scene.on_path
     q = scene.path[on]
     out[on] = kernel.place(
-        rollout.x[on], scene.offset[on], np.exp(-scene.time_s / OFFSET_DECAY_S),
+        rollout.x[on], scene.offsets()[on],
         paths.lane[q], paths.start[q], graph.segment_start, graph.segment_direction,
         graph.segment_at, graph.segment_first, graph.segment_last,
     )  # fmt: skip

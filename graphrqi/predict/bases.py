@@ -1,0 +1,188 @@
+"""The rollouts that learned predictors start from, seen from each driver's own place.
+
+Everything is in the driver's frame: origin where it is, x along its heading, in metres, at the
+knots 0.5, 1, ..., 5 s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.predict.constant import by_inertia
+from graphrqi.predict.drivers import DriverTable
+from graphrqi.predict.features import features
+from graphrqi.predict.following import ignored_gates, personal
+from graphrqi.predict.paths import PathTable
+from graphrqi.predict.rollout import Rollout, places, roll
+from graphrqi.predict.route import candidates, path_probability
+from graphrqi.predict.scene import STEP_S, Scene
+from sim.lane_graph import LaneGraph
+
+FloatArray = NDArray[np.float64]
+
+KNOT_S: Final = 0.5
+"""Time between knots, s."""
+
+KNOTS: Final = 10
+"""How many: up to 5 s."""
+
+CHANGE_S: Final = 3.0
+"""How long a change to the lane beside takes, s (our choice: 3 to 6 s are observed)."""
+
+BASES: Final = ("likeliest way", "second way", "lane to the left", "lane to the right", "inertia")
+"""What each base is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """Inputs of a learned predictor.
+
+    Attributes:
+        inputs: (n, F) numbers.
+        bases: (n, B, KNOTS, 2) rollouts in the driver's frame, m.
+    """
+
+    inputs: FloatArray
+    bases: FloatArray
+
+
+def to_own_frame(scene: Scene, xy: FloatArray) -> FloatArray:
+    """Places (n, ..., 2) as seen by each driver, m."""
+    extra = (1,) * (xy.ndim - 2)
+    cos = np.cos(scene.heading).reshape(-1, *extra)
+    sin = np.sin(scene.heading).reshape(-1, *extra)
+    gone = xy - scene.xy.reshape(-1, *extra, 2)
+    forward = gone[..., 0] * cos + gone[..., 1] * sin
+    return np.stack([forward, gone[..., 1] * cos - gone[..., 0] * sin], axis=-1)
+
+
+def from_own_frame(scene: Scene, own: FloatArray) -> FloatArray:
+    """The inverse of `to_own_frame`."""
+    extra = (1,) * (own.ndim - 2)
+    cos = np.cos(scene.heading).reshape(-1, *extra)
+    sin = np.sin(scene.heading).reshape(-1, *extra)
+    east = own[..., 0] * cos - own[..., 1] * sin
+    north = own[..., 0] * sin + own[..., 1] * cos
+    return np.stack([east, north], axis=-1) + scene.xy.reshape(-1, *extra, 2)
+
+
+def at_knots(xy: FloatArray) -> FloatArray:
+    """Places at every step as places at the knots; the last place stands in for missing ones."""
+    every = round(KNOT_S / STEP_S)
+    columns = np.minimum(np.arange(1, KNOTS + 1) * every - 1, xy.shape[-2] - 1)
+    return np.asarray(xy[..., columns, :])
+
+
+def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
+    """Inputs and bases for beliefs (n, 6) about who drives how.
+
+    Args:
+        scene: the present.
+        probability: (n, 6) beliefs; uniform rows for drivers of whom nothing is known.
+        table: calibrated driver numbers.
+
+    Returns:
+        The inputs of every agent of the scene; those of pedestrians mean nothing.
+    """
+    driver = personal(scene, table.expected(probability))
+    ignores = ignored_gates(scene, probability)
+    choice, likely = path_probability(scene, driver, ignores)
+    order = np.argsort(-likely, axis=1, kind="stable")
+    row = np.arange(len(choice))
+    first = scene.with_path(choice[row, order[:, 0]])
+    rollout = roll(first, driver, ignores, table.decay_s)
+    main = to_own_frame(scene, at_knots(places(first, rollout)))
+    bases = [main]
+    second_likely = np.zeros(row.size)
+    if choice.shape[1] > 1:
+        second = scene.with_path(choice[row, order[:, 1]])
+        second_likely = likely[row, order[:, 1]]
+        other = roll(second, driver, ignores, table.decay_s)
+        bases.append(to_own_frame(scene, at_knots(places(second, other))))
+        bases[1] = np.where((second_likely > 1e-3)[:, None, None], bases[1], main)
+    else:
+        bases.append(main)
+    bases += _beside(scene, main)
+    inertia = by_inertia(scene)
+    bases.append(to_own_frame(scene, at_knots(inertia)))
+    stack = np.stack(bases, axis=1)
+    straight = scene.speed[:, None] * np.arange(1, KNOTS + 1) * KNOT_S
+    relative = stack[:, [0, 1, 4]].copy()
+    relative[..., 0] -= straight[:, None]
+    inputs = np.concatenate(
+        [
+            features(first),
+            relative.reshape(row.size, -1) / 10.0,
+            np.stack([likely[row, order[:, 0]], second_likely], axis=1),
+            probability,
+            _by_behavior(first, rollout, table),
+        ],
+        axis=1,
+    )
+    return Known(inputs, stack)
+
+
+def unlabelled(scene: Scene) -> Known:
+    """Inputs and bases for a predictor that has neither beliefs nor a driver model.
+
+    The bases are the road itself, driven at constant speed: the likeliest way (straight on where
+    several are open), the next one, the lanes beside and inertia.
+
+    Args:
+        scene: the present.
+
+    Returns:
+        The same features of road, past, neighbours, signals and pedestrians as `known` has.
+    """
+    choice, real = candidates(scene)
+    table = PathTable.of(scene.road)
+    likely = np.where(real, table.probability[choice], 0.0)
+    order = np.argsort(-likely, axis=1, kind="stable")
+    row = np.arange(len(choice))
+    travelled = scene.s[:, None] + scene.speed[:, None] * scene.time_s[None]
+    steady = Rollout(travelled, np.repeat(scene.speed[:, None], scene.steps, axis=1))
+    bases = []
+    for rank in (0, min(1, choice.shape[1] - 1)):
+        taken = scene.with_path(choice[row, order[:, rank]])
+        bases.append(to_own_frame(scene, at_knots(places(taken, steady))))
+    bases += _beside(scene, bases[0])
+    bases.append(to_own_frame(scene, at_knots(by_inertia(scene))))
+    stack = np.stack(bases, axis=1)
+    straight = scene.speed[:, None] * np.arange(1, KNOTS + 1) * KNOT_S
+    relative = stack[:, [0, 1, 4]].copy()
+    relative[..., 0] -= straight[:, None]
+    inputs = np.concatenate([features(scene), relative.reshape(row.size, -1) / 10.0], axis=1)
+    return Known(inputs, stack)
+
+
+def _beside(scene: Scene, main: FloatArray) -> list[FloatArray]:
+    """The main rollout moved over to the lane on the left and on the right, where there is one."""
+    graph = LaneGraph.of(scene.road)
+    lane = np.maximum(scene.lane, 0)
+    share = np.clip(np.arange(1, KNOTS + 1) * KNOT_S / CHANGE_S, 0.0, 1.0)
+    found = []
+    for beside, sign in ((graph.left, 1.0), (graph.right, -1.0)):
+        there = scene.on_path & (beside[lane] >= 0)
+        apart = np.where(there, (graph.width[lane] + graph.width[beside[lane]]) / 2, 0.0)
+        moved = main.copy()
+        moved[..., 1] += sign * apart[:, None] * share[None]
+        found.append(moved)
+    return found
+
+
+def _by_behavior(scene: Scene, others: Rollout, table: DriverTable) -> FloatArray:
+    """(n, 12) how far each behaviour would go in half and all of the time, beyond the expected."""
+    half = scene.steps // 2
+    parts = []
+    for code in range(len(table.behavior)):
+        probability = np.zeros((scene.ids.size, len(table.behavior)))
+        probability[:, code] = 1.0
+        driver = personal(scene, table.expected(probability))
+        result = roll(scene, driver, ignored_gates(scene, probability), table.decay_s, others)
+        ahead = np.where(scene.on_path[:, None], result.x - others.x, 0.0)
+        parts += [ahead[:, half] / 5.0, ahead[:, -1] / 10.0]
+    return np.stack(parts, axis=1)

@@ -1,0 +1,229 @@
+"""The default predictor: rollouts of what each driver is believed to be, corrected by a network.
+
+A perceptron takes what is known of a driver (`graphrqi.predict.bases.known`) and gives six futures.
+Each future is a blend of the base rollouts plus a residual, so that the network only has to learn
+what the rollouts miss. The first future is the single best guess, trained on its mean distance;
+the others are trained winner-takes-all to cover what else may happen. Each future also has a
+spread, from which sets of a given coverage follow.
+
+It is trained on the classifier's own posteriors, wrong ones included, with a share of uniform and
+of shuffled ones: trained on true labels it would trust labels that are often wrong.
+
+The network runs in numpy; torch is needed for training only.
+
+References:
+    Guzman-Rivera et al. (2012), "Multiple choice learning", NeurIPS (winner takes all).
+    Rupprecht et al. (2017), "Learning in an uncertain world", ICCV (its relaxed form).
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.posterior import Posterior
+from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known, from_own_frame, known
+from graphrqi.predict.drivers import default_table
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.scene import STEP_S, Scene
+from sim.frames import PEDESTRIAN
+
+FloatArray = NDArray[np.float64]
+
+MODES: Final = 6
+"""Futures per driver: what Argoverse 2 scores."""
+
+PER_MODE: Final = len(BASES) + 3 * KNOTS + 1
+"""Numbers the network gives per future: weights of the bases, residual, spreads, one score."""
+
+LEAST_SPREAD_M: Final = 0.05
+"""Spreads are no smaller, m (our choice: lane centres are not known better)."""
+
+WEIGHTS: Final = "graphrqi-predict.safetensors"
+"""The trained network that ships beside this module."""
+
+SCHEMA_VERSION: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Futures:
+    """What a learned predictor says of each driver, in the driver's frame.
+
+    Attributes:
+        own: (n, K, KNOTS, 2) places at the knots, m.
+        spread: (n, K, KNOTS) standard deviation of each coordinate, m.
+        probability: (n, K); the first future is the likeliest.
+    """
+
+    own: FloatArray
+    spread: FloatArray
+    probability: FloatArray
+
+
+def decode(raw: FloatArray, bases: FloatArray, spread_scale: float) -> Futures:
+    """The network's numbers as futures.
+
+    Args:
+        raw: (n, K PER_MODE) outputs.
+        bases: (n, B, KNOTS, 2) rollouts, m.
+        spread_scale: factor that makes the sets' coverage right, found on validation episodes.
+
+    Returns:
+        The futures.
+    """
+    n = len(raw)
+    each = raw.reshape(n, MODES, PER_MODE)
+    b = len(BASES)
+    weight = softmax(each[..., :b])
+    time_s = np.arange(1, KNOTS + 1) * KNOT_S
+    residual = each[..., b : b + 2 * KNOTS].reshape(n, MODES, KNOTS, 2) * time_s[:, None]
+    own = np.einsum("nkb,nbtc->nktc", weight, bases) + residual
+    scale = np.exp(np.clip(each[..., b + 2 * KNOTS : b + 3 * KNOTS], -6.0, 4.0))
+    spread = np.maximum(scale * time_s * spread_scale, LEAST_SPREAD_M)
+    probability = softmax(each[..., -1])
+    probability[:, 0] = probability.max(axis=1, initial=0.0)
+    return Futures(own, spread, probability / probability.sum(axis=1, keepdims=True))
+
+
+def softmax(values: FloatArray) -> FloatArray:
+    """Softmax over the last axis."""
+    raised = np.exp(values - values.max(axis=-1, keepdims=True))
+    return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perceptron:
+    """A trained network.
+
+    Attributes:
+        mean: (F,) of the training inputs.
+        scale: (F,) their standard deviations.
+        weights: one (in, out) matrix per layer.
+        biases: one (out,) vector per layer.
+        spread_scale: see `decode`.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    weights: tuple[FloatArray, ...]
+    biases: tuple[FloatArray, ...]
+    spread_scale: float
+
+    def __call__(self, data: Known) -> Futures:
+        """The futures of every row."""
+        hidden = np.clip((data.inputs - self.mean) / self.scale, -8.0, 8.0)
+        last = len(self.weights) - 1
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = hidden @ weight + bias
+            if i < last:
+                hidden = hidden / (1.0 + np.exp(-hidden))  # SiLU
+        return decode(hidden, data.bases, self.spread_scale)
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Everything that is saved, by name."""
+        found = {"mean": self.mean, "scale": self.scale}
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            found |= {f"weight_{i}": weight, f"bias_{i}": bias}
+        return found
+
+
+def save_network(network: Perceptron, path: Path, card: dict[str, Any]) -> None:
+    """Write a network with its card (data, split, scores) in the file's metadata."""
+    from safetensors.numpy import save_file
+
+    arrays = {k: np.ascontiguousarray(v, np.float32) for k, v in network.arrays().items()}
+    about = {"schema_version": SCHEMA_VERSION, "spread_scale": network.spread_scale, "card": card}
+    save_file(arrays, path, {"about": json.dumps(about, sort_keys=True)})
+
+
+def load_network(path: Path) -> Perceptron:
+    """Read a network.
+
+    Raises:
+        InputError: if the file is missing, broken or newer than this version reads.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, "np") as file:
+            about = json.loads((file.metadata() or {})["about"])
+            if about["schema_version"] != SCHEMA_VERSION:
+                raise InputError(
+                    f"{path}: schema_version: found {about['schema_version']}, "
+                    f"expected {SCHEMA_VERSION}"
+                )
+            layers = sum(name.startswith("weight_") for name in file.keys())  # noqa: SIM118
+            arrays = {k: file.get_tensor(k).astype(np.float64) for k in file.keys()}  # noqa: SIM118
+            return Perceptron(
+                arrays["mean"],
+                arrays["scale"],
+                tuple(arrays[f"weight_{i}"] for i in range(layers)),
+                tuple(arrays[f"bias_{i}"] for i in range(layers)),
+                float(about["spread_scale"]),
+            )
+    except FileNotFoundError:
+        raise InputError(f"{path}: found no file, expected a trained predictor") from None
+    except (SafetensorError, KeyError, json.JSONDecodeError) as error:
+        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+
+
+@functools.cache
+def default_network() -> Perceptron:
+    """The network that ships in the package."""
+    with resources.as_file(resources.files("graphrqi.predict").joinpath(WEIGHTS)) as path:
+        return load_network(path)
+
+
+class FuturesModel(Protocol):
+    """Anything that turns what is known of drivers into futures."""
+
+    def __call__(self, data: Known) -> Futures:
+        """The futures of every row."""
+        ...
+
+
+def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """Believed rollouts corrected by the shipped network: the best predictor here."""
+    data = known(scene, posterior.of(scene.ids), default_table())
+    return to_prediction(scene, default_network()(data))
+
+
+def to_prediction(scene: Scene, futures: Futures) -> Prediction:
+    """Futures at the knots, in each driver's frame, as places at every step.
+
+    Between knots places lie on a cubic spline that starts at the present speed; after the last
+    knot they go straight on. Pedestrians walk on as they do.
+    """
+    matrix, start = _spline(scene.steps)
+    own = np.einsum("ht,nktc->nkhc", matrix, futures.own)
+    own[..., 0] += scene.speed[:, None, None] * start
+    xy = from_own_frame(scene, own)
+    walks = scene.history.kind == PEDESTRIAN
+    xy[walks] = scene.straight_on()[walks][:, None]
+    spread = np.einsum("ht,nkt->nkh", np.abs(matrix), futures.spread)
+    return Prediction(scene.ids, scene.time_s, xy, futures.probability, spread)
+
+
+@functools.cache
+def _spline(steps: int) -> tuple[FloatArray, FloatArray]:
+    """(H, KNOTS) weights of the knots at each step and (H,) of the present speed."""
+    from scipy.interpolate import CubicSpline
+
+    at = np.arange(KNOTS + 1) * KNOT_S
+    values = np.concatenate([np.zeros((1, KNOTS)), np.eye(KNOTS)])
+    nothing, one = np.zeros(KNOTS), np.array([1.0])
+    time_s = np.arange(1, steps + 1) * STEP_S
+    inside = np.minimum(time_s, at[-1])
+    through = CubicSpline(at, values, bc_type=((1, nothing), (2, nothing)))
+    starting = CubicSpline(at, np.zeros((KNOTS + 1, 1)), bc_type=((1, one), (2, 0 * one)))
+    beyond = (time_s - inside)[:, None]
+    matrix = through(inside) + beyond * through(inside, 1)
+    return np.asarray(matrix), np.asarray((starting(inside) + beyond * starting(inside, 1))[:, 0])

@@ -1,0 +1,76 @@
+"""Where a driver turns: paths weighed by what each would have it do now.
+
+Whoever means to turn brakes for it, and whoever is too fast for the turn will not take it. So each
+way on is judged by how well the acceleration that the car-following law asks for on it agrees with
+the one seen, times how common the way is.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.predict import rollout
+from graphrqi.predict.paths import PathTable
+from graphrqi.predict.scene import STEP_S, Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+ACCELERATION_SD: Final = 0.8
+"""How far drivers' acceleration strays from the law's, m/s2 (our choice after training episodes:
+the median absolute residual is 0.5)."""
+
+LARGEST_EVIDENCE: Final = 6.0
+"""Log-likelihood ratio at most, so that one odd moment does not decide alone (our choice)."""
+
+
+def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:
+    """(n, C) paths that each driver may take, and (n, C) which of those entries are real."""
+    paths = PathTable.of(scene.road)
+    lane = np.maximum(scene.lane, 0)
+    count = np.where(scene.on_path, paths.count[lane], 1)
+    most = int(count.max(initial=1))
+    step = np.arange(most)
+    real = step[None] < count[:, None]
+    first = np.where(scene.on_path, paths.first[lane], 0)
+    return first[:, None] + np.where(real, step[None], 0), real
+
+
+def path_probability(
+    scene: Scene, driver: FloatArray, ignores: BoolArray | None
+) -> tuple[IntArray, FloatArray]:
+    """How likely each driver takes each way on.
+
+    Args:
+        scene: the present.
+        driver: (n, 5) numbers of each driver.
+        ignores: (n, R) gates each driver ignores, or None.
+
+    Returns:
+        (n, C) paths and (n, C) their probabilities; rows sum to 1.
+    """
+    paths = PathTable.of(scene.road)
+    choice, real = candidates(scene)
+    weight = np.where(real, np.log(paths.probability[choice]), -np.inf)
+    if choice.shape[1] > 1:
+        speed = np.maximum(scene.speed, 0.0)
+        for c in range(choice.shape[1]):
+            first = rollout.roll(
+                scene.with_path(choice[:, c]), driver, ignores, decay_s=0.0, steps=1
+            )
+            accel = (first.v[:, 0] - speed) / STEP_S
+            miss = 0.5 * ((scene.accel - accel) / ACCELERATION_SD) ** 2
+            weight[:, c] -= np.minimum(miss, LARGEST_EVIDENCE)
+    weight -= weight.max(axis=1, keepdims=True)
+    likely = np.exp(weight)
+    return choice, np.asarray(likely / likely.sum(axis=1, keepdims=True))
+
+
+def on_likely_paths(scene: Scene, driver: FloatArray, ignores: BoolArray | None) -> Scene:
+    """The scene with everyone on the way that it most likely takes."""
+    choice, probability = path_probability(scene, driver, ignores)
+    return scene.with_path(choice[np.arange(len(choice)), probability.argmax(axis=1)])

@@ -1,0 +1,200 @@
+"""Evaluation of predictors: sums, intervals, futures, and a tiny dataset end to end."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.prediction import (
+    GROUPS,
+    Errors,
+    evaluate,
+    future,
+    instants,
+    metrics_tree,
+    short_table,
+    summarize,
+)
+from experiments.predictor_training import calibrate_drivers, samples_of
+from graphrqi.posterior import Posterior
+from graphrqi.predict.drivers import table_from_json
+from graphrqi.predict.metrics import METRICS
+from scenarios import SCENARIOS
+from sim.dataset import open_dataset, write_episode, write_manifest
+from sim.engines import get_engine
+from sim.frames import Frame, Tracks
+from sim.scenario import sample_agents
+from sim.schema import EpisodeMeta
+
+NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+
+
+def steady(speeds, seconds=12.0, step_s=0.1, y=0.0, start=50.0) -> Tracks:
+    """Vehicles one behind the other far apart, each at its own constant speed along x."""
+    n = len(speeds)
+    frames = [
+        Frame(
+            time_s=t,
+            ids=np.arange(n),
+            xy=np.column_stack([start + 100 * np.arange(n) + np.array(speeds) * t, np.full(n, y)]),
+            heading=np.zeros(n),
+            speed=np.array(speeds),
+            length=np.full(n, 4.0),
+            width=np.full(n, 1.8),
+            kind=np.zeros(n),
+        )
+        for t in np.arange(0.0, seconds + 1e-9, step_s)
+    ]
+    return Tracks.from_frames(frames, dict.fromkeys(range(n), BEHAVIORS[3]))
+
+
+@pytest.fixture(scope="module")
+def road():
+    return SCENARIOS["straight_road"]().road
+
+
+def test_instants_leave_room_for_past_and_future():
+    tracks = steady([5.0], seconds=20.0)
+    stops = list(instants(tracks, 5.0, every_s=2.0))
+    times = tracks.time_s[np.array(stops) - 1]
+    assert times[0] == pytest.approx(5.0)
+    assert np.diff(times) == pytest.approx(2.0)
+    assert times[-1] == pytest.approx(15.0)
+    assert list(instants(steady([5.0], seconds=3.0), 5.0)) == []
+
+
+@pytest.mark.parametrize("step_s", [0.1, 0.04, 0.25])
+def test_future_is_what_happened_whatever_the_step(step_s):
+    tracks = steady([5.0, 8.0], step_s=step_s)
+    stop = int(np.searchsorted(tracks.time_s, 4.0 - 1e-9)) + 1
+    ahead = np.array([0.5, 1.0, 3.0])
+    told = future(tracks, np.array([0, 1]), stop, ahead)
+    expected = 50 + 100 * np.arange(2)[:, None] + np.outer([5.0, 8.0], 4.0 + ahead)
+    assert told[..., 0] == pytest.approx(expected)
+
+
+def test_future_beyond_the_recording_is_unknown():
+    tracks = steady([5.0])
+    assert np.isnan(future(tracks, np.array([0]), 100, np.array([5.0]))).all()
+
+
+def test_constant_velocity_is_perfect_on_steady_vehicles(road):
+    tracks = steady([5.0, 8.0], y=-8.0)
+    stops = list(instants(tracks, 5.0))
+    found = evaluate(tracks, dict.fromkeys(stops, NOBODY), road, ["constant-velocity"])
+    errors = found["constant-velocity"]
+    assert errors.count[GROUPS.index("all")] == 2 * len(stops)
+    assert errors.count[GROUPS.index("careful")] == 2 * len(stops)
+    assert errors.count[GROUPS.index("timid")] == 0
+    assert np.abs(errors.total).max() < 1e-6
+
+
+def test_errors_of_a_braking_vehicle_are_the_textbook_ones(road):
+    """From speed v with deceleration b, constant velocity is off by b t^2 / 2."""
+    frames = []
+    for t in np.arange(0.0, 12.0 + 1e-9, 0.1):
+        frames.append(
+            Frame(
+                time_s=t, ids=[0], xy=[[50.0 + 13.0 * t - 0.25 * t**2, -8.0]], heading=[0.0],
+                speed=[13.0 - 0.5 * t], length=[4.0], width=[1.8], kind=[0],
+            )
+        )  # fmt: skip
+    tracks = Tracks.from_frames(frames)
+    found = evaluate(tracks, {51: NOBODY}, road, ["constant-velocity"])["constant-velocity"]
+    fde, ade = list(METRICS).index("fde_m"), list(METRICS).index("ade_m")
+    assert found.total[0, :, fde] == pytest.approx([0.25, 2.25, 6.25], abs=1e-6)
+    at = np.arange(0.5, 5.1, 0.5)
+    assert found.total[0, 2, ade] == pytest.approx(0.25 * (at**2).mean(), abs=1e-6)
+
+
+def made_up(value: float, count: float = 10.0) -> Errors:
+    total = np.zeros((len(GROUPS), 3, len(METRICS)))
+    total[0] = value * count
+    counts = np.zeros(len(GROUPS))
+    counts[0] = count
+    return Errors(total, counts)
+
+
+def test_summary_has_intervals_and_paired_differences():
+    rng = np.random.default_rng(0)
+    difficulty = rng.uniform(1, 3, 12)
+    rows = summarize(
+        [{"a": made_up(d), "b": made_up(d - 0.2)} for d in difficulty], "somewhere", "test"
+    )
+    picked = {
+        (r["predictor"], r["metric"]): r
+        for r in rows
+        if r["horizon_s"] == 5 and "ade" in r["metric"]
+    }
+    a = picked["a", "ade_m"]
+    assert a["low"] < a["value"] < a["high"]
+    assert a["value"] == pytest.approx(difficulty.mean())
+    difference = picked["b", "ade_m_minus_a"]
+    assert [difference[k] for k in ("value", "low", "high")] == pytest.approx([-0.2] * 3)
+    assert {r["behavior"] for r in rows} == {"all"}
+    rmse = next(r for r in rows if r["metric"] == "rmse_m" and r["predictor"] == "a")
+    assert rmse["value"] == pytest.approx(np.sqrt(difficulty.mean()))
+
+
+def test_one_episode_has_no_interval():
+    row = summarize([{"a": made_up(1.0)}], "somewhere", "test")[0]
+    assert row["low"] is None
+    assert row["high"] is None
+
+
+def test_metrics_tree_and_table():
+    rows = summarize([{"a": made_up(1.0)}, {"a": made_up(2.0)}], "somewhere", "test")
+    tree = metrics_tree(rows)
+    assert tree["somewhere"]["a"]["ade_m"]["5s"]["value"] == pytest.approx(1.5)
+    assert set(tree["somewhere"]["a"]) == {"ade_m", "fde_m"}
+    assert set(tree["somewhere"]["a"]["fde_m"]) == {"1s", "3s", "5s"}
+    assert set(tree["somewhere"]["a"]["fde_m"]["1s"]) == {"value", "low", "high", "n", "split"}
+    assert short_table(rows)[0]["ade_m 3s"] == 1.5
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("prediction") / "data"
+    entries = []
+    for index, split in enumerate(("train", "validation", "test")):
+        scenario = SCENARIOS["straight_road"](duration_s=30.0, flow=1500)
+        agents = sample_agents(scenario, index)
+        meta = EpisodeMeta(
+            scenario=scenario.name, options={}, engine="sumo", seed=index, index=index,
+            split=split,
+        )  # fmt: skip
+        frames = get_engine("sumo")(scenario, agents, index)
+        entries.append(write_episode(folder, meta, frames, agents, scenario.road.source))
+    write_manifest(folder, {}, entries)
+    return folder
+
+
+def test_calibration_improves_on_training_scenes_and_writes_its_card(dataset, tmp_path):
+    out = tmp_path / "drivers.json"
+    table = calibrate_drivers(dataset, out, iterations=6, quiet=True)
+    text = out.read_text()
+    assert np.allclose(table_from_json(text, out.name).behavior, table.behavior, atol=1e-4)
+    card = json.loads(text)["card"]
+    assert card["split"] == "train"
+    assert set(card["scores"]) == {"train", "validation"}
+    again = calibrate_drivers(dataset, tmp_path / "again.json", iterations=6, quiet=True)
+    assert np.array_equal(again.behavior, table.behavior)
+
+
+def test_samples_hold_scenes_and_their_futures(dataset):
+    opened = open_dataset(dataset)
+    samples = samples_of(dataset, opened.episodes("train")[0], 5.0)
+    assert samples
+    for sample in samples:
+        assert sample.future.shape == (*sample.scene.ids.shape, sample.scene.steps, 2)
+        assert np.isfinite(sample.future[sample.counts]).all()
+
+
+def test_calibration_without_training_episodes_is_refused(tmp_path):
+    write_manifest(tmp_path / "empty", {}, [])
+    with pytest.raises(InputError, match="no training scene"):
+        calibrate_drivers(tmp_path / "empty", tmp_path / "out.json", quiet=True)
