@@ -31,6 +31,13 @@ Json = Annotated[
 ModelName = Annotated[
     str, typer.Option("--model", help="A model that ships, or a folder written by train.")
 ]
+FormatName = Annotated[
+    str | None, typer.Option("--format", metavar="KEY", help="Told from the content if left out.")
+]
+Net = Annotated[
+    Path | None,
+    typer.Option("--net", metavar="FILE", help="SUMO net that a recording was made on."),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
 Engine = Annotated[str, typer.Option(help="Which simulator; see graphrqi list.")]
@@ -142,36 +149,45 @@ def train(
 
 @app.command(epilog="example: graphrqi classify data --out labels.parquet")
 def classify(
-    source: Annotated[Path, typer.Argument(help="A dataset.")],
+    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Parquet file for the labels.")],
+    format: FormatName = None,
+    net: Net = None,
     model: ModelName = "graphrqi-plus",
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Name each driver's behaviour as it drives."""
     from experiments.classification import classify_dataset
+    from experiments.exchange import as_dataset
     from experiments.tables import show_table
 
-    show_table(classify_dataset(source, model, out, quiet), json)
+    with as_dataset(source, format, net) as dataset:
+        rows = classify_dataset(dataset, model, out, quiet)
+    show_table(rows, json)
 
 
 @app.command(epilog="example: graphrqi predict data --predictors car-following --horizon-s 5")
 def predict(
-    source: Annotated[Path, typer.Argument(help="A dataset.")],
+    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
     predictors: Annotated[
         str, typer.Option(metavar="A,B", help="Names, separated by commas; see graphrqi list.")
     ] = "constant-velocity,car-following-blind,car-following",
     horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
+    format: FormatName = None,
+    net: Net = None,
     model: ModelName = "graphrqi-plus",
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Predict where everyone goes, and score it."""
+    from experiments.exchange import as_dataset
     from experiments.prediction import predict_dataset
 
     names = [name.strip() for name in predictors.split(",") if name.strip()]
-    predict_dataset(source, names, horizon_s, model, json, jobs=jobs, quiet=quiet)
+    with as_dataset(source, format, net) as dataset:
+        predict_dataset(dataset, names, horizon_s, model, json, jobs=jobs, quiet=quiet)
 
 
 @app.command(epilog="example: graphrqi report runs/demo")
@@ -183,6 +199,36 @@ def report(
 
     for run in runs:
         typer.echo(write_report(run))
+
+
+@app.command("import", epilog="example: graphrqi import recordings --format ngsim --out data")
+def import_(
+    source: Annotated[Path, typer.Argument(help="A recording, or a folder of recordings.")],
+    out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
+    format: FormatName = None,
+    net: Net = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a dataset of recordings in other formats."""
+    from experiments.exchange import import_recordings
+
+    manifest = import_recordings(source, out, format, net, quiet=quiet)
+    steps = sum(e.agent_steps for e in manifest.episodes)
+    typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
+
+
+@app.command(epilog="example: graphrqi export data --format argoverse2 --out exported")
+def export(
+    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
+    format: Annotated[str, typer.Option("--format", metavar="KEY", help="See graphrqi list.")],
+    out: Annotated[Path, typer.Option(help="Folder to write into.")],
+    quiet: Quiet = False,
+) -> None:
+    """Write a dataset in another format."""
+    from experiments.exchange import export_dataset
+
+    written = export_dataset(dataset, out, format, quiet)
+    typer.echo(f"{out}: {len(written)} written")
 
 
 @app.command(epilog="example: graphrqi verify data --repair")

@@ -28,6 +28,14 @@ def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     return ["| " + " | ".join(cells) + " |" for cells in lines]
 
 
+def _limits(dataset: Dataset) -> list[str]:
+    """What is known to be missing or assumed."""
+    if "format" not in dataset.manifest.configuration:
+        return list(LIMITS)
+    notes = [e.options.get("notes", []) for e in dataset.manifest.episodes]
+    return sorted({str(note) for some in notes if isinstance(some, list) for note in some})
+
+
 def data_card(dataset: Dataset) -> str:
     """Describe a dataset: counts, configuration, columns, known limits.
 
@@ -78,7 +86,7 @@ def data_card(dataset: Dataset) -> str:
             "",
             "## Known limits",
             "",
-            *(f"- {limit}" for limit in LIMITS),
+            *(f"- {limit}" for limit in _limits(dataset)),
             "",
             "## Made with",
             "",

@@ -54,6 +54,7 @@ def registered_names() -> dict[str, list[str]]:
     from graphrqi.spectrum import SOLVERS
     from scenarios import SCENARIOS
     from sim.engines import ENGINES
+    from sim.formats import FORMATS
 
     return {
         "scenario": list(SCENARIOS),
@@ -61,6 +62,7 @@ def registered_names() -> dict[str, list[str]]:
         "method": list(METHODS),
         "solver": list(SOLVERS),
         "predictor": list(PREDICTORS),
+        "format": list(FORMATS),
     }
 
 

@@ -20,7 +20,7 @@ class Progress:
 
     Args:
         what: the work and what is counted ("generating episodes").
-        total: how many there are to do.
+        total: how many there are to do; 0 where that is not known.
         quiet: whether to show nothing.
     """
 
@@ -48,7 +48,7 @@ class Progress:
                 console=Console(stderr=True),
             )
             self._bar.start()
-            self._task = self._bar.add_task(self._what, total=self._total, words="")
+            self._task = self._bar.add_task(self._what, total=self._total or None, words="")
         return self
 
     def __exit__(

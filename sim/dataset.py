@@ -315,12 +315,15 @@ def episode_id(meta: EpisodeMeta, agents: Sequence[AgentSpec], road: Path | None
     )
 
 
-def _identity(meta: EpisodeMeta, agents: bytes, road: str | None) -> str:
+def _identity(
+    meta: EpisodeMeta, agents: bytes, road: str | None, recorded: bytes | None = None
+) -> str:
     made_from = {
         **meta.model_dump(),
         "schema_version": SCHEMA_VERSION,
         "agents": _sha256(agents),
         "road": road,
+        "recorded": None if recorded is None else _sha256(recorded),
     }
     return _sha256(_canonical(made_from))[:16]
 
@@ -420,7 +423,8 @@ def _write(
         "events.parquet": _events_table(steps.events),
     }
     content = {name: _parquet_bytes(table) for name, table in tables.items()}
-    identity = _identity(meta, content["agents.parquet"], road_sha256)
+    recorded = content["steps.parquet"] if steps.exact else None
+    identity = _identity(meta, content["agents.parquet"], road_sha256, recorded)
     with whole_folder(folder / "episodes" / identity) as partial:
         for name, data in content.items():
             (partial / name).write_bytes(data)
@@ -721,8 +725,7 @@ def _read_table(
         file = pq.ParquetFile(pa.BufferReader(data))
         found = file.schema_arrow.remove_metadata()
         if not any(_same_columns(found, schema) for schema in schemas):
-            expected = ", ".join(f"{f.name} {f.type}" for f in schemas[0])
-            raise InputError(f"{path}: found other columns, expected {expected}")
+            raise InputError(f"{path}: {_first_difference(found, schemas[0])}")
         if file.metadata.num_rows > max_rows:
             raise InputError(
                 f"{path}: found {file.metadata.num_rows} rows, expected at most {max_rows}"
@@ -733,6 +736,19 @@ def _read_table(
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
     return table
+
+
+def _first_difference(found: pa.Schema, expected: pa.Schema) -> str:
+    """Which column is the first that is not as the schema has it."""
+    for field in expected:
+        if field.name not in found.names:
+            return f"found no column {field.name}, expected it"
+        if found.names.count(field.name) > 1:
+            return f"found column {field.name} more than once"
+        if found.field(field.name).type != field.type:
+            return f"found {field.name} as {found.field(field.name).type}, expected {field.type}"
+    strange = [name for name in found.names if name not in expected.names]
+    return f"found column {strange[0]}" if strange else "found other columns in another order"
 
 
 def _same_columns(found: pa.Schema, expected: pa.Schema) -> bool:

@@ -370,7 +370,7 @@ def column(table: pa.Table, name: str, values: list[object]) -> pa.Table:
         ("steps", lambda t: t.take(list(range(t.num_rows))[::-1]), "out of order"),
         ("steps", lambda t: pa.concat_tables([t, t]), "rows, expected at most"),
         ("steps", lambda t: t.slice(0, 3).take([0, 0, 1]), "out of order"),
-        ("steps", lambda t: t.drop_columns(["x_m"]), "other columns"),
+        ("steps", lambda t: t.drop_columns(["x_m"]), "found no column x_m"),
         ("steps", lambda t: column(t, "x_m", [float("nan")] * len(t)), "not finite"),
         ("steps", lambda t: column(t, "speed_mps", [float("inf")] * len(t)), "not finite"),
         ("steps", lambda t: column(t, "y_m", [None] * len(t)), "empty y_m"),

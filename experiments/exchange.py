@@ -1,0 +1,129 @@
+"""Brings recordings of other formats in, and writes datasets out in them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from behaviors.errors import InputError
+from experiments.data_card import data_card
+from experiments.progress import Progress
+from sim.atomic import write_whole
+from sim.dataset import (
+    MANIFEST,
+    made_with,
+    open_dataset,
+    write_manifest,
+    write_recording,
+)
+from sim.formats import get_reader, get_writer, read_recordings, recognise
+from sim.lock import sole_writer
+from sim.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
+
+
+def import_recordings(
+    source: Path,
+    out: Path,
+    name: str | None = None,
+    net: Path | None = None,
+    split: Split | None = None,
+    quiet: bool = False,
+) -> Manifest:
+    """Make a dataset of recordings, their numbers kept to the last digit.
+
+    Args:
+        source: a file, or a folder with files of one format.
+        out: folder of the dataset, new or empty.
+        name: a key of ``sim.formats.FORMATS``; None to tell it from the content.
+        net: the SUMO net that the recordings were made on; None where there is none.
+        split: which part of the data everything belongs to; None to split by index.
+        quiet: whether to show no progress.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InputError: if a file is broken or of no known format, or ``out`` is not empty.
+        OSError: if something cannot be written.
+    """
+    name = name or recognise(source)
+    get_reader(name)
+    if net is not None:
+        from sim.net import read_road
+
+        read_road(net)
+    if out.exists() and (not out.is_dir() or any(p.name != ".lock" for p in out.iterdir())):
+        raise InputError(f"{out}: found something there, expected a new or empty folder")
+    entries: list[EpisodeEntry] = []
+    with sole_writer(out), Progress("importing recordings", 0, quiet) as shown:
+        for index, recording in enumerate(read_recordings(source, name)):
+            meta = EpisodeMeta(
+                scenario=name,
+                engine=name,
+                index=index,
+                split=split or split_of(index),
+                options={"recording": recording.name, "notes": list(recording.notes)},
+                made_with=made_with(name),
+            )
+            entry = write_recording(out, meta, recording.tracks, net)
+            entries.append(entry)
+            shown.advance(entry.agents, entry.agent_steps)
+        manifest = write_manifest(out, {"format": name, "source": source.name}, entries)
+        write_whole(out / "README.md", data_card(open_dataset(out)).encode())
+    return manifest
+
+
+@contextmanager
+def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -> Iterator[Path]:
+    """A dataset as it is, or recordings as a dataset that lasts while the block does.
+
+    Args:
+        source: a dataset's folder, a file, or a folder of files.
+        name: format of the recordings; None to tell it from the content.
+        net: the SUMO net that the recordings were made on.
+
+    Yields:
+        Folder of a dataset; recordings are all in its test split.
+
+    Raises:
+        InputError: if a file is broken or of no known format.
+    """
+    is_dataset = (source / MANIFEST).is_file() or (source / "episodes").is_dir()
+    if name is None and (is_dataset or not source.exists()):
+        yield source
+        return
+    with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:
+        folder = Path(scratch) / source.name
+        import_recordings(source, folder, name, net, split="test", quiet=True)
+        yield folder
+
+
+def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> list[Path]:
+    """Write every episode of a dataset in another format.
+
+    Args:
+        dataset: folder of the dataset.
+        out: where; created if need be. Files of the same names are replaced.
+        name: a key of ``sim.formats.FORMATS`` that has a writer.
+        quiet: whether to show no progress.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: if the dataset is broken or does not fit the format.
+        OSError: if something cannot be written.
+    """
+    writer = get_writer(name)
+    opened = open_dataset(dataset)
+    out.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    episodes = opened.manifest.episodes
+    with Progress("exporting episodes", len(episodes), quiet) as shown:
+        for entry in episodes:
+            tracks = opened.read(entry).tracks
+            written += writer(out, entry.id, tracks, opened.road(entry))
+            shown.advance(entry.agents, entry.agent_steps)
+    return written

@@ -1,0 +1,332 @@
+"""Argoverse 2 motion forecasting: a Parquet file and a map per 11 s at 10 Hz.
+
+``scenario_<id>.parquet`` holds the tracks (box centres, m), ``log_map_archive_<id>.json`` the map;
+50 steps are observed, 60 to predict. What we write is read by the official ``av2`` package; the
+behaviours go into ``behavior_<id>.parquet`` beside it.
+
+References:
+    Wilson et al. (2021), Argoverse 2, NeurIPS Datasets and Benchmarks.
+"""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from sim.atomic import whole_folder
+from sim.formats.recording import MAX_ROWS, Recording, Rows, assemble, check_size, default_size
+from sim.formats.windows import every_tenth, focal_agents, windows
+from sim.frames import KINDS, AgentKind, Tracks
+from sim.road import Lane, Road
+
+OBSERVED_STEPS: Final = 50
+STEPS: Final = 110
+SPAN_NS: Final = 10.9e9
+"""Time from the first to the last step, ns."""
+
+OBJECT_TYPES: Final[dict[str, AgentKind]] = {
+    "vehicle": AgentKind.CAR,
+    "bus": AgentKind.BUS,
+    "motorcyclist": AgentKind.MOTORCYCLE,
+    "cyclist": AgentKind.BICYCLE,
+    "pedestrian": AgentKind.PEDESTRIAN,
+}
+"""Object types that are road-agents; the others (static, background, ...) stand around."""
+
+WRITTEN_TYPES: Final[dict[AgentKind, str]] = {
+    AgentKind.CAR: "vehicle",
+    AgentKind.TRUCK: "vehicle",
+    **{kind: word for word, kind in OBJECT_TYPES.items() if kind is not AgentKind.CAR},
+}
+"""The object type of each kind; the format has no trucks."""
+
+FRAGMENT, UNSCORED, SCORED, FOCAL = range(4)
+"""Object categories."""
+
+SCHEMA: Final = pa.schema(
+    [
+        ("observed", pa.bool_()),
+        ("track_id", pa.string()),
+        ("object_type", pa.string()),
+        ("object_category", pa.int64()),
+        ("timestep", pa.int64()),
+        ("position_x", pa.float64()),
+        ("position_y", pa.float64()),
+        ("heading", pa.float64()),
+        ("velocity_x", pa.float64()),
+        ("velocity_y", pa.float64()),
+        ("scenario_id", pa.string()),
+        ("start_timestamp", pa.float64()),
+        ("end_timestamp", pa.float64()),
+        ("num_timestamps", pa.int64()),
+        ("focal_track_id", pa.string()),
+        ("city", pa.string()),
+        ("map_id", pa.uint64()),
+        ("slice_id", pa.string()),
+    ]
+)
+"""The official columns."""
+
+BEHAVIOR_SCHEMA: Final = pa.schema(
+    [
+        ("scenario_id", pa.string()),
+        ("track_id", pa.string()),
+        ("kind", pa.string()),
+        ("behavior", pa.string()),
+        ("length_m", pa.float64()),
+        ("width_m", pa.float64()),
+    ]
+)
+"""Columns of our file beside the official ones: what the format has no place for."""
+
+_READ: Final = (
+    "track_id", "object_type", "timestep", "position_x", "position_y", "heading", "velocity_x",
+    "velocity_y",
+)  # fmt: skip
+
+
+def read(path: Path) -> Iterator[Recording]:
+    """Read one scenario file; numbers are kept to the last digit.
+
+    Args:
+        path: ``scenario_<id>.parquet``.
+
+    Yields:
+        One recording.
+
+    Raises:
+        InputError: if the file is broken; the message names file and column.
+    """
+    check_size(path)
+    try:
+        file = pq.ParquetFile(path)
+        missing = [name for name in _READ if name not in file.schema_arrow.names]
+        if missing:
+            raise InputError(f"{path}: found no column {missing[0]}, expected it")
+        if file.metadata.num_rows > MAX_ROWS:
+            raise InputError(f"{path}: found {file.metadata.num_rows} rows, expected {MAX_ROWS}")
+        table = file.read(columns=list(_READ), use_threads=False)
+        table.validate(full=True)
+        table = table.cast(pa.schema([SCHEMA.field(name) for name in _READ]))
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: found no readable Argoverse 2 scenario ({reason})") from None
+    for name in _READ:
+        if table.column(name).null_count:
+            raise InputError(f"{path}: column {name}: found an empty field, expected a value")
+    types = np.array(table.column("object_type").to_pylist(), dtype=object)
+    road_agent = np.isin(types, list(OBJECT_TYPES))
+    left_out = sorted(set(types[~road_agent].tolist()))
+    ids = table.column("track_id").combine_chunks().dictionary_encode()
+    agent = ids.indices.to_numpy().astype(np.int64)
+    kept, agent = np.unique(agent[road_agent], return_inverse=True)
+    _, first = np.unique(agent, return_index=True)
+    kinds = [OBJECT_TYPES[types[road_agent][i]] for i in first]
+    sizes = [default_size(kind) for kind in kinds]
+
+    def column(name: str) -> NDArray[np.float64]:
+        return np.asarray(table.column(name).to_numpy()[road_agent], dtype=np.float64)
+
+    rows = Rows(
+        agent=agent,
+        names=tuple(ids.dictionary[int(i)].as_py() for i in kept),
+        time_s=column("timestep") / 10.0,
+        x=column("position_x"),
+        y=column("position_y"),
+        heading=column("heading"),
+        speed=np.hypot(column("velocity_x"), column("velocity_y")),
+        length=np.array([length for length, _ in sizes]),
+        width=np.array([width for _, width in sizes]),
+        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+    )
+    notes = ["sizes are not in this format: those usual for each kind are assumed"]
+    if left_out:
+        notes.append(f"left out, because they are not road-agents: {', '.join(left_out)}")
+    yield Recording(path.stem.removeprefix("scenario_"), assemble(path, rows), tuple(notes))
+
+
+# --- writing ------------------------------------------------------------------------------------
+
+
+def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:
+    """Write an episode as scenarios of 11 s.
+
+    The vehicle that travels farthest of those seen all the time is the focal track; others seen
+    all the time are scored.
+
+    Args:
+        folder: where; it must exist.
+        name: of the episode; decides the scenarios' ids.
+        tracks: the episode, its step a divisor of 0.1 s.
+        road: where it happened; without it the map is empty.
+
+    Returns:
+        The folders written, one per scenario.
+
+    Raises:
+        InputError: if the step does not fit or no 11 s have an agent that is seen all the time.
+    """
+    written: list[Path] = []
+    city = "simulated" if road is None else road.name.replace("_", "-")
+    archive = json.dumps(static_map(road), allow_nan=False).encode()
+    for number, window in enumerate(windows(every_tenth(tracks), STEPS)):
+        focal = focal_agents(window)
+        if not focal:
+            continue
+        identity = str(uuid.uuid5(uuid.NAMESPACE_URL, f"{name}/{number}"))
+        with whole_folder(folder / identity) as partial:
+            scenario = _scenario(window, focal[0], identity, city)
+            pq.write_table(scenario, partial / f"scenario_{identity}.parquet")
+            pq.write_table(_labels(window, identity), partial / f"behavior_{identity}.parquet")
+            (partial / f"log_map_archive_{identity}.json").write_bytes(archive)
+        written.append(folder / identity)
+    if not written:
+        raise InputError(f"{name}: found no 11 s with an agent seen all the time, expected some")
+    return written
+
+
+def _scenario(window: Tracks, focal: int, identity: str, city: str) -> pa.Table:
+    row, step = np.nonzero(window.valid)
+    complete = window.valid.all(axis=1)
+    observed = window.valid[:, OBSERVED_STEPS - 1]
+    category = np.where(complete, SCORED, np.where(observed, UNSCORED, FRAGMENT))
+    category[focal] = FOCAL
+    types = np.array([WRITTEN_TYPES[KINDS[k]] for k in window.kind])
+    names = np.array(window.names)
+    heading, speed = window.heading[row, step], window.speed[row, step]
+    start_ns = float(np.round(window.time_s[0] * 1e9))
+    m = row.size
+    columns: dict[str, Any] = {
+        "observed": step < OBSERVED_STEPS,
+        "track_id": names[row],
+        "object_type": types[row],
+        "object_category": category[row],
+        "timestep": step,
+        "position_x": window.xy[row, step, 0],
+        "position_y": window.xy[row, step, 1],
+        "heading": heading,
+        "velocity_x": speed * np.cos(heading),
+        "velocity_y": speed * np.sin(heading),
+        "scenario_id": [identity] * m,
+        "start_timestamp": np.full(m, start_ns),
+        "end_timestamp": np.full(m, start_ns + SPAN_NS),
+        "num_timestamps": np.full(m, STEPS),
+        "focal_track_id": [window.names[focal]] * m,
+        "city": [city] * m,
+        "map_id": np.zeros(m, dtype=np.uint64),
+        "slice_id": [identity] * m,
+    }
+    return pa.table({k: pa.array(v, type=SCHEMA.field(k).type) for k, v in columns.items()})
+
+
+def _labels(window: Tracks, identity: str) -> pa.Table:
+    codes = np.full(len(window.names), -1) if window.behavior is None else window.behavior
+    columns = {
+        "scenario_id": [identity] * len(window.names),
+        "track_id": list(window.names),
+        "kind": [KINDS[k].value for k in window.kind],
+        "behavior": [BEHAVIORS[c].value if c >= 0 else None for c in codes],
+        "length_m": window.length,
+        "width_m": window.width,
+    }
+    return pa.table(columns, schema=BEHAVIOR_SCHEMA)
+
+
+def _points(line: NDArray[np.float64]) -> list[dict[str, float]]:
+    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]
+
+
+def offset_line(line: NDArray[np.float64], left_m: float) -> NDArray[np.float64]:
+    """(P, 2) a line moved to its left.
+
+    Args:
+        line: (P, 2) points, m; P at least 2.
+        left_m: how far, m; negative moves it to the right.
+
+    Returns:
+        The moved points: each along the bisecting normal of its two segments.
+    """
+    step = np.diff(line, axis=0)
+    normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
+    mean = np.concatenate([normal[:1], normal[:-1] + normal[1:], normal[-1:]])
+    mean /= np.maximum(np.hypot(mean[:, 0], mean[:, 1]), 1e-9)[:, None]
+    return np.asarray(line + left_m * mean, dtype=np.float64)
+
+
+def static_map(road: Road | None) -> dict[str, Any]:
+    """The map as the official package reads it.
+
+    Args:
+        road: what to describe; None for an empty map.
+
+    Returns:
+        Lane segments, drivable areas and pedestrian crossings by id.
+    """
+    if road is None:
+        return {"drivable_areas": {}, "lane_segments": {}, "pedestrian_crossings": {}}
+    number = {lane.id: i + 1 for i, lane in enumerate(road.lanes) if not lane.walking}
+    chains = [(c.from_lane, *c.via, c.to_lane) for c in road.connections]
+    follows = {pair for chain in chains for pair in pairwise(chain)}
+    by_place = {(lane.edge, lane.index): lane for lane in road.lanes if not lane.walking}
+    segments = {}
+    areas = {}
+    for lane in road.lanes:
+        if lane.walking:
+            continue
+        left = offset_line(lane.centerline, 0.5 * lane.width_m)
+        right = offset_line(lane.centerline, -0.5 * lane.width_m)
+        identity = number[lane.id]
+        segments[str(identity)] = {
+            "id": identity,
+            "is_intersection": lane.internal,
+            "lane_type": "VEHICLE",
+            "centerline": _points(lane.centerline),
+            "left_lane_boundary": _points(left),
+            "right_lane_boundary": _points(right),
+            **_sides(lane, by_place, number),
+            "predecessors": sorted(number[a] for a, b in follows if b == lane.id and a in number),
+            "successors": sorted(number[b] for a, b in follows if a == lane.id and b in number),
+        }
+        boundary = np.concatenate([left, right[::-1]])
+        areas[str(identity)] = {"id": identity, "area_boundary": _points(boundary)}
+    crossings = {}
+    for i, crossing in enumerate(road.crossings):
+        identity = len(road.lanes) + 1 + i
+        ends = crossing.centerline[[0, -1]]
+        crossings[str(identity)] = {
+            "id": identity,
+            "edge1": _points(offset_line(ends, 0.5 * crossing.width_m)),
+            "edge2": _points(offset_line(ends, -0.5 * crossing.width_m)),
+        }
+    return {
+        "drivable_areas": areas,
+        "lane_segments": segments,
+        "pedestrian_crossings": crossings,
+    }
+
+
+def _sides(
+    lane: Lane, by_place: dict[tuple[str, int], Lane], number: dict[str, int]
+) -> dict[str, Any]:
+    left = by_place.get((lane.edge, lane.index + 1))
+    right = by_place.get((lane.edge, lane.index - 1))
+    outer = "NONE" if lane.internal else "SOLID_WHITE"
+    inner = "NONE" if lane.internal else "DASHED_WHITE"
+    return {
+        "left_neighbor_id": None if left is None else number[left.id],
+        "right_neighbor_id": None if right is None else number[right.id],
+        "left_lane_mark_type": outer if left is None else inner,
+        "right_lane_mark_type": outer if right is None else inner,
+    }

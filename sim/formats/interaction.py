@@ -1,0 +1,116 @@
+"""INTERACTION: ``vehicle_tracks_NNN.csv`` with ``pedestrian_tracks_NNN.csv`` beside it, 10 Hz.
+
+Box centres in metres, headings in radians, times in milliseconds. Pedestrians and bicycles have
+neither heading nor size.
+
+References:
+    Zhan et al. (2019), INTERACTION dataset, arXiv:1910.03088.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.formats.csv_columns import Columns, read_columns
+from sim.formats.recording import MOVING_MPS, Recording, Rows, assemble, default_size
+from sim.frames import AgentKind
+
+TYPES: Final[dict[str, AgentKind]] = {
+    "car": AgentKind.CAR,
+    "bus": AgentKind.BUS,
+    "truck": AgentKind.TRUCK,
+    "motorcycle": AgentKind.MOTORCYCLE,
+    "bicycle": AgentKind.BICYCLE,
+    "pedestrian": AgentKind.PEDESTRIAN,
+    "pedestrian/bicycle": AgentKind.PEDESTRIAN,
+}
+"""``agent_type``, in lower case."""
+
+_COMMON: Final = ("timestamp_ms", "x", "y", "vx", "vy")
+_BOX: Final = ("psi_rad", "length", "width")
+
+
+def read(path: Path) -> Iterator[Recording]:
+    """Read one file of vehicles, and the pedestrians recorded with them.
+
+    Args:
+        path: ``vehicle_tracks_NNN.csv`` (or pedestrians alone).
+
+    Yields:
+        One recording.
+
+    Raises:
+        InputError: if a file is broken; the message names file and column or row.
+    """
+    parts = [_rows(path)]
+    walkers = path.with_name(path.name.replace("vehicle_tracks", "pedestrian_tracks"))
+    if walkers != path and walkers.is_file():
+        parts.append(_rows(walkers))
+    offsets = np.cumsum([0, *(len(part.names) for part in parts)])
+    names = [name for part in parts for name in part.names]
+    if len(set(names)) != len(names):
+        raise InputError(f"{walkers}: found an agent that {path.name} has too, expected others")
+
+    def joined(name: str) -> NDArray[np.float64]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    rows = Rows(
+        agent=np.concatenate([p.agent + o for p, o in zip(parts, offsets, strict=False)]),
+        names=tuple(names),
+        time_s=joined("time_s"),
+        x=joined("x"),
+        y=joined("y"),
+        heading=joined("heading"),
+        speed=joined("speed"),
+        length=joined("length"),
+        width=joined("width"),
+        kind=np.concatenate([part.kind for part in parts]),
+    )
+    notes = ("those without a size have the one usual for their kind",)
+    yield Recording(path.stem, assemble(path, rows), notes if walkers.is_file() else ())
+
+
+def _rows(path: Path) -> Rows:
+    columns = read_columns(path, [*_COMMON, *_BOX], ["track_id", "agent_type"], optional=_BOX)
+    agent, names = columns.names("track_id")
+    kinds = _kinds(path, columns, agent)
+    vx, vy = columns.numbers("vx"), columns.numbers("vy")
+    speed = np.hypot(vx, vy)
+    if all(name in columns for name in _BOX):
+        _, first = np.unique(agent, return_index=True)
+        heading = columns.numbers("psi_rad")
+        length, width = columns.numbers("length")[first], columns.numbers("width")[first]
+    else:
+        heading = np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan)
+        sizes = np.array([default_size(kind) for kind in kinds])
+        length, width = sizes[:, 0], sizes[:, 1]
+    return Rows(
+        agent=agent,
+        names=names,
+        time_s=columns.numbers("timestamp_ms") / 1000.0,
+        x=columns.numbers("x"),
+        y=columns.numbers("y"),
+        heading=heading,
+        speed=speed,
+        length=length,
+        width=width,
+        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+    )
+
+
+def _kinds(path: Path, columns: Columns, agent: NDArray[np.int64]) -> list[AgentKind]:
+    kinds = []
+    for word in columns.first("agent_type", agent):
+        kind = TYPES.get(word.lower())
+        if kind is None:
+            raise InputError(
+                f"{path}: column agent_type: found {word!r}, expected one of {', '.join(TYPES)}"
+            )
+        kinds.append(kind)
+    return kinds

@@ -1,0 +1,114 @@
+"""NGSIM vehicle trajectories: FEET, feet per second, milliseconds; positions of the FRONT centre.
+
+Either the CSV with its header (upper and lower case vary, some columns may be missing) or the
+highway text files: white space, no header, 18 columns. ``Local_X`` points to the right across the
+road, ``Local_Y`` along it, so x and y here are those in metres.
+
+References:
+    U.S. Department of Transportation, Federal Highway Administration (2006), Next Generation
+    Simulation (NGSIM) vehicle trajectories.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from behaviors.errors import InputError
+from sim.formats.csv_columns import Columns, read_columns, read_fields
+from sim.formats.recording import Recording, Rows, assemble
+from sim.frames import AgentKind
+
+FOOT_M: Final = 0.3048
+"""The international foot, m."""
+
+CLASSES: Final[dict[int, AgentKind]] = {
+    1: AgentKind.MOTORCYCLE,
+    2: AgentKind.CAR,
+    3: AgentKind.TRUCK,
+}
+"""``v_Class``."""
+
+NUMBERS: Final = (
+    "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
+    "v_class", "v_vel",
+)  # fmt: skip
+
+TEXT_COLUMNS: Final = (
+    "vehicle_id", "frame_id", "total_frames", "global_time", "local_x", "local_y", "global_x",
+    "global_y", "v_length", "v_width", "v_class", "v_vel", "v_acc", "lane_id", "preceding",
+    "following", "space_headway", "time_headway",
+)  # fmt: skip
+"""Columns of the text files, in order."""
+
+
+def read(path: Path) -> Iterator[Recording]:
+    """Read one file.
+
+    Args:
+        path: the CSV or the text file.
+
+    Yields:
+        One recording per location that the file names.
+
+    Raises:
+        InputError: if the file is broken; the message names file and column or line.
+    """
+    if path.suffix.lower() == ".txt":
+        yield _recording(path, path.stem, read_fields(path, TEXT_COLUMNS, NUMBERS))
+        return
+    columns = read_columns(path, NUMBERS, ["location"], optional=["location"])
+    if "location" not in columns:
+        yield _recording(path, path.stem, columns)
+        return
+    places = columns.table.column("location")
+    for place in sorted(pc.unique(places).to_pylist()):
+        part = Columns(path, columns.table.filter(pc.equal(places, pa.scalar(place))))
+        yield _recording(path, f"{path.stem}-{place}", part)
+
+
+def _recording(path: Path, name: str, columns: Columns) -> Recording:
+    values = {column: columns.numbers(column) for column in NUMBERS}
+    whole = pa.table(
+        {
+            c: pa.array(values[c], pa.float64()).cast(pa.int64(), safe=False)
+            for c in ("vehicle_id", "total_frames")
+        }
+    )
+    # Ids are used again for other vehicles; how long each is seen tells them apart.
+    agent, names = Columns(path, whole).names("vehicle_id", "total_frames")
+    _, first = np.unique(agent, return_index=True)
+    kinds = []
+    for code in values["v_class"][first].tolist():
+        if code not in CLASSES:
+            raise InputError(f"{path}: column v_class: found {code:g}, expected 1, 2 or 3")
+        kinds.append(CLASSES[int(code)])
+    length = values["v_length"][first] * FOOT_M
+    time_ms = values["global_time"] - values["global_time"].min()
+    nothing = np.full(len(columns), np.nan)
+    front = Rows(
+        agent=agent,
+        names=names,
+        time_s=time_ms / 1000.0,
+        x=values["local_x"] * FOOT_M,
+        y=values["local_y"] * FOOT_M,
+        heading=nothing,
+        speed=values["v_vel"] * FOOT_M,
+        length=length,
+        width=values["v_width"][first] * FOOT_M,
+        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        rest_heading=math.pi / 2,
+    )
+    # The motion of the front tells the heading, the heading where the centre is.
+    tracks = assemble(path, front)
+    forward = np.stack([np.cos(tracks.heading), np.sin(tracks.heading)], axis=2)
+    centre = tracks.xy - 0.5 * tracks.length[:, None, None] * forward
+    tracks = dataclasses.replace(tracks, xy=centre)
+    return Recording(name, tracks, ("headings are told from the motion",))

@@ -1,0 +1,151 @@
+"""ScenarioNet: one dictionary per episode, for MetaDrive and the tools around it. Written only.
+
+The format is defined as a pickled dictionary. Pickles run code when they are read, so we write
+them when asked to and never read one.
+
+References:
+    Li et al. (2023), ScenarioNet, NeurIPS Datasets and Benchmarks.
+"""
+
+from __future__ import annotations
+
+import pickle
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS
+from sim.atomic import write_whole
+from sim.frames import KINDS, AgentKind, Tracks
+from sim.road import Road
+
+VERSION: Final = "0.1"
+HEIGHT_M: Final = 1.6
+"""Height that is written for everyone, m: the format wants one and traffic here is flat."""
+
+TYPES: Final[dict[AgentKind, str]] = {
+    AgentKind.CAR: "VEHICLE",
+    AgentKind.BUS: "VEHICLE",
+    AgentKind.TRUCK: "VEHICLE",
+    AgentKind.MOTORCYCLE: "CYCLIST",
+    AgentKind.BICYCLE: "CYCLIST",
+    AgentKind.PEDESTRIAN: "PEDESTRIAN",
+}
+"""MetaDrive's type of each kind."""
+
+
+def _flat(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([points, np.zeros((len(points), 1))], axis=1)
+
+
+def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str, Any]:
+    """An episode as the format's dictionary, of plain numbers, words and numpy arrays.
+
+    Args:
+        name: the episode's id.
+        tracks: the episode.
+        road: where it happened; without it there are no map features.
+
+    Returns:
+        The dictionary; numbers are 0 where an agent is not valid.
+    """
+    agents: dict[str, Any] = {}
+    for i, label in enumerate(tracks.names):
+        valid = tracks.valid[i]
+
+        def seen(values: NDArray[np.float64], valid: NDArray[np.bool_] = valid) -> Any:
+            mask = valid if values.ndim == 1 else valid[:, None]
+            return np.where(mask, values, 0.0).astype(np.float32)
+
+        heading, speed = tracks.heading[i], tracks.speed[i]
+        velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading)], axis=1)
+        code = -1 if tracks.behavior is None else int(tracks.behavior[i])
+        size = {
+            "length": np.where(valid, tracks.length[i], 0.0).astype(np.float32),
+            "width": np.where(valid, tracks.width[i], 0.0).astype(np.float32),
+            "height": np.where(valid, HEIGHT_M, 0.0).astype(np.float32),
+        }
+        agents[label] = {
+            "type": TYPES[KINDS[tracks.kind[i]]],
+            "state": {
+                "position": seen(_flat(tracks.xy[i])),
+                "heading": seen(heading),
+                "velocity": seen(velocity),
+                "valid": valid.copy(),
+                **size,
+            },
+            "metadata": {
+                "track_length": int(tracks.time_s.size),
+                "type": TYPES[KINDS[tracks.kind[i]]],
+                "object_id": label,
+                "behavior": BEHAVIORS[code].value if code >= 0 else None,
+            },
+        }
+    longest = int(np.argmax(tracks.valid.sum(axis=1))) if len(tracks.names) else 0
+    return {
+        "id": name,
+        "version": VERSION,
+        "length": int(tracks.time_s.size),
+        "metadata": {
+            "id": name,
+            "ts": np.asarray(tracks.time_s, dtype=np.float32),
+            "metadrive_processed": False,
+            "coordinate": "right-handed",
+            "sdc_id": tracks.names[longest] if tracks.names else "",
+            "dataset": "graphrqi",
+            "scenario_id": name,
+        },
+        "tracks": agents,
+        "dynamic_map_states": {},
+        "map_features": {} if road is None else _map_features(road),
+    }
+
+
+def _map_features(road: Road) -> dict[str, Any]:
+    features: dict[str, Any] = {}
+    after: dict[str, list[str]] = {}
+    before: dict[str, list[str]] = {}
+    for connection in road.connections:
+        chain = [connection.from_lane, *connection.via, connection.to_lane]
+        for one, two in pairwise(chain):
+            after.setdefault(one, []).append(two)
+            before.setdefault(two, []).append(one)
+    for lane in road.lanes:
+        if lane.walking:
+            continue
+        features[lane.id] = {
+            "type": "LANE_SURFACE_UNSTRUCTURE" if lane.internal else "LANE_SURFACE_STREET",
+            "polyline": _flat(lane.centerline).astype(np.float32),
+            "entry_lanes": sorted(set(before.get(lane.id, []))),
+            "exit_lanes": sorted(set(after.get(lane.id, []))),
+            "speed_limit_kmh": 3.6 * lane.speed_limit_mps,
+            "width": lane.width_m,
+        }
+    for crossing in road.crossings:
+        along = crossing.centerline[[0, -1]]
+        way = along[1] - along[0]
+        across = np.array([-way[1], way[0]]) / max(float(np.hypot(*way)), 1e-9)
+        side = 0.5 * crossing.width_m * across
+        corners = np.stack([along[0] + side, along[1] + side, along[1] - side, along[0] - side])
+        features[crossing.id] = {"type": "CROSSWALK", "polygon": _flat(corners).astype(np.float32)}
+    return features
+
+
+def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:
+    """Write an episode as ``sd_graphrqi_<name>.pkl``.
+
+    Args:
+        folder: where; it must exist.
+        name: the episode's id.
+        tracks: the episode.
+        road: where it happened, if known.
+
+    Returns:
+        The file written.
+    """
+    path = folder / f"sd_graphrqi_{name}.pkl"
+    write_whole(path, pickle.dumps(description(name, tracks, road), protocol=4))
+    return [path]
