@@ -12,8 +12,14 @@ from behaviors.errors import lookup
 from graphrqi.classify.contract import Classifier
 
 CLASSIFIERS: Final[dict[str, str]] = {
+    "boosted": "graphrqi.classify.boosted:Boosted",
+    "forest": "graphrqi.classify.forest:Forest",
+    "lasso": "graphrqi.classify.lasso:IndicatorLasso",
+    "logistic": "graphrqi.classify.logistic:Logistic",
+    "lstm": "graphrqi.classify.lstm:Lstm",
     "majority": "graphrqi.classify.majority:Majority",
     "mlp": "graphrqi.classify.mlp:Mlp",
+    "svm": "graphrqi.classify.svm:SupportVectors",
 }
 """Where each classifier lives, as "module:class"."""
 

@@ -1,0 +1,124 @@
+"""Gradient-boosted trees: scikit-learn's histogram boosting grows them, plain arrays keep them.
+
+Validation data decides after how many rounds to stop and the temperature of the probabilities.
+
+References:
+    Friedman (2001), Ann. Statist. 29, 1189; Ke et al. (2017), LightGBM, NeurIPS.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
+from graphrqi.classify.trees import Trees
+
+
+class Boosted:
+    """Trees that each mend what those before got wrong.
+
+    Args:
+        num_classes: C.
+        rounds: at most this many trees per class.
+        learning_rate: how much of each tree counts.
+        max_leaves: of a tree.
+        min_leaf: fewest training samples in a leaf.
+        ridge: penalty of squared leaf values.
+    """
+
+    def __init__(
+        self,
+        num_classes: int,
+        rounds: int = 120,
+        learning_rate: float = 0.1,
+        max_leaves: int = 15,
+        min_leaf: int = 40,
+        ridge: float = 1.0,
+    ) -> None:
+        self._num_classes = num_classes
+        self._options = {
+            "max_iter": rounds,
+            "learning_rate": learning_rate,
+            "max_leaf_nodes": max_leaves,
+            "min_samples_leaf": min_leaf,
+            "l2_regularization": ridge,
+        }
+        self._trees = Trees.constant(np.zeros(num_classes))
+        self._baseline = np.zeros(num_classes)
+        self._temperature = 1.0
+
+    def fit(
+        self,
+        features: FloatArray,
+        codes: CodeArray,
+        validation: tuple[FloatArray, CodeArray] | None,
+        seed: int,
+    ) -> None:
+        """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
+        from sklearn.ensemble import HistGradientBoostingClassifier
+
+        grown = HistGradientBoostingClassifier(
+            early_stopping=False, random_state=seed, **self._options
+        ).fit(features, codes)
+        classes = grown.classes_.astype(np.int64)
+        shown = classes[1:] if classes.size == 2 else classes  # two classes share one tree
+        self._baseline = np.full(self._num_classes, NEVER)
+        self._baseline[classes] = 0.0
+        self._baseline[shown] = grown._baseline_prediction.ravel()
+        rounds = [
+            Trees.join([self._plain(p.nodes, code) for p, code in zip(each, shown, strict=True)])
+            for each in grown._predictors
+        ]
+        kept, self._temperature = len(rounds), 1.0
+        if validation is not None:
+            kept = self._best_round(rounds, *validation)
+        self._trees = Trees.join(rounds[:kept])
+        if validation is not None:
+            self._temperature = best_temperature(self._untempered(validation[0]), validation[1])
+
+    def _plain(self, nodes: NDArray[Any], code: int) -> Trees:
+        """One of scikit-learn's trees, its leaves adding to the score of a class."""
+        leaf = nodes["is_leaf"].astype(bool)
+        value = np.zeros((nodes.size, self._num_classes))
+        value[leaf, code] = nodes["value"][leaf]
+        return Trees.single(
+            np.where(leaf, -1, nodes["feature_idx"]),
+            np.where(leaf, 0.0, nodes["num_threshold"]),
+            nodes["left"].astype(np.int64),
+            nodes["right"].astype(np.int64),
+            value,
+        )
+
+    def _best_round(self, rounds: list[Trees], features: FloatArray, codes: CodeArray) -> int:
+        """After how many rounds the held-out likelihood is largest."""
+        scores = np.tile(self._baseline, (len(features), 1))
+        rows, loss = np.arange(codes.size), []
+        for trees in rounds:
+            scores += trees.total(features)
+            loss.append(-np.log(np.maximum(softmax(scores)[rows, codes], 1e-300)).mean())
+        return int(np.argmin(loss)) + 1
+
+    def _untempered(self, features: FloatArray) -> FloatArray:
+        return softmax(self._trees.total(features) + self._baseline)
+
+    def posterior(self, features: FloatArray) -> FloatArray:
+        """(n, C) probabilities."""
+        return tempered(self._untempered(features), self._temperature)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All nodes, the baseline and the temperature."""
+        return {
+            **self._trees.arrays(),
+            "baseline": self._baseline,
+            "temperature": np.array([self._temperature]),
+        }
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Take what was saved."""
+        self._trees = Trees.restored(arrays)
+        self._baseline = np.asarray(arrays["baseline"])
+        self._temperature = float(arrays["temperature"][0])

@@ -1,0 +1,82 @@
+"""Random forest (Breiman 2001): scikit-learn grows the trees, plain arrays keep them.
+
+The mean of the trees' leaf shares, with a temperature fitted on validation data.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.softmax import best_temperature, tempered
+from graphrqi.classify.trees import Trees
+
+
+class Forest:
+    """Averaged decision trees on resampled data.
+
+    Args:
+        num_classes: C.
+        trees: how many.
+        min_leaf: fewest training samples in a leaf.
+        feature_share: share of the features looked at for each split.
+    """
+
+    def __init__(
+        self, num_classes: int, trees: int = 100, min_leaf: int = 8, feature_share: float = 0.1
+    ) -> None:
+        self._num_classes = num_classes
+        self._count = trees
+        self._min_leaf = min_leaf
+        self._feature_share = feature_share
+        self._trees = Trees.constant(np.full(num_classes, 1.0 / num_classes))
+        self._temperature = 1.0
+
+    def fit(
+        self,
+        features: FloatArray,
+        codes: CodeArray,
+        validation: tuple[FloatArray, CodeArray] | None,
+        seed: int,
+    ) -> None:
+        """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
+        from sklearn.ensemble import RandomForestClassifier
+
+        grown = RandomForestClassifier(
+            self._count, min_samples_leaf=self._min_leaf, max_features=self._feature_share,
+            random_state=seed,
+        ).fit(features, codes)  # fmt: skip
+        trees = []
+        for estimator in grown.estimators_:
+            tree = estimator.tree_
+            leaf = tree.children_left < 0
+            counts = tree.value[:, 0, :]
+            share = np.zeros((leaf.size, self._num_classes))
+            share[:, grown.classes_] = counts / counts.sum(axis=1, keepdims=True) / self._count
+            share[~leaf] = 0.0
+            asked = np.where(leaf, -1, tree.feature)
+            below = np.maximum(tree.children_left, 0), np.maximum(tree.children_right, 0)
+            trees.append(Trees.single(asked, tree.threshold, *below, share))
+        self._trees, self._temperature = Trees.join(trees), 1.0
+        if validation is not None:
+            self._temperature = best_temperature(self._share(validation[0]), validation[1])
+
+    def _share(self, features: FloatArray) -> FloatArray:
+        total = self._trees.total(features.astype(np.float32).astype(np.float64))
+        return np.asarray(total / total.sum(axis=1, keepdims=True))
+
+    def posterior(self, features: FloatArray) -> FloatArray:
+        """(n, C) probabilities."""
+        return tempered(self._share(features), self._temperature)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All nodes and the temperature."""
+        return {**self._trees.arrays(), "temperature": np.array([self._temperature])}
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Take what was saved."""
+        self._trees = Trees.restored(arrays)
+        self._temperature = float(arrays["temperature"][0])

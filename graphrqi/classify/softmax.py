@@ -1,0 +1,119 @@
+"""Scores to probabilities: the softmax, a multinomial regression onto it, and its temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.classify.contract import CodeArray, FloatArray
+
+NEVER: Final = -1e3
+"""Score of a class that training never showed: its probability is zero to the last digit."""
+
+FLOOR: Final = 1e-4
+"""Smallest probability that takes part in fitting a temperature (our choice: an average of some
+hundred trees can be exactly zero where the truth is only rare)."""
+
+MAX_ITERATIONS: Final = 500
+"""Of the quasi-Newton solver (our choice: standardised features converge in fewer)."""
+
+
+def softmax(scores: FloatArray) -> FloatArray:
+    """(n, C) probabilities in proportion to the exponentials of scores (n, C).
+
+    Example:
+        >>> softmax(np.array([[0.0, np.log(3.0)]]))
+        array([[0.25, 0.75]])
+    """
+    raised = np.exp(scores - scores.max(axis=1, keepdims=True))
+    return np.asarray(raised / raised.sum(axis=1, keepdims=True))
+
+
+def best_temperature(probability: FloatArray, codes: CodeArray) -> float:
+    """The temperature that makes probabilities most likely on held-out data.
+
+    Args:
+        probability: (n, C) of a classifier.
+        codes: (n,) true classes.
+
+    Returns:
+        T; probabilities proportional to p^(1/T) fit best.
+
+    References:
+        Guo, Pleiss, Sun, Weinberger (2017), On Calibration of Modern Neural Networks, ICML.
+    """
+    log_p = np.log(np.maximum(probability, FLOOR))
+    rows = np.arange(codes.size)
+    grid = np.geomspace(0.25, 4.0, 81)
+    losses = [-np.log(softmax(log_p / t)[rows, codes]).mean() for t in grid]
+    return float(grid[int(np.argmin(losses))])
+
+
+def tempered(probability: FloatArray, temperature: float) -> FloatArray:
+    """Probabilities proportional to p^(1/T); as they are when T is 1."""
+    if temperature == 1.0:
+        return probability
+    return softmax(np.log(np.maximum(probability, FLOOR)) / temperature)
+
+
+@dataclass(frozen=True, slots=True)
+class SoftmaxRegression:
+    """Multinomial logistic regression.
+
+    Attributes:
+        weights: (F, C).
+        bias: (C,).
+    """
+
+    weights: FloatArray
+    bias: FloatArray
+
+    @classmethod
+    def fitted(
+        cls, inputs: FloatArray, codes: CodeArray, num_classes: int, inverse_penalty: float = 1.0
+    ) -> SoftmaxRegression:
+        """Fit to inputs (n, F) with an L2 penalty.
+
+        Args:
+            inputs: of about unit size.
+            codes: (n,) classes.
+            num_classes: C; classes that do not occur get probability zero.
+            inverse_penalty: larger fits closer.
+
+        Returns:
+            The regression.
+
+        Raises:
+            InputError: if all samples are of one class.
+        """
+        from sklearn.linear_model import LogisticRegression
+
+        present = np.unique(codes)
+        if present.size < 2:
+            raise InputError(f"codes: found class {present.tolist()} only, expected at least two")
+        learned = LogisticRegression(C=inverse_penalty, max_iter=MAX_ITERATIONS)
+        learned.fit(inputs, codes)
+        weights = np.zeros((inputs.shape[1], num_classes))
+        bias = np.full(num_classes, NEVER)
+        bias[present] = 0.0
+        shown = present[1:] if present.size == 2 else present  # two classes share one column
+        weights[:, shown] = learned.coef_.T
+        bias[shown] = learned.intercept_
+        return cls(weights, bias)
+
+    def posterior(self, inputs: FloatArray) -> FloatArray:
+        """(n, C) probabilities."""
+        return softmax(inputs @ self.weights + self.bias)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What to save."""
+        return {"weights": self.weights, "bias": self.bias}
+
+    @classmethod
+    def restored(cls, arrays: dict[str, NDArray[Any]]) -> SoftmaxRegression:
+        """From what was saved."""
+        return cls(np.asarray(arrays["weights"]), np.asarray(arrays["bias"]))

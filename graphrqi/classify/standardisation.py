@@ -1,0 +1,52 @@
+"""Features brought to mean zero and deviation one, as the training data had them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+CLIP: Final = 8.0
+"""Standardised features are clipped here (our choice: nothing a driver does is 8 deviations from
+all others, so one wild position must not decide)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standardisation:
+    """Mean and deviation of each feature.
+
+    Attributes:
+        mean: (F,) of the training data.
+        scale: (F,) standard deviation; 1 where a feature does not vary.
+
+    Example:
+        >>> s = Standardisation.of(np.array([[0.0, 5.0], [2.0, 5.0]]))
+        >>> s.apply(np.array([[3.0, 5.0]]))
+        array([[2., 0.]])
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+
+    @classmethod
+    def of(cls, features: FloatArray) -> Standardisation:
+        """Of training vectors (n, F)."""
+        spread = features.std(axis=0)
+        return cls(features.mean(axis=0), np.where(spread > 1e-6, spread, 1.0))
+
+    def apply(self, features: FloatArray) -> FloatArray:
+        """(n, F) standardised and clipped vectors."""
+        return np.clip((features - self.mean) / self.scale, -CLIP, CLIP)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What to save."""
+        return {"mean": self.mean, "scale": self.scale}
+
+    @classmethod
+    def restored(cls, arrays: dict[str, NDArray[Any]]) -> Standardisation:
+        """From what was saved."""
+        return cls(np.asarray(arrays["mean"]), np.asarray(arrays["scale"]))
