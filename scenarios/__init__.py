@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, cast
 
 from behaviors.errors import InputError, lookup
+from scenarios.registration import ENVIRONMENTS, register_environments
 from sim.scenario import Scenario
 
 
@@ -88,4 +89,6 @@ def get_scenario(name: str) -> ScenarioEntry:
     return lookup(SCENARIOS, name, "scenario")
 
 
-__all__ = ["SCENARIOS", "ScenarioEntry", "get_scenario"]
+register_environments()
+
+__all__ = ["ENVIRONMENTS", "SCENARIOS", "ScenarioEntry", "get_scenario"]

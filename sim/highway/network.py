@@ -173,7 +173,10 @@ def build_network(road: Road) -> HighwayNetwork:
         raise InputError(f"road {road.name!r}: found no drivable lane, expected at least one")
     for lanes in driving.values():
         lanes.sort(key=lambda lane: -lane.index)  # from the left
-    connections = [c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id]
+    connections = sorted(  # from the left, as lanes are counted
+        (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
+        key=lambda c: -by_id[c.from_lane].index,
+    )
     follows = _continuations(driving, connections, by_id)
 
     net = RoadNetwork()

@@ -1,0 +1,299 @@
+"""Draws the road of the highway engine: lanes, sidewalks, crossings, stop lines, signals, people.
+
+Vehicles are coloured by their drivers' behaviour, the ego vehicle is white. Replaces what
+highway-env draws (white lines on grey), within its own viewer, so that its windows, videos and
+image arrays work as ever.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pygame
+from highway_env.envs.common.graphics import EnvViewer
+from highway_env.road.graphics import WorldSurface
+from numpy.typing import NDArray
+
+from behaviors.labels import Behavior
+from sim.frames import Signal
+from sim.highway.lanes import corners
+from sim.highway.network import HighwayNetwork, LaneIndex
+
+if TYPE_CHECKING:
+    from sim.highway.traffic import TrafficRoad
+
+FloatArray = NDArray[np.float64]
+Color = tuple[int, int, int]
+
+BEHAVIOR_COLORS: Final[dict[Behavior, Color]] = {
+    Behavior.IMPATIENT: (245, 150, 35),
+    Behavior.RECKLESS: (220, 45, 45),
+    Behavior.THREATENING: (165, 55, 175),
+    Behavior.CAREFUL: (60, 135, 225),
+    Behavior.CAUTIOUS: (25, 170, 165),
+    Behavior.TIMID: (115, 190, 75),
+}
+"""Warm colours for the aggressive behaviours, cool ones for the conservative (our choice)."""
+
+SIGNAL_COLORS: Final[dict[Signal, Color]] = {
+    Signal.RED: (235, 50, 50),
+    Signal.YELLOW: (250, 205, 45),
+    Signal.GREEN: (60, 205, 90),
+    Signal.OFF: (245, 245, 245),
+}
+
+GROUND: Final[Color] = (196, 208, 186)
+PAVING: Final[Color] = (178, 176, 172)
+ASPHALT: Final[Color] = (84, 86, 92)
+PAINT: Final[Color] = (240, 240, 240)
+MIDDLE: Final[Color] = (240, 200, 80)
+EGO: Final[Color] = (255, 255, 255)
+OUTLINE: Final[Color] = (30, 30, 34)
+PERSON: Final[Color] = (40, 40, 120)
+CRASHED: Final[Color] = (20, 20, 20)
+
+DASH_M: Final = (3.0, 6.0)
+"""Length of a dash and of the gap after it, m (common on urban roads)."""
+
+BAR_M: Final = (0.5, 0.5)
+"""Width of a zebra's bar and of the gap after it, m."""
+
+
+class TrafficViewer(EnvViewer):  # type: ignore[misc]
+    """highway-env's viewer with a drawing of our roads.
+
+    Args:
+        env: the environment, with a `TrafficRoad` as its ``road``.
+        network: what to draw.
+        centre: where to look, m, in highway-env's axes; None to follow the ego vehicle.
+    """
+
+    def __init__(
+        self, env: Any, network: HighwayNetwork, centre: tuple[float, float] | None = None
+    ) -> None:
+        super().__init__(env)
+        self.network = network
+        self.centre = None if centre is None else np.array(centre)
+        self._shapes = _shapes(network)
+
+    def window_position(self) -> FloatArray:
+        """Where the view is centred, m."""
+        if self.centre is not None:
+            return self.centre
+        position = np.array(super().window_position(), dtype=np.float64)
+        lane = next(iter(self.network.lanes.values()))
+        position[1] = lane.position(0.0, 0.0)[1] + 3.0  # the middle of a straight road
+        return position
+
+    def display(self) -> None:
+        """Draw the scene as it is now."""
+        if not self.enabled:
+            return
+        surface = self.sim_surface
+        surface.move_display_window_to(self.window_position())
+        draw_road(surface, self._shapes)
+        draw_traffic(surface, self.env.road, self._shapes, self.env.vehicle)
+        self._legend(surface)
+        if not self.offscreen:
+            self.screen.blit(surface, (0, 0))
+            if self.env.config["real_time_rendering"]:
+                self.clock.tick(self.env.config["simulation_frequency"])
+            pygame.display.flip()
+
+    def close(self) -> None:
+        """Close the window; other viewers of the process keep theirs and their fonts."""
+        if not self.offscreen:
+            super().close()
+
+    def _legend(self, surface: WorldSurface) -> None:
+        pygame.font.init()  # another viewer of the process may have shut the fonts down
+        font = pygame.font.Font(None, 18)
+        x, y = 8, surface.get_height() - 20
+        for behavior, color in BEHAVIOR_COLORS.items():
+            pygame.draw.rect(surface, color, (x, y, 12, 12))
+            text = font.render(str(behavior), True, OUTLINE)
+            surface.blit(text, (x + 16, y))
+            x += 26 + text.get_width()
+        clock = font.render(f"{self.env.road.time_s:6.1f} s", True, OUTLINE)
+        surface.blit(clock, (surface.get_width() - 70, y))
+
+
+class _Shapes:
+    """Everything about a road that does not move, as points in highway-env's axes, m."""
+
+    def __init__(self) -> None:
+        self.paving: list[FloatArray] = []
+        self.asphalt: list[FloatArray] = []
+        self.dashes: list[tuple[FloatArray, FloatArray]] = []
+        self.edges: list[tuple[FloatArray, Color]] = []
+        self.bars: list[FloatArray] = []
+        self.stops: list[tuple[FloatArray, int]] = []
+
+
+def _band(line: FloatArray, width: float) -> FloatArray:
+    """The outline of a band along a line, m."""
+    step = np.diff(line, axis=0)
+    direction = step / np.hypot(step[:, 0], step[:, 1])[:, None]
+    at_point = np.concatenate([direction[:1], direction[:-1] + direction[1:], direction[-1:]])
+    at_point = at_point / np.maximum(np.hypot(at_point[:, 0], at_point[:, 1]), 1e-9)[:, None]
+    aside = np.stack([-at_point[:, 1], at_point[:, 0]], axis=1) * width / 2
+    return np.concatenate([line - aside, (line + aside)[::-1]])
+
+
+def _beside(line: FloatArray, right: float) -> FloatArray:
+    band = _band(line, 2.0 * abs(right))
+    half = len(line)
+    return band[half:][::-1] if right > 0 else band[:half]
+
+
+def _hull(points: FloatArray) -> FloatArray:
+    """The convex hull of points (Andrew's monotone chain)."""
+    ordered = sorted({(round(float(x), 3), round(float(y), 3)) for x, y in points})
+
+    def chain(sequence: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        found: list[tuple[float, float]] = []
+        for p in sequence:
+            while len(found) >= 2:
+                (x0, y0), (x1, y1) = found[-2], found[-1]
+                if (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0) > 0:
+                    break
+                found.pop()
+            found.append(p)
+        return found[:-1]
+
+    return np.array(chain(ordered) + chain(ordered[::-1]))
+
+
+def _junctions(network: HighwayNetwork) -> list[list[LaneIndex]]:
+    """Junction paths that begin or end together, group by group."""
+    group: dict[str, int] = {}
+    members: dict[int, list[LaneIndex]] = {}
+    for number, path in enumerate(network.exit_of):
+        kept = {group[node] for node in path[:2] if node in group}
+        new = min(kept, default=number)
+        for old in kept - {new}:
+            members[new] += members.pop(old)
+            group.update({node: new for node, g in group.items() if g == old})
+        members.setdefault(new, []).append(path)
+        group[path[0]] = group[path[1]] = new
+    return list(members.values())
+
+
+def _shapes(network: HighwayNetwork) -> _Shapes:
+    shapes = _Shapes()
+    flip = np.array([1.0, -1.0])
+    for lane in network.road.lanes:
+        if lane.walking and not lane.internal:
+            shapes.paving.append(_band(lane.centerline * flip, lane.width_m))
+    for paths in _junctions(network):
+        bands = [
+            _band(corners([network.lanes[path]])[0], network.lanes[path].width + 4.0)
+            for path in paths
+        ]
+        shapes.paving.append(_hull(np.concatenate(bands)))
+        bands = [
+            _band(corners([network.lanes[path]])[0], network.lanes[path].width) for path in paths
+        ]
+        shapes.asphalt.append(_hull(np.concatenate(bands)))
+    for index, lane in network.lanes.items():
+        if index[0].startswith("~") or network.info[index].connector:
+            continue
+        line = corners([lane])[0]
+        shapes.asphalt.append(_band(line, lane.width))
+        many = len(network.net.graph[index[0]][index[1]])
+        if index[2] == 0:
+            facing = MIDDLE if index in network.ghost else PAINT
+            shapes.edges.append((_beside(line, -lane.width / 2), facing))
+        if index[2] == many - 1:
+            shapes.edges.append((_beside(line, lane.width / 2), PAINT))
+        else:
+            begin = np.arange(0.0, lane.length, sum(DASH_M))
+            end = np.minimum(begin + DASH_M[0], lane.length)
+            shapes.dashes += [
+                (lane.position(a, lane.width / 2), lane.position(b, lane.width / 2))
+                for a, b in zip(begin, end, strict=True)
+            ]
+        groups = {
+            network.info[path].signal
+            for (begin_lane, _), path in network.onward.items()
+            if begin_lane == index
+        }
+        if groups:
+            ends = [lane.position(lane.length - 0.3, side * lane.width / 2) for side in (-1, 1)]
+            shapes.stops.append((np.array(ends), max(groups)))
+        for strip in network.info[index].strips:
+            ends = [lane.position(strip.near_s - 1.0, side * lane.width / 2) for side in (-1, 1)]
+            shapes.stops.append((np.array(ends), -1))
+    for crossing in network.road.crossings:
+        shapes.bars += _zebra(crossing.centerline * flip, crossing.width_m)
+    return shapes
+
+
+def _zebra(line: FloatArray, width: float) -> list[FloatArray]:
+    step = line[-1] - line[0]
+    size = float(np.hypot(*step))
+    direction = step / size
+    aside = np.array([-direction[1], direction[0]]) * width / 2
+    bars = []
+    for begin in np.arange(BAR_M[1] / 2, size - BAR_M[0], sum(BAR_M)):
+        a, b = line[0] + direction * begin, line[0] + direction * (begin + BAR_M[0])
+        bars.append(np.array([a - aside, b - aside, b + aside, a + aside]))
+    return bars
+
+
+def _pixels(surface: WorldSurface, points: FloatArray) -> list[tuple[float, float]]:
+    moved = (points - surface.origin) * surface.scaling
+    return [(float(x), float(y)) for x, y in moved]
+
+
+def draw_road(surface: WorldSurface, shapes: _Shapes) -> None:
+    """Draw what does not move."""
+    surface.fill(GROUND)
+    for polygon in shapes.paving:
+        pygame.draw.polygon(surface, PAVING, _pixels(surface, polygon))
+    for polygon in shapes.asphalt:
+        pygame.draw.polygon(surface, ASPHALT, _pixels(surface, polygon))
+    thin = max(1, round(0.15 * surface.scaling))
+    for line, color in shapes.edges:
+        pygame.draw.lines(surface, color, False, _pixels(surface, line), thin)
+    for a, b in shapes.dashes:
+        begin, end = _pixels(surface, np.stack([a, b]))
+        pygame.draw.line(surface, PAINT, begin, end, thin)
+    for polygon in shapes.bars:
+        pygame.draw.polygon(surface, PAINT, _pixels(surface, polygon))
+
+
+def draw_traffic(
+    surface: WorldSurface, road: TrafficRoad, shapes: _Shapes, ego: Any | None
+) -> None:
+    """Draw stop lines in the colour of their signal, pedestrians and vehicles."""
+    states = list(SIGNAL_COLORS)
+    for line, group in shapes.stops:
+        state = states[int(road.signals[group])] if group >= 0 else Signal.OFF
+        begin, end = _pixels(surface, line)
+        color = SIGNAL_COLORS[state]
+        pygame.draw.line(surface, color, begin, end, max(2, round(0.6 * surface.scaling)))
+    for walker in road.walkers:
+        (place,) = _pixels(surface, walker.position[None])
+        pygame.draw.circle(surface, PERSON, place, max(3, round(0.35 * surface.scaling)))
+    for vehicle in road.vehicles:
+        behavior = getattr(vehicle, "behavior", None)
+        color = PAVING if behavior is None else BEHAVIOR_COLORS[behavior]
+        color = EGO if vehicle is ego else color
+        _draw_vehicle(surface, vehicle, color, EGO if vehicle is ego else OUTLINE)
+
+
+def _draw_vehicle(surface: WorldSurface, vehicle: Any, color: Color, rim: Color) -> None:
+    cos, sin = np.cos(vehicle.heading), np.sin(vehicle.heading)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    long, wide = vehicle.LENGTH / 2, vehicle.WIDTH / 2
+    body = np.array([[-long, -wide], [long, -wide], [long, wide], [-long, wide]])
+    glass = np.array(
+        [[0.15 * long, -0.8 * wide], [0.5 * long, -0.8 * wide],
+         [0.5 * long, 0.8 * wide], [0.15 * long, 0.8 * wide]]
+    )  # fmt: skip
+    outline = _pixels(surface, body @ turn + vehicle.position)
+    pygame.draw.polygon(surface, CRASHED if vehicle.crashed else color, outline)
+    pygame.draw.polygon(surface, OUTLINE, _pixels(surface, glass @ turn + vehicle.position))
+    pygame.draw.polygon(surface, rim, outline, 1)

@@ -1,0 +1,366 @@
+"""The gymnasium environments: the API, determinism, what they observe, draw and refuse."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import scenarios
+from behaviors import BEHAVIORS, InputError
+from scenarios import ENVIRONMENTS
+
+QUICK = {"warmup_s": 4.0, "duration_s": 3.0}
+IDS = tuple(ENVIRONMENTS)
+OPTIONS = ("kinematics", "behavior", "posterior", "graph")
+
+
+class Uniform:
+    """A classifier that has learnt nothing, and counts the frames it is given."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+
+    def __call__(self, frame):
+        self.times.append(frame.time_s)
+        return self
+
+    def of(self, ids):
+        return np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+
+
+def make(name: str, *, render_mode: str | None = None, **config):
+    if config.get("observation") == "posterior":
+        config.setdefault("classifier", Uniform())
+    return gymnasium.make(name, render_mode=render_mode, config={**QUICK, **config})
+
+
+def drive(env, seed: int, steps: int = 10, action: int | None = None):
+    env.action_space.seed(seed)
+    seen = [env.reset(seed=seed)[0]]
+    rewards = []
+    for _ in range(steps):
+        observation, reward, ended, cut, _ = env.step(
+            env.action_space.sample() if action is None else action
+        )
+        seen.append(observation)
+        rewards.append(reward)
+        if ended or cut:
+            break
+    return seen, rewards
+
+
+def assert_same(one, other):
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        assert a.keys() == b.keys()
+        for key in a:
+            np.testing.assert_array_equal(a[key], b[key], err_msg=key)
+
+
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("observation", OPTIONS)
+def test_keeps_gymnasiums_contract_wrapped_and_unwrapped(name, observation):
+    env = make(name, observation=observation)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=True)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*different from the unwrapped version.*")
+        check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_draws_images_that_are_not_blank(name):
+    env = make(name, render_mode="rgb_array")
+    check_env(env.unwrapped)
+    env.reset(seed=0)
+    env.step(1)
+    image = env.render()
+    config = env.unwrapped.config
+    assert image.shape == (config["screen_height"], config["screen_width"], 3)
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 8
+    white = (image == 255).all(axis=2)  # the ego vehicle
+    assert white.any() or name == "graphrqi/FourWayIntersection-v0"  # there it begins far away
+    env.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_every_kind_of_action_works(name):
+    for kind in ("DiscreteAction", "ContinuousAction"):
+        env = make(name, action={"type": kind})
+        drive(env, 0, steps=3)
+    env = make(name, action={"type": "DiscreteMetaAction", "lateral": False})
+    assert env.action_space.n == 3
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_same_seed_same_episode_and_another_one_otherwise(name):
+    env = make(name, warmup_s=12.0)
+    first, rewards = drive(env, 3)
+    again, same_rewards = drive(env, 3)
+    assert_same(first, again)
+    assert rewards == same_rewards
+    fresh, _ = drive(make(name, warmup_s=12.0), 3)
+    assert_same(first, fresh)
+    other, _ = drive(env, 4)
+    assert not np.array_equal(first[0]["agents"], other[0]["agents"])
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_same_seed_same_episode_in_a_vector(mode):
+    name = "graphrqi/StraightRoad-v0"
+    alone, _ = drive(make(name), 5, steps=3, action=1)
+    vector = gymnasium.make_vec(
+        f"scenarios:{name}", num_envs=2, vectorization_mode=mode, config=QUICK
+    )
+    try:
+        seen = [vector.reset(seed=[5, 6])[0]]
+        seen += [vector.step(np.array([1, 1]))[0] for _ in range(3)]
+    finally:
+        vector.close()
+    assert_same(alone, [{key: value[0] for key, value in one.items()} for one in seen])
+
+
+def test_the_intersection_works_in_an_asynchronous_vector():
+    vector = gymnasium.make_vec(
+        "scenarios:graphrqi/FourWayIntersection-v0",
+        num_envs=2,
+        vectorization_mode="async",
+        config={**QUICK, "observation": "graph"},
+    )
+    try:
+        observation, _ = vector.reset(seed=0)
+        assert observation["adjacency"].shape == (2, 16, 16)
+        vector.step(vector.action_space.sample())
+    finally:
+        vector.close()
+
+
+def test_a_fixed_traffic_seed_gives_the_same_traffic_every_episode():
+    env = make("graphrqi/StraightRoad-v0", seed=11, warmup_s=12.0)
+    one, _ = env.reset(seed=0)
+    other, _ = env.reset(seed=1)
+    np.testing.assert_array_equal(one["agents"], other["agents"])
+    assert one["agents"].any()
+
+
+def test_true_behaviours_are_one_hot_and_those_of_the_mix():
+    env = make("graphrqi/StraightRoad-v0", observation="behavior", mix="timid=1", flow="dense")
+    observation, _ = env.reset(seed=0)
+    rows = observation["agents"]
+    driving = (rows[:, 0] == 1) & (rows[:, 9] == 0)
+    assert driving.any()
+    expected = np.zeros(6)
+    expected[BEHAVIORS.index("timid")] = 1
+    assert (rows[driving, 10:] == expected).all()
+    assert (rows[~driving, 10:] == 0).all()
+
+
+def test_kinematics_tell_where_others_are_in_the_ego_vehicles_frame():
+    env = make("graphrqi/FourWayIntersection-v0", flow="dense", warmup_s=20.0).unwrapped
+    observation, _ = env.reset(seed=2)
+    ego = env.vehicle
+    other = env._visible()[0]
+    x, y = other.position - ego.position  # y to the south
+    ahead = x * np.cos(ego.heading) + y * np.sin(ego.heading)
+    left = x * np.sin(ego.heading) - y * np.cos(ego.heading)
+    np.testing.assert_allclose(observation["agents"][0, 1:3] * 100.0, [ahead, left], atol=1e-4)
+
+
+def test_the_classifier_is_given_every_simulated_frame():
+    classifier = Uniform()
+    env = make("graphrqi/StraightRoad-v0", observation="posterior", classifier=classifier)
+    env.reset(seed=0)
+    before = len(classifier.times)
+    observation = env.step(1)[0]
+    assert len(classifier.times) == before + 2  # 10 Hz simulated, 5 Hz decided
+    np.testing.assert_allclose(np.diff(classifier.times[-10:]), 0.1, atol=1e-9)
+    rows = observation["agents"]
+    driving = (rows[:, 0] == 1) & (rows[:, 9] == 0)
+    np.testing.assert_allclose(rows[driving, 10:], 1 / 6, rtol=1e-6)
+
+
+def test_the_graph_joins_each_to_its_nearest():
+    env = make(
+        "graphrqi/StraightRoad-v0", observation="graph", flow="dense", observed=8, warmup_s=15.0
+    )
+    observation, _ = env.reset(seed=1)
+    adjacency, mask = observation["adjacency"], observation["mask"]
+    nodes = int(mask.sum())
+    assert nodes > 5
+    np.testing.assert_array_equal(adjacency, adjacency.T)
+    assert (np.diag(adjacency) == 0).all()
+    assert (adjacency[nodes:] == 0).all()
+    assert (adjacency[:nodes].sum(axis=1) >= 4).all()
+    assert adjacency[0, 1] == 1  # the ego vehicle and the nearest other
+
+
+def test_driving_into_somebody_ends_the_episode_and_costs():
+    env = make("graphrqi/StraightRoad-v0", mix="timid=1", flow="dense", duration_s=60.0)
+    env.reset(seed=0)
+    total = 0
+    for _ in range(300):
+        _, reward, ended, cut, info = env.step(3)
+        total += info["collisions"]
+        if ended or cut:
+            break
+    assert info["crashed"]
+    assert ended
+    assert total == 1
+    assert reward < -5
+    assert info["events"][-1][0] == "collision"
+
+
+def test_standing_still_earns_nothing_and_time_runs_out():
+    env = make("graphrqi/StraightRoad-v0", flow=0, duration_s=20.0)
+    env.reset(seed=0)
+    rewards = []
+    for _ in range(100):
+        _, reward, ended, cut, info = env.step(4)
+        rewards.append(reward)
+        if ended or cut:
+            break
+    assert cut
+    assert not ended
+    assert info["time_s"] == pytest.approx(20.0)
+    assert rewards[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("goal", ["straight", "left", "right"])
+def test_the_goal_can_be_reached(goal):
+    env = make("graphrqi/FourWayIntersection-v0", flow=0, goal=goal, duration_s=120.0, warmup_s=0.0)
+    env.reset(seed=0)
+    target = 2 if goal == "straight" else 4  # turns are taken slowly
+    _, _, ended, _, info = env.step(target)
+    while not ended and info["time_s"] < 119:
+        wanted = 6.0 if goal != "straight" else 12.0
+        speed = env.unwrapped.vehicle.target_speed
+        action = 3 if speed < wanted - 1 else 4 if speed > wanted + 1 else 1
+        _, _, ended, _, info = env.step(action)
+    assert info["arrived"], info
+    assert not info["crashed"]
+
+
+def test_running_a_red_light_is_noted_and_costs():
+    env = make("graphrqi/FourWayIntersection-v0", flow=0, duration_s=80.0, warmup_s=0.0)
+    env.reset(seed=0)
+    runs, costs = 0, []
+    env.unwrapped.road.time_s = 15.0  # north and south turn red at 30 s
+    for _ in range(200):
+        _, reward, ended, _, info = env.step(1)
+        runs += info["red_runs"]
+        if info["red_runs"]:
+            costs.append(reward)
+        if ended:
+            break
+    assert runs == 1
+    assert costs[0] < -1.5
+
+
+@pytest.mark.parametrize(
+    ("config", "named"),
+    [
+        ({"observaton": "kinematics"}, "observation"),
+        ({"observation": "kinematic"}, "kinematics"),
+        ({"mix": "timd=1"}, "timd"),
+        ({"mix": {"timid": 0.5}}, "mix"),
+        ({"flow": "heavy"}, "flow"),
+        ({"observed": 0}, "observed"),
+        ({"policy_frequency": 3}, "policy_frequency"),
+        ({"duration_s": -1}, "duration_s"),
+        ({"seed": -1}, "seed"),
+        ({"classifier": 3}, "classifier"),
+        ({"action": {"type": "Discrete"}}, "DiscreteAction"),
+        ({"action": {"type": "DiscreteMetaAction", "target_speed": 3}}, "target_speeds"),
+        ({"action": "DiscreteMetaAction"}, "action"),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("name", IDS)
+def test_refuses_a_configuration_that_means_nothing_by_name(name, config, named):
+    with pytest.raises(InputError, match=named):
+        gymnasium.make(name, config=config)
+
+
+def test_refuses_bad_options_at_reset_and_a_bad_goal():
+    env = make("graphrqi/StraightRoad-v0")
+    with pytest.raises(InputError, match="config"):
+        env.reset(options={"confg": {}})
+    with pytest.raises(InputError, match="spread"):
+        env.reset(options={"config": {"spread": -1.0}})
+    with pytest.raises(InputError, match="straight"):
+        gymnasium.make("graphrqi/FourWayIntersection-v0", config={"goal": "strait"})
+
+
+def test_reset_takes_changes_to_the_configuration():
+    env = make("graphrqi/StraightRoad-v0").unwrapped
+    observation, _ = env.reset(seed=0, options={"config": {"observed": 5}})
+    assert observation["agents"].shape == (5, 10)
+    assert env.observation_space.contains(observation)
+
+
+def test_registering_twice_changes_nothing():
+    before = dict(gymnasium.registry)
+    scenarios.register_environments()
+    assert dict(gymnasium.registry) == before
+
+
+def test_the_docstring_specifies_the_environment():
+    for source in ENVIRONMENTS.values():
+        module, name = source.split(":")
+        environment = getattr(__import__(module, fromlist=[name]), name)
+        text = inspect.getdoc(environment)
+        for word in ("Observation", "Actions", "Reward", "Terminated", "Version history", "config"):
+            assert word in text
+
+
+def test_highway_env_is_left_as_it_was():
+    import highway_env.envs.common.abstract
+    import highway_env.envs.common.graphics
+    import highway_env.road.lane
+    import highway_env.road.regulation
+    import highway_env.road.road
+    import highway_env.vehicle.behavior
+    import highway_env.vehicle.objects  # noqa: F401
+
+    def snapshot():
+        import sys
+
+        found = {}
+        for module in [m for n, m in sys.modules.items() if n.startswith("highway_env")]:
+            for name, kind in inspect.getmembers(module, inspect.isclass):
+                if kind.__module__.startswith("highway_env"):
+                    for key, value in vars(kind).items():
+                        found[kind.__module__, name, key] = (id(value), repr(value))
+        return found
+
+    before = snapshot()
+    for name in IDS:
+        env = make(name, render_mode="rgb_array")
+        drive(env, 0, steps=2)
+        env.render()
+        env.close()
+    after = snapshot()
+    assert {key: after[key] for key in before} == before
+
+
+def test_records_a_video(tmp_path):
+    pytest.importorskip("moviepy", reason="moviepy is not installed")
+    from gymnasium.wrappers import RecordVideo
+
+    env = make("graphrqi/StraightRoad-v0", render_mode="rgb_array")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        video = RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: True)
+        video.unwrapped.set_record_video_wrapper(video)
+        video.reset(seed=0)
+        for _ in range(5):
+            video.step(1)
+        video.close()
+    (made,) = tmp_path.glob("*.mp4")
+    assert made.stat().st_size > 1000
