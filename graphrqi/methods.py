@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
 from graphrqi.classify import Classifier, make_classifier, restore_classifier
+from graphrqi.features.embedding import EmbeddingObserver
 from graphrqi.features.observer import (
     BlindObserver,
     DrivingObserver,
@@ -23,6 +24,8 @@ from graphrqi.features.observer import (
     Observer,
     SpectrumObserver,
 )
+from graphrqi.features.plain import PlainObserver
+from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.samples import Samples
 from sim.atomic import whole_folder
 
@@ -64,6 +67,49 @@ METHODS: Final[dict[str, Method]] = {
         EigenvectorObserver,
         "mlp",
         {"loss": "squared-error", "hidden": (64, 32), "dropout": 0.0},
+    ),
+    "logistic": Method(
+        "logistic",
+        "the paper's ablation: logistic regression on the rows that graphrqi sees",
+        EigenvectorObserver,
+        "logistic",
+    ),
+    "svm": Method(
+        "svm",
+        "the paper's ablation: support vector machine on the rows that graphrqi sees",
+        EigenvectorObserver,
+        "svm",
+    ),
+    "lstm": Method(
+        "lstm",
+        "the paper's ablation: long short-term memory along the rows that graphrqi sees",
+        EigenvectorObserver,
+        "lstm",
+    ),
+    "dane": Method(
+        "dane",
+        "dynamic attributed network embedding (Li et al. 2017), perceptron",
+        EmbeddingObserver,
+        "mlp",
+        {"hidden": (64, 32), "dropout": 0.0},
+    ),
+    "cheung": Method(
+        "cheung",
+        "lasso on trajectory features (Cheung et al. 2018)",
+        TrajectoryObserver,
+        "lasso",
+    ),
+    "forest": Method(
+        "forest",
+        "random forest on motion and interaction, without graph or inference",
+        PlainObserver,
+        "forest",
+    ),
+    "boosted": Method(
+        "boosted",
+        "gradient-boosted trees on motion and interaction, without graph or inference",
+        PlainObserver,
+        "boosted",
     ),
     "graphrqi-invariant": Method(
         "graphrqi-invariant",

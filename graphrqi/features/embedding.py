@@ -1,0 +1,254 @@
+"""DANE: embedding of a network that changes and whose nodes have attributes.
+
+Two Laplacians are embedded apart, that of the traffic graph and that of the agents' similarity in
+how they move; each embedding is the generalised eigenvectors L a = lambda D a of the smallest
+eigenvalues above zero. A consensus of the two is what correlates most between them. From one
+moment to the next the eigenpairs are moved by first-order perturbation instead of being solved
+for again. Dense arrays throughout: for up to some hundred agents at a time.
+
+Differs from the paper: agents come and go, so rows of newcomers begin as the mean of their
+neighbours' rows, and everything is solved for anew every ``RESTART_S`` and when many have changed.
+
+References:
+    Li, Dani, Hu, Tang, Chang, Liu (2017), Attributed Network Embedding for Learning in a Dynamic
+    Environment, CIKM; equations 2, 5, 8 and 9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from graphrqi.features.evidence import Evidence
+from graphrqi.features.kinematic import Motion, MotionEstimator, align
+from graphrqi.features.observer import NEIGHBORS, Observation
+from graphrqi.graph import TrafficGraph
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+NUM_DIMENSIONS: Final = 8
+"""Of each embedding and of the consensus (our choice: as many as rows of U have)."""
+
+EVERY_S: Final = 0.5
+"""Time between updates of the embedding (our choice)."""
+
+RESTART_S: Final = 10.0
+"""Time after which it is solved for anew (our choice: as often as the paper's graph resets)."""
+
+MAX_CHANGED: Final = 0.3
+"""Share of agents new since the last update above which it is solved for anew (our choice)."""
+
+MIN_SPLIT: Final = 1e-2
+"""Eigenvalues nearer than this are not mixed by the perturbation: to first order the mixture is
+unbounded (our choice; normalised eigenvalues lie in 0 to 2)."""
+
+_ZERO: Final = 1e-8
+"""Eigenvalues up to this belong to connected components and carry no embedding."""
+
+_RIDGE: Final = 1e-6
+"""Weight of everyone to itself, so that agents without neighbours have a degree."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaplacianPairs:
+    """Generalised eigenpairs L a = lambda D a of a weighted graph.
+
+    Attributes:
+        values: (k,) ascending, above zero.
+        vectors: (n, k) with a' D a = 1.
+        adjacency: (n, n) the graph they belong to.
+    """
+
+    values: FloatArray
+    vectors: FloatArray
+    adjacency: FloatArray
+
+    @classmethod
+    def solved(cls, adjacency: FloatArray, num_pairs: int = NUM_DIMENSIONS) -> LaplacianPairs:
+        """The pairs of the smallest eigenvalues above zero.
+
+        Args:
+            adjacency: (n, n) symmetric weights, none negative.
+            num_pairs: how many at most.
+
+        Returns:
+            As many as there are.
+
+        Example:
+            >>> path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+            >>> LaplacianPairs.solved(path, 2).values.round(3)
+            array([1., 2.])
+        """
+        degree = adjacency.sum(axis=1) + _RIDGE
+        root = 1.0 / np.sqrt(degree)
+        normalised = np.eye(len(root)) - root[:, None] * adjacency * root - np.diag(_RIDGE / degree)
+        if not len(root):
+            return cls(np.zeros(0), np.zeros((0, 0)), adjacency)
+        values, vectors = eigh(normalised)
+        kept = np.flatnonzero(values > _ZERO)[:num_pairs]
+        return cls(values[kept], root[:, None] * vectors[:, kept], adjacency)
+
+    def moved(self, adjacency: FloatArray) -> LaplacianPairs:
+        """The pairs of a slightly different graph, to first order.
+
+        Args:
+            adjacency: (n, n) of the same vertices in the same order.
+
+        Returns:
+            Pairs normalised anew.
+        """
+        change = adjacency - self.adjacency
+        degree_change = change.sum(axis=1)
+        a, values = self.vectors, self.values
+        by_degree = a.T @ (degree_change[:, None] * a)  # a_j' dD a_i
+        by_laplacian = by_degree - a.T @ change @ a  # a_j' dL a_i
+        numerator = by_laplacian - by_degree * values[None, :]
+        split = values[None, :] - values[:, None]  # lambda_i - lambda_j
+        apart = np.abs(split) > MIN_SPLIT
+        mixing = np.where(apart, numerator / np.where(apart, split, 1.0), 0.0)
+        np.fill_diagonal(mixing, -0.5 * np.diag(by_degree))
+        vectors = a + a @ np.clip(mixing, -1.0, 1.0)
+        degree = adjacency.sum(axis=1) + _RIDGE
+        vectors = vectors - degree @ vectors / degree.sum()  # the constant vector is no part of it
+        norm = np.sqrt((degree[:, None] * vectors**2).sum(axis=0))
+        vectors = vectors / np.where(norm > 0, norm, 1.0)
+        return LaplacianPairs(np.maximum(values + np.diag(numerator), 0.0), vectors, adjacency)
+
+    def of_vertices(self, kept: IntArray, into: IntArray, adjacency: FloatArray) -> LaplacianPairs:
+        """The pairs on another set of vertices, newcomers at the mean of their neighbours.
+
+        Args:
+            kept: rows of this graph that stay.
+            into: their rows in the next one.
+            adjacency: (m, m) of the next graph.
+
+        Returns:
+            Pairs whose graph is the old one among those that stay and the new one elsewhere.
+        """
+        m = len(adjacency)
+        vectors = np.zeros((m, self.values.size))
+        vectors[into] = self.vectors[kept]
+        fresh = np.ones(m, dtype=bool)
+        fresh[into] = False
+        known = adjacency[:, into]
+        total = known.sum(axis=1)
+        mean = known @ vectors[into] / np.where(total > 0, total, 1.0)[:, None]
+        vectors[fresh] = mean[fresh]
+        before = adjacency.copy()
+        before[np.ix_(into, into)] = self.adjacency[np.ix_(kept, kept)]
+        return LaplacianPairs(self.values, vectors, before)
+
+
+def consensus(
+    network: FloatArray, attributes: FloatArray, dimensions: int = NUM_DIMENSIONS
+) -> FloatArray:
+    """What two embeddings of the same vertices agree on.
+
+    Args:
+        network: (n, k) embedding of the graph.
+        attributes: (n, l) embedding of the attributes.
+        dimensions: columns wanted.
+
+    Returns:
+        (n, dimensions) projections [network, attributes] p of largest correlation, each times
+        sqrt(n) and with its largest entry positive; zeros where there are fewer.
+    """
+    n, k = network.shape
+    both = np.concatenate([network, attributes], axis=1)
+    out = np.zeros((n, dimensions))
+    if n == 0 or both.shape[1] == 0:
+        return out
+    gram = both.T @ both
+    within = gram.copy()
+    within[:k, k:] = within[k:, :k] = 0.0
+    within += np.eye(len(within)) * 1e-9 * max(float(np.trace(gram)), 1e-12)
+    _, mixes = eigh(gram, within)
+    found = both @ mixes[:, ::-1][:, :dimensions]
+    size = np.sqrt((found**2).mean(axis=0))
+    found = found / np.where(size > 0, size, 1.0)
+    sign = np.sign(found[np.abs(found).argmax(axis=0), np.arange(found.shape[1])])
+    out[:, : found.shape[1]] = found * np.where(sign == 0, 1.0, sign)
+    return out
+
+
+def similarity(motion: Motion) -> FloatArray:
+    """Cosine similarity of how agents move.
+
+    Args:
+        motion: of n agents.
+
+    Returns:
+        (n, n) of speed, acceleration and sideways movement, each over the deviation among those
+        present; negative ones count as zero, and so does that to oneself.
+    """
+    traits = np.stack([motion.speed, motion.acceleration, motion.sideways], axis=1)
+    traits = np.where(np.isnan(traits), 0.0, traits)
+    spread = traits.std(axis=0)
+    traits = (traits - traits.mean(axis=0)) / np.where(spread > 1e-9, spread, 1.0)
+    size = np.sqrt((traits**2).sum(axis=1))
+    unit = traits / np.where(size > 1e-9, size, 1.0)[:, None]
+    out = np.maximum(unit @ unit.T, 0.0)
+    np.fill_diagonal(out, 0.0)
+    return np.asarray(out)
+
+
+class EmbeddingObserver:
+    """Rows of the consensus embedding of the agents present, now.
+
+    Args:
+        solver: not used: these are the smallest eigenvalues of another problem.
+    """
+
+    feature_names = tuple(f"dane_{k + 1}" for k in range(NUM_DIMENSIONS))
+
+    def __init__(self, solver: str = "graphrqi") -> None:
+        self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
+        self._motion = MotionEstimator()
+        self._evidence = Evidence(0)
+        self._ids: IntArray = np.empty(0, dtype=np.int64)
+        nobody = LaplacianPairs.solved(np.zeros((0, 0)))
+        self._network, self._likeness = nobody, nobody
+        self._embedding: FloatArray = np.zeros((0, NUM_DIMENSIONS))
+        self._updated_s = self._solved_s = -np.inf
+
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+        motion = self._motion.update(time_s, ids, xy)
+        self._evidence.add(time_s, ids[drives], np.zeros((int(drives.sum()), 0)))
+        if time_s - self._updated_s < EVERY_S - 1e-6:
+            return
+        self._updated_s = time_s
+        self._graph = self._graph.observe(ids, xy)
+        network = self._graph.adjacency.toarray()
+        network, likeness = np.maximum(network, network.T), similarity(motion)
+        into, kept = align(self._ids, ids)
+        changed = 1.0 - into.size / max(ids.size, 1)
+        pairs = min(self._network.values.size, self._likeness.values.size)
+        whole = pairs == NUM_DIMENSIONS and changed <= MAX_CHANGED
+        if whole and time_s - self._solved_s < RESTART_S - 1e-6:
+            self._network = self._network.of_vertices(kept, into, network).moved(network)
+            self._likeness = self._likeness.of_vertices(kept, into, likeness).moved(likeness)
+        else:
+            self._solved_s = time_s
+            self._network = LaplacianPairs.solved(network)
+            self._likeness = LaplacianPairs.solved(likeness)
+        self._ids = ids
+        self._embedding = consensus(self._network.vectors, self._likeness.vectors)
+
+    def observation(self) -> Observation:
+        """The last embedding of the drivers present; zeros for those that came since."""
+        ids, seconds, sums = self._evidence.present()
+        rows = np.zeros((ids.size, NUM_DIMENSIONS))
+        into, source = align(self._ids, ids)
+        rows[into] = self._embedding[source]
+        return Observation(ids, seconds, sums, rows)
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """The rows as they are."""
+        return instant

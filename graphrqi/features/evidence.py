@@ -1,0 +1,50 @@
+"""Running sums per driver: evidence that adds up for as long as the driver is in sight."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.features.kinematic import FORGET_S, align
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Evidence:
+    """Sums kept while a driver is in sight and ``FORGET_S`` longer.
+
+    Args:
+        width: columns of evidence.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._ids: IntArray = np.empty(0, dtype=np.int64)
+        self._sums: FloatArray = np.zeros((0, width))
+        self._seconds: FloatArray = np.zeros(0)
+        self._seen_s: FloatArray = np.zeros(0)
+        self._time_s: float | None = None
+
+    def add(self, time_s: float, ids: IntArray, moment: FloatArray) -> None:
+        """Add one moment (n, S) of each driver, for as long as the time since the last."""
+        step_s = 0.0 if self._time_s is None else time_s - self._time_s
+        self._time_s = time_s
+        merged = np.union1d(self._ids[self._seen_s >= time_s - FORGET_S], ids)
+        sums = np.zeros((merged.size, self._sums.shape[1]))
+        seconds = np.zeros(merged.size)
+        seen = np.full(merged.size, time_s)
+        into, source = align(self._ids, merged)
+        sums[into], seconds[into] = self._sums[source], self._seconds[source]
+        seen[into] = self._seen_s[source]
+        rows = np.searchsorted(merged, ids)
+        fresh = np.ones(merged.size, dtype=bool)
+        fresh[into] = False
+        sums[rows] += moment * step_s
+        seconds[rows] += np.where(fresh[rows], 0.0, step_s)
+        seen[rows] = time_s
+        self._ids, self._sums, self._seconds, self._seen_s = merged, sums, seconds, seen
+
+    def present(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Ids (n,), seconds (n,) and sums (n, S) of those seen at the last moment."""
+        here = self._seen_s == (np.inf if self._time_s is None else self._time_s)
+        return self._ids[here], self._seconds[here], self._sums[here]

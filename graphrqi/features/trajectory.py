@@ -1,0 +1,109 @@
+"""Trajectory features of Cheung et al.: speeds, distances and jerk, and how much each varies.
+
+Differs from the paper: no lane is known from positions alone, so the deviation from the lane's
+centre is the sideways displacement over the last second; and speeds relative to the left and the
+right neighbour are one, relative to all neighbours.
+
+References:
+    Cheung, Bera, Kubin, Gray, Manocha (2018), Identifying Driver Behaviors Using Trajectory
+    Features for Vehicle Navigation, IROS, Table I.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.features.evidence import Evidence
+from graphrqi.features.graph_signal import differences
+from graphrqi.features.interaction import interactions
+from graphrqi.features.kinematic import MotionEstimator, align
+from graphrqi.features.observer import INTERACTION_NEIGHBORS, Observation
+from graphrqi.graph import TrafficGraph
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+QUANTITIES: Final = (
+    "speed",
+    "acceleration",
+    "jerk",
+    "speed over leader",
+    "speed over follower",
+    "speed over neighbours",
+    "front distance",
+    "rear distance",
+    "sideways",
+)
+"""What is averaged over the time observed."""
+
+MAX_JERK_MPS3: Final = 20.0
+"""Larger jerks are clipped: they are measurement noise (our choice; emergency braking reaches
+about 15)."""
+
+_K: Final = len(QUANTITIES)
+
+
+class TrajectoryObserver:
+    """Mean and deviation of each quantity, and how much of the time it was defined.
+
+    Args:
+        solver: not used; every observer takes one.
+    """
+
+    feature_names = tuple(
+        f"{name}:{what}" for what in ("mean", "deviation", "share") for name in QUANTITIES
+    )
+
+    def __init__(self, solver: str = "graphrqi") -> None:
+        self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
+        self._motion = MotionEstimator()
+        self._evidence = Evidence(3 * _K)
+        self._last: tuple[float, IntArray, FloatArray] = (0.0, np.empty(0, np.int64), np.empty(0))
+
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+        motion = self._motion.update(time_s, ids, xy)
+        self._near = self._near.observe(ids, xy)
+        around = interactions(motion, drives, self._near.adjacency)
+        before_s, before_ids, before = self._last
+        jerk = np.full(ids.size, np.nan)
+        into, source = align(before_ids, ids)
+        if into.size:
+            jerk[into] = (motion.acceleration[into] - before[source]) / (time_s - before_s)
+        self._last = (time_s, ids, motion.acceleration)
+        value = np.stack(
+            [
+                motion.speed,
+                motion.acceleration,
+                np.clip(jerk, -MAX_JERK_MPS3, MAX_JERK_MPS3),
+                motion.speed - around.leader_speed,
+                motion.speed - around.rear_speed,
+                differences(self._near.adjacency, motion.speed, drives, scales=1)[:, 0],
+                around.gap,
+                around.rear_gap,
+                np.abs(motion.sideways),
+            ],
+            axis=1,
+        )
+        known = ~np.isnan(value)
+        value = np.where(known, value, 0.0)
+        moment = np.concatenate([known, value, value**2], axis=1, dtype=np.float64)
+        self._evidence.add(time_s, ids[drives], moment[drives])
+
+    def observation(self) -> Observation:
+        """Evidence on the drivers present."""
+        ids, seconds, sums = self._evidence.present()
+        return Observation(ids, seconds, sums, np.zeros((ids.size, 0)))
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """(n, 27) means, deviations and shares of the time."""
+        total = np.maximum(sums[:, :_K], 0.0)
+        over = np.where(total > 1e-9, total, 1.0)
+        mean = sums[:, _K : 2 * _K] / over
+        variance = np.maximum(sums[:, 2 * _K :] / over - mean**2, 0.0)
+        share = np.minimum(total / np.maximum(seconds, 1e-9)[:, None], 1.0)
+        return np.concatenate([mean, np.sqrt(variance), share], axis=1)
