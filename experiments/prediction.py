@@ -25,12 +25,21 @@ from experiments.tables import Row, show_table
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
-from graphrqi.predict.metrics import METRICS, SAMPLE_S, distances
-from graphrqi.predict.scene import LEARNED_S, make_scene
+from graphrqi.predict.metrics import (
+    METRICS,
+    SAMPLE_S,
+    covered,
+    distances,
+    log_density,
+    overlap,
+)
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.scene import LEARNED_S, Scene, make_scene
 from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.atomic import write_whole
 from sim.dataset import open_dataset
-from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
+from sim.lane_graph import LaneGraph, project
 from sim.road import Road
 from sim.schema import EpisodeEntry, Split
 
@@ -51,6 +60,14 @@ WARM_UP_S: Final = 5.0
 LEAST_SEEN_S: Final = 1.0
 """Agents seen for less than this are not scored (our choice: nothing is known of them)."""
 
+MEASURES: Final = (*METRICS, "coverage_90", "nll", "collisions", "off_road")
+"""What is measured of each agent. Beside the displacement metrics: whether it ended in the
+predicted 90 % set, minus the log density of where it ended, whether its likeliest future overlaps
+another's by then, and whether that future ends off every lane."""
+
+LANE_MARGIN_M: Final = 0.5
+"""A place this far outside a lane is off it (our choice)."""
+
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Whose errors: all that drive, those of one true behaviour, those that walk."""
 
@@ -60,8 +77,8 @@ class Errors:
     """Errors of one predictor in one episode, summed over agents and instants.
 
     Attributes:
-        total: (group, horizon, metric) sums, in the order of `GROUPS`, the horizons and
-            ``graphrqi.predict.metrics.METRICS``.
+        total: (group, horizon, metric) sums, in the order of `GROUPS`, the horizons and `MEASURES`;
+            NaN where a predictor does not say it.
         count: (group,) agents times instants.
     """
 
@@ -136,7 +153,7 @@ def evaluate(
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
     steps = round(HISTORY_S / tracks.step_s)
     functions = {name: get_predictor(name) for name in predictors}
-    shape = (len(GROUPS), len(horizons_s), len(METRICS))
+    shape = (len(GROUPS), len(horizons_s), len(MEASURES))
     total = {name: np.zeros(shape) for name in predictors}
     count = np.zeros(len(GROUPS))
     for stop, posterior in posteriors.items():
@@ -157,11 +174,53 @@ def evaluate(
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
             gap = distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
+            hit = _hits(scene, prediction.best[:, at])[scored]
             for h, horizon_s in enumerate(horizons_s):
-                until = gap[:, :, : round(horizon_s / SAMPLE_S)]
-                values = np.stack([f(until, probability) for f in METRICS.values()], axis=1)
-                total[name][:, h] += member.T @ values
+                last = round(horizon_s / SAMPLE_S)
+                values = [f(gap[:, :, :last], probability) for f in METRICS.values()]
+                values += _set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
+                values.append(np.asarray(hit[:, :last].any(axis=1), dtype=np.float64))
+                values.append(_off_road(road, prediction, scored, at[last - 1]))
+                total[name][:, h] += member.T @ np.stack(values, axis=1)
     return {name: Errors(total[name], count) for name in predictors}
+
+
+def _hits(scene: Scene, xy: FloatArray) -> BoolArray:
+    """(n, H) whether each agent's predicted box overlaps another's at each time."""
+    before = np.concatenate([scene.xy[:, None], xy[:, :-1]], axis=1)
+    moved = xy - before
+    turned = np.arctan2(moved[..., 1], moved[..., 0])
+    still = np.hypot(moved[..., 0], moved[..., 1]) < 0.2
+    heading = np.where(still, scene.heading[:, None], turned)
+    history = scene.history
+    drives = history.kind != PEDESTRIAN
+    out = np.zeros(xy.shape[:2], dtype=bool)
+    for h in range(xy.shape[1]):
+        out[drives, h] = overlap(
+            xy[drives, h], heading[drives, h], history.length[drives], history.width[drives]
+        )
+    return out
+
+
+def _set_measures(
+    prediction: Prediction, rows: IntArray, at: int, truth: FloatArray
+) -> list[FloatArray]:
+    """Whether each agent ended in its 90 % set, and minus the log density there; NaN if unsaid."""
+    if prediction.spread is None:
+        return [np.full(rows.size, np.nan)] * 2
+    xy, spread = prediction.xy[rows, :, at], prediction.spread[rows, :, at]
+    probability = prediction.probability[rows]
+    inside = covered(xy, spread, probability, truth).astype(np.float64)
+    return [inside, -log_density(truth[:, None], xy, spread, probability)[:, 0]]
+
+
+def _off_road(road: Road, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
+    """(m,) 1 where the likeliest future is off every lane at a time."""
+    best = prediction.best[rows]
+    moved = best[:, at] - best[:, max(at - 5, 0)]
+    place = project(road, best[:, at], np.arctan2(moved[:, 1], moved[:, 0]))
+    width = LaneGraph.of(road).width[place.lane]
+    return np.asarray(np.abs(place.offset) > width / 2 + LANE_MARGIN_M, dtype=np.float64)
 
 
 def _membership(history: Tracks, scored: IntArray) -> FloatArray:
@@ -209,8 +268,10 @@ def summarize(
                     "scenario": scenario, "predictor": name, "horizon_s": horizon_s,
                     "behavior": group, "split": split,
                 }  # fmt: skip
-                for m, metric in enumerate(METRICS):
+                for m, metric in enumerate(MEASURES):
                     mine = np.array([e[name].total[g, h, m] for e in episodes])
+                    if not np.isfinite(mine).all():
+                        continue
                     mean = _root_mean if metric == "rmse_m" else _mean
                     rows.append(key | _estimate(mean, mine, count, metric))
                     if metric in ("ade_m", "fde_m"):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
-from typing import Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.parallel import in_parallel
 from experiments.prediction import (
     HISTORY_S,
     HORIZONS_S,
@@ -22,15 +24,19 @@ from graphrqi.methods import load_model
 from graphrqi.predict.bases import KNOT_S, KNOTS, Known, known, to_own_frame, unlabelled
 from graphrqi.predict.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.drivers import DriverTable, default_table, table_to_json
+from graphrqi.predict.learned import FuturesModel, save_network
 from graphrqi.predict.scene import LEARNED_S, make_scene
-from graphrqi.predict.training import Examples
+from graphrqi.predict.training import Examples, train_lstm, train_perceptron
 from sim.atomic import write_whole
 from sim.dataset import open_dataset
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray
-from sim.schema import EpisodeEntry
+from sim.schema import EpisodeEntry, Split
 
 CALIBRATE_EVERY_S: Final = 3.0
 """Time between scenes used for calibration, s (our choice)."""
+
+EXAMPLES_EVERY_S: Final = 1.0
+"""Time between instants that networks are trained on, s (our choice)."""
 
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.1
 """Shares of training instants with no belief and with another driver's (our choice)."""
@@ -164,3 +170,81 @@ def _examples(data: Known, truth: FloatArray, counts: BoolArray) -> Examples:
         data.bases[counts].astype(np.float32),
         truth[counts].astype(np.float32),
     )
+
+
+def train_predictors(
+    source: Path,
+    model: str,
+    out: Path,
+    *,
+    every_s: float = EXAMPLES_EVERY_S,
+    epochs: int = 30,
+    seed: int = 0,
+    jobs: int | None = None,
+    quiet: bool = False,
+) -> dict[str, float]:
+    """Train the learned predictors on a dataset's training episodes and save them.
+
+    The classifier should not have been trained on these episodes: on those it knows too well who
+    drives how.
+
+    Args:
+        source: a dataset.
+        model: the classifier whose beliefs are used: a shipped one's name or a folder.
+        out: the folder to write into.
+        every_s: time between the instants of an episode, s.
+        epochs: passes over the training examples.
+        seed: of weights, order and which beliefs are left out or shuffled.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        ADE of each network on the validation episodes, m.
+
+    Raises:
+        InputError: if a split has no episode, or the model cannot be read.
+    """
+    dataset = open_dataset(source)
+    load_model(model)
+    parts: dict[Split, tuple[Examples, Examples]] = {}
+    splits: tuple[Split, ...] = ("train", "validation")
+    for split in splits:
+        entries = dataset.episodes(split)
+        if not entries:
+            raise InputError(f"{source}: found no {split} episode, expected at least 1")
+        arguments = [(source, entry, model, every_s, seed) for entry in entries]
+        found = []
+        with Progress(f"predictors: observing {split} episodes", len(entries), quiet) as progress:
+            for pair in in_parallel(examples_of, arguments, jobs):
+                found.append(pair)
+                progress.advance()
+        parts[split] = Examples.join([p[0] for p in found]), Examples.join([p[1] for p in found])
+    card: dict[str, Any] = {
+        "data": dict(dataset.manifest.configuration), "split": "train", "epochs": epochs,
+        "examples": len(parts["train"][0].inputs), "seed": seed,
+    }  # fmt: skip
+    with Progress("predictors: training epochs", 2 * epochs, quiet) as progress:
+
+        def tell(epoch: int, ade_m: float) -> None:
+            progress.advance()
+
+        (train, train_free), (check, check_free) = parts["train"], parts["validation"]
+        network = train_perceptron(train, check, epochs=epochs, seed=seed, tell=tell)
+        rival = train_lstm(train_free, check_free, epochs=epochs, seed=seed, tell=tell)
+    scores = {
+        "graphrqi-predict": guess_ade_m(network, check),
+        "lstm": guess_ade_m(rival, check_free),
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    for name, save in (
+        ("graphrqi-predict", functools.partial(save_network, network)),
+        ("lstm", rival.save),
+    ):
+        save(out / f"{name}.safetensors", card | {"validation_ade_m": round(scores[name], 4)})
+    return scores
+
+
+def guess_ade_m(network: FuturesModel, examples: Examples) -> float:
+    """Mean distance of a network's likeliest futures, m."""
+    data = Known(examples.inputs.astype(np.float64), examples.bases.astype(np.float64))
+    return float(np.linalg.norm(network(data).own[:, 0] - examples.truth, axis=-1).mean())

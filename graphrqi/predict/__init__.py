@@ -25,6 +25,9 @@ PREDICTORS: Final[dict[str, str]] = {
     "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
     "car-following-blind": "graphrqi.predict.following:blind",
     "car-following": "graphrqi.predict.following:aware",
+    "behavior-mixture": "graphrqi.predict.mixture:behavior_mixture",
+    "oracle": "graphrqi.predict.following:oracle",
+    "shuffled": "graphrqi.predict.following:shuffled",
 }
 """Where each predictor lives, as "module:function"."""
 

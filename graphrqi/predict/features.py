@@ -34,6 +34,19 @@ FAR_M: Final = 100.0
 GATES: Final = 3
 """How many gates ahead are looked at."""
 
+NEIGHBORS: Final = 7
+"""How many neighbours are looked at (`neighbors`)."""
+
+PER_NEIGHBOR: Final = 4
+"""Numbers per neighbour."""
+
+STATE: Final = 13
+"""Numbers of the own state."""
+
+PAST: Final = slice(STATE, STATE + 3 * len(PAST_S))
+AROUND: Final = slice(PAST.stop, PAST.stop + NEIGHBORS * PER_NEIGHBOR)
+"""Where the own past and the neighbours stand among the features."""
+
 
 @dataclass(frozen=True, slots=True)
 class Neighbor:

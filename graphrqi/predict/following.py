@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.drivers import RUNS_RED, YIELDS, DriverTable, default_table
 from graphrqi.predict.paths import PathTable
@@ -12,10 +16,15 @@ from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
 from graphrqi.predict.route import on_likely_paths
 from graphrqi.predict.scene import Scene
+from sim.frames import PEDESTRIAN
 from sim.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+FREE_WEIGHT: Final = 0.1
+"""Weight of what a driver's behaviour says of its wished speed against seeing it drive freely (our
+choice: within a behaviour wishes differ by 15 %, a driver's own by little)."""
 
 
 def blind(scene: Scene, posterior: Posterior) -> Prediction:
@@ -63,9 +72,6 @@ def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
     return ignores
 
 
-FREE_WEIGHT: float = 0.1
-
-
 def personal(scene: Scene, driver: FloatArray) -> FloatArray:
     """Driver numbers with each one's wished speed corrected by what it was seen to drive."""
     wished = np.log(driver[:, 0])
@@ -76,3 +82,35 @@ def personal(scene: Scene, driver: FloatArray) -> FloatArray:
     out = driver.copy()
     out[:, 0] = np.maximum(np.exp(wished), scene.least_factor)
     return out
+
+
+def oracle(scene: Scene, posterior: Posterior) -> Prediction:
+    """`aware` knowing every driver's true behaviour: what perfect classification would give.
+
+    Raises:
+        InputError: if the history carries no labels.
+    """
+    behavior = scene.history.behavior
+    if behavior is None:
+        raise InputError("oracle: found a history without behaviours, expected labelled tracks")
+    code = behavior.astype(np.int64)
+    sure = np.full((code.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+    sure[code >= 0] = np.eye(len(BEHAVIORS))[code[code >= 0]]
+    return aware_with(scene, sure, default_table())
+
+
+def shuffled(scene: Scene, posterior: Posterior) -> Prediction:
+    """`aware` with the beliefs dealt out to the wrong drivers: what wrong labels cost."""
+    return aware(scene, shuffled_posterior(scene, posterior))
+
+
+def shuffled_posterior(scene: Scene, posterior: Posterior) -> Posterior:
+    """The beliefs about the drivers of a scene, each given to another one.
+
+    Who gets whose is the same whenever the same agents are present.
+    """
+    drives = np.flatnonzero(scene.history.kind != PEDESTRIAN)
+    probability = posterior.of(scene.ids)
+    rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in scene.ids[drives]])
+    probability[drives] = probability[drives][rng.permutation(drives.size)]
+    return Posterior(scene.ids, probability)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known
 from graphrqi.predict.learned import MODES, PER_MODE, Futures, Perceptron
+from graphrqi.predict.lstm import Lstm, make_module
 from graphrqi.predict.metrics import covered
 
 if TYPE_CHECKING:
@@ -220,6 +221,29 @@ def train_perceptron(
     )
     futures = network(Known(validation.inputs.astype(np.float64), validation.bases.astype(float)))
     return replace(network, spread_scale=right_spread(futures, validation.truth))
+
+
+def train_lstm(
+    training: Examples,
+    validation: Examples,
+    *,
+    epochs: int = 30,
+    seed: int = 0,
+    tell: Callable[[int, float], None] = lambda epoch, ade: None,
+) -> Lstm:
+    """Train the network of `graphrqi.predict.lstm`; see `train_perceptron`."""
+    import torch
+
+    torch.manual_seed(seed)
+    mean, scale = standardization(training.inputs)
+    module = make_module(training.inputs.shape[1])
+    fit(
+        module, standardized(training, mean, scale), standardized(validation, mean, scale),
+        epochs, seed, tell,
+    )  # fmt: skip
+    network = Lstm(module, mean, scale, 1.0)
+    futures = network(Known(validation.inputs.astype(np.float64), validation.bases.astype(float)))
+    return Lstm(module, mean, scale, right_spread(futures, validation.truth))
 
 
 def right_spread(futures: Futures, truth: NDArray[np.float32]) -> float:

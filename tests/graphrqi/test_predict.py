@@ -60,7 +60,7 @@ def history(xy, heading, speed, *, accel=0.0, kind=None, signals=None, seconds=1
                 signals=np.empty(0) if signals is None else np.array(signals),
             )
         )
-    return Tracks.from_frames(frames)
+    return Tracks.from_frames(frames, {3 * i: Behavior.CAREFUL for i in range(n)})
 
 
 def on_lane(road, lane, s, offset=0.0):
