@@ -74,6 +74,7 @@ class EventKind(StrEnum):
     REMOVAL = "removal"
     RED_RUN = "red run"
     STOP_ROLLED = "stop rolled"
+    STOPPED = "stopped"
     YIELDED = "yielded"
     NOT_YIELDED = "did not yield"
     WRONG_WAY = "wrong way"

@@ -188,7 +188,7 @@ def _settings(opposites: bool) -> str:
         "junctions.limit-turn-speed": "5.5",
         "tls.default-type": "static",
         "tls.cycle.time": "60",
-        "tls.allred.time": "1",
+        "tls.allred.time": "3",
         "no-warnings": "true",
     }
     if opposites:

@@ -37,7 +37,7 @@ OPTIONS: Final[tuple[str, ...]] = (
     "--collision.check-junctions", "true",
     "--intermodal-collision.action", "warn",
     "--time-to-teleport", "-1",
-    "--ignore-junction-blocker", "20",
+    "--ignore-junction-blocker", "60",
     "--lanechange.duration", "2.5",
     "--max-depart-delay", "60",
     "--xml-validation.routes", "always",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.road import Road
+from sim.frames import Signal
+from sim.road import Connection, Road
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,7 @@ class Approach:
         lanes: indices of the edge's lanes from which the way on can be driven.
         signal: whether a signal controls it.
         stop: whether there is a stop sign.
-        crossings: ids of the crossings that it leads over.
+        crossings: ids of the crossings that it leads over while people may walk there.
     """
 
     lanes: frozenset[int]
@@ -27,17 +28,34 @@ class Approach:
 def approaches(road: Road) -> dict[tuple[str, str], Approach]:
     """The approach of every edge and the edge that may follow it."""
     lanes = {lane.id: lane for lane in road.lanes}
-    links: dict[tuple[str, str], list[tuple[int, bool, bool]]] = {}
+    links: dict[tuple[str, str], list[Connection]] = {}
     for link in road.connections:
-        begin, end = lanes[link.from_lane], lanes[link.to_lane]
-        way = (begin.index, link.signal >= 0, link.must_stop)
-        links.setdefault((begin.edge, end.edge), []).append(way)
+        edges = (lanes[link.from_lane].edge, lanes[link.to_lane].edge)
+        links.setdefault(edges, []).append(link)
     return {
         edges: Approach(
-            lanes=frozenset(index for index, _, _ in ways),
-            signal=any(signal for _, signal, _ in ways),
-            stop=any(stop for _, _, stop in ways),
-            crossings=frozenset(c.id for c in road.crossings if set(edges) & set(c.edges)),
+            lanes=frozenset(lanes[link.from_lane].index for link in ways),
+            signal=any(link.signal >= 0 for link in ways),
+            stop=any(link.must_stop for link in ways),
+            crossings=frozenset(
+                crossing.id
+                for crossing in road.crossings
+                if set(edges) & set(crossing.edges)
+                and any(_green_together(road, link.signal, crossing.signal) for link in ways)
+            ),
         )
         for edges, ways in links.items()
     }
+
+
+def _green_together(road: Road, one: int, other: int) -> bool:
+    """Whether two signal groups ever let go at the same time; without signals one always goes."""
+    if one < 0 or other < 0:
+        return True
+    green = Signal.GREEN.code
+    return any(
+        states[plan.groups.index(one)] == green and states[plan.groups.index(other)] == green
+        for plan in road.signal_plans
+        if one in plan.groups and other in plan.groups
+        for states in plan.states
+    )

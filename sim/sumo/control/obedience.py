@@ -82,17 +82,14 @@ class Obedience:
                 continue
             lane = sumo.vehicle_getLaneID(name)
             edge = self._edge.get(lane, "")
-            if not edge:  # inside the junction: what was decided holds
-                continue
-            if edge != driver.edge:
+            if edge and edge != driver.edge:
                 self._enter(driver, edge)
-            ahead = self._approaches.get((edge, driver.following.get(edge, "")))
-            near = (
-                ahead is not None
-                and self._length[lane] - sumo.vehicle_getLanePosition(name) <= SIGHT_M
-            )
+            ahead = self._approaches.get((driver.edge, driver.following.get(driver.edge, "")))
             mode = ORDINARY
-            if near and ahead is not None:
+            if ahead is not None and (
+                not edge  # inside the junction
+                or self._length[lane] - sumo.vehicle_getLanePosition(name) <= SIGHT_M
+            ):
                 if occupied is None:
                     occupied = self._occupied(persons)
                 mode = self._decide(driver, ahead, occupied)

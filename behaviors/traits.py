@@ -1,0 +1,549 @@
+"""Detectors of the traits in the paper's trait table, on plain arrays.
+
+Every detector looks only at what was seen (positions, speeds, lanes, gaps), never at a profile, so
+it works on simulated and on recorded traffic alike. It returns when who showed the trait and the
+number behind it. Thresholds stand at the top, each with its source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labels import Trait
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+OVER_LIMIT: Final = 1.10
+"""Over-speeding: above the limit by this factor; the usual tolerance of enforcement (National
+Police Chiefs' Council 2013: 10 % and 2 mph)."""
+
+TAILGATING_HEADWAY_S: Final = 1.0
+"""Tailgating: closer than drivers find comfortable, 0.98 s (Taieb-Maimon and Shinar 2001)."""
+
+CLOSE_HEADWAY_S: Final = 0.66
+"""Driving extremely close: closer than drivers find the least safe (the same source)."""
+
+FOLLOWING_MPS: Final = 5.0
+"""Headways mean something above this speed (our choice)."""
+
+CUT_IN_HEADWAY_S: Final = 1.0
+"""Cutting in: the new follower is left less than this when the box touches the lane (Vogel 2003
+calls headways under 1 s dangerous)."""
+
+WEAVING_CHANGES, WEAVING_S = 2, 20.0
+"""Weaving: so many lane changes within so long (our choice)."""
+
+OVERTAKING_S: Final = 20.0
+"""Overtaking: the former leader is behind within this after the lane change (our choice)."""
+
+UNIFORM_S, UNIFORM_VARIATION = 15.0, 0.05
+"""Uniform speed: for so long the speed varies by less than this share of its mean (our choice)."""
+
+KEEPING_S: Final = 30.0
+"""Maintaining neighbours: the same lane and the same leader for so long (our choice)."""
+
+STANDING_MPS: Final = 0.3
+"""Below this a vehicle stands (our choice: the noise of differenced positions)."""
+
+NOT_MOVING_S: Final = 2.0
+"""Not moving: standing so long without a reason (our choice)."""
+
+SLOWING_SHARE, SLOWING_S = 0.6, 4.0
+"""Slowing down: to this share of the own speed within so long, without a reason (our choice)."""
+
+REASON_GAP_S, REASON_GAP_M = 4.0, 15.0
+"""A leader is a reason to slow within this headway or gap (our choice: farther ones do not bind
+even those who keep 3 s)."""
+
+REASON_STOP_M: Final = 60.0
+"""A junction or crossing within this is a reason to slow (our choice)."""
+
+WAITING_S: Final = 3.0
+"""Waiting: standing so long before a free way on, for others who go first (our choice)."""
+
+WRONG_WAY_S: Final = 1.0
+"""Wrong direction: facing against the lane for so long (our choice)."""
+
+JAYWALKING_S: Final = 1.0
+"""Jaywalking: on the carriageway, off any crossing, for so long (our choice)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exhibit:
+    """A trait that somebody showed.
+
+    Attributes:
+        trait: which.
+        agent: row of who showed it.
+        begin_s: from when, s.
+        end_s: until when, s.
+        value: the number behind it; its meaning and unit are the detector's.
+        other: row of the second party, -1 if none.
+    """
+
+    trait: Trait
+    agent: int
+    begin_s: float
+    end_s: float
+    value: float
+    other: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class RuleEncounter:
+    """A rule that somebody met and kept or broke.
+
+    Attributes:
+        agent: row of who met it.
+        time_s: when, s.
+        kept: whether it was kept.
+    """
+
+    agent: int
+    time_s: float
+    kept: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What was seen of N agents at T times. Distances are +inf and indices -1 where nothing is.
+
+    Attributes:
+        time_s: (T,) s, evenly spaced.
+        valid: (N, T) whether the agent was seen.
+        drives: (N,) whether it is a vehicle.
+        length: (N,) m.
+        width: (N,) m.
+        speed: (N, T) m/s.
+        limit: (N, T) speed limit, m/s.
+        edge: (N, T) number of the stretch of road.
+        lane: (N, T) number of the lane.
+        offset: (N, T) signed distance to the left of the lane's centre line, m.
+        lane_width: (N, T) m.
+        lane_heading: (N, T) heading relative to the lane's, rad.
+        leader: (N, T) row of the vehicle ahead.
+        follower: (N, T) row of the vehicle behind.
+        gap: (N, T) bumper to bumper to the leader, m.
+        closing: (N, T) own speed minus the leader's, m/s.
+        stop_distance: (N, T) front bumper to the next junction, m; negative inside one.
+        stop_ahead: (N, T) whether a red signal, a stop sign or a lack of priority holds there.
+        crossing_distance: (N, T) front bumper to the next crossing, m.
+        crossing_used: (N, T) whether somebody is on that crossing or about to be.
+        off_crossing: (N, T) whether a pedestrian is on the carriageway, off any crossing.
+        on_red: (N, T) whether a pedestrian is on a crossing entered on red.
+        encounters: rules met, kept or broken.
+    """
+
+    time_s: FloatArray
+    valid: BoolArray
+    drives: BoolArray
+    length: FloatArray
+    width: FloatArray
+    speed: FloatArray
+    limit: FloatArray
+    edge: IntArray
+    lane: IntArray
+    offset: FloatArray
+    lane_width: FloatArray
+    lane_heading: FloatArray
+    leader: IntArray
+    follower: IntArray
+    gap: FloatArray
+    closing: FloatArray
+    stop_distance: FloatArray
+    stop_ahead: BoolArray
+    crossing_distance: FloatArray
+    crossing_used: BoolArray
+    off_crossing: BoolArray
+    on_red: BoolArray
+    encounters: tuple[RuleEncounter, ...] = ()
+
+    @property
+    def step_s(self) -> float:
+        """Time between two columns, s."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @property
+    def headway(self) -> FloatArray:
+        """(N, T) gap over own speed, s; +inf without leader or below ``FOLLOWING_MPS``."""
+        moving = self.valid & (self.speed > FOLLOWING_MPS)
+        headway = np.full(self.gap.shape, np.inf)
+        np.divide(self.gap, self.speed, out=headway, where=moving)
+        return headway
+
+
+def runs(flags: BoolArray, shortest: int = 1) -> Iterator[tuple[int, int, int]]:
+    """Unbroken stretches of True in each row.
+
+    Args:
+        flags: (N, T).
+        shortest: leave out stretches shorter than this.
+
+    Yields:
+        Row, first column, and one past the last column.
+
+    Example:
+        >>> list(runs(np.array([[False, True, True, False], [True, False, True, True]]), 2))
+        [(0, 1, 3), (1, 2, 4)]
+    """
+    padded = np.zeros((flags.shape[0], flags.shape[1] + 2), dtype=np.int8)
+    padded[:, 1:-1] = flags
+    change = np.diff(padded, axis=1)
+    rows, begins = np.nonzero(change == 1)
+    _, ends = np.nonzero(change == -1)
+    for row, begin, end in zip(rows, begins, ends, strict=True):
+        if end - begin >= shortest:
+            yield int(row), int(begin), int(end)
+
+
+def lane_changes(seen: Seen) -> tuple[IntArray, IntArray]:
+    """Who changed lanes and in which column the centre was first on the new one.
+
+    Returns:
+        (m,) rows and (m,) columns. Going from one stretch of road to the next is no lane change.
+    """
+    before, after = seen.lane[:, :-1], seen.lane[:, 1:]
+    same = (seen.edge[:, :-1] == seen.edge[:, 1:]) & (before >= 0) & (after >= 0)
+    rows, columns = np.nonzero(same & (before != after) & seen.drives[:, None])
+    return rows, columns + 1
+
+
+def _exhibits(
+    seen: Seen,
+    trait: Trait,
+    flags: BoolArray,
+    shortest_s: float,
+    value: Callable[[int, slice], float],
+) -> list[Exhibit]:
+    """One exhibit for every long enough stretch of ``flags``."""
+    shortest = max(1, round(shortest_s / seen.step_s))
+    return [
+        Exhibit(
+            trait=trait,
+            agent=row,
+            begin_s=float(seen.time_s[begin]),
+            end_s=float(seen.time_s[end - 1]),
+            value=value(row, slice(begin, end)),
+        )
+        for row, begin, end in runs(flags, shortest)
+    ]
+
+
+def over_speeding(seen: Seen) -> list[Exhibit]:
+    """Faster than the limit allows for 3 s; the value is the largest speed over the limit."""
+    flags = seen.valid & seen.drives[:, None] & (seen.speed > OVER_LIMIT * seen.limit)
+    return _exhibits(
+        seen,
+        Trait.OVER_SPEEDING,
+        flags,
+        3.0,
+        lambda i, at: float(np.max(seen.speed[i, at] / seen.limit[i, at])),
+    )
+
+
+def tailgating(seen: Seen) -> list[Exhibit]:
+    """Following at a headway that is too short, for 3 s; the value is the median headway, s."""
+    headway = seen.headway
+    flags = (headway < TAILGATING_HEADWAY_S) & (headway >= CLOSE_HEADWAY_S)
+    return _exhibits(
+        seen, Trait.TAILGATING, flags, 3.0, lambda i, at: float(np.median(headway[i, at]))
+    )
+
+
+def driving_close(seen: Seen) -> list[Exhibit]:
+    """Following extremely close for 2 s; the value is the median headway, s."""
+    headway = seen.headway
+    return _exhibits(
+        seen,
+        Trait.DRIVING_CLOSE,
+        headway < CLOSE_HEADWAY_S,
+        2.0,
+        lambda i, at: float(np.median(headway[i, at])),
+    )
+
+
+def weaving(seen: Seen) -> list[Exhibit]:
+    """Several lane changes in a short time; the value is how many."""
+    rows, columns = lane_changes(seen)
+    found = []
+    for row in np.unique(rows):
+        times = seen.time_s[np.sort(columns[rows == row])]
+        first = 0
+        while first < times.size:
+            last = first
+            while last + 1 < times.size and times[last + 1] - times[last] <= WEAVING_S:
+                last += 1
+            count = last - first + 1
+            if count >= WEAVING_CHANGES:
+                found.append(
+                    Exhibit(Trait.WEAVING, int(row), float(times[first]), float(times[last]), count)
+                )
+            first = last + 1
+    return found
+
+
+def overtaking(seen: Seen) -> list[Exhibit]:
+    """Leaving a lane and passing the former leader; the value is the speed difference, m/s.
+
+    The distance passed is the former gap made up by the difference of the speeds, so it needs no
+    common coordinate along the road.
+    """
+    rows, columns = lane_changes(seen)
+    ahead = round(OVERTAKING_S / seen.step_s)
+    found = []
+    for row, column in zip(rows, columns, strict=True):
+        leader = seen.leader[row, column - 1]
+        if leader < 0:
+            continue
+        span = slice(column, min(column + ahead, seen.time_s.size))
+        both = seen.valid[row, span] & seen.valid[leader, span]
+        faster = np.where(both, seen.speed[row, span] - seen.speed[leader, span], 0.0)
+        to_pass = seen.gap[row, column - 1] + seen.length[row] + seen.length[leader]
+        passed = np.flatnonzero((np.cumsum(faster) * seen.step_s > to_pass) & both)
+        if passed.size:
+            end = column + int(passed[0])
+            found.append(
+                Exhibit(
+                    trait=Trait.OVERTAKING,
+                    agent=int(row),
+                    begin_s=float(seen.time_s[column]),
+                    end_s=float(seen.time_s[end]),
+                    value=float(faster[: passed[0] + 1].mean()),
+                    other=int(leader),
+                )
+            )
+    return found
+
+
+def cutting_in(seen: Seen) -> list[Exhibit]:
+    """Entering a lane close in front of somebody; the value is the headway left to them, s.
+
+    The headway is the new follower's when the box of the one who changes first touches the new
+    lane: from then on others must react (UN Regulation 157 sets its reference point there too).
+    """
+    rows, columns = lane_changes(seen)
+    found = []
+    for row, column in zip(rows, columns, strict=True):
+        follower = seen.follower[row, column]
+        if follower < 0:
+            continue
+        touch = column - 1
+        reach = seen.lane_width[row, touch] / 2 - seen.width[row] / 2
+        while (
+            touch > 0
+            and seen.lane[row, touch - 1] == seen.lane[row, column - 1]
+            and abs(seen.offset[row, touch - 1]) >= reach
+            and seen.valid[follower, touch - 1]
+        ):
+            touch -= 1
+        since = slice(touch, column)
+        gained = float(np.sum(seen.speed[row, since] - seen.speed[follower, since])) * seen.step_s
+        gap = float(seen.gap[follower, column]) - gained
+        speed = float(seen.speed[follower, touch])
+        if speed > FOLLOWING_MPS and gap / speed < CUT_IN_HEADWAY_S:
+            found.append(
+                Exhibit(
+                    trait=Trait.CUTTING_IN,
+                    agent=int(row),
+                    begin_s=float(seen.time_s[touch]),
+                    end_s=float(seen.time_s[column]),
+                    value=max(gap, 0.0) / speed,
+                    other=int(follower),
+                )
+            )
+    return found
+
+
+def wrong_direction(seen: Seen) -> list[Exhibit]:
+    """Driving against the lane's direction; the value is the distance driven so, m."""
+    flags = (
+        seen.valid
+        & seen.drives[:, None]
+        & (seen.lane >= 0)
+        & (np.abs(seen.lane_heading) > np.pi / 2)
+        & (seen.speed > STANDING_MPS)
+    )
+    return _exhibits(
+        seen,
+        Trait.WRONG_DIRECTION,
+        flags,
+        WRONG_WAY_S,
+        lambda i, at: float(seen.speed[i, at].sum()) * seen.step_s,
+    )
+
+
+def jaywalking(seen: Seen) -> list[Exhibit]:
+    """Walking on the road where or when one may not; the value is for how long, s."""
+    flags = seen.valid & ~seen.drives[:, None] & (seen.off_crossing | seen.on_red)
+    return _exhibits(
+        seen,
+        Trait.JAYWALKING,
+        flags,
+        JAYWALKING_S,
+        lambda _, at: (at.stop - at.start) * seen.step_s,
+    )
+
+
+def breaking_rules(seen: Seen) -> list[Exhibit]:
+    """A red light, a stop line or somebody's priority disregarded; the value is 1."""
+    return [
+        Exhibit(Trait.BREAKING_RULES, e.agent, e.time_s, e.time_s, 1.0)
+        for e in seen.encounters
+        if not e.kept
+    ]
+
+
+def following_rules(seen: Seen) -> list[Exhibit]:
+    """Every rule met was kept, the limit included; the value is how many rules were met."""
+    fast = seen.valid & (seen.speed > OVER_LIMIT * seen.limit)
+    found = []
+    for agent in sorted({e.agent for e in seen.encounters}):
+        met = [e for e in seen.encounters if e.agent == agent]
+        if all(e.kept for e in met) and not fast[agent].any():
+            times = [e.time_s for e in met]
+            found.append(
+                Exhibit(Trait.FOLLOWING_RULES, agent, min(times), max(times), float(len(met)))
+            )
+    return found
+
+
+def keeping_neighbors(seen: Seen) -> list[Exhibit]:
+    """Staying on the lane behind the same leader; the value is for how long, s."""
+    follows = seen.valid & (seen.leader >= 0) & (seen.gap < 4.0 * np.maximum(seen.speed, 5.0))
+    same = np.zeros_like(follows)
+    same[:, 1:] = follows[:, 1:] & (seen.leader[:, 1:] == seen.leader[:, :-1])
+    rows, columns = lane_changes(seen)
+    same[rows, columns] = False
+    return _exhibits(
+        seen,
+        Trait.KEEPING_NEIGHBORS,
+        same,
+        KEEPING_S,
+        lambda _, at: (at.stop - at.start) * seen.step_s,
+    )
+
+
+def uniform_speed(seen: Seen) -> list[Exhibit]:
+    """Driving at an even speed; the value is the coefficient of variation."""
+    steps = round(UNIFORM_S / seen.step_s)
+    if seen.time_s.size < steps:
+        return []
+    speed = np.where(seen.valid & seen.drives[:, None], seen.speed, np.nan)
+    total = np.cumsum(np.pad(np.nan_to_num(speed), ((0, 0), (1, 0))), axis=1)
+    square = np.cumsum(np.pad(np.nan_to_num(speed) ** 2, ((0, 0), (1, 0))), axis=1)
+    count = np.cumsum(np.pad(np.isfinite(speed).astype(np.int64), ((0, 0), (1, 0))), axis=1)
+    mean = (total[:, steps:] - total[:, :-steps]) / steps
+    variance = np.maximum((square[:, steps:] - square[:, :-steps]) / steps - mean**2, 0.0)
+    whole = (count[:, steps:] - count[:, :-steps]) == steps
+    even = whole & (mean > FOLLOWING_MPS) & (np.sqrt(variance) < UNIFORM_VARIATION * mean)
+    found = []
+    for row, begin, end in runs(even):
+        span = slice(begin, end - 1 + steps)
+        values = seen.speed[row, span]
+        found.append(
+            Exhibit(
+                trait=Trait.UNIFORM_SPEED,
+                agent=row,
+                begin_s=float(seen.time_s[begin]),
+                end_s=float(seen.time_s[span.stop - 1]),
+                value=float(values.std() / values.mean()),
+            )
+        )
+    return found
+
+
+def _no_reason(seen: Seen) -> BoolArray:
+    """(N, T) whether nothing ahead explains slowing down or standing."""
+    near = (seen.gap < REASON_GAP_M) | (seen.gap < REASON_GAP_S * seen.speed)
+    junction = (seen.stop_distance < REASON_STOP_M) & seen.stop_ahead
+    crossing = (seen.crossing_distance < REASON_STOP_M) & seen.crossing_used
+    inside = seen.stop_distance < 0
+    return seen.valid & seen.drives[:, None] & ~(near | junction | crossing | inside)
+
+
+def not_moving(seen: Seen) -> list[Exhibit]:
+    """Standing without a reason; the value is for how long, s."""
+    flags = _no_reason(seen) & (seen.speed < STANDING_MPS)
+    return _exhibits(
+        seen,
+        Trait.NOT_MOVING,
+        flags,
+        NOT_MOVING_S,
+        lambda _, at: (at.stop - at.start) * seen.step_s,
+    )
+
+
+def slowing(seen: Seen) -> list[Exhibit]:
+    """Slowing down a lot without a reason; the value is the speed lost, m/s."""
+    steps = round(SLOWING_S / seen.step_s)
+    if seen.time_s.size <= steps:
+        return []
+    free = _no_reason(seen)
+    steady = np.cumsum(np.pad(free.astype(np.int64), ((0, 0), (1, 0))), axis=1)
+    whole = (steady[:, steps + 1 :] - steady[:, : -steps - 1]) == steps + 1
+    before, after = seen.speed[:, :-steps], seen.speed[:, steps:]
+    lost = whole & (before > FOLLOWING_MPS) & (after < SLOWING_SHARE * before)
+    flags = np.zeros_like(free)
+    flags[:, steps:] = lost
+    return _exhibits(
+        seen,
+        Trait.SLOWING,
+        flags,
+        seen.step_s,
+        lambda i, at: float(
+            seen.speed[i, max(at.start - steps, 0) : at.stop].max() - seen.speed[i, at].min()
+        ),
+    )
+
+
+def waits(seen: Seen) -> list[Exhibit]:
+    """Every stand before a crossing or junction for others who go first; the value is its s.
+
+    First in line only: who stands behind somebody waits for that car.
+    """
+    first = (seen.gap > seen.crossing_distance) | (seen.gap > seen.stop_distance)
+    crossing = (seen.crossing_distance < 8.0) & (seen.crossing_distance >= -1.0)
+    flags = (
+        seen.valid & seen.drives[:, None] & first & crossing & (seen.speed < STANDING_MPS)
+    ) & ~((seen.stop_distance < 12.0) & seen.stop_ahead)
+    return _exhibits(
+        seen, Trait.WAITING, flags, seen.step_s, lambda _, at: (at.stop - at.start) * seen.step_s
+    )
+
+
+def waiting(seen: Seen) -> list[Exhibit]:
+    """Waiting long for vehicles or pedestrians; the value is for how long, s."""
+    return [w for w in waits(seen) if w.value >= WAITING_S]
+
+
+DETECTORS: Final[dict[Trait, Callable[[Seen], list[Exhibit]]]] = {
+    Trait.OVERTAKING: overtaking,
+    Trait.OVER_SPEEDING: over_speeding,
+    Trait.TAILGATING: tailgating,
+    Trait.WEAVING: weaving,
+    Trait.CUTTING_IN: cutting_in,
+    Trait.DRIVING_CLOSE: driving_close,
+    Trait.WRONG_DIRECTION: wrong_direction,
+    Trait.JAYWALKING: jaywalking,
+    Trait.BREAKING_RULES: breaking_rules,
+    Trait.KEEPING_NEIGHBORS: keeping_neighbors,
+    Trait.UNIFORM_SPEED: uniform_speed,
+    Trait.FOLLOWING_RULES: following_rules,
+    Trait.NOT_MOVING: not_moving,
+    Trait.SLOWING: slowing,
+    Trait.WAITING: waiting,
+}
+"""A detector for every row of the paper's trait table."""
+
+
+def detect(seen: Seen) -> tuple[Exhibit, ...]:
+    """Everything that anybody showed, in order of time, then agent."""
+    found = [exhibit for detector in DETECTORS.values() for exhibit in detector(seen)]
+    return tuple(sorted(found, key=lambda e: (e.begin_s, e.agent, e.trait)))
