@@ -25,7 +25,15 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.atomic import whole_folder
-from sim.formats.recording import MAX_ROWS, Recording, Rows, assemble, check_size, default_size
+from sim.formats.recording import (
+    MAX_NAMES,
+    MAX_ROWS,
+    Recording,
+    Rows,
+    assemble,
+    check_size,
+    default_size,
+)
 from sim.formats.windows import every_tenth, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Lane, Road
@@ -125,15 +133,19 @@ def read(path: Path) -> Iterator[Recording]:
     for name in _READ:
         if table.column(name).null_count:
             raise InputError(f"{path}: column {name}: found an empty field, expected a value")
-    types = np.array(table.column("object_type").to_pylist(), dtype=object)
-    road_agent = np.isin(types, list(OBJECT_TYPES))
-    left_out = sorted(set(types[~road_agent].tolist()))
+    types = table.column("object_type").combine_chunks().dictionary_encode()
+    words = types.dictionary.to_pylist()
+    codes = types.indices.to_numpy()
+    road_agent = np.isin(words, list(OBJECT_TYPES))[codes]
+    left_out = sorted(set(words) - set(OBJECT_TYPES))
     ids = table.column("track_id").combine_chunks().dictionary_encode()
+    if max(len(ids.dictionary), len(words)) > MAX_NAMES:
+        raise InputError(f"{path}: found more than {MAX_NAMES} tracks or object types")
     agent = ids.indices.to_numpy().astype(np.int64)
     kept, agent = np.unique(agent[road_agent], return_inverse=True)
     _, first = np.unique(agent, return_index=True)
-    kinds = [OBJECT_TYPES[types[road_agent][i]] for i in first]
-    sizes = [default_size(kind) for kind in kinds]
+    kinds = [OBJECT_TYPES[words[code]] for code in codes[road_agent][first]]
+    sizes = np.array([default_size(kind) for kind in kinds]).reshape(-1, 2)
 
     def column(name: str) -> NDArray[np.float64]:
         return np.asarray(table.column(name).to_numpy()[road_agent], dtype=np.float64)
@@ -146,8 +158,8 @@ def read(path: Path) -> Iterator[Recording]:
         y=column("position_y"),
         heading=column("heading"),
         speed=np.hypot(column("velocity_x"), column("velocity_y")),
-        length=np.array([length for length, _ in sizes]),
-        width=np.array([width for _, width in sizes]),
+        length=sizes[:, 0],
+        width=sizes[:, 1],
         kind=np.array([kind.code for kind in kinds], dtype=np.int8),
     )
     notes = ["sizes are not in this format: those usual for each kind are assumed"]

@@ -15,7 +15,7 @@ import pyarrow.csv as pv
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.recording import MAX_ROWS, check_size
+from sim.formats.recording import MAX_NAMES, MAX_ROWS, check_size
 
 MAX_HEADER_BYTES: Final = 65536
 """Longest first line (our choice; the longest known has 300)."""
@@ -62,8 +62,17 @@ class Columns:
         """(m,) which agent each row is, and the agents' names, from columns that tell them apart.
 
         A further column is added to a name only where the first does not tell agents apart.
+
+        Raises:
+            InputError: if there are more agents than fit.
         """
         keys = [self.table.column(c).combine_chunks().dictionary_encode() for c in columns]
+        for column, key in zip(columns, keys, strict=True):
+            if len(key.dictionary) > MAX_NAMES:
+                raise InputError(
+                    f"{self.path}: column {column}: found {len(key.dictionary)} different values, "
+                    f"expected at most {MAX_NAMES}"
+                )
         codes = np.stack([np.asarray(k.indices.to_numpy(), dtype=np.int64) for k in keys])
         unique, agent = np.unique(codes, axis=1, return_inverse=True)
         words = [k.dictionary.to_pylist() for k in keys]

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.csv_columns import Columns, read_columns, read_fields
@@ -74,14 +75,17 @@ def read(path: Path) -> Iterator[Recording]:
         yield _recording(path, f"{path.stem}-{place}", part)
 
 
+def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
+    """A column of whole numbers as such."""
+    bad = np.flatnonzero((np.abs(values) > 2**53) | (values != np.rint(values)))
+    if bad.size:
+        raise InputError(f"{path}: column {column}: found {values[bad[0]]}, expected whole numbers")
+    return pa.array(values.astype(np.int64))
+
+
 def _recording(path: Path, name: str, columns: Columns) -> Recording:
     values = {column: columns.numbers(column) for column in NUMBERS}
-    whole = pa.table(
-        {
-            c: pa.array(values[c], pa.float64()).cast(pa.int64(), safe=False)
-            for c in ("vehicle_id", "total_frames")
-        }
-    )
+    whole = pa.table({c: _whole(path, c, values[c]) for c in ("vehicle_id", "total_frames")})
     # Ids are used again for other vehicles; how long each is seen tells them apart.
     agent, names = Columns(path, whole).names("vehicle_id", "total_frames")
     _, first = np.unique(agent, return_index=True)

@@ -25,6 +25,9 @@ MAX_BYTES: Final = 2**32
 MAX_ROWS: Final = 5 * 10**7
 """Most rows of one recording (our choice; NGSIM's largest has 12 million)."""
 
+MAX_NAMES: Final = 10**6
+"""Most agents of one recording (our choice)."""
+
 MAX_CELLS: Final = 10**8
 """Most agents times steps as dense arrays (our choice: 3 GB)."""
 

@@ -23,15 +23,23 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from sim.atomic import write_whole
-from sim.formats.recording import MAX_BYTES, MAX_ROWS, Recording, Rows, assemble, check_size
+from sim.formats.recording import (
+    MAX_BYTES,
+    MAX_NAMES,
+    MAX_ROWS,
+    Recording,
+    Rows,
+    assemble,
+    check_size,
+)
 from sim.formats.recording import default_size as usual_size
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
 
 CHUNK_BYTES: Final = 2**20
 MAX_DEPTH: Final = 16
 """Deepest nesting (FCD has 3)."""
-MAX_NAMES: Final = 10**6
-"""Most agents of one recording (our choice)."""
+MAX_TOKEN_BYTES: Final = 2**23
+"""Longest single piece of XML (our choice; an element of FCD has some 200 bytes)."""
 
 CLASSES: Final[dict[str, AgentKind]] = {
     "passenger": AgentKind.CAR,
@@ -122,6 +130,11 @@ def _parse(path: Path, start: Callable[[str, Mapping[str, str]], None]) -> None:
                 if read > MAX_BYTES:
                     raise InputError(f"{path}: found more than {MAX_BYTES} bytes inside")
                 parser.Parse(chunk, False)
+                if read - parser.CurrentByteIndex > MAX_TOKEN_BYTES:
+                    raise InputError(
+                        f"{path}: line {parser.CurrentLineNumber}: found no end of an element "
+                        f"within {MAX_TOKEN_BYTES} bytes"
+                    )
             parser.Parse(b"", True)
     except xml.parsers.expat.ExpatError as error:
         raise InputError(f"{path}: {error}") from None

@@ -36,6 +36,10 @@ MAX_NUMBER: Final = 10**6
 """Largest absolute number that is a place, a size or an id (our choice)."""
 
 
+MAX_FRAME: Final = 10**9
+"""Largest number of a frame (our choice: a year of video)."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Box:
     frame: int
@@ -66,6 +70,8 @@ def _frames(path: Path) -> Iterator[dict[int, list[_Box]]]:
                 raise InputError(
                     f"{where}: found {len(fields)} fields, expected 2 and 5 for each box"
                 )
+            if not 0 <= fields[0] <= MAX_FRAME:
+                raise InputError(f"{where}: found frame {fields[0]}, expected 0 to {MAX_FRAME}")
             if last is not None and fields[0] <= last:
                 raise InputError(f"{where}: found frame {fields[0]}, expected one after {last}")
             last = fields[0]
