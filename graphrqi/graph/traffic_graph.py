@@ -275,6 +275,8 @@ class TrafficGraph:
         )
         if twice >= 0:
             raise InputError(f"ids: found {new_ids[twice]} twice, expected each vehicle once")
+        if np.array_equal(all_ids, self.ids):
+            all_ids = self.ids  # one array for a sequence of the same vehicles
         size = indptr[-1]
         earlier = TrafficGraph(
             self.ids, self.indptr, self.indices, self.values, rule, self.observations

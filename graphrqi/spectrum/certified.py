@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum import arpack
+from graphrqi.spectrum import arpack, eigh
 from graphrqi.spectrum.contract import (
     End,
     Floats,
@@ -49,6 +49,7 @@ from graphrqi.spectrum.contract import (
     check_arguments,
     lambda_max_floor,
     null_space,
+    pick,
 )
 from graphrqi.spectrum.full import pairs_by_component
 
@@ -113,7 +114,12 @@ def solve(
     """
     check_arguments(num_pairs, end, tol)
     d = graph.ids.size
-    if d < DENSE_BELOW or DENSE_SHARE * num_pairs >= d:
+    if d < DENSE_BELOW:
+        values, vectors = eigh.dense_pairs(graph, nonzero)
+        chosen = pick(values, num_pairs, end)
+        kept = vectors[:, chosen]
+        return answer(graph, values[chosen], kept, end, tol, True, "", Found(kept))
+    if DENSE_SHARE * num_pairs >= d:
         return _dense(graph, num_pairs, end, tol, nonzero, "")
     from graphrqi.spectrum import factorization
 
@@ -146,9 +152,7 @@ def solve(
         values = np.concatenate([np.zeros(known.shape[1]), values])
         vectors = np.hstack([known, vectors])
         residuals = np.concatenate([np.zeros(known.shape[1]), residuals])
-    return Spectrum(
-        graph.ids, values, vectors, residuals, True, graph, end, note, Found(carried)
-    )
+    return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, note, Found(carried))
 
 
 def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
@@ -268,15 +272,23 @@ def _track(
     low, high = (-bound, 0.0) if deflate else (-1.0, bound)
     room = min(k + EXTRA, d)
     vectors, values, residuals = np.empty((d, room)), np.empty(room), np.empty(room)
-    certified, found, _, departure = tracking.track(
+    certified, found, _ = tracking.track(
         order, starts, rows, target, entries, diagonal, label, count, deflate,
         warm, changed, k, scale, tol, low, high, max_sweeps, vectors, values, residuals,
     )  # fmt: skip
-    values, residuals = values[:k], residuals[:k]
-    if not certified or departure > 1e-11 or residuals.max(initial=0.0) > tol * scale:
+    if not certified:
+        return None
+    vectors, values, residuals = vectors[:, :found], values[:k], residuals[:k]
+    gram = vectors.T @ vectors
+    gram.flat[:: found + 1] -= 1.0
+    departure = float(np.abs(gram).max())
+    if departure > 1e-13:  # Newton's step to the nearest orthonormal block squares it
+        vectors = vectors - 0.5 * vectors @ gram
+        residuals = residuals + departure * scale
+    if departure > 1e-6 or residuals.max() > tol * scale:
         return None
     chosen = np.ascontiguousarray(vectors[:, :k])
-    carried = chosen if found == k else vectors[:, :found].copy()
+    carried = chosen if found == k else np.ascontiguousarray(vectors)
     return -values if deflate else values, chosen, residuals, carried
 
 

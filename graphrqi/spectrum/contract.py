@@ -136,12 +136,9 @@ def components(graph: TrafficGraph) -> NDArray[np.int32]:
     Returns:
         (d,) from 0, in the order of each component's first row.
     """
-    from scipy.sparse.csgraph import connected_components
+    from graphrqi.spectrum import factorization
 
-    if graph.ids.size == 0:
-        return np.empty(0, np.int32)
-    labels: NDArray[np.int32] = connected_components(graph.adjacency, directed=False)[1]
-    return labels
+    return factorization.order_rows(graph.indptr, graph.indices)[1]
 
 
 def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None = None) -> Floats:
@@ -262,7 +259,7 @@ def lambda_max_floor(graph: TrafficGraph) -> float:
         The largest vertex degree (x^T L x of that vertex), 0 without vehicles. The largest
         eigenvalue is at most twice that (Gershgorin).
     """
-    return float(graph.degree.max(initial=0.0))
+    return float(graph.values.max(initial=0.0))  # every other entry is negative
 
 
 def pick(values: Floats, num_pairs: int, end: End) -> NDArray[np.intp]:

@@ -273,16 +273,16 @@ def factor_and_solve(
         xj = load(x, j)
         for p in range(starts[j], end):
             w = load(factor, p)
-            l = times(w, r)
-            store(factor, p, l)
+            ratio = times(w, r)
+            store(factor, p, ratio)
             i = rows[p]
-            store(pivots, i, less(load(pivots, i), l, w))
+            store(pivots, i, less(load(pivots, i), ratio, w))
             if solves > 0:
-                store(x, i, less(load(x, i), l, xj))
+                store(x, i, less(load(x, i), ratio, xj))
             for q in range(p + 1, end):
                 m = target[t]
                 t += 1
-                store(factor, m, less(load(factor, m), load(factor, q), l))
+                store(factor, m, less(load(factor, m), load(factor, q), ratio))
     store(above, 0, number)
     store(growth, 0, size)
     for again in range(solves):

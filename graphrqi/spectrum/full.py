@@ -60,7 +60,7 @@ def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:
         null[rows, c] = 1.0 / np.sqrt(size)
         if size == 1:
             continue
-        block = laplacian.toarray() if count == 1 else laplacian[rows][:, rows].toarray()
+        block: Floats = (laplacian if count == 1 else laplacian[rows][:, rows]).toarray()
         inner, turn = np.linalg.eigh(block + above / size)  # moves 0 above all the rest
         values[done : done + size - 1] = inner[:-1]
         vectors[np.ix_(rows, np.arange(done, done + size - 1))] = turn[:, :-1]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 from numba.core.extending import intrinsic, models, register_model
@@ -20,9 +20,11 @@ LANES = 8
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 _INDEX = ir.IntType(64)
 _DOUBLE = types.float64
+_make_array: Any = make_array
+_insert_function: Any = cgutils.get_or_insert_function
 
 
-class Eight(types.Type):  # type: ignore[misc]
+class Eight(types.Type):
     """Type of eight doubles in a register."""
 
     def __init__(self) -> None:
@@ -34,14 +36,14 @@ EIGHT = Eight()
 
 
 @register_model(Eight)
-class _EightModel(models.PrimitiveModel):  # type: ignore[misc]
+class _EightModel(models.PrimitiveModel):
     def __init__(self, manager: Any, frontend_type: Any) -> None:
-        super().__init__(manager, frontend_type, _VECTOR)
+        super().__init__(manager, frontend_type, _VECTOR)  # type: ignore[no-untyped-call]
 
 
 def _row(context: Any, builder: Any, array_type: Any, array: Any, row: Any, row_type: Any) -> Any:
     index = context.cast(builder, row, row_type, types.int64)
-    data = make_array(array_type)(context, builder, array).data
+    data = _make_array(array_type)(context, builder, array).data
     start = builder.gep(data, [builder.mul(index, _INDEX(LANES))])
     return builder.bitcast(start, _VECTOR.as_pointer())
 
@@ -58,8 +60,12 @@ def _spread(builder: Any, number: Any) -> Any:
 
 def _call(builder: Any, name: str, arguments: list[Any]) -> Any:
     kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(arguments))
-    function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v8f64")
+    function = _insert_function(builder.module, kind, f"llvm.{name}.v8f64")
     return builder.call(function, arguments)
+
+
+def _instruction(typing: Callable[..., Any]) -> Any:
+    return intrinsic(typing)
 
 
 def _unary(text: str, emit: Callable[[Any, list[Any]], Any]) -> Any:
@@ -67,7 +73,7 @@ def _unary(text: str, emit: Callable[[Any, list[Any]], Any]) -> Any:
         return _signature((x,), emit)
 
     typing.__name__, typing.__doc__ = text.split("(")[0], text
-    return intrinsic(typing)
+    return _instruction(typing)
 
 
 def _binary(text: str, emit: Callable[[Any, list[Any]], Any]) -> Any:
@@ -75,7 +81,7 @@ def _binary(text: str, emit: Callable[[Any, list[Any]], Any]) -> Any:
         return _signature((x, y), emit)
 
     typing.__name__, typing.__doc__ = text.split("(")[0], text
-    return intrinsic(typing)
+    return _instruction(typing)
 
 
 def _ternary(text: str, emit: Callable[[Any, list[Any]], Any]) -> Any:
@@ -83,7 +89,7 @@ def _ternary(text: str, emit: Callable[[Any, list[Any]], Any]) -> Any:
         return _signature((x, y, z), emit)
 
     typing.__name__, typing.__doc__ = text.split("(")[0], text
-    return intrinsic(typing)
+    return _instruction(typing)
 
 
 def _signature(arguments: tuple[Any, ...], emit: Callable[[Any, list[Any]], Any]) -> Any:
@@ -96,9 +102,9 @@ def _signature(arguments: tuple[Any, ...], emit: Callable[[Any, list[Any]], Any]
     return EIGHT(*arguments), generate
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def load(_context: Any, a: Any, p: Any) -> Any:
-    """load(a, p): row p of an (n, 8) array; p >= 0."""
+    """Read row p >= 0 of an (n, 8) array a."""
     if not _is_rows(a) or not isinstance(p, types.Integer):
         return None
 
@@ -110,9 +116,9 @@ def load(_context: Any, a: Any, p: Any) -> Any:
     return EIGHT(a, p), generate
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def store(_context: Any, a: Any, p: Any, x: Any) -> Any:
-    """store(a, p, x): write row p of an (n, 8) array; p >= 0."""
+    """Write x to row p >= 0 of an (n, 8) array a."""
     if not _is_rows(a) or not isinstance(p, types.Integer) or x != EIGHT:
         return None
 
@@ -125,9 +131,9 @@ def store(_context: Any, a: Any, p: Any, x: Any) -> Any:
     return types.void(a, p, x), generate
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def spread(_context: Any, v: Any) -> Any:
-    """spread(v): eight times the same number."""
+    """Repeat one number v eight times."""
     if v != _DOUBLE:
         return None
 
@@ -137,9 +143,9 @@ def spread(_context: Any, v: Any) -> Any:
     return EIGHT(v), generate
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def plus(_context: Any, x: Any, v: Any, y: Any) -> Any:
-    """plus(x, v, y): x + v y for one number v."""
+    """Return x + v y for one number v."""
     if x != EIGHT or v != _DOUBLE or y != EIGHT:
         return None
 
@@ -149,9 +155,9 @@ def plus(_context: Any, x: Any, v: Any, y: Any) -> Any:
     return EIGHT(x, v, y), generate
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def any_below(_context: Any, x: Any, v: Any) -> Any:
-    """any_below(x, v): whether one of the eight is below the number v in size."""
+    """Return whether one of the eight numbers x is below v in size."""
     if x != EIGHT or v != _DOUBLE:
         return None
 

@@ -28,39 +28,18 @@ MAX_AGE = 2
 """Tries with one vector at an eigenvalue that its Rayleigh quotient does not come near (our
 choice)."""
 SPARK = 0.05
-"""Size of a start's noise outside the rows that changed: an eigenvector of the new matrix has a part
-in those rows, unless it was one of the old matrix already (our choice)."""
+"""Size of a start's noise outside the rows that changed: an eigenvector of the new matrix has a
+part in those rows, unless it was one of the old matrix already (our choice)."""
+MAX_WARM = 32
+"""Vectors to start from that are used (our choice)."""
 MAX_POINTS = 400
+SPARE = 24
+"""Vectors kept beyond twice the wanted number (our choice: three factorisations' worth)."""
 
-
-@compiled
-def gram(x: Floats, g: Floats) -> None:
-    """Write x^T x of a (d, m) block to g (m, m)."""
-    d, m = x.shape
-    for a in range(m):
-        for b in range(m):
-            g[a, b] = 0.0
-    for j in range(d):
-        for a in range(m):
-            v = x[j, a]
-            for b in range(m):
-                g[a, b] += v * x[j, b]
-
-
-@compiled
-def turn(x: Floats, t: Floats) -> None:
-    """x <- x t for a (d, m) block and an (m, m) matrix."""
-    d, m = x.shape
-    line = np.empty(m, np.float64)
-    for j in range(d):
-        for b in range(m):
-            line[b] = 0.0
-        for a in range(m):
-            v = x[j, a]
-            for b in range(m):
-                line[b] += v * t[a, b]
-        for b in range(m):
-            x[j, b] = line[b]
+THETA, RES, HOME = 0, 1, 2  # rows of `number`: Ritz value, residual, shift it came from
+STATUS, AGE, USE = 0, 1, 2  # rows of `mark`
+FREE, CANDIDATE, FOUND, NEW = 0, 1, 2, 3  # values of STATUS
+COUNT, IDLE = -1, -2  # values of `lane` that are no vector
 
 
 @compiled
@@ -109,12 +88,11 @@ def rayleigh_ritz(
     rows: Ints,
     entries: Floats,
     diagonal: Floats,
-    acc: Floats,
-    n_acc: int,
+    pool: Floats,
+    mark: Ints,
     x: Floats,
     ax: Floats,
-    theta: Floats,
-    res: Floats,
+    ritz: Floats,
     source: Ints,
 ) -> int:
     """Ritz pairs of M in the span of eight columns, outside the span of given vectors.
@@ -124,12 +102,11 @@ def rayleigh_ritz(
         rows: its rows.
         entries: its values.
         diagonal: (d,) of M.
-        acc: (n, d) orthonormal vectors to stay orthogonal to.
-        n_acc: how many of them count.
+        pool: (n, d) vectors; those found are orthonormal.
+        mark: (3, n) which are found, to stay orthogonal to.
         x: (d, 8) columns, some perhaps 0; overwritten by the Ritz vectors.
         ax: (d, 8) room.
-        theta: (8,) overwritten by the Ritz values.
-        res: (8,) overwritten by the norms of M x - theta x.
+        ritz: (2, 8) overwritten by the Ritz values theta and the norms of M x - theta x.
         source: (8,) overwritten by the column that has the largest part in each Ritz vector.
 
     Returns:
@@ -137,7 +114,7 @@ def rayleigh_ritz(
     """
     d = diagonal.size
     g, h = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
-    w, t = np.zeros((8, 8), np.float64), np.empty((8, 8), np.float64)
+    w, t = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
     nothing = spread(0.0)
     yy = nothing
     for j in range(d):
@@ -145,12 +122,13 @@ def rayleigh_ritz(
         yy = more(yy, y, y)
     store(t, 0, yy)
     for _ in range(2):
-        for b in range(n_acc):
-            part = nothing
-            for j in range(d):
-                part = plus(part, -acc[b, j], load(x, j))
-            for j in range(d):
-                store(x, j, plus(load(x, j), acc[b, j], part))
+        for b in range(mark.shape[1]):
+            if mark[STATUS, b] == FOUND:
+                part = nothing
+                for j in range(d):
+                    part = plus(part, -pool[b, j], load(x, j))
+                for j in range(d):
+                    store(x, j, plus(load(x, j), pool[b, j], part))
     for j in range(d):
         store(ax, j, plus(nothing, diagonal[j], load(x, j)))
     for j in range(d):
@@ -171,7 +149,7 @@ def rayleigh_ritz(
         store(g, a, ga)
         store(h, a, ha)
     # Gram-Schmidt in coefficients: columns w with w^T g w = I, a Cholesky factorisation of g.
-    rank = int(np.int64(0))
+    rank = int(np.int64(0))  # a literal would be compiled for once more
     for a in range(8):
         before = t[0, a]
         if not (0.0 < before < math.inf) or g[a, a] < INDEPENDENT**2 * before:
@@ -211,7 +189,7 @@ def rayleigh_ritz(
             for i in range(8):
                 s += w[i, a] * t[i, c]
             g[a, c] = s
-    jacobi(g, t, np.int64(rank))
+    jacobi(g, t, rank)
     for i in range(8):
         for c in range(8):
             s = 0.0
@@ -219,13 +197,12 @@ def rayleigh_ritz(
                 s += w[i, b] * t[b, c]
             h[i, c] = s if c < rank else 0.0
     for c in range(8):
-        theta[c] = g[c, c]
+        ritz[0, c] = g[c, c]
         source[c] = 0
         for b in range(8):
             if abs(h[b, c]) > abs(h[source[c], c]):
                 source[c] = b
-        t[0, c] = theta[c]
-    value = load(t, 0)
+    value = load(ritz, 0)
     yy = nothing
     for j in range(d):
         y = z = nothing
@@ -236,9 +213,9 @@ def rayleigh_ritz(
         store(x, j, y)
         z = less(z, value, y)
         yy = more(yy, z, z)
-    store(t, 0, yy)
+    store(ritz, 1, yy)
     for c in range(8):
-        res[c] = math.sqrt(t[0, c])
+        ritz[1, c] = math.sqrt(ritz[1, c])
     return rank
 
 
@@ -316,6 +293,316 @@ def random_start(v: Floats, is_changed: Bools, narrow: bool, seed: np.uint64) ->
 
 
 @compiled
+def find_clear(
+    number: Floats,
+    mark: Ints,
+    points: Floats,
+    above: Ints,
+    n: int,
+    k: int,
+    delta: float,
+    clear: Ints,
+) -> tuple[int, bool]:
+    """Find the counts that no rounding error can have spoilt; one may be the certificate.
+
+    Args:
+        number: Ritz values and residuals.
+        mark: which vectors are found.
+        points: (2, m) shifts, descending, and their uncertainties.
+        above: (m,) eigenvalues above each.
+        n: how many points.
+        k: wanted pairs.
+        delta: values this close to the k-th count as equal to it.
+        clear: (m,) overwritten by the clear points.
+
+    Returns:
+        How many are clear, and whether k pairs are certified.
+    """
+    slots = mark.shape[1]
+    kth = kth_largest(number, mark, k)
+    n_clear = 0
+    certified = False
+    for i in range(n):
+        s, error = points[0, i], points[1, i]
+        near = False
+        found = 0
+        for b in range(slots):
+            if mark[STATUS, b] == FOUND:
+                near = near or abs(number[THETA, b] - s) <= error + number[RES, b]
+                found += number[THETA, b] > s
+        if not near or i == 0 or i == n - 1:
+            clear[n_clear] = i
+            n_clear += 1
+        if not near and found == above[i] and s + error <= kth + delta:
+            certified = True
+    return n_clear, certified
+
+
+@compiled
+def kth_largest(number: Floats, mark: Ints, k: int) -> float:
+    """Return the k-th largest Ritz value of those found and in use, or -inf if there are fewer.
+
+    Args:
+        number: Ritz values.
+        mark: which vectors are found, or in use as candidates.
+        k: which.
+    """
+    slots = mark.shape[1]
+    bound = math.inf
+    left = k
+    while left > 0:
+        best = -math.inf
+        for b in range(slots):
+            if mark[STATUS, b] == FOUND or mark[USE, b] > 0:
+                v = number[THETA, b]
+                if best < v < bound:
+                    best = v
+        if best == -math.inf:
+            return best
+        for b in range(slots):
+            if mark[STATUS, b] == FOUND or mark[USE, b] > 0:
+                left -= number[THETA, b] == best
+        bound = best
+    return bound
+
+
+@compiled
+def choose_lanes(
+    number: Floats,
+    mark: Ints,
+    points: Floats,
+    above: Ints,
+    clear: Ints,
+    n_clear: int,
+    wanted: int,
+    deflate: bool,
+    scale: float,
+    delta: float,
+    first: bool,
+    low: float,
+    shifts: Floats,
+    lane: Ints,
+) -> tuple[int, int]:
+    """Decide where to factorise next.
+
+    Args:
+        number: Ritz values, residuals and where they came from.
+        mark: what each vector is; a new vector to be filled with noise is marked NEW.
+        points: (2, m) shifts that were counted, descending.
+        above: (m,) their counts.
+        clear: the reliable ones among them.
+        n_clear: how many those are.
+        wanted: eigenvalues to find.
+        deflate: whether M is -L outside its null space.
+        scale: lower bound on the norm of M.
+        delta: values this close count as equal.
+        first: whether this is the first factorisation after a change.
+        low: below all eigenvalues.
+        shifts: (1, 8) overwritten.
+        lane: (8,) overwritten by the vector of each lane, COUNT or IDLE.
+
+    Returns:
+        Lanes that have a vector, and the count at the first clear point that is not below
+        ``wanted``.
+    """
+    slots = mark.shape[1]
+    used = 0
+    beyond = wanted
+    holder = -1
+    for i in range(n_clear - 1):
+        top, bottom = points[0, clear[i]], points[0, clear[i + 1]]
+        n, n_below = above[clear[i]], above[clear[i + 1]]
+        if n >= wanted:
+            break
+        if n_below >= wanted:
+            beyond = n_below
+            holder = i
+        missing = min(n_below, wanted) - n
+        for b in range(slots):
+            if mark[STATUS, b] == FOUND:
+                missing -= bottom < number[THETA, b] < top
+        unmet = missing
+        for _ in range(missing):  # candidates inside; next vectors that were aimed here
+            best = -1
+            for b in range(slots):
+                if mark[STATUS, b] != CANDIDATE or mark[USE, b] > 0:
+                    continue
+                if not bottom < number[THETA, b] < top:
+                    continue
+                better = best < 0
+                if not better and n_below > wanted:
+                    better = number[THETA, b] > number[THETA, best]
+                elif not better:
+                    better = number[RES, b] < number[RES, best]
+                if better:
+                    best = b
+            if best < 0:
+                break
+            mark[USE, best] = 1
+            unmet -= 1
+            if used < 8:
+                shifts[0, used], lane[used] = number[THETA, best], best
+                used += 1
+        for r in range(unmet):
+            if used == 8:
+                break
+            if deflate and top == 0.0:
+                shift = bottom * math.exp(-1.2 * (r + 1))
+            else:
+                shift = bottom + (top - bottom) * (unmet - r) / (unmet + 1.0)
+            best = -1
+            for b in range(slots):
+                if mark[STATUS, b] != CANDIDATE or mark[USE, b] > 0 or mark[AGE, b] >= MAX_AGE:
+                    continue
+                aimed = bottom < number[HOME, b] < top
+                if aimed and (best < 0 or number[RES, b] < number[RES, best]):
+                    best = b
+            if best >= 0:
+                mark[AGE, best] += 1
+            else:
+                best = new_vector(mark)
+                if best < 0:
+                    break
+            number[THETA, best], number[RES, best], mark[USE, best] = shift, math.inf, 1
+            shifts[0, used], lane[used] = shift, best
+            used += 1
+    solving = used
+
+    # Spare lanes: new starts after a change, counts below the k-th value, division.
+    last = kth_largest(number, mark, wanted)
+    if last > -math.inf:
+        doubt = 0.0
+        for b in range(slots):
+            if mark[USE, b] > 0 and number[THETA, b] == last and number[RES, b] < math.inf:
+                doubt = min(1.5 * number[RES, b], 50.0 * number[RES, b] ** 2 / scale)
+        if first and solving > 0:
+            highest = last
+            for b in range(slots):
+                if mark[STATUS, b] == FOUND or mark[USE, b] > 0:
+                    highest = max(highest, number[THETA, b])
+            free = 8 - used
+            for r in range(free):
+                best = new_vector(mark)
+                if best >= 0:
+                    shift = last + (highest - last) * (r + 0.5) / free
+                    number[THETA, best], number[RES, best], mark[USE, best] = shift, math.inf, 1
+                    shifts[0, used], lane[used] = shift, best
+                    used += 1
+            solving = used
+        unit = min(scale, 100.0 * abs(last)) if deflate else scale
+        margin = max(doubt, 1e-4 * unit)
+        while used < 8 and margin >= doubt and margin >= 1e-9 * unit:
+            shifts[0, used], lane[used] = last - margin, COUNT
+            used += 1
+            margin *= 0.03
+        if doubt < 0.5 * delta and used < 8:
+            shifts[0, used], lane[used] = last + 0.5 * delta, COUNT
+            used += 1
+    if holder >= 0 and beyond > wanted:
+        top, bottom = points[0, clear[holder]], points[0, clear[holder + 1]]
+        free = 8 - used
+        for r in range(free):
+            if deflate and top == 0.0:
+                shift = bottom * math.exp(-1.0 * (r + 1))
+            else:
+                shift = bottom + (top - bottom) * (free - r) / (free + 1.0)
+            shifts[0, used], lane[used] = shift, COUNT
+            used += 1
+    for q in range(used, 8):
+        shifts[0, q], lane[q] = low - scale, IDLE
+    return solving, beyond
+
+
+@compiled
+def new_vector(mark: Ints) -> int:
+    """Return a free place, marked NEW, or -1 if there is none."""
+    for b in range(mark.shape[1]):
+        if mark[STATUS, b] == FREE:
+            mark[STATUS, b] = NEW
+            mark[AGE, b] = 0
+            return b
+    return -1
+
+
+@compiled
+def add_points(
+    shifts: Floats,
+    lane: Ints,
+    counts: Floats,
+    growth: Floats,
+    ignored: int,
+    scale: float,
+    points: Floats,
+    above: Ints,
+    n: int,
+) -> int:
+    """Enter the counts of a factorisation among the others.
+
+    Args:
+        shifts: (1, 8).
+        lane: (8,) which lanes were used.
+        counts: (1, 8) eigenvalues above each shift.
+        growth: (1, 8) largest pivots.
+        ignored: zero eigenvalues, which do not count.
+        scale: lower bound on the norm of M.
+        points: (2, m) shifts, descending, and uncertainties.
+        above: (m,) counts.
+        n: how many there are.
+
+    Returns:
+        How many there are now. A count that contradicts its neighbours is left out.
+    """
+    for q in range(8):
+        s = shifts[0, q]
+        count = int(counts[0, q]) - ignored
+        uncertain = 4.0 * ROUNDING * growth[0, q]
+        if lane[q] == IDLE or n == MAX_POINTS or uncertain > 1e-4 * scale:
+            continue
+        if not points[0, n - 1] < s < points[0, 0]:
+            continue
+        i = n
+        while points[0, i - 1] < s:
+            i -= 1
+        if points[0, i - 1] == s or above[i - 1] > count or above[i] < count:
+            continue
+        for b in range(n, i, -1):
+            points[0, b], points[1, b], above[b] = points[0, b - 1], points[1, b - 1], above[b - 1]
+        points[0, i], points[1, i], above[i] = s, uncertain, count
+        n += 1
+    return n
+
+
+@compiled
+def take_out_means(x: Floats, part: Ints, size: Floats, mean: Floats, before: Floats) -> None:
+    """Make every column of an (d, 8) block orthogonal to the indicators of the components.
+
+    Args:
+        x: (d, 8); a column of which nothing is left becomes 0.
+        part: (d,) component of each place.
+        size: (c,) their sizes.
+        mean: (c, 8) room.
+        before: (2, 8) room.
+    """
+    total = rest = spread(0.0)
+    for c in range(size.size):
+        store(mean, c, total)
+    for j in range(part.size):
+        y = load(x, j)
+        total = more(total, y, y)
+        store(mean, part[j], plus(load(mean, part[j]), 1.0, y))
+    for j in range(part.size):
+        y = plus(load(x, j), -1.0 / size[part[j]], load(mean, part[j]))
+        rest = more(rest, y, y)
+        store(x, j, y)
+    store(before, 0, total)
+    store(before, 1, rest)
+    for q in range(8):
+        if before[1, q] < 1e-12 * before[0, q]:
+            for j in range(part.size):
+                x[j, q] = 0.0
+
+
+@compiled
 def track(
     order: Ints,
     starts: Ints,
@@ -337,7 +624,7 @@ def track(
     answer: Floats,
     values: Floats,
     residuals: Floats,
-) -> tuple[bool, int, int, float]:
+) -> tuple[bool, int, int]:
     """Find and certify the k largest eigenpairs of M.
 
     Args:
@@ -364,36 +651,34 @@ def track(
         residuals: (m,) room for the residuals of the vectors as answered.
 
     Returns:
-        Whether none of the k was missed, number of pairs answered, factorisations used, and the
-        largest departure of the vectors from orthonormality.
+        Whether none of the k was missed, number of pairs answered, factorisations used.
     """
     d = order.size
     ignored = components if deflate else 0
-    room = 2 * k + 24
-    acc, cand = np.empty((room, d), np.float64), np.empty((room, d), np.float64)
-    acc_theta, acc_res = np.empty(room, np.float64), np.empty(room, np.float64)
-    theta, res, home = np.empty(room), np.empty(room), np.empty(room)
-    use, age = np.empty(room, np.int32), np.empty(room, np.int32)
-    n_acc = n_cand = int(np.int64(0))
-    point, error = np.empty(MAX_POINTS, np.float64), np.empty(MAX_POINTS, np.float64)
+    slots = 2 * k + SPARE
+    pool = np.empty((slots, d), np.float64)
+    number, mark = np.empty((3, slots), np.float64), np.empty((3, slots), np.int32)
+    for b in range(slots):
+        mark[STATUS, b] = FREE
+        mark[USE, b] = 0
+    points = np.empty((2, MAX_POINTS), np.float64)
     above, clear = np.empty(MAX_POINTS, np.int32), np.empty(MAX_POINTS, np.int32)
-    point[0], above[0], error[0] = high, 0, 0.0
-    point[1], above[1], error[1] = low, d - ignored, 0.0
-    n_points = 2
+    points[0, 0], points[1, 0], above[0] = high, 0.0, 0
+    points[0, 1], points[1, 1], above[1] = low, 0.0, d - ignored
+    n_points = int(np.int64(2))  # a literal would be compiled for once more
     factor, pivots = np.empty((rows.size, 8), np.float64), np.empty((d, 8), np.float64)
-    x, ax = np.zeros((d, 8), np.float64), np.empty((d, 8), np.float64)
-    shifts, growth, counts = np.empty((1, 8)), np.empty((1, 8)), np.empty((1, 8))
-    ritz, ritz_res = np.empty(8), np.empty(8)
-    lane, source, lane_age = np.empty(8, np.int32), np.empty(8, np.int32), np.empty(8, np.int32)
-    estimate = np.empty(2 * room, np.float64)
-    size, mean = np.zeros(components, np.float64), np.empty((components, 8), np.float64)
-    part = np.empty(d, np.int32)
+    x, ax = np.empty((d, 8), np.float64), np.empty((d, 8), np.float64)
+    shifts, growth = np.empty((1, 8), np.float64), np.empty((1, 8), np.float64)
+    counts, ritz = np.empty((1, 8), np.float64), np.empty((2, 8), np.float64)
+    lane, source, ages = np.empty(8, np.int32), np.empty(8, np.int32), np.empty(8, np.int32)
+    size, mean = np.empty(components, np.float64), np.empty((components, 8), np.float64)
+    part, is_changed = np.empty(d, np.int32), np.empty(d, np.bool_)
+    for c in range(components):
+        size[c] = 0.0
     for j in range(d):
         part[j] = label[order[j]]
-        size[part[j]] += 1.0
-    is_changed = np.empty(d, np.bool_)
-    for j in range(d):
         is_changed[j] = changed[order[j]]
+        size[part[j]] += 1.0
     narrow = warm.shape[1] > 0
     first = narrow
     seed = np.uint64(88172645463325252)
@@ -402,272 +687,99 @@ def track(
     certified = stuck = False
     wanted = k  # raised where eigenvalues equal to the k-th have to be found too
     warm_done = 0
-    warm_columns = min(warm.shape[1], 32)
-    nothing = spread(0.0)
+    warm_columns = min(warm.shape[1], MAX_WARM)
     while True:
         warming = warm_done < warm_columns
         if warming:  # first, Rayleigh-Ritz in the span of the given vectors
             for q in range(8):
-                lane[q] = q if warm_done + q < warm_columns else -2
-                shifts[0, q] = math.inf
+                c = warm_done + q
+                shifts[0, q], ages[q] = math.inf, 0
                 for j in range(d):
-                    x[j, q] = warm[order[j], warm_done + q] if lane[q] >= 0 else 0.0
+                    x[j, q] = warm[order[j], c] if c < warm_columns else 0.0
             warm_done += 8
         else:
-            # Points whose count is clear of the eigenvalues found; one may be the certificate.
-            n_clear = 0
+            for b in range(slots):
+                mark[USE, b] = 0
             delta = delta0
-            if deflate and n_acc >= k:
-                delta = min(delta0, max(1e-2 * abs(acc_theta[k - 1]), floor))
-            for i in range(n_points):
-                near = False
-                found = 0
-                for b in range(n_acc):
-                    near = near or abs(acc_theta[b] - point[i]) <= error[i] + acc_res[b]
-                    found += acc_theta[b] > point[i]
-                if not near or i == 0 or i == n_points - 1:
-                    clear[n_clear] = i
-                    n_clear += 1
-                if not near and n_acc >= k and found == above[i]:
-                    certified = certified or point[i] + error[i] <= acc_theta[k - 1] + delta
+            if deflate:
+                kth = kth_largest(number, mark, k)
+                delta = min(delta0, max(1e-2 * abs(kth), floor))
+            n_clear, certified = find_clear(number, mark, points, above, n_points, k, delta, clear)
             if certified or sweeps >= max_sweeps:
                 break
-
-            # Lanes: candidates where eigenvalues are missing, then new starts, then counts.
-            used = 0
-            for c in range(n_cand):
-                use[c] = 0
-            for i in range(n_clear - 1):
-                top, bottom = point[clear[i]], point[clear[i + 1]]
-                n, n_below = above[clear[i]], above[clear[i + 1]]
-                if n >= wanted:
+            solving, beyond = choose_lanes(
+                number, mark, points, above, clear, n_clear, wanted,
+                deflate, scale, delta, first, low, shifts, lane,
+            )  # fmt: skip
+            if solving == 0 and stuck:  # equal eigenvalues follow the k-th: find them all
+                if beyond == wanted or beyond > slots - 12:
                     break
-                missing = min(n_below, wanted) - n
-                for b in range(n_acc):
-                    missing -= bottom < acc_theta[b] < top
-                while missing > 0:
-                    best = -1
-                    for c in range(n_cand):
-                        if use[c] == 0 and bottom < theta[c] < top:
-                            if best < 0:
-                                best = c
-                            elif n_below > wanted:
-                                if theta[c] > theta[best]:
-                                    best = c
-                            elif res[c] < res[best]:
-                                best = c
-                    if best < 0:
-                        break
-                    use[best] = 1
-                    missing -= 1
-                    if used < 8:
-                        shifts[0, used], lane[used] = theta[best], best
-                        used += 1
-                for r in range(missing):
-                    if used == 8:
-                        break
-                    if deflate and top == 0.0:
-                        shift = bottom * math.exp(-1.2 * (r + 1))
-                    else:
-                        shift = bottom + (top - bottom) * (missing - r) / (missing + 1.0)
-                    best = -1
-                    for c in range(n_cand):
-                        if use[c] == 0 and bottom < home[c] < top and age[c] < MAX_AGE:
-                            if best < 0 or res[c] < res[best]:
-                                best = c
-                    if best >= 0:
-                        age[best] += 1
-                    if best < 0:
-                        if n_cand == room:
-                            break
-                        best = n_cand
-                        n_cand += 1
-                        seed = random_start(cand[best], is_changed, narrow, seed)
-                        age[best] = 0
-                    theta[best], res[best], use[best] = shift, math.inf, 1
-                    shifts[0, used], lane[used] = shift, best
-                    used += 1
-            solving = used > 0
-
-            # Spare lanes count just below the k-th value, and divide the interval that holds it.
-            n = 0
-            for b in range(n_acc):
-                estimate[n] = acc_theta[b]
-                n += 1
-            for c in range(n_cand):
-                if use[c] > 0:
-                    estimate[n] = theta[c]
-                    n += 1
-            if n >= wanted:
-                for a in range(wanted):
-                    for b in range(a + 1, n):
-                        if estimate[b] > estimate[a]:
-                            estimate[a], estimate[b] = estimate[b], estimate[a]
-                last = estimate[wanted - 1]
-                doubt = 0.0
-                for c in range(n_cand):
-                    if use[c] > 0 and theta[c] == last and res[c] < math.inf:
-                        doubt = min(1.5 * res[c], 50.0 * res[c] * res[c] / scale)
-                unit = min(scale, 100.0 * abs(last)) if deflate else scale
-                if first and used > 0:  # look for eigenvalues that the change has made
-                    free = min(8 - used, room - n_cand)
-                    for r in range(free):
-                        seed = random_start(cand[n_cand], is_changed, narrow, seed)
-                        shift = last + (estimate[0] - last) * (r + 0.5) / free
-                        theta[n_cand], res[n_cand], use[n_cand] = shift, math.inf, 1
-                        age[n_cand] = 0
-                        shifts[0, used], lane[used] = shift, n_cand
-                        used += 1
-                        n_cand += 1
-                first = False
-                margin = max(doubt, 1e-4 * unit)
-                while used < 8 and margin >= doubt and margin >= 1e-9 * unit:
-                    shifts[0, used], lane[used] = last - margin, -1
-                    used += 1
-                    margin *= 0.03
-                if doubt < 0.5 * delta and used < 8:
-                    shifts[0, used], lane[used] = last + 0.5 * delta, -1
-                    used += 1
-            for i in range(n_clear - 1):
-                top, bottom = point[clear[i]], point[clear[i + 1]]
-                if above[clear[i]] < wanted < above[clear[i + 1]]:
-                    free = 8 - used
-                    for r in range(free):
-                        if deflate and top == 0.0:
-                            shift = bottom * math.exp(-1.0 * (r + 1))
-                        else:
-                            shift = bottom + (top - bottom) * (free - r) / (free + 1.0)
-                        shifts[0, used], lane[used] = shift, -1
-                        used += 1
-                    if not solving and stuck:  # equal eigenvalues at the k-th: find them all
-                        wanted = above[clear[i + 1]]
-                        break
-            if not solving:
-                if wanted > room - 12 or (stuck and wanted == k):
-                    break
-                stuck = True
-            for q in range(used, 8):
-                shifts[0, q], lane[q] = low - scale, -2
-
-            # One factorisation for all.
-            if solving:
+                wanted = beyond
+                stuck = False
+                continue
+            stuck = solving == 0
+            first = False
+            if solving > 0:
                 for q in range(8):
-                    if lane[q] >= 0:
-                        v = cand[lane[q]]
-                        for j in range(d):
-                            x[j, q] = v[j]
-                    else:
+                    b = lane[q]
+                    if b < 0:
                         for j in range(d):
                             x[j, q] = 0.0
+                        continue
+                    if mark[STATUS, b] == NEW:
+                        seed = random_start(pool[b], is_changed, narrow, seed)
+                    for j in range(d):
+                        x[j, q] = pool[b, j]
             factor_and_solve(
-                starts, rows, target, entries, diagonal, shifts, 1e-15 * scale, 2 * solving,
-                factor, pivots, x, counts, growth,
+                starts, rows, target, entries, diagonal, shifts, 1e-15 * scale,
+                2 if solving > 0 else 0, factor, pivots, x, counts, growth,
             )  # fmt: skip
             sweeps += 1
-            for q in range(8):
-                s = shifts[0, q]
-                n = int(counts[0, q]) - ignored
-                uncertain = 4.0 * ROUNDING * growth[0, q]
-                if lane[q] == -2 or n_points == MAX_POINTS or not low < s < high:
-                    continue
-                i = n_points
-                while i > 0 and point[i - 1] < s:
-                    i -= 1
-                if point[i - 1] == s or above[i - 1] > n or above[i] < n:
-                    continue
-                if uncertain > 1e-4 * scale:
-                    continue
-                for b in range(n_points, i, -1):
-                    point[b], above[b], error[b] = point[b - 1], above[b - 1], error[b - 1]
-                point[i], above[i], error[i] = s, n, uncertain
-                n_points += 1
-            if not solving:
+            n_points = add_points(
+                shifts, lane, counts, growth, ignored, scale, points, above, n_points
+            )
+            if solving == 0:
                 continue
-
-        if deflate:  # take out the mean over each component; nothing may be left of a vector
-            before = after = nothing
-            for c in range(components):
-                store(mean, c, nothing)
-            for j in range(d):
-                y = load(x, j)
-                before = more(before, y, y)
-                store(mean, part[j], plus(load(mean, part[j]), 1.0, y))
-            for j in range(d):
-                y = plus(load(x, j), -1.0 / size[part[j]], load(mean, part[j]))
-                after = more(after, y, y)
-                store(x, j, y)
-            store(counts, 0, before)
-            store(growth, 0, after)
-            for q in range(8):
-                if growth[0, q] < 1e-12 * counts[0, q]:
-                    for j in range(d):
-                        x[j, q] = 0.0
-        rank = rayleigh_ritz(
-            starts, rows, entries, diagonal, acc, n_acc, x, ax, ritz, ritz_res, source
-        )
-        # The Ritz pairs take the place of the candidates that were in the lanes.
-        for q in range(8):
-            lane_age[q] = age[lane[q]] if lane[q] >= 0 and not warming else 0
-        n = 0
-        for c in range(n_cand):
-            if use[c] == 0:
-                continue
-            in_lane = False
-            for q in range(8):
-                in_lane = in_lane or (lane[q] == c and not warming)
-            if not in_lane:
-                if n < c:
-                    theta[n], res[n], home[n], age[n] = theta[c], res[c], home[c], age[c]
-                    for j in range(d):
-                        cand[n, j] = cand[c, j]
-                n += 1
-        n_cand = n
+            for q in range(8):  # the Ritz pairs will take the place of the vectors in the lanes
+                ages[q] = 0
+                if lane[q] >= 0:
+                    ages[q] = mark[AGE, lane[q]]
+                    mark[USE, lane[q]] = 0
+            for b in range(slots):
+                if mark[STATUS, b] != FOUND and mark[USE, b] == 0:
+                    mark[STATUS, b] = FREE
+        if deflate:
+            take_out_means(x, part, size, mean, ax)
+        rank = rayleigh_ritz(starts, rows, entries, diagonal, pool, mark, x, ax, ritz, source)
         for c in range(rank):
-            if deflate and ritz[c] > -0.1 * floor:
+            value, residual = ritz[0, c], ritz[1, c]
+            if deflate and value > -0.1 * floor:
                 continue
-            goal = min(goal0, max(1e-3 * abs(ritz[c]), floor)) if deflate else goal0
-            if ritz_res[c] <= goal:
-                if n_acc == room:
-                    continue
-                b = n_acc
-                while b > 0 and acc_theta[b - 1] < ritz[c]:
-                    acc_theta[b], acc_res[b] = acc_theta[b - 1], acc_res[b - 1]
-                    for j in range(d):
-                        acc[b, j] = acc[b - 1, j]
-                    b -= 1
-                acc_theta[b], acc_res[b] = ritz[c], ritz_res[c]
-                for j in range(d):
-                    acc[b, j] = x[j, c]
-                n_acc += 1
-            elif n_cand < room:
-                theta[n_cand], res[n_cand] = ritz[c], ritz_res[c]
-                home[n_cand], use[n_cand] = shifts[0, source[c]], 1
-                age[n_cand] = lane_age[source[c]]
-                for j in range(d):
-                    cand[n_cand, j] = x[j, c]
-                n_cand += 1
+            b = new_vector(mark)
+            if b < 0:
+                break
+            goal = min(goal0, max(1e-3 * abs(value), floor)) if deflate else goal0
+            mark[STATUS, b] = FOUND if residual <= goal else CANDIDATE
+            mark[AGE, b], mark[USE, b] = ages[source[c]], 0
+            number[THETA, b], number[RES, b] = value, residual
+            number[HOME, b] = shifts[0, source[c]]
+            for j in range(d):
+                pool[b, j] = x[j, c]
 
-    # Answer with the largest, made orthonormal to rounding.
-    found = min(n_acc, answer.shape[1])
-    if found < k:
-        return False, found, sweeps, math.inf
-    w, g = np.empty((d, found), np.float64), np.empty((found, found), np.float64)
+    # Answer with the largest.
+    found = 0
+    for b in range(slots):
+        found += mark[STATUS, b] == FOUND
+    found = min(found, answer.shape[1])
     for c in range(found):
-        values[c], residuals[c] = acc_theta[c], acc_res[c]
+        best = -1
+        for b in range(slots):
+            if mark[STATUS, b] != FOUND:
+                continue
+            if best < 0 or number[THETA, b] > number[THETA, best]:
+                best = b
+        mark[STATUS, best] = FREE
+        values[c], residuals[c] = number[THETA, best], number[RES, best]
         for j in range(d):
-            w[j, c] = acc[c, j]
-    gram(w, g)
-    departure = 0.0
-    for a in range(found):
-        for b in range(found):
-            departure = max(departure, abs(g[a, b] - (1.0 if a == b else 0.0)))
-            g[a, b] = -0.5 * g[a, b]
-        g[a, a] += 1.5
-    if departure > 1e-14:
-        turn(w, g)  # Newton's step to the nearest orthonormal block squares the departure
-        for c in range(found):
-            residuals[c] += departure * scale
-    for j in range(d):
-        for c in range(found):
-            answer[order[j], c] = w[j, c]
-    return certified, found, sweeps, found * departure * departure + 4.0 * ROUNDING
+            answer[order[j], c] = pool[best, j]
+    return certified, found, sweeps
