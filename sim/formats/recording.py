@@ -41,6 +41,9 @@ MOVING_MPS: Final = 0.5
 """From this speed on the direction of motion tells the heading (our choice: noise of some
 centimetres at 10 Hz is slower)."""
 
+SHORTEST_S: Final = 1e-6
+"""Times closer than this give no velocity, s (our choice)."""
+
 CAR_LENGTH_M: Final = 4.5
 CAR_WIDTH_M: Final = 1.8
 """Size of a car where a format does not say it (a European median)."""
@@ -241,7 +244,7 @@ def motion(
     passed = time_s[after] - time_s[before]
     moved = xy[row, after] - xy[row, before]
     velocity = np.divide(
-        moved, passed[..., None], out=np.zeros_like(moved), where=passed[..., None] > 0
+        moved, passed[..., None], out=np.zeros_like(moved), where=passed[..., None] > SHORTEST_S
     )
     speed = np.hypot(velocity[..., 0], velocity[..., 1])
     direction = np.arctan2(velocity[..., 1], velocity[..., 0])
