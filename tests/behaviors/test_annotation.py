@@ -1,0 +1,64 @@
+"""Labels from what annotators saw."""
+
+from __future__ import annotations
+
+import pytest
+
+from behaviors.annotation import cohen_kappa, resolve, style_of
+from behaviors.errors import InputError
+from behaviors.labels import Behavior, Style, Trait
+
+HASTY = [Trait.OVERTAKING]
+CLOSE = [Trait.CUTTING_IN, Trait.DRIVING_CLOSE]
+CALM = [Trait.UNIFORM_SPEED, Trait.FOLLOWING_RULES]
+
+
+def test_one_annotator_decides_alone():
+    assert resolve([CLOSE]) is Behavior.THREATENING
+    assert resolve([CALM], "strict") is Behavior.CAREFUL
+
+
+def test_majority_inside_the_parent_class():
+    assert resolve([HASTY, CLOSE], "strict") is Behavior.THREATENING
+    assert resolve([HASTY, CLOSE, HASTY, HASTY], "strict") is Behavior.IMPATIENT
+
+
+def test_even_behaviours_go_to_the_first_noted():
+    assert resolve([[Trait.WAITING, Trait.SLOWING]]) is Behavior.CAUTIOUS
+    assert resolve([[Trait.SLOWING, Trait.WAITING]]) is Behavior.TIMID
+
+
+def test_conflicts_across_parents():
+    assert resolve([HASTY, CALM], "lenient") is None
+    assert resolve([HASTY, CALM, HASTY], "strict") is None
+    assert resolve([HASTY, CALM, HASTY], "lenient") is Behavior.IMPATIENT
+    assert resolve([], "lenient") is None
+
+
+def test_losing_annotators_traits_do_not_name_the_behaviour():
+    """The calm annotator's one aggressive trait does count: it is of the winning parent."""
+    doubtful = [Trait.UNIFORM_SPEED, Trait.FOLLOWING_RULES, Trait.CUTTING_IN]
+    assert style_of(doubtful) is Style.CONSERVATIVE
+    assert resolve([HASTY, doubtful, HASTY], "lenient") is Behavior.IMPATIENT
+    assert resolve([HASTY, doubtful, CLOSE], "lenient") is Behavior.THREATENING
+
+
+def test_parent_of_even_traits_is_that_of_the_first():
+    assert style_of([Trait.OVERTAKING, Trait.WAITING]) is Style.AGGRESSIVE
+    assert style_of([Trait.WAITING, Trait.OVERTAKING]) is Style.CONSERVATIVE
+
+
+def test_wrong_input_is_named():
+    with pytest.raises(InputError, match=r"rule: found 'mild', expected strict or lenient"):
+        resolve([HASTY], "mild")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="traits: found none"):
+        resolve([[]])
+    with pytest.raises(InputError, match="found 1 and 2 answers"):
+        cohen_kappa("a", "ab")
+
+
+def test_kappa_of_a_worked_example():
+    """20 yes-yes, 5 yes-no, 10 no-yes, 15 no-no: agreement .7, by chance .5."""
+    first = "y" * 25 + "n" * 25
+    second = "y" * 20 + "n" * 5 + "y" * 10 + "n" * 15
+    assert cohen_kappa(first, second) == pytest.approx(0.4)
