@@ -15,6 +15,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.features import following_law
 from graphrqi.features.graph_signal import differences
 from graphrqi.features.interaction import Interaction, interactions
 from graphrqi.features.kinematic import FORGET_S, Motion, MotionEstimator, align
@@ -251,16 +252,18 @@ class SpectrumObserver:
 
 
 _HEADWAY_S = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.1, 1.3, 1.55, 1.85, 2.2, 2.6, 3.1, 3.8, 5.0)
-_SPEED_MPS = (0.0, 0.5, 2.0, 4.0, 6.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0,
-              18.0, 20.0, 24.0, 30.0)  # fmt: skip
-_ACCEL_MPS2 = (-7.0, -5.0, -3.5, -2.5, -1.7, -1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0, 1.5, 2.0, 2.7,
-               3.5, 5.0)  # fmt: skip
-_POSITIVE_MPS2 = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.9, 2.3, 2.8, 3.4, 4.0, 5.0, 6.5, 8.0)
+_SPEED_MPS = (0.0, 0.5, 2.0, 4.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0,
+              17.0, 18.0, 20.0, 22.0, 24.0, 30.0)  # fmt: skip
+_ACCEL_MPS2 = (-7.0, -5.0, -3.5, -2.5, -1.7, -1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 0.8, 1.1, 1.4, 1.7,
+               2.1, 2.6, 3.2, 4.0, 5.0)  # fmt: skip
+_POSITIVE_MPS2 = (0.0, 0.3, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.1, 2.4, 2.7, 3.0, 3.4, 3.8, 4.3,
+                  5.0, 6.5, 8.0)  # fmt: skip
 _DIFFERENCE_MPS = (-10.0, -6.0, -4.0, -2.5, -1.5, -0.8, -0.3, 0.0, 0.3, 0.8, 1.5, 2.5, 4.0, 6.0,
                    10.0)  # fmt: skip
-_STANDSTILL_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0)
+_STANDSTILL_M = (0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 8.0)
 _SIDEWAYS_M = (0.0, 0.2, 0.5, 1.0, 1.8, 3.0, 4.5)
 _INVERSE_TTC = (0.0, 0.03, 0.07, 0.12, 0.2, 0.3, 0.5, 0.8, 1.5)
+_SLOW_MPS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 
 BLOCKS: Final[tuple[Block, ...]] = (
     Block("speed", _SPEED_MPS),
@@ -276,6 +279,7 @@ BLOCKS: Final[tuple[Block, ...]] = (
     Block("headway", _HEADWAY_S),
     Block("steady headway", _HEADWAY_S),
     Block("standstill gap", _STANDSTILL_M),
+    Block("leader's speed while standing", _SLOW_MPS),
     Block("closing", _DIFFERENCE_MPS),
     Block("inverse time to collision", _INVERSE_TTC),
     Block("rear headway", _HEADWAY_S),
@@ -289,7 +293,10 @@ BLOCKS: Final[tuple[Block, ...]] = (
 """What the driving observer watches (our choice of quantities and scales)."""
 
 _WATCHED: Final = sum(len(b.nodes) for b in BLOCKS)
-"""Columns of evidence that belong to the blocks; the spectral ones follow."""
+"""Columns of evidence that belong to the blocks; the car-following and spectral ones follow."""
+
+_LAW: Final = 2 * following_law.COLUMNS
+"""Columns of evidence on the car-following law: in steady following, and in all of it."""
 
 
 class DrivingObserver:
@@ -301,6 +308,7 @@ class DrivingObserver:
 
     feature_names = (
         *describe_names(BLOCKS),
+        *(f"{when}: {name}" for when in ("steady", "held up") for name in following_law.LAW_NAMES),
         *(f"spectrum_{name}" for name in INVARIANT_NAMES),
         "log_seconds",
     )
@@ -309,7 +317,7 @@ class DrivingObserver:
         self._spectrum = _GraphSpectrum(solver)
         self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
         self._motion = MotionEstimator()
-        self._evidence = _Evidence(_WATCHED + _SPECTRAL)
+        self._evidence = _Evidence(_WATCHED + _LAW + _SPECTRAL)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions; see `Observer.update`."""
@@ -317,9 +325,9 @@ class DrivingObserver:
         self._near = self._near.observe(ids, xy)
         self._spectrum.observe(ids, xy)
         around = interactions(motion, drives, self._near.adjacency)
-        moment = np.zeros((ids.size, _WATCHED + _SPECTRAL))
+        moment = np.zeros((ids.size, _WATCHED + _LAW + _SPECTRAL))
         self._watch(motion, around, drives, moment)
-        moment[:, _WATCHED:] = self._spectrum.moment(time_s, ids)
+        moment[:, _WATCHED + _LAW :] = self._spectrum.moment(time_s, ids)
         self._evidence.add(time_s, ids[drives], moment[drives])
 
     def observation(self) -> Observation:
@@ -360,8 +368,9 @@ class DrivingObserver:
             (-a, a < -0.3),
             (headway, following),
             (headway, has_leader & moving),
-            (headway, following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.6)),
+            (headway, following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.5)),
             (gap, standing),
+            (around.leader_speed, has_leader & (v < 0.3)),
             (closing, following),
             (inverse_ttc, has_leader & (closing > 0.2)),
             (rear_headway, has_follower & moving),
@@ -376,12 +385,24 @@ class DrivingObserver:
         counts = np.stack([condition for _, condition in watched])
         spread(values, counts, BLOCKS, out)
 
+        steady = following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.5)
+        held_up = steady | (has_leader & (headway < 5.0) & (a < -0.2) & (closing > 0.2))
+        for number, condition in enumerate((steady, held_up)):
+            start = _WATCHED + number * following_law.COLUMNS
+            out[:, start : start + following_law.COLUMNS] = following_law.products(
+                v, around.leader_speed, gap, condition
+            )
+
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """Distributions of what was watched, mean spectral features, and the time observed."""
         return np.concatenate(
             [
                 describe(sums[:, :_WATCHED], BLOCKS),
-                _spectral_means(sums[:, _WATCHED:]),
+                *(
+                    following_law.infer(sums[:, start : start + following_law.COLUMNS])
+                    for start in (_WATCHED, _WATCHED + following_law.COLUMNS)
+                ),
+                _spectral_means(sums[:, _WATCHED + _LAW :]),
                 np.log1p(seconds)[:, None],
             ],
             axis=1,

@@ -1,0 +1,107 @@
+"""Each driver's own car-following numbers, inferred from how it follows.
+
+A driver who is held up by its leader keeps the largest speed that is still safe. For Krauss's law
+(and at equilibrium for any law with a time headway) that is where
+
+    gap = s0 + T v + (v^2 - v_leader^2) / (2 b),
+
+with standstill gap s0, time headway T and comfortable braking b: linear in (s0, T, 1 / b). So the
+sums of products of (1, v, (v^2 - v_leader^2) / 2, gap) over the moments of following are all that a
+driver's posterior needs, and they are additive. The posterior is that of a linear model with a
+normal prior and normal noise, its mean and its standard deviations.
+
+References:
+    Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08, eq. 3.6.
+    Bishop (2006), Pattern Recognition and Machine Learning, eqs. 3.50 to 3.51.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+PRIOR_MEAN: Final = np.array([2.3, 1.4, 0.3])
+"""Standstill gap, m, time headway, s, and 1 / braking, s2/m, of the average driver (textbook
+values: Treiber and Kesting 2013, Traffic Flow Dynamics)."""
+
+PRIOR_SD: Final = np.array([1.3, 0.9, 0.15])
+"""Their spread over all drivers (our choice: from the closest to the most distant followers)."""
+
+GAP_NOISE_M: Final = 0.8
+"""Spread of the gap about the law (our choice: the unknown lengths of two cars and a lag)."""
+
+COLUMNS: Final = 11
+"""Additive columns: 6 products of regressors, 3 with the gap, the squared gap, and the time."""
+
+LAW_NAMES: Final[tuple[str, ...]] = (
+    "standstill gap", "time headway", "inverse braking",
+    "standstill gap sd", "time headway sd", "inverse braking sd", "residual",
+)  # fmt: skip
+"""What each column of `infer` is."""
+
+_UPPER: Final = np.triu_indices(3)
+
+
+def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray,
+             counts: BoolArray) -> FloatArray:  # fmt: skip
+    """One moment's products of regressors and gap.
+
+    Args:
+        speed: (n,) m/s.
+        leader_speed: (n,) m/s; NaN without a leader.
+        gap: (n,) m; NaN without a leader.
+        counts: (n,) whether each is following now.
+
+    Returns:
+        (n, COLUMNS); zero where not following.
+    """
+    out = np.zeros((speed.size, COLUMNS))
+    rows = np.flatnonzero(counts)
+    v, u, y = speed[rows], leader_speed[rows], gap[rows]
+    x = np.stack([np.ones(rows.size), v, 0.5 * (v * v - u * u)], axis=1)
+    out[rows, :6] = x[:, _UPPER[0]] * x[:, _UPPER[1]]
+    out[rows, 6:9] = x * y[:, None]
+    out[rows, 9] = y * y
+    out[rows, 10] = 1.0
+    return out
+
+
+def infer(sums: FloatArray) -> FloatArray:
+    """Posterior of each driver's numbers.
+
+    A second of following counts as one observation, as successive frames repeat each other.
+
+    Args:
+        sums: (n, COLUMNS) products, each times its duration in seconds.
+
+    Returns:
+        (n, 7) columns named by ``LAW_NAMES``: posterior means, posterior standard deviations, and
+        the root mean square residual of the law, m. With nothing observed they are the prior's.
+
+    Example:
+        >>> v = np.linspace(5.0, 15.0, 50)
+        >>> follows = products(v, v, 2.0 + 1.2 * v, np.full(50, True)).sum(axis=0)
+        >>> infer(follows[None])[0, :2].round(1)
+        array([2. , 1.2])
+    """
+    n = len(sums)
+    square = np.zeros((n, 3, 3))
+    square[:, _UPPER[0], _UPPER[1]] = sums[:, :6]
+    square[:, _UPPER[1], _UPPER[0]] = sums[:, :6]
+    precision = square / GAP_NOISE_M**2 + np.diag(PRIOR_SD**-2)
+    target = sums[:, 6:9] / GAP_NOISE_M**2 + PRIOR_MEAN * PRIOR_SD**-2
+    covariance = np.linalg.inv(precision)
+    mean = np.einsum("nij,nj->ni", covariance, target)
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    error = (
+        sums[:, 9]
+        - 2.0 * np.einsum("ni,ni->n", mean, sums[:, 6:9])
+        + np.einsum("ni,nij,nj->n", mean, square, mean)
+    )
+    residual = np.sqrt(np.maximum(error, 0.0) / np.maximum(sums[:, 10], 1.0))
+    return np.concatenate([mean, sd, residual[:, None]], axis=1)
