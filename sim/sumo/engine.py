@@ -149,20 +149,50 @@ def _substeps(step_s: float) -> tuple[int, int]:
     return count, milliseconds // count
 
 
+def _start(
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, step_ms: int, scratch: Path
+) -> tuple[Any, Path]:
+    """Start the simulation; returns libsumo's C module and where the log is."""
+    routes, log = scratch / "agents.rou.xml", scratch / "sumo.log"
+    routes.write_text("\n".join(route_file(agents)), encoding="utf-8")
+    arguments = [
+        "--net-file", str(scenario.road.source),
+        "--route-files", str(routes),
+        "--seed", str(seed),
+        "--step-length", f"{step_ms / 1000:.3f}",
+        "--log", str(log),
+        *OPTIONS,
+    ]  # fmt: skip
+    return _SIMULATION.start(arguments, log), log
+
+
+def step_bare(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
+    """Drive a scenario without reading or steering anything: the floor of what a run costs.
+
+    Args:
+        scenario: as in `run`.
+        agents: as in `run`.
+        seed: as in `run`.
+
+    Raises:
+        SumoError: as in `run`.
+    """
+    _check(scenario, agents, seed)
+    substeps, step_ms = _substeps(scenario.step_s)
+    with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
+        ordered = sorted(agents, key=lambda a: a.id)
+        sumo, _ = _start(scenario, ordered, seed, step_ms, Path(scratch))
+        try:
+            for _ in range(substeps * round(scenario.duration_s / scenario.step_s)):
+                sumo.simulation_step(0.0)
+        finally:
+            _SIMULATION.close()
+
+
 def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Iterator[Frame]:
     substeps, step_ms = _substeps(scenario.step_s)
     with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
-        routes, log = Path(scratch) / "agents.rou.xml", Path(scratch) / "sumo.log"
-        routes.write_text("\n".join(route_file(agents)), encoding="utf-8")
-        arguments = [
-            "--net-file", str(scenario.road.source),
-            "--route-files", str(routes),
-            "--seed", str(seed),
-            "--step-length", f"{step_ms / 1000:.3f}",
-            "--log", str(log),
-            *OPTIONS,
-        ]  # fmt: skip
-        sumo = _SIMULATION.start(arguments, log)
+        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch))
         controls: Controls | None = None
         try:
             reader = _Reader(sumo, scenario.road, agents)
