@@ -6,6 +6,7 @@ was made from, and appears whole or not at all; the manifest is written last.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,10 +24,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS, Behavior, Trait
 from behaviors.profiles import PROFILE_FIELDS, Profile
+from behaviors.traits import Exhibit
 from sim.atomic import whole_folder, write_whole
+from sim.exhibits import exhibited
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Frame, Tracks
+from sim.incidents import incidents
+from sim.net import read_road
+from sim.observables import observe
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.schema import (
@@ -38,6 +44,7 @@ from sim.schema import (
     POSITION_QUANTUM,
     SCHEMA_VERSION,
     SIGNALS_TABLE,
+    TRAITS_TABLE,
     EpisodeEntry,
     EpisodeMeta,
     FileEntry,
@@ -263,6 +270,18 @@ def _events_table(events: Sequence[Event]) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=EVENTS)
 
 
+def _traits_table(exhibits: Sequence[Exhibit]) -> pa.Table:
+    columns = {
+        "agent": [e.agent for e in exhibits],
+        "trait": [e.trait.value for e in exhibits],
+        "begin_s": [e.begin_s for e in exhibits],
+        "end_s": [e.end_s for e in exhibits],
+        "value": [float(e.value) for e in exhibits],
+        "other": [None if e.other < 0 else e.other for e in exhibits],
+    }
+    return pa.Table.from_pydict(columns, schema=TRAITS_TABLE)
+
+
 def _parquet_bytes(table: pa.Table) -> bytes:
     sink = pa.BufferOutputStream()
     numbers = [f.name for f in table.schema if pa.types.is_floating(f.type)]
@@ -342,7 +361,9 @@ def write_episode(
         meta: what the episode is made from.
         frames: the episode, in time order; closed here, also on an error.
         agents: everyone who may appear in a frame.
-        road: the SUMO net that the episode happened on (``scenario.road.source``).
+        road: the SUMO net that the episode happened on (``scenario.road.source``); with it the
+            events are completed (rules kept and broken, near misses, causes) and the traits that
+            were shown are found.
 
     Returns:
         The manifest's entry of the episode.
@@ -363,7 +384,44 @@ def write_episode(
     strangers = seen[~np.isin(seen, np.array([a.id for a in ordered], dtype=np.int64))]
     if strangers.size:
         raise InputError(f"frames: found agent {strangers[0]}, expected one of {len(agents)} given")
-    return _write(folder, meta, steps, _agents_table(ordered, {}), int(seen.size), road)
+    exhibits: tuple[Exhibit, ...] = ()
+    if road is not None and steps.time_s.size > 2:
+        tracks, net = _dense_tracks(steps, ordered), read_road(road)
+        observed = observe(tracks, net)
+        events = incidents(tracks, net, observed)
+        exhibits = exhibited(tracks, net, events, observed)
+        steps = dataclasses.replace(steps, events=events)
+    agents_table = _agents_table(ordered, {})
+    return _write(folder, meta, steps, agents_table, int(seen.size), road, exhibits)
+
+
+def _dense_tracks(steps: _Steps, agents: Sequence[AgentSpec]) -> Tracks:
+    """The tracks that reading the steps back would give."""
+    every = np.array([a.id for a in agents], dtype=np.int64)
+    ids = np.unique(steps.agent)
+    sizes = [agents[i] for i in np.searchsorted(every, ids)]
+    row = np.searchsorted(ids, steps.agent)
+    shape = (ids.size, steps.time_s.size)
+    xy = np.full((*shape, 2), np.nan)
+    heading, speed = np.full(shape, np.nan), np.full(shape, np.nan)
+    valid = np.zeros(shape, dtype=bool)
+    xy[row, steps.step, 0], xy[row, steps.step, 1] = steps.x, steps.y
+    heading[row, steps.step], speed[row, steps.step] = steps.heading, steps.speed
+    valid[row, steps.step] = True
+    return Tracks(
+        ids=ids,
+        names=tuple(str(a.id) for a in sizes),
+        kind=np.array([a.kind.code for a in sizes], dtype=np.int8),
+        length=np.array([a.length_m for a in sizes]),
+        width=np.array([a.width_m for a in sizes]),
+        time_s=steps.time_s,
+        xy=xy,
+        heading=heading,
+        speed=speed,
+        valid=valid,
+        signals=steps.signals,
+        events=steps.events,
+    )
 
 
 def write_recording(
@@ -402,7 +460,7 @@ def write_recording(
     ]
     names = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
     seen = int(tracks.valid.any(axis=1).sum())
-    return _write(folder, meta, steps, _agents_table(agents, names), seen, road)
+    return _write(folder, meta, steps, _agents_table(agents, names), seen, road, ())
 
 
 def _write(
@@ -412,6 +470,7 @@ def _write(
     agents: pa.Table,
     seen: int,
     road: Path | None,
+    exhibits: Sequence[Exhibit],
 ) -> EpisodeEntry:
     _check_finite(steps)
     road_sha256 = None if road is None else keep_road(folder, road)
@@ -421,6 +480,7 @@ def _write(
         "frames.parquet": pa.Table.from_arrays([pa.array(steps.time_s)], schema=FRAMES),
         "signals.parquet": _signals_table(steps),
         "events.parquet": _events_table(steps.events),
+        "traits.parquet": _traits_table(exhibits),
     }
     content = {name: _parquet_bytes(table) for name, table in tables.items()}
     recorded = content["steps.parquet"] if steps.exact else None
@@ -591,11 +651,13 @@ class Episode:
         entry: what it is and how it was made.
         tracks: everyone that was seen, with labels in ``tracks.behavior``.
         agents: everyone that was drawn, seen or not, in order of id.
+        exhibits: the traits that were shown; ``agent`` and ``other`` are agent ids (-1: nobody).
     """
 
     entry: EpisodeEntry
     tracks: Tracks
     agents: tuple[AgentSpec, ...]
+    exhibits: tuple[Exhibit, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -663,7 +725,6 @@ class Dataset:
         """
         if entry.road is None:
             return None
-        from sim.net import read_road  # sumolib is slow to import and only needed here
 
         path = _road_path(self.path, entry.road)
         if not path.is_file():
@@ -823,7 +884,8 @@ def _read_episode(home: Path, entry: EpisodeEntry, data: Mapping[str, bytes]) ->
         behavior=behavior if (behavior >= 0).any() else None,
         events=_read_events(home / "events.parquet", data["events.parquet"]),
     )
-    return Episode(entry, tracks, specs)
+    exhibits = _read_exhibits(home / "traits.parquet", data["traits.parquet"])
+    return Episode(entry, tracks, specs, exhibits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -894,6 +956,24 @@ def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
     return tuple(
         Event(EventKind(r["kind"]), r["time_s"], r["agent"], r["other"], r["rule"] or "")
         for r in table.to_pylist()
+    )
+
+
+def _read_exhibits(path: Path, data: bytes) -> tuple[Exhibit, ...]:
+    table = _read_table(path, data, [TRAITS_TABLE], MAX_CELLS, None)
+    _codes(path, table, "trait", tuple(Trait))
+    for name in ("agent", "begin_s", "end_s", "value"):
+        _numbers(path, table, name)
+    return tuple(
+        Exhibit(
+            trait=Trait(row["trait"]),
+            agent=row["agent"],
+            begin_s=row["begin_s"],
+            end_s=row["end_s"],
+            value=row["value"],
+            other=-1 if row["other"] is None else row["other"],
+        )
+        for row in table.to_pylist()
     )
 
 

@@ -11,6 +11,7 @@
         frames.parquet              one row per time step
         signals.parquet             one row per change of a traffic light
         events.parquet              one row per event
+        traits.parquet              one row per trait that somebody showed
 
 Positions are box centres, x east and y north in metres; headings are radians counter-clockwise
 from +x in (-pi, pi]; speeds m/s along the heading; times s. Labels are words. The tables are plain
@@ -131,17 +132,36 @@ EVENTS: Final = pa.schema(
 )
 """Columns of ``events.parquet``: one row per event, in time order."""
 
+TRAITS_TABLE: Final = pa.schema(
+    [
+        pa.field("agent", pa.int64(), nullable=False),  # who showed it
+        pa.field("trait", pa.string(), nullable=False),  # a row of the paper's trait table
+        pa.field("begin_s", pa.float64(), nullable=False),
+        pa.field("end_s", pa.float64(), nullable=False),
+        pa.field("value", pa.float64(), nullable=False),  # the number behind it
+        pa.field("other", pa.int64()),  # the second party
+    ]
+)
+"""Columns of ``traits.parquet``: what agents showed, found by `behaviors.traits`, in time order;
+the value's meaning and unit are told by the detector of the trait. Empty for recordings."""
+
 EPISODE_FILES: Final = (
     "steps.parquet",
     "agents.parquet",
     "frames.parquet",
     "signals.parquet",
     "events.parquet",
+    "traits.parquet",
 )
 """The tables of an episode."""
 
 FileName = Literal[
-    "steps.parquet", "agents.parquet", "frames.parquet", "signals.parquet", "events.parquet"
+    "steps.parquet",
+    "agents.parquet",
+    "frames.parquet",
+    "signals.parquet",
+    "events.parquet",
+    "traits.parquet",
 ]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 EpisodeId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
