@@ -253,6 +253,19 @@ def verify(
         typer.echo(f"{dataset}: every file is as its manifest says")
 
 
+@app.command(epilog="example: graphrqi bench spectrum --quick --json spectrum.json")
+def bench(
+    name: Annotated[str, typer.Argument(help="Which bench; see graphrqi list.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")] = False,
+    json: Json = None,
+) -> None:
+    """Measure, and print one row per figure."""
+    from experiments.benches import run_bench
+    from experiments.tables import show_table
+
+    show_table(run_bench(name, quick), json)
+
+
 @app.command(epilog="example: graphrqi doctor")
 def doctor(json: Json = None) -> None:
     """Say what is installed, missing, and how to get it."""

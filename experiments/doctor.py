@@ -49,6 +49,7 @@ class Finding:
 
 def registered_names() -> dict[str, list[str]]:
     """Every name that the commands take, by what it names."""
+    from experiments.benches import BENCHES
     from graphrqi.methods import METHODS
     from graphrqi.predict import PREDICTORS
     from graphrqi.spectrum import SOLVERS
@@ -63,6 +64,7 @@ def registered_names() -> dict[str, list[str]]:
         "solver": list(SOLVERS),
         "predictor": list(PREDICTORS),
         "format": list(FORMATS),
+        "bench": list(BENCHES),
     }
 
 

@@ -1,0 +1,54 @@
+"""The benches by name, each at full size and at a quick one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from behaviors.errors import lookup
+from experiments.tables import Row
+
+
+def _generate(quick: bool) -> list[Row]:
+    from experiments.generation_speed import measure
+
+    return measure(quick)
+
+
+def _spectrum(quick: bool) -> list[Row]:
+    from experiments.runtime import run_spectrum_bench, run_spectrum_study
+
+    if quick:
+        return [*run_spectrum_bench(sizes=(25, 50), steps=10), *run_spectrum_study(50, 50)]
+    return [*run_spectrum_bench(), *run_spectrum_study()]
+
+
+def _highway(quick: bool) -> list[Row]:
+    from experiments.highway import run_highway_bench
+
+    rows = run_highway_bench((20,), 2.0, 10) if quick else run_highway_bench()
+    return list(rows)
+
+
+BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
+    "spectrum": _spectrum,
+    "highway": _highway,
+    "generate": _generate,
+}
+"""Every bench; each takes whether to be quick and returns flat rows."""
+
+
+def run_bench(name: str, quick: bool = False) -> list[Row]:
+    """Run a bench.
+
+    Args:
+        name: a key of ``BENCHES``.
+        quick: small sizes, to see that it works.
+
+    Returns:
+        Flat rows: what was measured, then metric, value, low, high, n.
+
+    Raises:
+        InputError: if there is no such bench.
+    """
+    return lookup(BENCHES, name, "bench")(quick)

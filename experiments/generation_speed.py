@@ -1,0 +1,88 @@
+"""What generating costs: rate, overhead over bare simulation, bytes, and what more jobs bring."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from experiments.generate import GenerateConfig, Task, generate, make_episode
+from experiments.parallel import in_parallel
+from experiments.tables import Row
+from sim.scenario import sample_agents
+
+SCENARIOS: Final = ("straight_road", "four_way_intersection")
+
+
+def _config(episodes: int, duration_s: float) -> GenerateConfig:
+    return GenerateConfig(scenarios=SCENARIOS, episodes=episodes, seed=11, duration_s=duration_s)
+
+
+def _cpu_s(call: Callable[[], object]) -> float:
+    begin = time.process_time()
+    call()
+    return time.process_time() - begin
+
+
+def _pair(scenario_name: str, index: int, duration_s: float) -> tuple[float, float, int, int]:
+    """CPU seconds of bare stepping and of a whole episode, its agent-steps and its bytes."""
+    from sim.sumo.engine import step_bare
+
+    task = Task(_config(index + 1, duration_s), scenario_name, index)
+    scenario = task.config.scenario(scenario_name)
+    agents = sample_agents(scenario, task.seed)
+    bare_s = min(_cpu_s(lambda: step_bare(scenario, agents, task.seed)) for _ in range(2))
+    with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
+        begin = time.process_time()
+        entry = make_episode(Path(scratch), task)
+        whole_s = time.process_time() - begin
+    size = sum(file.size for file in entry.files.values())
+    return bare_s, whole_s, entry.agent_steps, size
+
+
+def _row(jobs: int, metric: str, values: list[float]) -> Row:
+    """Mean with a 95 % interval (normal; none for a single value)."""
+    mean = float(np.mean(values))
+    half = 1.96 * float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else None
+    low, high = (None, None) if half is None else (mean - half, mean + half)
+    return {
+        "jobs": jobs, "metric": metric, "value": mean, "low": low, "high": high, "n": len(values)
+    }  # fmt: skip
+
+
+def measure(quick: bool = False) -> list[Row]:
+    """Measure generation.
+
+    Args:
+        quick: short episodes and few of them.
+
+    Returns:
+        Rows keyed ``jobs`` with ``metric, value, low, high, n``: ``over_bare_stepping`` (extra
+        CPU time of a whole written episode as a share of bare stepping, paired),
+        ``bytes_per_agent_step``, ``agent_steps_per_s`` (wall clock), ``speedup``.
+    """
+    pairs, duration_s, episodes = (1, 30.0, 2) if quick else (4, 300.0, 8)
+    # The first two calls warm up.
+    calls = [(name, i, duration_s) for i in range(pairs) for name in SCENARIOS]
+    measured = list(in_parallel(_pair, [*calls[:2], *calls], 1))[2:]
+    rows = [
+        _row(1, "over_bare_stepping", [whole / bare - 1 for bare, whole, _, _ in measured]),
+        _row(1, "bytes_per_agent_step", [size / steps for _, _, steps, size in measured]),
+    ]
+    config = _config(episodes, duration_s)
+    single_s: float | None = None
+    for jobs in sorted({1, os.cpu_count() or 1}):
+        with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
+            begin = time.perf_counter()
+            manifest = generate(config, Path(scratch) / "data", jobs, quiet=True)
+            wall_s = time.perf_counter() - begin
+        steps = sum(entry.agent_steps for entry in manifest.episodes)
+        single_s = single_s or wall_s
+        rows.append(_row(jobs, "agent_steps_per_s", [steps / wall_s]))
+        rows.append(_row(jobs, "speedup", [single_s / wall_s]))
+    return rows

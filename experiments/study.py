@@ -1,0 +1,40 @@
+"""Every measured figure at full size: each bench's rows into ``runs/study``.
+
+``python -m experiments.study`` (or ``make study``) goes on where it was stopped; remove a file to
+measure it again.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from experiments.benches import BENCHES, run_bench
+from sim.atomic import write_whole
+
+
+def run_study(out: Path, quick: bool = False) -> list[Path]:
+    """Run every bench that has no result yet.
+
+    Args:
+        out: folder of the results, ``<bench>.json`` each.
+        quick: small sizes, to see that it works.
+
+    Returns:
+        The files, old and new.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    paths = {name: out / f"{name}.json" for name in BENCHES}
+    for name, path in paths.items():
+        if path.exists():
+            print(f"{path}: is there", file=sys.stderr)
+            continue
+        print(f"{path}: measuring", file=sys.stderr, flush=True)
+        rows = run_bench(name, quick)
+        write_whole(path, (json.dumps(rows, indent=1, allow_nan=False) + "\n").encode())
+    return list(paths.values())
+
+
+if __name__ == "__main__":
+    run_study(Path("runs/study"))

@@ -1,0 +1,40 @@
+"""Every bench runs at its quick size and gives tidy rows."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from experiments.benches import BENCHES, run_bench
+from experiments.study import run_study
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_rows_are_tidy(name: str) -> None:
+    rows = run_bench(name, quick=True)
+    assert rows
+    for row in rows:
+        assert {"metric", "value", "low", "high", "n"} <= row.keys()
+        assert isinstance(row["value"], int | float)
+        assert math.isfinite(row["value"])
+    json.dumps(rows, allow_nan=False)
+
+
+def test_a_study_goes_on_where_it_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def bench(name: str, quick: bool) -> list[dict[str, str | float | None]]:
+        asked.append(name)
+        return [{"metric": "m", "value": 1.0, "low": None, "high": None, "n": 1}]
+
+    monkeypatch.setattr("experiments.study.run_bench", bench)
+    (tmp_path / "generate.json").write_text("[]")
+    files = run_study(tmp_path)
+    assert sorted(f.stem for f in files) == sorted(BENCHES)
+    assert sorted(asked) == sorted(set(BENCHES) - {"generate"})
+    assert all(f.is_file() for f in files)
