@@ -284,7 +284,10 @@ def _track(
     departure = float(np.abs(gram).max())
     if departure > 1e-13:  # Newton's step to the nearest orthonormal block squares it
         vectors = vectors - 0.5 * vectors @ gram
-        residuals = residuals + departure * scale
+    if departure > 1e-12:
+        first = vectors[:, :k]
+        signed = -values if deflate else values
+        residuals = np.linalg.norm(graph.laplacian @ first - first * signed, axis=0)
     if departure > 1e-6 or residuals.max() > tol * scale:
         return None
     chosen = np.ascontiguousarray(vectors[:, :k])

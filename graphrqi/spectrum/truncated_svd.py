@@ -71,7 +71,8 @@ def solve(
         matrix = bound * eye_array(d, format="csr") - matrix
         if nonzero:
             matrix = matrix.toarray() - bound * null @ null.T
-    model = TruncatedSVD(k, n_iter=POWER_ITERATIONS, random_state=0).fit(matrix)
+    with np.errstate(invalid="ignore"):  # it also divides by the variance, 0 without edges
+        model = TruncatedSVD(k, n_iter=POWER_ITERATIONS, random_state=0).fit(matrix)
     vectors, _ = np.linalg.qr(model.components_.T)
     values = np.einsum("ij,ij->j", vectors, graph.laplacian @ vectors)
     order = pick(values, k, end)

@@ -1,0 +1,282 @@
+"""One contract for all solvers; the right ones against LAPACK; the certificate against frauds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from behaviors.errors import InputError
+from experiments.runtime import errors_against_lapack, graph_sequence, run_spectrum_study
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum import SOLVERS, certify, exact, full_spectrum, topology
+from graphrqi.spectrum.contract import End, Spectrum, null_space
+
+RIGHT = ("graphrqi", "graphrqi-exact", "eigh", "svd")
+"""Solvers that promise every answer."""
+ENDS: tuple[End, ...] = ("largest", "smallest")
+
+SHAPES = {
+    "nothing": TrafficGraph.from_edges([], []),
+    "one vehicle": TrafficGraph.from_edges([7], []),
+    "two apart": TrafficGraph.from_edges([7, -3], []),
+    "one edge": TrafficGraph.from_edges([7, -3], [(7, -3)]),
+    "star": TrafficGraph.from_edges(range(60), [(0, i) for i in range(1, 60)]),
+    "ring": TrafficGraph.from_edges(range(80), [(i, (i + 1) % 80) for i in range(80)]),
+    "complete": TrafficGraph.from_edges(range(40), [(i, j) for i in range(40) for j in range(i)]),
+    "pairs": TrafficGraph.from_edges(range(100), [(i, i + 1) for i in range(0, 100, 2)]),
+    "isolated": TrafficGraph.from_edges(range(50), []),
+    "path and isolated": TrafficGraph.from_edges(range(70), [(i, i + 1) for i in range(40)]),
+    "weak link": TrafficGraph.from_edges(
+        range(80),
+        [(i, i + 1) for i in range(79)],
+        [1.0 if i != 40 else 1e-9 for i in range(79)],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("nonzero", [False, True], ids=["all", "nonzero"])
+def test_every_solver_keeps_the_contract(name: str, end: End, nonzero: bool) -> None:
+    previous: Spectrum | None = None
+    for shape, graph in SHAPES.items():
+        for k in (1, 8, 200):
+            found = SOLVERS[name](graph, k, end, previous, nonzero=nonzero)
+            d = graph.ids.size
+            room = d - null_space(graph).shape[1] if nonzero else d
+            assert found.eigenvalues.shape == (min(k, room),), (shape, k)
+            assert found.eigenvectors.shape == (d, min(k, room)), (shape, k)
+            assert found.residuals.shape == (min(k, room),), (shape, k)
+            order = np.sort(found.eigenvalues)
+            assert np.array_equal(found.eigenvalues, order[::-1] if end == "largest" else order), (
+                shape,
+                k,
+            )
+            true = np.linalg.norm(
+                graph.laplacian @ found.eigenvectors - found.eigenvectors * found.eigenvalues,
+                axis=0,
+            )
+            np.testing.assert_allclose(found.residuals, true, atol=1e-10)
+            assert np.array_equal(found.ids, graph.ids)
+            if name in RIGHT:
+                assert found.certified, (shape, k, found.note)
+            if found.certified:
+                assert errors_against_lapack(found, k, nonzero).max() < 1e-8, (shape, k)
+            previous = found
+
+
+@pytest.mark.parametrize("name", ["graphrqi", "graphrqi-exact"])
+@pytest.mark.parametrize("kind", ["instantaneous", "accumulated"])
+@pytest.mark.parametrize("end", ENDS)
+def test_sequences_stay_right(name: str, kind: str, end: End) -> None:
+    previous: Spectrum | None = None
+    for graph in graph_sequence("crossing", kind, 60, 30):
+        previous = SOLVERS[name](graph, 8, end, previous, nonzero=end == "smallest")
+        assert previous.certified
+        assert errors_against_lapack(previous, 8, end == "smallest").max() < 1e-8
+
+
+def test_two_thousand_hostile_graphs() -> None:
+    rows = {row["metric"]: row["value"] for row in run_spectrum_study(2000, largest=400, seed=11)}
+    assert rows["wrong_answers"] == 0
+    assert rows["uncertified"] == 0
+    assert rows["fallbacks"] <= 20
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.data())
+def test_any_graph(data: st.DataObject) -> None:
+    d = data.draw(st.integers(0, 90))
+    vertex = st.integers(0, max(d - 1, 0))
+    drawn = data.draw(st.lists(st.tuples(vertex, vertex), max_size=3 * d)) if d else []
+    edges = [(a, b) for a, b in drawn if a != b]
+    weights = data.draw(
+        st.one_of(
+            st.none(),
+            st.lists(st.sampled_from([1e-3, 0.5, 1.0, 2.0]), min_size=len(edges),
+                     max_size=len(edges)),
+        )
+    )  # fmt: skip
+    k = data.draw(st.integers(1, 32))
+    end: End = data.draw(st.sampled_from(ENDS))
+    nonzero = data.draw(st.booleans())
+    found = SOLVERS["graphrqi"](
+        TrafficGraph.from_edges(range(d), edges, weights), k, end, nonzero=nonzero
+    )
+    assert found.certified
+    assert errors_against_lapack(found, k, nonzero).max() < 1e-8
+
+
+def test_repeated_eigenvalues_at_the_cut() -> None:
+    cliques = [(10 * c + i, 10 * c + j) for c in range(20) for i in range(10) for j in range(i)]
+    graph = TrafficGraph.from_edges(range(200), cliques)
+    found = SOLVERS["graphrqi"](graph, 8)
+    assert found.certified
+    np.testing.assert_allclose(found.eigenvalues, 10.0, atol=1e-8)
+
+
+def test_the_previous_answer_may_be_of_other_vehicles() -> None:
+    before, after = graph_sequence("road", "instantaneous", 120, 2)
+    previous = SOLVERS["graphrqi"](before, 8)
+    turned = np.random.default_rng(0).permutation(120)
+    other = TrafficGraph.from_edges(after.ids[turned] + 40, after.edges + 40)
+    found = SOLVERS["graphrqi"](other, 8, previous=previous)
+    assert found.certified
+    assert errors_against_lapack(found, 8, False).max() < 1e-8
+
+
+def test_same_call_same_answer_to_the_bit() -> None:
+    graphs = list(graph_sequence("road", "accumulated", 100, 3))
+    answers = []
+    for _ in range(2):
+        previous: Spectrum | None = None
+        for graph in graphs:
+            previous = SOLVERS["graphrqi"](graph, 8, previous=previous)
+        assert previous is not None
+        answers.append(previous)
+    assert np.array_equal(answers[0].eigenvectors, answers[1].eigenvectors)
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_a_missing_pair_is_never_certified(end: End) -> None:
+    for graph in graph_sequence("road", "accumulated", 90, 10):
+        found = SOLVERS["eigh"](graph, 9, end, nonzero=True)
+        for left_out in range(8):
+            kept = [i for i in range(9) if i != left_out]
+            gap = abs(found.eigenvalues[left_out] - found.eigenvalues[8])
+            if gap < 1e-6:
+                continue
+            fraud = replace(
+                found,
+                eigenvalues=found.eigenvalues[kept],
+                eigenvectors=found.eigenvectors[:, kept],
+                residuals=found.residuals[kept],
+            )
+            assert not certify(fraud).certified
+
+
+def test_most_right_answers_are_certified() -> None:
+    certified = [
+        certify(replace(SOLVERS["eigh"](graph, 8, end), certified=False)).certified
+        for graph in graph_sequence("crossing", "accumulated", 90, 15)
+        for end in ENDS
+    ]
+    assert sum(certified) >= 28
+
+
+def test_wrong_vectors_are_never_certified() -> None:
+    graph = next(graph_sequence("road", "instantaneous", 90, 1))
+    found = SOLVERS["eigh"](graph, 8)
+    wrong = replace(found, eigenvalues=found.eigenvalues + 1e-6)
+    assert not certify(wrong).certified
+    twice = found.eigenvectors.copy()
+    twice[:, 1] = twice[:, 0]
+    assert not certify(replace(found, eigenvectors=twice)).certified
+
+
+def test_full_spectrum_and_topology() -> None:
+    for graph in SHAPES.values():
+        found = full_spectrum(graph)
+        assert found.certified
+        d = graph.ids.size
+        assert errors_against_lapack(found, max(d, 1), False).max() < 1e-12
+        np.testing.assert_allclose(
+            topology(found), found.eigenvectors * found.eigenvalues, atol=1e-12 * max(d, 1)
+        )
+
+
+def test_smallest_end_starts_with_the_component_indicators() -> None:
+    graph = TrafficGraph.from_edges(range(60), [(i, i + 1) for i in range(59) if i % 20 != 19])
+    found = SOLVERS["graphrqi"](graph, 5, "smallest")
+    np.testing.assert_array_equal(found.eigenvalues[:3], 0.0)
+    np.testing.assert_allclose(found.eigenvectors[:, :3], null_space(graph))
+    assert (found.eigenvalues[3:] > 1e-3).all()
+
+
+def test_the_exact_update_is_the_dense_inverse() -> None:
+    rng = np.random.default_rng(5)
+    values, weights = rng.random(30) * 9, np.array([1.0, -1.0, 0.3])
+    w = rng.normal(size=(30, 3))
+    shifts, x = rng.random(4) * 9, rng.normal(size=(30, 4))
+    found = exact._shifted_solves(values, w, weights, shifts, x, 9.0)
+    for j, shift in enumerate(shifts):
+        matrix = np.diag(values - shift) + (w * weights) @ w.T
+        np.testing.assert_allclose(found[:, j], np.linalg.solve(matrix, x[:, j]), rtol=1e-9)
+
+
+def test_the_exact_solver_updates_and_does_not_start_anew() -> None:
+    graphs = list(graph_sequence("road", "accumulated", 80, 12, skip=40))
+    previous: Spectrum | None = None
+    notes = []
+    for graph in graphs:
+        previous = SOLVERS["graphrqi-exact"](graph, 8, previous=previous)
+        notes.append(previous.note)
+    assert notes[0].startswith("solved anew")
+    assert sum(note.startswith("solved anew") for note in notes[1:]) <= 2
+
+
+def test_the_printed_update_is_wrong_and_says_so() -> None:
+    previous: Spectrum | None = None
+    residuals = []
+    for graph in graph_sequence("road", "accumulated", 60, 15, skip=20):
+        previous = SOLVERS["graphrqi-paper"](graph, 8, previous=previous)
+        residuals.append(previous.residuals.max())
+    assert residuals[0] < 1e-10
+    assert residuals[-1] > 0.1
+
+
+def test_factorisation_counts_and_solves() -> None:
+    from graphrqi.spectrum import factorization as f
+
+    rng = np.random.default_rng(6)
+    for graph in graph_sequence("crossing", "accumulated", 70, 5, skip=10):
+        order, _, _ = f.order_rows(graph.indptr, graph.indices)
+        starts, rows, entries, diagonal, _ = f.factor_pattern(
+            graph.indptr, graph.indices, graph.values, order
+        )
+        matrix = graph.laplacian.toarray()
+        shifts = rng.random((1, 8)) * 12.0
+        x = rng.normal(size=(70, 8))
+        solution, above, growth = x.copy(), np.empty((1, 8)), np.empty((1, 8))
+        f.factor_and_solve(
+            starts, rows, f.update_targets(starts, rows), entries, diagonal, shifts, 1e-15, 1,
+            np.empty((rows.size, 8)), np.empty((70, 8)), solution, above, growth,
+        )  # fmt: skip
+        values = np.linalg.eigvalsh(matrix)
+        permuted = matrix[np.ix_(order, order)]
+        for q, shift in enumerate(shifts[0]):
+            assert above[0, q] == (values > shift).sum()
+            residual = (permuted - shift * np.eye(70)) @ solution[:, q] - x[:, q]
+            size = np.linalg.norm(solution[:, q]) * growth[0, q]
+            assert np.linalg.norm(residual) < 1e-12 * max(size, 1.0)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"num_pairs": 0}, "num_pairs: found 0"),
+        ({"num_pairs": 2.5}, "num_pairs: found 2.5"),
+        ({"end": "middle"}, "end: found 'middle'"),
+        ({"tol": 0.0}, "tol: found 0.0"),
+        ({"tol": float("nan")}, "tol: found nan"),
+    ],
+    ids=["no pairs", "half a pair", "no end", "no tolerance", "nan"],
+)
+def test_bad_arguments_are_refused(name: str, arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        SOLVERS[name](SHAPES["ring"], **arguments)  # type: ignore[arg-type]
+
+
+def test_the_page_about_the_spectrum_is_true() -> None:
+    import doctest
+
+    page = Path(__file__).parents[2] / "docs" / "spectrum.md"
+    result = doctest.testfile(str(page), module_relative=False)
+    assert result.attempted >= 12
+    assert result.failed == 0

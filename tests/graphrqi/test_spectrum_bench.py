@@ -1,0 +1,66 @@
+"""The bench measures what it says, on graphs too small to time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from experiments.runtime import (
+    convergence_rows,
+    missed_pairs,
+    plot_spectrum,
+    run_spectrum_bench,
+    spectrum_table,
+    traffic_positions,
+)
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum import SOLVERS
+
+
+def test_rows_table_and_plot(tmp_path: Path) -> None:
+    rows = run_spectrum_bench(
+        (25, 40), 4, ("largest",), ("road",), ("instantaneous",), steps=3, budget_s=0.2
+    )
+    keys = ["solver", "d", "graph", "kind", "end", "metric", "value", "low", "high", "n"]
+    assert all(list(row) == keys for row in rows)
+    json.dumps(rows, allow_nan=False)
+    measured = {(row["solver"], row["metric"]) for row in rows}
+    for solver in SOLVERS:
+        for metric in ("cpu_ms", "wall_ms", "residual_max", "missed_pairs", "ratio_to_eigh"):
+            assert (solver, metric) in measured
+    assert ("positions-to-features", "cpu_ms") in measured
+    by = {(r["solver"], r["metric"], r["d"]): r["value"] for r in rows}
+    for solver in ("graphrqi", "graphrqi-exact", "svd", "lapack-dsyevr"):
+        assert by[solver, "missed_pairs", 40] == 0
+    assert by["graphrqi", "certified_share", 40] == 1.0
+    assert by["graphrqi-paper", "residual_max", 40] > 0.01
+    assert len(spectrum_table(rows)) >= len(SOLVERS)
+    plot_spectrum(rows, tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+def test_missed_pairs_counts_multiplicity() -> None:
+    pairs = TrafficGraph.from_edges(range(8), [(0, 1), (2, 3), (4, 5), (6, 7)])
+    right = SOLVERS["eigh"](pairs, 4)
+    less = SOLVERS["eigh"](TrafficGraph.from_edges(range(8), [(0, 1), (2, 3)]), 4)
+    assert missed_pairs(right, right) == 0
+    assert missed_pairs(right, less) == 2
+
+
+def test_plain_iterations_converge_cubically() -> None:
+    rows = {row["metric"]: row["value"] for row in convergence_rows("road", d=60)}
+    assert rows["residual_after_3"] < rows["residual_after_0"]
+    assert rows["order_of_convergence"] > 1.5
+
+
+def test_positions_move_and_unknown_layouts_are_refused() -> None:
+    first, second = traffic_positions("crossing", 30, 2)
+    assert first.shape == (30, 2)
+    assert np.isfinite(first).all()
+    assert (np.linalg.norm(second - first, axis=1) < 5.0).all()
+    with pytest.raises(InputError, match="roundabout"):
+        next(traffic_positions("roundabout", 3, 1))
