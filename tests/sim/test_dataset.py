@@ -164,10 +164,34 @@ def test_tables_open_in_pandas(tmp_path: Path) -> None:
     home = tmp_path / "episodes" / dataset.episodes()[0].id
     steps = pd.read_parquet(home / "steps.parquet")
     agents = pd.read_parquet(home / "agents.parquet")
-    joined = steps.merge(agents, on="agent")
+    joined = steps.merge(agents[["agent", "behavior"]], on="agent")
     assert list(steps.columns[:3]) == ["agent", "step", "time_s"]
     assert set(joined.behavior.dropna()) == set(BEHAVIORS)
     assert joined.time_s.max() == pytest.approx(4.0)
+
+
+def test_tables_open_in_polars(tmp_path: Path) -> None:
+    import polars as pl
+
+    dataset = small(tmp_path)
+    pattern = str(tmp_path / "episodes" / "*" / "steps.parquet")
+    steps = pl.scan_parquet(pattern, include_file_paths="file").collect()
+    assert steps.height == dataset.episodes()[0].agent_steps
+    assert steps["file"].n_unique() == 1
+
+
+def test_tables_open_in_duckdb(tmp_path: Path) -> None:
+    import duckdb
+
+    dataset = small(tmp_path)
+    home = tmp_path / "episodes" / dataset.episodes()[0].id
+    query = (
+        f"SELECT behavior, avg(speed_mps) FROM '{home}/steps.parquet' "
+        f"JOIN '{home}/agents.parquet' USING (agent) GROUP BY behavior"
+    )
+    speeds = dict(duckdb.sql(query).fetchall())
+    assert set(speeds) == {*BEHAVIORS, None}
+    assert all(0 < speed < 20 for speed in speeds.values())
 
 
 def test_splits() -> None:
