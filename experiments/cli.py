@@ -112,10 +112,13 @@ def generate(
     duration_s: DurationS = None,
     seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of processes.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset, or what is missing of it."""
-    from experiments.generate import Interrupted, read_config
+    from experiments.generate import Interrupted, read_cluster, read_config
     from experiments.generate import generate as make
 
     chosen = read_config(
@@ -123,7 +126,7 @@ def generate(
         spread=spread, duration_s=duration_s, seed=seed,
     )  # fmt: skip
     try:
-        manifest = make(chosen, out, jobs, quiet)
+        manifest = make(chosen, out, jobs, quiet, read_cluster(config, cluster))
     except Interrupted as stop:
         typer.echo(f"graphrqi: {stop}", err=True)
         raise typer.Exit(130) from None

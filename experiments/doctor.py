@@ -19,6 +19,7 @@ START_LIMIT_S: Final = 120.0
 """Longest that a simulator may take to start, s (our choice; a slow disk takes tens of seconds)."""
 
 EXTRAS: Final[dict[str, str]] = {
+    "cluster": "only needed to generate on many machines",
     "networks": "only needed to build roads of your own",
     "dev": "only needed to test and change the code",
 }

@@ -101,6 +101,37 @@ class GenerateConfig(BaseModel):
         return get_scenario(name)(**options)
 
 
+def _read_toml(path: Path | None) -> dict[str, object]:
+    if path is None:
+        return {}
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def read_cluster(path: Path | None, given: str | None = None) -> str | None:
+    """The address of the cluster to generate on.
+
+    Args:
+        path: TOML file whose section ``[cluster]`` may have an ``address``; None for none.
+        given: address given on the command line; it wins.
+
+    Returns:
+        The address; None to generate on this machine.
+
+    Raises:
+        InputError: if the section has anything else in it.
+    """
+    section = _read_toml(path).get("cluster", {})
+    if not isinstance(section, dict) or set(section) - {"address"}:
+        raise InputError(f"{path}: cluster: found {section!r}, expected an address and no more")
+    address = given or section.get("address")
+    if address is not None and not isinstance(address, str):
+        raise InputError(f"{path}: cluster.address: found {address!r}, expected text")
+    return address
+
+
 def read_config(path: Path | None, **given: object) -> GenerateConfig:
     """A configuration from a TOML file, from options, or both; options win.
 
@@ -114,12 +145,8 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     Raises:
         InputError: if the file is broken, a field unknown or a value wrong.
     """
-    fields: dict[str, object] = {}
-    if path is not None:
-        try:
-            fields = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: {error}") from None
+    fields = _read_toml(path)
+    fields.pop("cluster", None)
     fields.update({name: value for name, value in given.items() if value is not None})
     try:
         return GenerateConfig.model_validate(fields)
@@ -363,7 +390,11 @@ def _stoppable(folder: Path, wanted: int) -> Iterator[None]:
 
 
 def generate(
-    config: GenerateConfig, folder: Path, jobs: int | None = None, quiet: bool = False
+    config: GenerateConfig,
+    folder: Path,
+    jobs: int | None = None,
+    quiet: bool = False,
+    cluster: str | None = None,
 ) -> Manifest:
     """Make a dataset, or what is missing of it.
 
@@ -372,6 +403,8 @@ def generate(
         folder: where; a new folder, or one that the same configuration was writing to.
         jobs: worker processes; None for one per processor.
         quiet: whether to show no progress.
+        cluster: address of a Dask scheduler whose workers make the episodes; None for processes
+            of this machine.
 
     Returns:
         The manifest.
@@ -382,6 +415,7 @@ def generate(
         OSError: if something cannot be written.
         Interrupted: if the user stopped it.
     """
+    from experiments.cluster import make_on_cluster
     from experiments.data_card import data_card
 
     if jobs is None:
@@ -400,7 +434,10 @@ def generate(
         remove_partial(folder / "episodes")
         remove_partial(folder / "roads")
         with Progress("generating episodes", len(tasks), quiet) as shown:
-            made, failed = _make_all(folder, tasks, jobs, shown)
+            if cluster is None:
+                made, failed = _make_all(folder, tasks, jobs, shown)
+            else:
+                made, failed = make_on_cluster(make_episode, folder, tasks, cluster, shown)
         manifest = write_manifest(folder, _configuration(config), made)
         write_whole(folder / "README.md", data_card(open_dataset(folder)).encode())
     if failed:

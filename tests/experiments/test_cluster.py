@@ -1,0 +1,86 @@
+"""Generating on Dask: the same bytes, whatever dies on the way."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from distributed import Client, LocalCluster
+
+from behaviors import InputError
+from experiments.generate import GenerateConfig, generate, read_cluster
+
+CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=4, seed=5, duration_s=30.0)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (p for p in folder.rglob("*") if p.is_file())
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[LocalCluster]:
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+    ) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("loky") / "data"
+    generate(CONFIG, folder, jobs=1, quiet=True)
+    return content(folder)
+
+
+def test_same_bytes_as_on_one_machine(
+    cluster: LocalCluster, undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
+    generate(CONFIG, tmp_path, quiet=True, cluster=cluster.scheduler_address)
+    assert content(tmp_path) == undisturbed
+
+
+def test_a_killed_worker_changes_nothing(
+    cluster: LocalCluster, undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
+    def kill_one() -> None:
+        while not (tmp_path / "episodes").is_dir():
+            time.sleep(0.01)
+        with Client(cluster.scheduler_address) as client:
+            pids = client.run(os.getpid)
+            os.kill(next(iter(pids.values())), signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    generate(CONFIG, tmp_path, quiet=True, cluster=cluster.scheduler_address)
+    killer.join()
+    generate(CONFIG, tmp_path, quiet=True, jobs=1)  # clears what the killed worker left behind
+    assert content(tmp_path) == undisturbed
+
+
+def test_clusters_that_cannot_do_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiments.cluster.CONNECT_S", 2.0)
+    with pytest.raises(InputError, match="found no scheduler there"):
+        generate(CONFIG, tmp_path, quiet=True, cluster="tcp://127.0.0.1:9")
+    with (
+        LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0"
+        ) as wide,
+        pytest.raises(InputError, match="with 2 threads, expected 1"),
+    ):
+        generate(CONFIG, tmp_path, quiet=True, cluster=wide.scheduler_address)
+
+
+def test_the_address_may_stand_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text('[cluster]\naddress = "tcp://head:8786"\n')
+    assert read_cluster(path) == "tcp://head:8786"
+    assert read_cluster(path, "tcp://other:1") == "tcp://other:1"
+    path.write_text("[cluster]\nnodes = 3\n")
+    with pytest.raises(InputError, match="expected an address"):
+        read_cluster(path)
