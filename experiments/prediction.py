@@ -24,7 +24,7 @@ from experiments.progress import Progress
 from experiments.tables import Row, show_table
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
-from graphrqi.predict import get_predictor
+from graphrqi.predict import get_predictor, predict
 from graphrqi.predict.metrics import (
     METRICS,
     SAMPLE_S,
@@ -34,7 +34,7 @@ from graphrqi.predict.metrics import (
     overlap,
 )
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene import LEARNED_S, Scene, make_scene
+from graphrqi.predict.scene import LEARNED_S, make_scene
 from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.atomic import write_whole
 from sim.dataset import open_dataset
@@ -133,7 +133,7 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
 def evaluate(
     tracks: Tracks,
     posteriors: Mapping[int, Posterior],
-    road: Road,
+    road: Road | None,
     predictors: Sequence[str],
     horizons_s: Sequence[float] = HORIZONS_S,
 ) -> dict[str, Errors]:
@@ -142,7 +142,7 @@ def evaluate(
     Args:
         tracks: the episode; its labels only sort the errors.
         posteriors: beliefs at each instant of prediction, by the index one past the present.
-        road: where it happened.
+        road: where it happened; None if there is no map.
         predictors: keys of ``PREDICTORS``.
         horizons_s: ascending, s.
 
@@ -153,6 +153,7 @@ def evaluate(
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
     steps = round(HISTORY_S / tracks.step_s)
     functions = {name: get_predictor(name) for name in predictors}
+    ahead_s = max(longest, LEARNED_S)
     shape = (len(GROUPS), len(horizons_s), len(MEASURES))
     total = {name: np.zeros(shape) for name in predictors}
     count = np.zeros(len(GROUPS))
@@ -166,15 +167,18 @@ def evaluate(
         )
         if not scored.size:
             continue
-        scene = make_scene(history, road, max(longest, LEARNED_S))
+        scene = None if road is None else make_scene(history, road, ahead_s)
         member = _membership(history, scored)
         count += member.sum(axis=0)
         for name, function in functions.items():
-            prediction = function(scene, posterior)
+            if scene is None:
+                prediction = predict(history, posterior, None, ahead_s, name)
+            else:
+                prediction = function(scene, posterior)
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
             gap = distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
-            hit = _hits(scene, prediction.best[:, at])[scored]
+            hit = _hits(history, prediction.best[:, at])[scored]
             for h, horizon_s in enumerate(horizons_s):
                 last = round(horizon_s / SAMPLE_S)
                 values = [f(gap[:, :, :last], probability) for f in METRICS.values()]
@@ -185,14 +189,13 @@ def evaluate(
     return {name: Errors(total[name], count) for name in predictors}
 
 
-def _hits(scene: Scene, xy: FloatArray) -> BoolArray:
+def _hits(history: Tracks, xy: FloatArray) -> BoolArray:
     """(n, H) whether each agent's predicted box overlaps another's at each time."""
-    before = np.concatenate([scene.xy[:, None], xy[:, :-1]], axis=1)
+    before = np.concatenate([history.xy[:, -1:], xy[:, :-1]], axis=1)
     moved = xy - before
     turned = np.arctan2(moved[..., 1], moved[..., 0])
     still = np.hypot(moved[..., 0], moved[..., 1]) < 0.2
-    heading = np.where(still, scene.heading[:, None], turned)
-    history = scene.history
+    heading = np.where(still, history.heading[:, -1:], turned)
     drives = history.kind != PEDESTRIAN
     out = np.zeros(xy.shape[:2], dtype=bool)
     for h in range(xy.shape[1]):
@@ -214,8 +217,10 @@ def _set_measures(
     return [inside, -log_density(truth[:, None], xy, spread, probability)[:, 0]]
 
 
-def _off_road(road: Road, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
-    """(m,) 1 where the likeliest future is off every lane at a time."""
+def _off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
+    """(m,) 1 where the likeliest future is off every lane at a time; NaN without a map."""
+    if road is None:
+        return np.full(rows.size, np.nan)
     best = prediction.best[rows]
     moved = best[:, at] - best[:, max(at - 5, 0)]
     place = project(road, best[:, at], np.arctan2(moved[:, 1], moved[:, 0]))
@@ -358,12 +363,10 @@ def evaluate_episode(
     """Errors of predictors in one episode of a dataset, with a classifier's beliefs.
 
     Raises:
-        InputError: if the episode has no road, or the model cannot be read.
+        InputError: if the episode or the model cannot be read.
     """
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
-    if road is None:
-        raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to predict on")
     stops = list(instants(tracks, max(horizons_s)))
     return evaluate(tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s)
 
@@ -387,7 +390,7 @@ def predict_dataset(
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         json_path: where to write the rows; ``-`` for standard output.
-        split: which part of the dataset.
+        split: which part of the dataset; all of a scenario that has no such part.
         jobs: processes; None for one per core.
         quiet: whether to show neither progress nor table.
 
@@ -410,10 +413,10 @@ def predict_dataset(
     entries = [
         (scenario, entry)
         for scenario in dataset.scenarios
-        for entry in dataset.episodes(split, scenario)
+        for entry in dataset.episodes(split, scenario) or dataset.episodes(None, scenario)
     ]
     if not entries:
-        raise InputError(f"{source}: found no {split} episode, expected at least 1")
+        raise InputError(f"{source}: found no episode, expected at least 1")
     found: dict[str, list[dict[str, Errors]]] = {}
     arguments = [(source, entry, predictors, horizons_s, model) for _, entry in entries]
     with Progress("predicting episodes", len(entries), quiet) as progress:
@@ -423,7 +426,8 @@ def predict_dataset(
             found.setdefault(scenario, []).append(errors)
             progress.advance(entry.agents, entry.agent_steps)
     for scenario, episodes in found.items():
-        rows += summarize(episodes, scenario, split, horizons_s)
+        whole = not dataset.episodes(split, scenario)
+        rows += summarize(episodes, scenario, "all" if whole else split, horizons_s)
     if json_path is not None:
         write_rows(rows, json_path)
     if not quiet and str(json_path) != "-":

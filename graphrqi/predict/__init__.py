@@ -45,7 +45,7 @@ def get_predictor(name: str) -> Predictor:
 def predict(
     history: Tracks,
     posterior: Posterior,
-    road: Road,
+    road: Road | None,
     horizon_s: float = 5.0,
     predictor: str = "car-following",
 ) -> Prediction:
@@ -54,7 +54,9 @@ def predict(
     Args:
         history: tracks whose last column is the present.
         posterior: beliefs about the drivers; agents it does not name count as unknown.
-        road: where it happens.
+        road: where it happens; None where there is no map: then lanes are inferred from the
+            traffic and all predictors but ``constant-velocity`` come down to the drivers' own past
+            (`graphrqi.predict.unmapped`).
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
 
@@ -65,9 +67,12 @@ def predict(
         InputError: if the predictor is unknown, the horizon too short or the history empty.
     """
     from graphrqi.predict.scene import LEARNED_S, check_horizon, make_scene
+    from graphrqi.predict.unmapped import predict_unmapped
 
     function = get_predictor(predictor)
     check_horizon(horizon_s)
+    if road is None:
+        return predict_unmapped(history, horizon_s, predictor)
     scene = make_scene(history, road, max(horizon_s, LEARNED_S))
     return function(scene, posterior).until(horizon_s)
 

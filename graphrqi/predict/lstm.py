@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 WEIGHTS: Final = "lstm.safetensors"
 """The trained network that ships beside this module."""
 
-ENCODED, POOLED, DECODED = 64, 64, 256
-"""Widths of the encoder, the pooled neighbours and the decoder (our choice)."""
+ENCODED, POOLED, MIXED, DECODED = 32, 48, 256, 48
+"""Widths of the encoder, the pooled neighbours, what joins them and the decoder (our choice)."""
 
 
 def make_module(inputs: int) -> torch.nn.Module:
@@ -66,17 +66,18 @@ def make_module(inputs: int) -> torch.nn.Module:
                 torch.nn.Linear(POOLED, POOLED), torch.nn.SiLU(),
             )  # fmt: skip
             self.mix = torch.nn.Sequential(
-                torch.nn.Linear(inputs + ENCODED + 2 * POOLED, DECODED), torch.nn.SiLU(),
-                torch.nn.Linear(DECODED, DECODED), torch.nn.SiLU(),
+                torch.nn.Linear(inputs + ENCODED + 2 * POOLED, MIXED), torch.nn.SiLU(),
+                torch.nn.Linear(MIXED, MIXED), torch.nn.SiLU(),
             )  # fmt: skip
+            self.narrow = torch.nn.Linear(MIXED, DECODED)
             self.decoder = torch.nn.LSTM(DECODED, DECODED, batch_first=True)
             self.step = torch.nn.Linear(DECODED, 3 * MODES)
-            self.whole = torch.nn.Linear(DECODED, MODES * (len(BASES) + 1))
+            self.direct = torch.nn.Linear(MIXED, MODES * PER_MODE)
             with torch.no_grad():  # begin as the likeliest base
-                for linear in (self.step, self.whole):
+                for linear in (self.step, self.direct):
                     linear.weight.mul_(0.05)
                     linear.bias.zero_()
-                self.whole.bias.view(MODES, len(BASES) + 1)[:, 0] = 2.0
+                self.direct.bias.view(MODES, PER_MODE)[:, 0] = 2.0
 
         def forward(self, x: torch.Tensor) -> torch.Tensor:
             n = x.shape[0]
@@ -87,11 +88,16 @@ def make_module(inputs: int) -> torch.nn.Module:
             each = self.neighbor(torch.cat([around, who], dim=-1))
             pooled = torch.cat([each.max(dim=1).values, each.mean(dim=1)], dim=-1)
             mixed = self.mix(torch.cat([x, encoded[-1], pooled], dim=-1))
-            out, _ = self.decoder(mixed[:, None].expand(n, KNOTS, DECODED))
-            steps = self.step(out).view(n, KNOTS, MODES, 3).transpose(1, 2)
-            residual = steps[..., :2].reshape(n, MODES, 2 * KNOTS)
-            whole = self.whole(mixed).view(n, MODES, len(BASES) + 1)
-            parts = [whole[..., :-1], residual, steps[..., 2], whole[..., -1:]]
+            hidden = self.narrow(mixed)[:, None].expand(n, KNOTS, DECODED)
+            steps = self.step(self.decoder(hidden)[0]).view(n, KNOTS, MODES, 3).transpose(1, 2)
+            whole = self.direct(mixed).view(n, MODES, PER_MODE)
+            b = len(BASES)
+            parts = [
+                whole[..., :b],
+                whole[..., b : b + 2 * KNOTS] + steps[..., :2].reshape(n, MODES, 2 * KNOTS),
+                whole[..., b + 2 * KNOTS : -1] + steps[..., 2],
+                whole[..., -1:],
+            ]
             return torch.cat(parts, dim=-1).reshape(n, MODES * PER_MODE)
 
     return Recurrent()

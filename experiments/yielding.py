@@ -1,0 +1,206 @@
+"""Will it let the pedestrian go first? The paper's pedestrian figure, as numbers.
+
+An encounter is a driver that reaches a crossing in about two seconds, at its present speed, while
+someone is or will be in its way there, and with no red light before it. It yielded if it has not
+entered the crossing `DECIDED_S` later. What a predictor says of it is the share of its futures
+that have not entered either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from experiments.metrics import RESAMPLES
+from experiments.prediction import HISTORY_S, future
+from graphrqi.posterior import Posterior
+from graphrqi.predict import get_predictor
+from graphrqi.predict.paths import PathTable
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.scene import LEARNED_S, OPEN, STEP_S, Scene, make_scene
+from sim.frames import FloatArray, IntArray, Tracks
+from sim.lane_graph import LaneGraph
+from sim.road import Road
+
+BEFORE_S: Final = (1.5, 2.5)
+"""An encounter is judged when the crossing is between these times away, s: two seconds."""
+
+DECIDED_S: Final = 3.5
+"""Who has not entered the crossing so much later has yielded, s (our choice: 1.5 s late)."""
+
+LEAST_SPEED_MPS: Final = 2.0
+"""Slower drivers have decided already (our choice)."""
+
+ENTERED_M: Final = 1.0
+"""So far into the crossing counts as having entered it (our choice)."""
+
+VAGUE_M: Final = 1.5
+"""Spread taken for predictors that give none, m (our choice)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Encounters:
+    """Drivers before occupied crossings at one instant.
+
+    Attributes:
+        row: (m,) rows of the scene.
+        room: (m,) front bumper to the crossing's near edge, m.
+        yielded: (m,) whether they let the pedestrian go first.
+    """
+
+    row: IntArray
+    room: FloatArray
+    yielded: FloatArray
+
+
+def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
+    """Rows of the drivers about two seconds before an occupied crossing, and the room left, m."""
+    graph, paths = LaneGraph.of(scene.road), PathTable.of(scene.road)
+    zones = graph.cross_lane.size
+    row, room = [], []
+    soon = scene.closed[:, : round(BEFORE_S[1] / STEP_S) + 1]
+    shut = (soon != OPEN).any(axis=1)
+    for i in np.flatnonzero(scene.on_path & (scene.speed > LEAST_SPEED_MPS)):
+        q = scene.path[i]
+        front = scene.s[i] + scene.history.length[i] / 2
+        for j, lane in enumerate(paths.lane[q]):
+            if lane < 0:
+                break
+            for z in np.flatnonzero(graph.cross_lane == lane):
+                left = float(paths.start[q, j] + graph.cross_s[z] - front)
+                timely = BEFORE_S[0] <= left / scene.speed[i] <= BEFORE_S[1]
+                gates = (paths.gate_row[q] < paths.groups) & (
+                    paths.gate_x[q] <= paths.start[q, j] + graph.cross_s[z] + 1e-6
+                )
+                red = shut[paths.gate_row[q][gates & (paths.gate_x[q] > front)]].any()
+                if timely and shut[paths.groups + z] and not red:
+                    row.append(i)
+                    room.append(left)
+    if zones == 0 or not row:
+        return np.empty(0, np.int64), np.empty(0)
+    first = np.unique(np.array(row), return_index=True)[1]
+    return np.array(row, dtype=np.int64)[first], np.array(room)[first]
+
+
+def travelled(xy: FloatArray, start: FloatArray) -> FloatArray:
+    """(...,) length of the way from start (..., 2) through places (..., H, 2), m."""
+    steps = np.diff(np.concatenate([start[..., None, :], xy], axis=-2), axis=-2)
+    return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
+
+
+def yield_chance(
+    prediction: Prediction, scene: Scene, row: IntArray, room: FloatArray
+) -> FloatArray:
+    """(m,) predicted chance that each driver has not entered the crossing at `DECIDED_S`."""
+    from scipy.special import ndtr
+
+    last = int(np.searchsorted(prediction.time_s, DECIDED_S - 1e-6)) + 1
+    xy = prediction.xy[row, :, :last]
+    gone = travelled(xy, np.repeat(scene.xy[row][:, None], xy.shape[1], axis=1))
+    spread = (
+        np.full(gone.shape, VAGUE_M)
+        if prediction.spread is None
+        else prediction.spread[row, :, last - 1]
+    )
+    not_entered = ndtr((room[:, None] + ENTERED_M - gone) / spread)
+    return np.asarray((prediction.probability[row] * not_entered).sum(axis=1))
+
+
+def encounters(
+    tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior]
+) -> Iterator[tuple[Scene, Posterior, Encounters]]:
+    """Every first encounter of a driver in an episode, at the instants of the posteriors.
+
+    Yields:
+        The scene, the beliefs and who meets whom.
+    """
+    met: set[int] = set()
+    ahead = np.arange(1, round(DECIDED_S / 0.5) + 1, dtype=np.float64) * 0.5
+    for stop, posterior in posteriors.items():
+        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
+        if not history.ids.size:
+            continue
+        scene = make_scene(history, road, LEARNED_S)
+        row, room = approaching(scene)
+        rows = np.searchsorted(tracks.ids, history.ids[row])
+        truth = future(tracks, rows, stop, ahead)
+        new = np.array([int(i) not in met for i in history.ids[row]], dtype=bool) & np.isfinite(
+            truth
+        ).all(axis=(1, 2))
+        if not new.any():
+            continue
+        row, room, truth = row[new], room[new], truth[new]
+        met |= {int(i) for i in history.ids[row]}
+        gone = travelled(truth, scene.xy[row])
+        yield scene, posterior, Encounters(row, room, (gone < room + ENTERED_M).astype(np.float64))
+
+
+def yield_rows(
+    episodes: Sequence[tuple[Tracks, Road, Mapping[int, Posterior]]],
+    predictors: Sequence[str],
+    scenario: str,
+) -> list[dict[str, Any]]:
+    """AUC and Brier score of each predictor's chance of yielding.
+
+    Args:
+        episodes: tracks, road and beliefs by the index one past each instant.
+        predictors: keys of ``PREDICTORS``.
+        scenario: its name, for the rows.
+
+    Returns:
+        Flat rows with intervals over encounters; none if all yielded or none did.
+    """
+    chance: dict[str, list[FloatArray]] = {name: [] for name in predictors}
+    truth: list[FloatArray] = []
+    for tracks, road, posteriors in episodes:
+        for scene, posterior, met in encounters(tracks, road, posteriors):
+            truth.append(met.yielded)
+            for name in predictors:
+                prediction = get_predictor(name)(scene, posterior)
+                chance[name].append(yield_chance(prediction, scene, met.row, met.room))
+    if not truth:
+        return []
+    happened = np.concatenate(truth)
+    if happened.min() == happened.max():
+        return []
+    rows = []
+    rng = np.random.default_rng(0)
+    draws = rng.integers(0, happened.size, (RESAMPLES // 4, happened.size))
+    for name in predictors:
+        told = np.concatenate(chance[name])
+        for metric, score in (("yield_auc", auc), ("yield_brier", brier)):
+            drawn = [score(told[d], happened[d]) for d in draws]
+            low, high = np.nanquantile(drawn, [0.025, 0.975])
+            rows.append(
+                {
+                    "scenario": scenario, "predictor": name, "horizon_s": DECIDED_S,
+                    "behavior": "all", "split": "test", "metric": metric,
+                    "value": score(told, happened), "low": float(low), "high": float(high),
+                    "n": int(happened.size),
+                }
+            )  # fmt: skip
+    return rows
+
+
+def auc(chance: FloatArray, happened: FloatArray) -> float:
+    """Probability that one who yielded was given a higher chance than one who did not.
+
+    Example:
+        >>> auc(np.array([0.9, 0.4, 0.4]), np.array([1.0, 1.0, 0.0]))
+        0.75
+    """
+    yes, no = chance[happened > 0.5], chance[happened <= 0.5]
+    if not yes.size or not no.size:
+        return float("nan")
+    order = np.sort(no)
+    below = np.searchsorted(order, yes, side="left")
+    up_to = np.searchsorted(order, yes, side="right")
+    return float((below + up_to).mean() / (2 * no.size))
+
+
+def brier(chance: FloatArray, happened: FloatArray) -> float:
+    """Mean squared difference between chance and outcome."""
+    return float(((chance - happened) ** 2).mean())
