@@ -8,6 +8,8 @@ the best epoch and divides the logits by the temperature that fits best (Guo et 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -23,6 +25,21 @@ Loss = Literal["squared-error", "cross-entropy"]
 _CLIP: Final = 8.0
 """Standardised features are clipped here: nothing a driver does is 8 deviations from all others
 (our choice; keeps one wild position from deciding)."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one thread.
+
+    Sums then come out the same whatever the machine's cores, and the layers are so small that
+    more threads cost more than they bring.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class Mlp:
@@ -84,7 +101,7 @@ class Mlp:
         seed: int,
     ) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
-        with torch.random.fork_rng(devices=[]):
+        with torch.random.fork_rng(devices=[]), one_thread():
             torch.manual_seed(seed)
             raw = np.asarray(features, dtype=np.float32)
             self._mean = torch.from_numpy(raw.mean(axis=0))
@@ -152,8 +169,9 @@ class Mlp:
     @torch.inference_mode()
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
-        log_p = self._log_probability(self._standardise(features))
-        probability = (log_p / self._temperature).double().softmax(dim=1).numpy()
+        with one_thread():
+            log_p = self._log_probability(self._standardise(features))
+            probability = (log_p / self._temperature).double().softmax(dim=1).numpy()
         return np.asarray(probability, dtype=np.float64)
 
     def arrays(self) -> dict[str, NDArray[Any]]:

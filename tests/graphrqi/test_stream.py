@@ -1,0 +1,175 @@
+"""Samples, models on disk, and the stream that classifies while a simulation runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from graphrqi.methods import load_model, save_model, train
+from graphrqi.posterior import Posterior
+from graphrqi.samples import Samples, collect
+from graphrqi.stream import BehaviorStream, load_stream
+from scenarios import SCENARIOS
+from sim.engines import get_engine
+from sim.frames import Frame, Tracks
+from sim.scenario import sample_agents
+
+
+@pytest.fixture(scope="module")
+def tracks():
+    scenario = SCENARIOS["straight_road"](duration_s=40.0, flow="dense")
+    agents = sample_agents(scenario, seed=5)
+    frames = list(get_engine("sumo")(scenario, agents, 5))
+    return Tracks.from_frames(frames, {a.id: a.behavior for a in agents})
+
+
+@pytest.fixture(scope="module")
+def model(tracks):
+    from graphrqi.features.observer import DrivingObserver
+
+    samples = collect(tracks, DrivingObserver("eigh"), every_s=10.0, per_moment=1)
+    return train("graphrqi-plus", samples, solver="eigh")
+
+
+def test_a_window_is_the_difference_of_two_moments(tracks):
+    """What is cut out of a long observation equals what a fresh observer sees in it."""
+    from graphrqi.features.observer import SpectrumObserver
+
+    whole = collect(tracks, SpectrumObserver("eigh"), windows_s=(float("inf"),), every_s=10.0)
+    young = whole.where((whole.seconds > 9.95) & (whole.seconds < 10.05))
+    cut = collect(tracks, SpectrumObserver("eigh"), windows_s=(10.0,), every_s=10.0)
+    keys = {(a, t): f for a, t, f in zip(cut.agent, cut.time_s, cut.features, strict=True)}
+    same = [(a, t) for a, t in zip(young.agent, young.time_s, strict=True) if (a, t) in keys]
+    assert all(len(keys[k]) == whole.features.shape[1] for k in same)
+    assert set(cut.seconds.round(6)) == {10.0}
+
+
+def test_samples_are_of_labelled_drivers_only(tracks):
+    from graphrqi.features.observer import BlindObserver
+
+    samples = collect(tracks, BlindObserver(), windows_s=(5.0,))
+    driving = set(tracks.ids[tracks.behavior >= 0].tolist())
+    assert set(samples.agent.tolist()) <= driving
+    code = dict(zip(tracks.ids.tolist(), tracks.behavior.tolist(), strict=True))
+    assert [code[a] for a in samples.agent.tolist()] == samples.codes.tolist()
+
+
+def test_drawing_windows_is_seeded(tracks):
+    from graphrqi.features.observer import BlindObserver
+
+    one, two, other = (
+        collect(tracks, BlindObserver(), per_moment=1, seed=s).seconds for s in (1, 1, 2)
+    )
+    assert one.tolist() == two.tolist()
+    assert one.tolist() != other.tolist()
+
+
+def test_recordings_without_labels_are_refused(tracks):
+    from graphrqi.features.observer import BlindObserver
+
+    bare = dataclasses.replace(tracks, behavior=None)
+    with pytest.raises(InputError, match=r"tracks\.behavior: found no labels"):
+        collect(bare, BlindObserver())
+    with pytest.raises(InputError, match="found no episode"):
+        Samples.join([])
+
+
+def test_stream_answers_after_a_second_for_drivers_only(tracks, model):
+    stream = BehaviorStream(model)
+    for frame in tracks.frames():
+        posterior = stream.update(frame)
+        assert posterior.probability.sum(axis=1) == pytest.approx(np.ones(posterior.ids.size))
+        assert set(posterior.ids.tolist()) <= set(frame.ids[frame.driving].tolist())
+        if frame.time_s < float(tracks.time_s[0]) + 0.95:
+            assert posterior.ids.size == 0
+    assert posterior.ids.size > 5
+    assert stream.history.ids.tolist() == frame.ids.tolist()
+    assert stream.history.xy[:, -1] == pytest.approx(frame.xy)
+
+
+def test_stream_uses_positions_only(tracks, model):
+    honest, blinded = BehaviorStream(model), BehaviorStream(model)
+    for frame in tracks.window(150, 150).frames():
+        lie = dataclasses.replace(
+            frame, speed=frame.speed * 0, heading=frame.heading * 0, length=frame.length * 0 + 9
+        )
+        a, b = honest.update(frame), blinded.update(lie)
+    assert np.array_equal(a.probability, b.probability)
+
+
+def test_stream_refuses_to_go_back_in_time(tracks, model):
+    stream = BehaviorStream(model)
+    stream.update(tracks.frame(3))
+    with pytest.raises(InputError, match=r"frame\.time_s"):
+        stream.update(tracks.frame(3))
+
+
+def test_stream_survives_an_empty_frame(model):
+    none = np.empty(0)
+    empty = Frame(1.0, none.astype(int), np.empty((0, 2)), none, none, none, none, none.astype(int))
+    assert BehaviorStream(model).update(empty).ids.size == 0
+
+
+def test_model_on_disk_is_the_model(tmp_path, tracks, model):
+    save_model(model, tmp_path / "model")
+    again = load_stream(tmp_path / "model")
+    first = BehaviorStream(model)
+    for frame in tracks.window(120, 120).frames():
+        a, b = first.update(frame), again.update(frame)
+    assert np.array_equal(a.probability, b.probability)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["model"]
+    assert {p.suffix for p in (tmp_path / "model").iterdir()} == {".json", ".safetensors"}
+
+
+def broken(folder: Path, **changes) -> Path:
+    file = json.loads((folder / "model.json").read_text())
+    (folder / "model.json").write_text(json.dumps(file | changes))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"schema_version": 99}, "schema_version: found 99"),
+        ({"method": "graphrqi-pluss"}, "did you mean 'graphrqi-plus'"),
+        ({"features": ["x"]}, "another version"),
+        ({"classes": ["timid"]}, "classes: found"),
+        ({"surprise": 1}, "surprise"),
+    ],
+)
+def test_broken_model_files_are_refused_by_name(tmp_path, model, changes, said):
+    save_model(model, tmp_path / "model")
+    with pytest.raises(InputError, match=said):
+        load_model(broken(tmp_path / "model", **changes))
+
+
+def test_broken_weights_are_refused(tmp_path, model):
+    save_model(model, tmp_path / "model")
+    weights = tmp_path / "model" / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:100])
+    with pytest.raises(InputError, match=r"weights\.safetensors: found weights"):
+        load_model(tmp_path / "model")
+
+
+def test_missing_models_and_foreign_folders_are_refused(tmp_path, model):
+    with pytest.raises(InputError, match="found no model"):
+        load_stream("no-such-model")
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match="not a model"):
+        save_model(model, tmp_path / "precious")
+    assert (tmp_path / "precious" / "thesis.txt").exists()
+
+
+def test_posterior_checks_and_looks_up():
+    with pytest.raises(InputError, match=r"Posterior\.probability"):
+        Posterior(ids=[1], probability=[[1.0]])
+    known = Posterior(ids=[2, 5], probability=np.eye(6)[:2])
+    found = known.of(np.array([5, 3]))
+    assert found[0].argmax() == 1
+    assert found[1] == pytest.approx(np.full(6, 1 / 6))
