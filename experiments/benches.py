@@ -30,10 +30,17 @@ def _highway(quick: bool) -> list[Row]:
     return list(rows)
 
 
+def _real_data(quick: bool) -> list[Row]:
+    from experiments.real_data import run_real_data_bench
+
+    return run_real_data_bench(quick=quick)
+
+
 BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
     "spectrum": _spectrum,
     "highway": _highway,
     "generate": _generate,
+    "real-data": _real_data,
 }
 """Every bench; each takes whether to be quick and returns flat rows."""
 

@@ -260,13 +260,25 @@ def verify(
 def bench(
     name: Annotated[str, typer.Argument(help="Which bench; see graphrqi list.")],
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")] = False,
+    data: Annotated[
+        Path | None, typer.Option(help="real-data: folder of recordings [default: GRAPHRQI_DATA].")
+    ] = None,
+    test_videos: Annotated[
+        str, typer.Option(metavar="A,B", help="real-data: videos that are only tested on.")
+    ] = "",
     json: Json = None,
 ) -> None:
     """Measure, and print one row per figure."""
     from experiments.benches import run_bench
     from experiments.tables import show_table
 
-    show_table(run_bench(name, quick), json)
+    if name == "real-data":
+        from experiments.real_data import run_real_data_bench
+
+        held = [video.strip() for video in test_videos.split(",") if video.strip()]
+        show_table(run_real_data_bench(data, held, quick), json)
+    else:
+        show_table(run_bench(name, quick), json)
 
 
 @app.command(epilog="example: graphrqi doctor")

@@ -47,18 +47,20 @@ class Estimate:
         return asdict(self)
 
 
-def confusion(truth: NDArray[np.int8], answer: IntArray, episode: IntArray) -> FloatArray:
+def confusion(
+    truth: NDArray[np.int8], answer: IntArray, episode: IntArray, k: int = len(BEHAVIORS)
+) -> FloatArray:
     """Count answers.
 
     Args:
         truth: (n,) true codes.
         answer: (n,) codes answered.
         episode: (n,) episode numbers.
+        k: how many classes there are.
 
     Returns:
-        (E, 6, 6) one matrix per episode; rows are true classes.
+        (E, k, k) one matrix per episode; rows are true classes.
     """
-    k = len(BEHAVIORS)
     _, number = np.unique(episode, return_inverse=True)
     count = int(number.max()) + 1 if number.size else 0
     flat = (number * k + truth.astype(np.int64)) * k + answer
@@ -100,6 +102,104 @@ def style_balanced_accuracy(matrix: FloatArray) -> FloatArray:
     """Mean recall of aggressive and conservative."""
     to_style = np.eye(2)[_STYLE]
     return balanced_accuracy(np.asarray(to_style.T @ matrix @ to_style))
+
+
+def recall_of(code: int) -> Callable[[FloatArray], FloatArray]:
+    """The recall of one class; NaN where it does not occur.
+
+    Example:
+        >>> float(recall_of(1)(np.array([[8.0, 2.0], [1.0, 3.0]])))
+        0.75
+    """
+    return lambda matrix: np.asarray(_recall(matrix)[..., code])
+
+
+CONFIDENCE_BINS: Final = 15
+"""Bins of equal width for calibration (Guo et al., ICML 2017)."""
+
+
+def reliability(truth: NDArray[np.int8], probability: FloatArray, episode: IntArray) -> FloatArray:
+    """How often answers given with a certain confidence are right.
+
+    Args:
+        truth: (n,) true codes.
+        probability: (n, k) posteriors; the answer is the most likely class.
+        episode: (n,) episode numbers.
+
+    Returns:
+        (E, bins, 3) per episode and bin of confidence: answers, the sum of their confidences, and
+        how many were right.
+    """
+    confidence = probability.max(axis=1)
+    right = probability.argmax(axis=1) == truth
+    _, number = np.unique(episode, return_inverse=True)
+    count = int(number.max()) + 1 if number.size else 0
+    number_of_bin = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    flat = number * CONFIDENCE_BINS + number_of_bin
+    columns = [
+        np.bincount(flat, weights, minlength=count * CONFIDENCE_BINS)
+        for weights in (np.ones(truth.size), confidence, right.astype(np.float64))
+    ]
+    bins = np.stack(columns, axis=1).reshape(count, CONFIDENCE_BINS, 3)
+    return np.asarray(bins, dtype=np.float64)
+
+
+def calibration_error(bins: FloatArray) -> FloatArray:
+    """Expected calibration error: mean distance of confidence from accuracy, over the bins.
+
+    Args:
+        bins: (..., bins, 3) as from `reliability`.
+
+    Returns:
+        (...) between 0 and 1.
+
+    Example:
+        >>> float(calibration_error(np.array([[4.0, 3.2, 2.0], [1.0, 0.9, 1.0]])).round(2))
+        0.26
+    """
+    missed = np.abs(bins[..., 1] - bins[..., 2]).sum(axis=-1)
+    return np.asarray(missed / bins[..., 0].sum(axis=-1))
+
+
+def auc_within(
+    score: FloatArray, positive: NDArray[np.bool_], group: IntArray, seed: int = 0
+) -> tuple[float, float, float]:
+    """Area under the ROC curve over pairs from the same group, with an interval over samples.
+
+    Args:
+        score: (n,) larger for positives.
+        positive: (n,) truth.
+        group: (n,) which video or episode each belongs to; only pairs inside one count.
+        seed: of the bootstrap over samples.
+
+    Returns:
+        Value, low, high; NaN where no group has both kinds.
+
+    Example:
+        >>> where = np.array([0, 0, 0, 1, 1])
+        >>> truth = np.array([True, False, False, True, False])
+        >>> auc_within(np.array([0.9, 0.1, 0.95, 0.2, 0.1]), truth, where)[0].__round__(3)
+        0.667
+    """
+    rng = np.random.default_rng(seed)
+    won, pairs = np.zeros(RESAMPLES + 1), np.zeros(RESAMPLES + 1)
+    for each in np.unique(group):
+        here = group == each
+        up, down = score[here & positive], score[here & ~positive]
+        beats = (up[:, None] > down) + 0.5 * (up[:, None] == down)
+        weights = [np.ones((RESAMPLES + 1, part.size)) for part in (up, down)]
+        for weight, part in zip(weights, (up, down), strict=True):
+            if part.size:
+                weight[1:] = rng.multinomial(
+                    part.size, np.full(part.size, 1.0 / part.size), size=RESAMPLES
+                )
+        won += ((weights[0] @ beats) * weights[1]).sum(axis=1)
+        pairs += weights[0].sum(axis=1) * weights[1].sum(axis=1)
+    if pairs[0] == 0:
+        return float("nan"), float("nan"), float("nan")
+    area = won / pairs
+    low, high = np.quantile(area[1:], [0.025, 0.975])
+    return float(area[0]), float(low), float(high)
 
 
 METRICS: Final[dict[str, Callable[[FloatArray], FloatArray]]] = {

@@ -1,0 +1,61 @@
+"""Labels of the GraphRQI paper's Argoverse sequences: ``id,code``.
+
+Codes 3 and 5 are careful and cautious, 4 timid; which of 0, 1 and 2 is which aggressive class the
+release does not tell, so those are kept as aggressive and no more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior, Style
+from sim.formats.csv_columns import read_columns
+
+
+@dataclass(frozen=True, slots=True)
+class ArgoLabel:
+    """What is known of one agent.
+
+    Attributes:
+        style: its parent class.
+        behavior: the class itself, or None where the code does not tell.
+    """
+
+    style: Style
+    behavior: Behavior | None
+
+
+CODES: Final[dict[int, ArgoLabel]] = {
+    **{code: ArgoLabel(Style.AGGRESSIVE, None) for code in (0, 1, 2)},
+    3: ArgoLabel(Style.CONSERVATIVE, Behavior.CAREFUL),
+    4: ArgoLabel(Style.CONSERVATIVE, Behavior.TIMID),
+    5: ArgoLabel(Style.CONSERVATIVE, Behavior.CAUTIOUS),
+}
+"""What each code says."""
+
+
+def read_labels(path: Path) -> dict[str, ArgoLabel]:
+    """Read one label file.
+
+    Args:
+        path: ``argo<k>_labels.csv``.
+
+    Returns:
+        Labels by the source's own agent ids.
+
+    Raises:
+        InputError: if the file is broken, a code is unknown, or an agent is listed twice.
+    """
+    columns = read_columns(path, ["code"], ["id"])
+    agent, names = columns.names("id")
+    if len(names) != len(columns):
+        raise InputError(f"{path}: found {len(columns)} rows for {len(names)} agents, expected one")
+    found = {}
+    for row, code in zip(agent, columns.numbers("code"), strict=True):
+        if code not in CODES:
+            raise InputError(f"{path}: agent {names[row]}: found code {code:g}, expected 0 to 5")
+        found[names[row]] = CODES[int(code)]
+    return found

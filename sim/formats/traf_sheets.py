@@ -1,0 +1,237 @@
+"""TRAF annotation sheets: the traits that annotators noted, from .xlsx files without a header.
+
+Columns: agent id, agent type, an aggressive flag, the number of traits, then their codes. Rows
+without a number of traits are agents nobody annotated. A sheet's name is the annotator's letter
+and the video's number: ``c8.xlsx``. A workbook is a zip of XML; nothing else is needed to read it.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.annotation import Resolution, resolve
+from behaviors.errors import InputError
+from behaviors.labels import Trait
+from sim.frames import Tracks
+
+TRAIT_CODES: Final[dict[int, Trait]] = {
+    100: Trait.OVERTAKING,
+    101: Trait.OVER_SPEEDING,
+    102: Trait.TAILGATING,
+    103: Trait.WEAVING,
+    104: Trait.CUTTING_IN,
+    105: Trait.DRIVING_CLOSE,
+    106: Trait.WRONG_DIRECTION,
+    107: Trait.JAYWALKING,
+    108: Trait.BREAKING_RULES,
+    0: Trait.KEEPING_NEIGHBORS,
+    1: Trait.UNIFORM_SPEED,
+    2: Trait.FOLLOWING_RULES,
+    3: Trait.NOT_MOVING,
+    4: Trait.SLOWING,
+    5: Trait.WAITING,
+}
+"""The sheets' codes; by the order of the paper's trait table where nothing else tells."""
+
+MAX_XML_BYTES: Final = 2**26
+"""Largest unpacked part of a workbook that is read (our choice: 64 MiB; real ones have 50 kB)."""
+
+_SPACE: Final = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
+_SHEET: Final = "xl/worksheets/sheet1.xml"
+_STRINGS: Final = "xl/sharedStrings.xml"
+_NAME: Final = re.compile(r"([a-z])(\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """What one annotator noted on one video.
+
+    Attributes:
+        annotator: the letter of the sheet's name.
+        video: the number of the sheet's name.
+        traits: by agent id, in the annotator's order; annotated agents only.
+        blank: ids of agents that are listed but not annotated.
+        contradictions: ids whose aggressive flag says other than the parent of their traits.
+    """
+
+    annotator: str
+    video: int
+    traits: Mapping[int, tuple[Trait, ...]]
+    blank: tuple[int, ...]
+    contradictions: tuple[int, ...]
+
+
+def _part(path: Path, archive: zipfile.ZipFile, name: str) -> ElementTree.Element:
+    if archive.getinfo(name).file_size > MAX_XML_BYTES:
+        raise InputError(f"{path}: {name}: found more than {MAX_XML_BYTES} bytes")
+    with archive.open(name) as file:
+        data = file.read(MAX_XML_BYTES + 1)
+    if len(data) > MAX_XML_BYTES or b"<!DOCTYPE" in data:
+        raise InputError(f"{path}: {name}: found a document type or too much, expected a sheet")
+    return ElementTree.fromstring(data)
+
+
+def _cells(path: Path) -> dict[int, dict[str, str]]:
+    """Text of each cell that has any, by row number and column letters."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            shared: list[str] = []
+            if _STRINGS in archive.namelist():
+                shared = [
+                    "".join(text.text or "" for text in item.iter(f"{_SPACE}t"))
+                    for item in _part(path, archive, _STRINGS).iter(f"{_SPACE}si")
+                ]
+            rows: dict[int, dict[str, str]] = {}
+            for cell in _part(path, archive, _SHEET).iter(f"{_SPACE}c"):
+                place = re.fullmatch(r"([A-Z]+)(\d+)", cell.get("r", ""))
+                value = cell.find(f"{_SPACE}v")
+                if place is None or value is None or value.text is None:
+                    continue
+                text = shared[int(value.text)] if cell.get("t") == "s" else value.text
+                if text.strip():
+                    rows.setdefault(int(place[2]), {})[place[1]] = text.strip()
+            return rows
+    except (zipfile.BadZipFile, KeyError, ElementTree.ParseError, IndexError) as error:
+        raise InputError(f"{path}: found no readable .xlsx sheet ({error})") from None
+
+
+def read_sheet(path: Path) -> Sheet:
+    """Read one annotator's sheet.
+
+    Args:
+        path: ``<letter><video>.xlsx``.
+
+    Returns:
+        What it says.
+
+    Raises:
+        InputError: naming file and row, if the sheet is broken.
+    """
+    name = _NAME.fullmatch(path.stem)
+    if name is None or not path.is_file():
+        raise InputError(f"{path}: found no sheet, expected <letter><video>.xlsx")
+    traits: dict[int, tuple[Trait, ...]] = {}
+    blank, contradictions = [], []
+    for number, row in _cells(path).items():
+        where = f"{path}: row {number}"
+
+        def whole(column: str, row: Mapping[str, str] = row, where: str = where) -> int:
+            text = row.get(column, "")
+            if not re.fullmatch(r"-?\d{1,9}(\.0+)?", text):
+                raise InputError(f"{where}, column {column}: found {text!r}, expected a number")
+            return int(float(text))
+
+        agent = whole("A")
+        if agent in traits or agent in blank:
+            raise InputError(f"{where}: found agent {agent} a second time, expected it once")
+        count = whole("D") if "D" in row else 0
+        if not 0 <= count <= 20:
+            raise InputError(f"{where}, column D: found {count} traits, expected 0 to 20")
+        if count == 0:
+            blank.append(agent)
+            continue
+        codes = [whole(chr(ord("E") + i)) for i in range(count)]
+        unknown = [code for code in codes if code not in TRAIT_CODES]
+        if unknown:
+            raise InputError(f"{where}: found trait code {unknown[0]}, expected one of the table")
+        traits[agent] = tuple(TRAIT_CODES[code] for code in codes)
+        if "C" in row and (whole("C") > 0) != (codes[0] >= 100):
+            contradictions.append(agent)
+    return Sheet(name[1], int(name[2]), traits, tuple(blank), tuple(contradictions))
+
+
+def sheets_of(folder: Path, video: int) -> tuple[Sheet, ...]:
+    """All annotators' sheets on one video, in alphabetical order.
+
+    Args:
+        folder: with the .xlsx files.
+        video: number of the video.
+
+    Returns:
+        The sheets; empty if there are none.
+    """
+    paths = sorted(folder.glob(f"[a-z]{video}.xlsx"))
+    return tuple(read_sheet(path) for path in paths)
+
+
+def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:
+    """The resolved label of each agent of a video.
+
+    Args:
+        tracks: of the video; agents are found by their names.
+        sheets: of the same video.
+        rule: how conflicts are resolved.
+
+    Returns:
+        (N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
+    """
+    out = np.full(tracks.ids.size, -1, dtype=np.int8)
+    for row, name in enumerate(tracks.names):
+        if not name.isdecimal():
+            continue
+        noted = [sheet.traits[int(name)] for sheet in sheets if int(name) in sheet.traits]
+        behavior = resolve(noted, rule) if noted else None
+        if behavior is not None:
+            out[row] = behavior.code
+    return out
+
+
+def defects(tracks: Tracks, sheets: tuple[Sheet, ...], jump: float = 3.0) -> tuple[str, ...]:
+    """What is wrong with a video's tracks and sheets, one sentence each.
+
+    Args:
+        tracks: of the video.
+        sheets: of the same video.
+        jump: how many of its own box sides an agent must move over a gap to be told.
+
+    Returns:
+        Sentences on double ids, gaps, jumps, unlabelled agents, and contradictions.
+    """
+    found: list[str] = []
+    twins = [name for name in tracks.names if "-" in name[1:]]
+    if twins:
+        found.append(
+            f"ids that named two boxes at once: {', '.join(n.split('-')[0] for n in twins)}"
+        )
+    gaps, jumps = [], []
+    for row, name in enumerate(tracks.names):
+        seen = np.flatnonzero(tracks.valid[row])
+        holes = np.flatnonzero(np.diff(seen) > 1)
+        if not holes.size:
+            continue
+        longest = int(np.diff(seen).max()) - 1
+        moved = np.hypot(*(tracks.xy[row, seen[holes + 1]] - tracks.xy[row, seen[holes]]).T)
+        gaps.append(f"{name} ({longest} frames)")
+        if moved.max() > jump * max(tracks.length[row], tracks.width[row]):
+            jumps.append(f"{name} ({moved.max():.0f} pixels)")
+    if gaps:
+        found.append(f"agents lost and found again: {', '.join(gaps)}")
+    if jumps:
+        found.append(f"agents that jumped meanwhile: {', '.join(jumps)}")
+    step = np.diff(tracks.xy, axis=1)
+    known = np.isfinite(step[..., 0])
+    still = (step[known] == 0.0).all(axis=1).mean() if known.any() else 0.0
+    found.append(f"{100 * still:.0f} % of the steps from frame to frame are exactly zero")
+    names = {int(n) for n in tracks.names if n.isdecimal()}
+    for sheet in sheets:
+        who = f"{sheet.annotator}{sheet.video}"
+        absent = sorted(set(sheet.traits) - names)
+        if sheet.blank:
+            found.append(f"{who}: listed but not annotated: {', '.join(map(str, sheet.blank))}")
+        if absent:
+            found.append(f"{who}: annotated but not tracked: {', '.join(map(str, absent))}")
+        if sheet.contradictions:
+            found.append(
+                f"{who}: aggressive flag against the first trait: "
+                f"{', '.join(map(str, sheet.contradictions))}"
+            )
+    return tuple(found)

@@ -1,0 +1,354 @@
+"""The bench on real recordings, on small files of the same formats and, where there, on them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.annotation import cohen_kappa, style_of
+from behaviors.errors import InputError
+from behaviors.labels import Behavior, Style, Trait
+from experiments.real_data import (
+    VIEWS,
+    Video,
+    _posterior,
+    choose,
+    evaluate_traf,
+    read_traf,
+    run_real_data_bench,
+)
+from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
+from sim.formats import argo, traf
+from sim.formats.argo_labels import read_labels
+from sim.formats.ego_motion import remove_ego_motion, rigid_motion
+from sim.formats.traf_sheets import defects, labels, read_sheet, sheets_of
+
+SPACE = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+
+
+def write_sheet(path: Path, rows: list[list[object]], extra: str = "") -> Path:
+    """A workbook with numbers, one row per list; None leaves a cell empty."""
+    body = "".join(
+        f'<row r="{r}">'
+        + "".join(
+            f'<c r="{chr(65 + c)}{r}" t="n"><v>{value}</v></c>'
+            for c, value in enumerate(row)
+            if value is not None
+        )
+        + "</row>"
+        for r, row in enumerate(rows, 1)
+    )
+    sheet = f'<worksheet xmlns="{SPACE}"><sheetData>{body}</sheetData></worksheet>'
+    text = f'<?xml version="1.0"?>{extra}{sheet}'
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("xl/worksheets/sheet1.xml", text)
+    return path
+
+
+def make_video(folder: Path, number: int, agents: int = 14, frames: int = 160) -> None:
+    """Agents 0, 2, 4, ... are calm, the others fast and unsteady; the sheets say so."""
+    rng = np.random.default_rng(number)
+    y = rng.integers(100, 400, agents)
+    x = rng.uniform(0, 200, agents)
+    lines, rows = [], []
+    for frame in range(1, frames + 1):
+        fields = [frame, agents]
+        for i in range(agents):
+            wild = i % 2
+            x[i] += 1.0 + wild * (0.8 + 0.8 * np.sin(frame / 9.0 + i))
+            fields += [round(x[i] % 600), int(y[i]), 24, 18, i]
+        lines.append(",".join(map(str, fields)))
+    for i in range(agents):
+        code = 101 if i % 2 else 1
+        rows.append([i, 0, i % 2, 1, code])
+    (folder / "tracks").mkdir(parents=True, exist_ok=True)
+    (folder / "tracks" / f"TRAF53_{number}_gt.txt").write_text("\n".join(lines) + "\n")
+    write_sheet(folder / "annotations" / f"c{number}.xlsx", rows)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("recordings")
+    for number in (1, 2, 3):
+        make_video(folder / "traf", number)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def videos(data) -> list[Video]:
+    return read_traf(data / "traf", ("unit-free", "leak-probe", "majority"), jobs=1)
+
+
+# --- sheets -------------------------------------------------------------------------------------
+
+
+def test_sheet_without_header(tmp_path):
+    path = write_sheet(
+        tmp_path / "c8.xlsx",
+        [
+            [0, 6, 1, 1, 104, None, None, 104],
+            [2],
+            [3, 0, 0, 2, 1, 2],
+            [4, 1, 1, 1, 3],
+            [5, 1, 0, 0],
+        ],
+    )
+    sheet = read_sheet(path)
+    assert (sheet.annotator, sheet.video) == ("c", 8)
+    assert sheet.traits == {
+        0: (Trait.CUTTING_IN,),
+        3: (Trait.UNIFORM_SPEED, Trait.FOLLOWING_RULES),
+        4: (Trait.NOT_MOVING,),
+    }
+    assert sheet.blank == (2, 5)
+    assert sheet.contradictions == (4,)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([[0, 0, 0, 1, 55]], "row 1: found trait code 55"),
+        ([[0, 0, 0, 2, 1]], "row 1, column F: found ''"),
+        ([["?", 0, 0, 1, 1]], "row 1, column A: found '\\?'"),
+        ([[7, 0, 0, 1, 1], [7, 0, 0, 1, 2]], "row 2: found agent 7 a second time"),
+        ([[7, 0, 0, 99, 1]], "column D: found 99 traits"),
+    ],
+)
+def test_broken_sheets_are_named(tmp_path, rows, message):
+    with pytest.raises(InputError, match=message):
+        read_sheet(write_sheet(tmp_path / "v1.xlsx", rows))
+
+
+def test_hostile_workbooks_are_refused(tmp_path):
+    doctype = '<!DOCTYPE a [<!ENTITY b "c">]>'
+    with pytest.raises(InputError, match="document type"):
+        read_sheet(write_sheet(tmp_path / "v1.xlsx", [[0]], doctype))
+    (tmp_path / "v2.xlsx").write_bytes(b"no zip")
+    with pytest.raises(InputError, match=r"no readable \.xlsx"):
+        read_sheet(tmp_path / "v2.xlsx")
+    with pytest.raises(InputError, match="found no sheet"):
+        read_sheet(tmp_path / "absent1.xlsx")
+
+
+def test_labels_and_defects(tmp_path):
+    lines = []
+    for frame in range(1, 30):
+        boxes = [(10 + 2 * frame, 50, 20, 10, 1)]
+        if not 10 < frame < 20:
+            boxes.append((300 if frame >= 20 else 20, 200, 20, 10, 2))
+        lines.append(f"{frame},{len(boxes)}," + ",".join(str(v) for box in boxes for v in box))
+    path = tmp_path / "TRAF53_9_gt.txt"
+    path.write_text("\n".join(lines) + "\n")
+    calm = [[2, 0, 0, 1, 1], [8, 0, 0, 1, 1]]
+    sheets = (
+        read_sheet(write_sheet(tmp_path / "c9.xlsx", [[1, 0, 1, 1, 100], *calm])),
+        read_sheet(write_sheet(tmp_path / "v9.xlsx", [[1, 0, 0, 1, 1], calm[0]])),
+    )
+    assert sheets_of(tmp_path, 9) == sheets
+    tracks = next(iter(traf.read(path))).tracks
+    assert labels(tracks, sheets, "lenient").tolist() == [-1, Behavior.CAREFUL.code]
+    told = "\n".join(defects(tracks, sheets))
+    assert "lost and found again: 2 (9 frames)" in told
+    assert "jumped meanwhile: 2 (280 pixels)" in told
+    assert "c9: annotated but not tracked: 8" in told
+
+
+# --- features -----------------------------------------------------------------------------------
+
+
+def test_features_do_not_depend_on_the_unit():
+    rng = np.random.default_rng(0)
+    xy = np.cumsum(rng.normal(1.0, 0.3, (12, 120, 2)), axis=1) + rng.uniform(0, 80, (12, 1, 2))
+    sides = rng.uniform(4.0, 8.0, (12, 2))
+    mine = unit_free_features(xy, sides)
+    assert mine.shape == (12, len(NAMES))
+    np.testing.assert_allclose(unit_free_features(xy * 3.7, sides * 3.7), mine, atol=1e-6)
+    np.testing.assert_allclose(unit_free_features(xy[::-1], sides[::-1]), mine[::-1], atol=1e-9)
+
+
+def test_features_tell_the_fast_from_the_slow_and_who_passed_whom():
+    time = np.arange(200.0)
+    xy = np.stack(
+        [np.stack([2.0 * time, 0 * time], 1), np.stack([100 + time, 1.0 + 0 * time], 1),
+         np.stack([400 - time, 30.0 + 0 * time], 1)]
+    )  # fmt: skip
+    found = dict(zip(NAMES, unit_free_features(xy, np.full((3, 2), 20.0)).T, strict=True))
+    assert found["speed"][0] > found["speed"][1]
+    assert found["passed"].argmax() == 0
+    assert found["was passed"].argmax() == 1
+    assert found["along neighbours"].argmin() == 2
+
+
+def test_short_and_still_tracks_are_survived():
+    xy = np.full((3, 60, 2), np.nan)
+    xy[0, :2] = 5.0
+    xy[1] = 7.0
+    xy[2, 10:50] = np.linspace(0, 40, 40)[:, None]
+    assert np.isfinite(unit_free_features(xy, np.ones((3, 2)))).all()
+
+
+def test_scale_follows_most_agents():
+    y = np.arange(20.0)
+    size = np.exp(0.5 + 0.1 * y)
+    size[3] *= 6.0
+    np.testing.assert_allclose(scale_at(y, size), (0.5, 0.1), atol=1e-3)
+
+
+def test_standardised_ignores_the_unknown():
+    out = standardised(np.array([[1.0], [3.0], [np.nan]]))
+    np.testing.assert_allclose(out.ravel(), [-1.0, 1.0, 0.0], atol=1e-6)
+
+
+# --- the bench ----------------------------------------------------------------------------------
+
+
+def test_bench_finds_what_is_there(videos):
+    rows = evaluate_traf(videos, views=("unit-free", "majority"), tasks=(2,))
+    score = {(r["method"], r["metric"]): r["value"] for r in rows if r["fold"] == "all"}
+    assert score["unit-free", "balanced_accuracy"] > 0.9
+    assert score["unit-free", "auc"] > 0.95
+    assert score["majority", "balanced_accuracy"] == 0.5
+    folds = {r["fold"] for r in rows}
+    assert folds == {"all", "TRAF53_1", "TRAF53_2", "TRAF53_3"}
+    assert {r["protocol"] for r in rows} == {"leave-one-video-out"}
+    per_fold = [r["n"] for r in rows if r["metric"] == "auc" and r["method"] == "unit-free"]
+    assert per_fold == [14, 14, 14, 42]
+
+
+def test_held_out_labels_take_no_part(videos):
+    held, *training = videos
+    other = dataclasses.replace(held, codes=held.codes[::-1].copy())
+    for task in (2, 4, 6):
+        setting = choose(training, "unit-free", task)
+        np.testing.assert_array_equal(
+            _posterior(setting, training, held, "unit-free", task),
+            _posterior(setting, training, other, "unit-free", task),
+        )
+
+
+def test_named_test_videos_are_never_trained_on(videos):
+    rows = evaluate_traf(videos, ["TRAF53_2"], views=("unit-free",), tasks=(2,))
+    assert {r["fold"] for r in rows} == {"all", "TRAF53_2"}
+    assert {r["protocol"] for r in rows} == {"held-out-videos"}
+    with pytest.raises(InputError, match="did you mean 'TRAF53_2'"):
+        evaluate_traf(videos, ["TRAF53_22"], views=("unit-free",), tasks=(2,))
+    with pytest.raises(InputError, match="expected some to train on"):
+        evaluate_traf(videos, ["TRAF53_1", "TRAF53_2", "TRAF53_3"])
+
+
+def test_absent_data_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("GRAPHRQI_DATA", raising=False)
+    assert run_real_data_bench() == []
+    assert run_real_data_bench(tmp_path) == []
+    (tmp_path / "traf" / "tracks").mkdir(parents=True)
+    assert run_real_data_bench(tmp_path) == []
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith("real-data: traf skipped: ") for line in lines)
+
+
+def test_every_view_gives_one_row_per_agent(data):
+    tracks = next(iter(traf.read(data / "traf" / "tracks" / "TRAF53_1_gt.txt"))).tracks
+    for name, view in VIEWS.items():
+        found = view(tracks)
+        assert found.shape[0] == 14, name
+        assert np.isfinite(found).all(), name
+
+
+# --- ARGO ---------------------------------------------------------------------------------------
+
+
+def test_ego_motion_is_undone():
+    """Eight parked cars and one that drives, seen from a car that turns."""
+    rng = np.random.default_rng(1)
+    parked = rng.uniform(-40, 40, (8, 2))
+    time_s = np.arange(40) / 10.0
+    driving = np.stack([-20 + 6.0 * time_s, 3.0 + 0 * time_s], axis=1)
+    world = np.concatenate([np.repeat(parked[:, None], 40, 1), driving[None]])
+    angle = 0.4 * time_s
+    turn = np.stack([np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)], 1).reshape(
+        -1, 2, 2
+    )
+    ego = np.stack([8.0 * time_s, np.sin(time_s)], axis=1)
+    seen = np.einsum("tij,ntj->nti", turn, world - ego) + 1500.0
+    text = "frame,id,x,y\n" + "".join(
+        f"{t},{i},{seen[i, t, 0]!r},{seen[i, t, 1]!r}\n" for t in range(40) for i in range(9)
+    ).replace("np.float64(", "").replace(")", "")
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "argo1_tracks.csv"
+        path.write_text(text)
+        tracks = remove_ego_motion(next(iter(argo.read(path))).tracks)
+    moved = np.hypot(*(tracks.xy[:, -1] - tracks.xy[:, 0]).T)
+    assert moved[:8].max() < 1e-6
+    assert moved[8] == pytest.approx(6.0 * 3.9, abs=1e-6)
+    assert tracks.speed[8, 20] == pytest.approx(6.0, abs=1e-6)
+
+
+def test_rigid_motion_never_mirrors():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    rotation, _ = rigid_motion(points, points)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+def test_argo_labels(tmp_path):
+    path = tmp_path / "argo1_labels.csv"
+    path.write_text("id,code\n0,3\n1,1\n2,5\n")
+    found = read_labels(path)
+    assert found["0"].behavior is Behavior.CAREFUL
+    assert (found["1"].style, found["1"].behavior) == (Style.AGGRESSIVE, None)
+    path.write_text("id,code\n0,9\n")
+    with pytest.raises(InputError, match="agent 0: found code 9"):
+        read_labels(path)
+    path.write_text("id,code\n0,3\n0,3\n")
+    with pytest.raises(InputError, match="found 2 rows for 1 agents"):
+        read_labels(path)
+
+
+# --- the recordings themselves ------------------------------------------------------------------
+
+DATA = os.environ.get("GRAPHRQI_DATA", "")
+with_data = pytest.mark.skipif(
+    not (Path(DATA) / "traf").is_dir() or not DATA,
+    reason="GRAPHRQI_DATA names no folder with traf",
+)
+
+
+@with_data
+def test_traf_labels_are_as_many_as_known():
+    found = read_traf(Path(DATA) / "traf", ("majority",), jobs=1)
+    codes = np.concatenate([video.codes for video in found])
+    assert np.bincount(codes, minlength=6).tolist() == [53, 13, 52, 266, 2, 6]
+    strict = read_traf(Path(DATA) / "traf", ("majority",), "strict", jobs=1)
+    assert sum(video.codes.size for video in strict) < codes.size
+
+
+@with_data
+def test_traf_annotators_agree_as_far_as_known():
+    sheets = {s.annotator: s for s in sheets_of(Path(DATA) / "traf" / "annotations", 8)}
+    both = sorted(set(sheets["c"].traits) & set(sheets["u"].traits))
+    kappa = cohen_kappa(
+        [style_of(sheets["c"].traits[i]) for i in both],
+        [style_of(sheets["u"].traits[i]) for i in both],
+    )
+    assert kappa == pytest.approx(0.33, abs=0.01)
+
+
+@with_data
+def test_argo_cars_are_parked_once_ego_motion_is_undone():
+    path = Path(DATA) / "argo" / "argo1_tracks.csv"
+    tracks = remove_ego_motion(next(iter(argo.read(path))).tracks)
+    seen = [np.flatnonzero(row) for row in tracks.valid]
+    moved = [
+        np.hypot(*(tracks.xy[i, s[-1]] - tracks.xy[i, s[0]]))
+        for i, s in enumerate(seen)
+        if s.size > 20
+    ]
+    assert np.mean(np.array(moved) < 2.0) > 0.7
