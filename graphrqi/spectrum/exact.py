@@ -44,8 +44,9 @@ MAX_ITERATIONS = 8
 DEPENDENT = 0.1
 """A converged vector with less of it than this outside the span of the others is a duplicate
 (our choice)."""
-RESTART_SHARE = 0.25
-"""Changed edges per vehicle above which a dense solution is cheaper (our choice)."""
+RESTART_EDGES = 2.0
+"""Changed edges, in units of the square root of d, above which it solves anew: the update's d^2 p^2
+is then beyond any use (our choice)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def solve(
         kept = np.array_equal(graph.ids[: before.ids.size], before.ids)
         if not kept:
             note = "solved anew: vehicles departed or changed their order"
-        elif len(change.edges) > RESTART_SHARE * graph.ids.size:
+        elif len(change.edges) > RESTART_EDGES * graph.ids.size**0.5:
             note = f"solved anew: {len(change.edges)} edges changed"
         else:
             order = np.argsort(graph.ids)
