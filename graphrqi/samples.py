@@ -23,6 +23,10 @@ FloatArray = NDArray[np.float64]
 WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0)
 """Lengths of the stretches of observation that are trained on (our choice)."""
 
+LOOK_S: Final = 1.0
+"""Time between looks at what an observer has gathered: windows are differences of two looks, so
+their lengths are multiples of it (our choice)."""
+
 MOVED_M: Final = 2.0
 """A driver counts as moving in a window if it moved farther than this (our choice)."""
 
@@ -100,13 +104,14 @@ def collect(
     if tracks.behavior is None:
         raise InputError("tracks.behavior: found no labels, expected one per agent")
     rng = np.random.default_rng(seed)
+    look_s = min(LOOK_S, every_s)
     snapshots: list[tuple[float, Observation, FloatArray]] = []
     parts: list[Samples] = []
     begin = float(tracks.time_s[0]) if tracks.time_s.size else 0.0
     for frame in tracks.frames():
         observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        due = (frame.time_s - begin) / every_s
-        if abs(due - round(due)) > 0.25 * tracks.step_s / every_s or round(due) < 1:
+        passed_s = frame.time_s - begin
+        if not _due(passed_s, look_s, tracks.step_s):
             continue
         seen = observer.observation()
         xy = frame.xy[np.searchsorted(frame.ids, seen.ids)]
@@ -114,10 +119,12 @@ def collect(
         longest = max((w for w in windows_s if np.isfinite(w)), default=0.0)
         while snapshots and snapshots[0][0] < frame.time_s - longest - 1e-6:
             snapshots.pop(0)
+        if not _due(passed_s, every_s, tracks.step_s):
+            continue
         drawn = rng.random((seen.ids.size, len(windows_s)))
         rank = drawn.argsort(axis=1).argsort(axis=1)
         for column, window_s in enumerate(windows_s):
-            part = _cut(snapshots, window_s, observer, every_s)
+            part = _cut(snapshots, window_s, observer, look_s)
             if part is None:
                 continue
             rows, features, seconds, moved = part
@@ -151,19 +158,25 @@ def collect(
     return Samples.join(parts)
 
 
+def _due(passed_s: float, every_s: float, step_s: float) -> bool:
+    """Whether this frame is the nearest to a whole number of intervals (at least one)."""
+    due = passed_s / every_s
+    return round(due) >= 1 and abs(due - round(due)) <= 0.25 * step_s / every_s
+
+
 def _cut(
     snapshots: list[tuple[float, Observation, FloatArray]],
     window_s: float,
     observer: Observer,
-    every_s: float,
+    look_s: float,
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray, NDArray[np.bool_]] | None:
     """Rows of the newest snapshot with a whole window, their features, seconds and movement."""
     time_s, now, xy = snapshots[-1]
     if not np.isfinite(window_s):
-        rows = np.flatnonzero(now.seconds >= every_s - 1e-6)
+        rows = np.flatnonzero(now.seconds >= look_s - 1e-6)
         features = observer.features(now.seconds[rows], now.sums[rows], now.instant[rows])
         return rows, features, now.seconds[rows], np.ones(rows.size, dtype=bool)
-    earlier = [s for s in snapshots if abs(s[0] - (time_s - window_s)) < 0.25 * every_s]
+    earlier = [s for s in snapshots if abs(s[0] - (time_s - window_s)) < 0.25 * look_s]
     if not earlier:
         return None
     _, past, past_xy = earlier[0]
@@ -171,7 +184,7 @@ def _cut(
     if rows.size == 0:
         return None
     seconds = now.seconds[rows] - past.seconds[before]
-    whole = seconds > window_s - 0.5 * every_s  # a driver that left and came back is a new one
+    whole = seconds > window_s - 0.5 * look_s  # a driver that left and came back is a new one
     rows, before, seconds = rows[whole], before[whole], seconds[whole]
     sums = now.sums[rows] - past.sums[before]
     features = observer.features(seconds, sums, now.instant[rows])
