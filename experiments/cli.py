@@ -256,29 +256,102 @@ def verify(
         typer.echo(f"{dataset}: every file is as its manifest says")
 
 
-@app.command(epilog="example: graphrqi bench spectrum --quick --json spectrum.json")
-def bench(
-    name: Annotated[str, typer.Argument(help="Which bench; see graphrqi list.")],
-    quick: Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")] = False,
-    data: Annotated[
-        Path | None, typer.Option(help="real-data: folder of recordings [default: GRAPHRQI_DATA].")
+bench = typer.Typer(
+    help="Measure, and print one row per figure.",
+    epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+app.add_typer(bench, name="bench")
+
+Quick = Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")]
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+@bench.command(
+    "spectrum",
+    epilog="example: graphrqi bench spectrum --sizes 100,1000 --ends largest --plot cost.png",
+)
+def bench_spectrum(
+    sizes: Annotated[
+        str, typer.Option(metavar="D,D", help="Numbers of vehicles.")
+    ] = "25,100,400,1000,4000,20000",
+    pairs: Annotated[int, typer.Option(min=1, help="Eigenpairs asked for.")] = 8,
+    ends: Annotated[str, typer.Option(help="Ends of the spectrum.")] = "largest,smallest",
+    graphs: Annotated[str, typer.Option(help="Where the vehicles are.")] = "road,crossing",
+    kinds: Annotated[str, typer.Option(help="Kinds of graph.")] = "instantaneous,accumulated",
+    steps: Annotated[int, typer.Option(min=1, help="Steps of each sequence.")] = 60,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw cost against size.")
     ] = None,
-    test_videos: Annotated[
-        str, typer.Option(metavar="A,B", help="real-data: videos that are only tested on.")
-    ] = "",
+    quick: Quick = False,
     json: Json = None,
 ) -> None:
-    """Measure, and print one row per figure."""
-    from experiments.benches import run_bench
+    """Measure every eigenvalue algorithm on the same graphs, in one process."""
+    from typing import cast
+
+    from behaviors.errors import InputError
+    from experiments.runtime import End, plot_spectrum, run_spectrum_bench, spectrum_table
+    from experiments.tables import show_table, write_json
+
+    try:
+        numbers = [int(word) for word in _words(sizes)]
+    except ValueError:
+        raise InputError(f"--sizes: found {sizes!r}, expected whole numbers: 25,100") from None
+    if quick:
+        numbers, steps = [25, 50], 10
+    rows = run_spectrum_bench(
+        numbers, pairs, cast("list[End]", _words(ends)), _words(graphs), _words(kinds), steps,
+        progress=lambda line: typer.echo(line, err=True),
+    )  # fmt: skip
+    if json is not None:
+        write_json(rows, json)
+    if json is None or str(json) != "-":
+        show_table(spectrum_table(rows))
+    if plot is not None:
+        plot_spectrum(rows, plot)
+
+
+@bench.command(
+    "real-data", epilog="example: graphrqi bench real-data --data recordings --test-videos TRAF53_8"
+)
+def bench_real_data(
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of recordings [default: GRAPHRQI_DATA].")
+    ] = None,
+    test_videos: Annotated[
+        str, typer.Option(metavar="A,B", help="Videos that are only tested on.")
+    ] = "",
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Score methods on labelled recordings, leaving one video out at a time."""
+    from experiments.real_data import run_real_data_bench
     from experiments.tables import show_table
 
-    if name == "real-data":
-        from experiments.real_data import run_real_data_bench
+    show_table(run_real_data_bench(data, _words(test_videos), quick), json)
 
-        held = [video.strip() for video in test_videos.split(",") if video.strip()]
-        show_table(run_real_data_bench(data, held, quick), json)
-    else:
+
+def _add_bench(name: str, what: str) -> None:
+    @bench.command(name, help=what, epilog=f"example: graphrqi bench {name} --quick")
+    def measure(quick: Quick = False, json: Json = None) -> None:
+        from experiments.benches import run_bench
+        from experiments.tables import show_table
+
         show_table(run_bench(name, quick), json)
+
+
+for _name, _what in {
+    "behaviors": "Measure which behaviour shows which trait, in every scenario.",
+    "highway": "Measure the highway-env engine's speed beside the stock road's.",
+    "classification": "Score every method under every protocol.",
+    "prediction": "Measure every predictor's errors on unseen episodes.",
+    "generate": "Measure the cost of generating data.",
+}.items():
+    _add_bench(_name, _what)
 
 
 @app.command(epilog="example: graphrqi doctor")

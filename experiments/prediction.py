@@ -7,8 +7,6 @@ episode, so that intervals resample episodes.
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +19,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.metrics import bootstrap
 from experiments.parallel import in_parallel
 from experiments.progress import Progress
-from experiments.tables import Row, show_table
+from experiments.tables import Row, show_table, write_json
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor, predict
@@ -36,7 +34,6 @@ from graphrqi.predict.metrics import (
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene import LEARNED_S, make_scene
 from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
-from sim.atomic import write_whole
 from sim.dataset import open_dataset
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.lane_graph import LaneGraph, project
@@ -429,19 +426,10 @@ def predict_dataset(
         whole = not dataset.episodes(split, scenario)
         rows += summarize(episodes, scenario, "all" if whole else split, horizons_s)
     if json_path is not None:
-        write_rows(rows, json_path)
+        write_json(rows, json_path)
     if not quiet and str(json_path) != "-":
         show_table(short_table(rows), title="prediction")
     return rows
-
-
-def write_rows(rows: Sequence[Row], json_path: Path) -> None:
-    """Write rows as one JSON list; ``-`` is standard output."""
-    text = json.dumps(list(rows), indent=1, allow_nan=False) + "\n"
-    if str(json_path) == "-":
-        sys.stdout.write(text)
-    else:
-        write_whole(json_path, text.encode())
 
 
 def short_table(rows: Sequence[Row]) -> list[Row]:

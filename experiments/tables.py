@@ -19,6 +19,23 @@ def _text(cell: Cell) -> str:
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
+def write_json(rows: Sequence[Row], json_path: Path) -> None:
+    """Write rows as a JSON list.
+
+    Args:
+        rows: flat rows.
+        json_path: the file; ``-`` for standard output.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    text = json.dumps(list(rows), indent=1, allow_nan=False, default=str) + "\n"
+    if str(json_path) == "-":
+        sys.stdout.write(text)
+    else:
+        write_whole(json_path, text.encode())
+
+
 def show_table(rows: Sequence[Row], json_path: Path | None = None, title: str = "") -> None:
     """Print rows as a table, or write them as JSON.
 
@@ -31,11 +48,9 @@ def show_table(rows: Sequence[Row], json_path: Path | None = None, title: str = 
         OSError: if the file cannot be written.
     """
     if json_path is not None:
-        text = json.dumps(list(rows), indent=1, allow_nan=False, default=str) + "\n"
+        write_json(rows, json_path)
         if str(json_path) == "-":
-            sys.stdout.write(text)
             return
-        write_whole(json_path, text.encode())
     from rich.console import Console
     from rich.table import Table
 
