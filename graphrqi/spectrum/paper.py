@@ -137,11 +137,14 @@ def _rank_one(values: Floats, vectors: Floats, delta: Floats) -> tuple[Floats, F
         denominator = 1.0 + r @ ar
         denominator = np.where(np.abs(denominator) < 1e-14, 1e-14, denominator)
         y = ax - ar * ((r @ ax) / denominator)  # Sherman-Morrison
-        y /= np.linalg.norm(y, axis=0)
+        length = np.linalg.norm(y, axis=0)
+        usable = (length > 0.0) & np.isfinite(length)
+        y = np.where(usable, y / np.where(usable, length, 1.0), x)
         change = np.minimum(np.linalg.norm(y - x, axis=0), np.linalg.norm(y + x, axis=0)).max()
         x = y
         shift = values @ x**2 + (r @ x) ** 2
         if change <= CHANGE:
             break
-    moved = vectors @ x
-    return shift, moved / np.linalg.norm(moved, axis=0)
+    moved = vectors @ x  # the columns of U may have become dependent: a zero column stays zero
+    length = np.linalg.norm(moved, axis=0)
+    return shift, moved / np.where(length > 0.0, length, 1.0)
