@@ -294,8 +294,9 @@ def bench_spectrum(
     from typing import cast
 
     from behaviors.errors import InputError
-    from experiments.runtime import End, plot_spectrum, run_spectrum_bench, spectrum_table
+    from experiments.runtime import plot_spectrum, run_spectrum_bench, spectrum_table
     from experiments.tables import show_table, write_json
+    from graphrqi.spectrum.contract import End
 
     try:
         numbers = [int(word) for word in _words(sizes)]
