@@ -210,12 +210,15 @@ def import_(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     format: FormatName = None,
     net: Net = None,
+    types: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="vTypes of a SUMO recording, for sizes.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset of recordings in other formats."""
     from experiments.exchange import import_recordings
 
-    manifest = import_recordings(source, out, format, net, quiet=quiet)
+    manifest = import_recordings(source, out, format, net, quiet=quiet, types=types)
     steps = sum(e.agent_steps for e in manifest.episodes)
     typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
 

@@ -30,6 +30,7 @@ def import_recordings(
     net: Path | None = None,
     split: Split | None = None,
     quiet: bool = False,
+    types: Path | None = None,
 ) -> Manifest:
     """Make a dataset of recordings, their numbers kept to the last digit.
 
@@ -40,6 +41,7 @@ def import_recordings(
         net: the SUMO net that the recordings were made on; None where there is none.
         split: which part of the data everything belongs to; None to split by index.
         quiet: whether to show no progress.
+        types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
 
     Returns:
         The manifest.
@@ -58,7 +60,7 @@ def import_recordings(
         raise InputError(f"{out}: found something there, expected a new or empty folder")
     entries: list[EpisodeEntry] = []
     with sole_writer(out), Progress("importing recordings", 0, quiet) as shown:
-        for index, recording in enumerate(read_recordings(source, name)):
+        for index, recording in enumerate(read_recordings(source, name, types)):
             meta = EpisodeMeta(
                 scenario=name,
                 engine=name,

@@ -11,6 +11,7 @@ import importlib
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
 
@@ -179,12 +180,15 @@ def recognise(path: Path) -> str:
     raise InputError(f"{path}: found no known format, expected one of {', '.join(FORMATS)}")
 
 
-def read_recordings(path: Path, name: str | None = None) -> Iterator[Recording]:
+def read_recordings(
+    path: Path, name: str | None = None, types: Path | None = None
+) -> Iterator[Recording]:
     """Read a recording, or all recordings of one format in a folder.
 
     Args:
         path: a file or a folder.
         name: a key of ``FORMATS``; None to tell it from the content.
+        types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
 
     Yields:
         The recordings, one at a time, in order of the files' names.
@@ -194,6 +198,10 @@ def read_recordings(path: Path, name: str | None = None) -> Iterator[Recording]:
     """
     name = name or recognise(path)
     reader = get_reader(name)
+    if types is not None:
+        if name != "sumo-fcd":
+            raise InputError(f"types: found format {name}, expected sumo-fcd: only it needs them")
+        reader = partial(cast("Callable[..., Iterator[Recording]]", reader), types=types)
     entry = FORMATS[name]
     if not path.exists():
         raise InputError(f"{path}: found nothing, expected a recording or a folder of recordings")

@@ -1,0 +1,96 @@
+"""Recordings come in as datasets, datasets go out as recordings, commands take both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from behaviors import InputError
+from experiments.exchange import as_dataset, export_dataset, import_recordings
+from experiments.generate import GenerateConfig, generate
+from sim.dataset import open_dataset
+from sim.formats import FORMATS
+
+ARGO = "frame,id,x,y\n" + "".join(
+    f"{t},{i},{t * (1 + i)},{4 * i}\n" for t in range(60) for i in (0, 1)
+)
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("generated") / "data"
+    config = GenerateConfig(scenarios=("straight_road",), episodes=1, seed=2, duration_s=30.0)
+    generate(config, folder, jobs=1, quiet=True)
+    return folder
+
+
+@pytest.mark.parametrize("name", [n for n, entry in FORMATS.items() if entry.writer])
+def test_datasets_go_out(generated: Path, tmp_path: Path, name: str) -> None:
+    written = export_dataset(generated, tmp_path / "out", name, quiet=True)
+    assert written
+    assert all(path.exists() for path in written)
+
+
+def test_out_and_in_again(generated: Path, tmp_path: Path) -> None:
+    export_dataset(generated, tmp_path / "out", "sumo-fcd", quiet=True)
+    import_recordings(tmp_path / "out", tmp_path / "back", quiet=True)
+    before, after = open_dataset(generated), open_dataset(tmp_path / "back")
+    one = before.read(before.episodes()[0]).tracks
+    two = after.read(after.episodes()[0]).tracks
+    assert one.names == two.names
+    np.testing.assert_allclose(one.xy[:, -two.time_s.size :], two.xy, atol=1e-9)
+    assert one.behavior is not None
+    assert two.behavior is not None
+    np.testing.assert_array_equal(one.behavior, two.behavior)
+
+
+def test_two_recordings_of_the_same_agents_are_two_episodes(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "argo1_tracks.csv").write_text(ARGO)
+    (tmp_path / "in" / "argo2_tracks.csv").write_text(ARGO.replace("59,1,118", "59,1,119"))
+    manifest = import_recordings(tmp_path / "in", tmp_path / "data", "argo", quiet=True)
+    assert len({entry.id for entry in manifest.episodes}) == 2
+    assert [entry.split for entry in manifest.episodes] == ["train", "validation"]
+    card = (tmp_path / "data" / "README.md").read_text()
+    assert "cars of 4.5 m are assumed" in card
+    with pytest.raises(InputError, match="expected a new or empty folder"):
+        import_recordings(tmp_path / "in", tmp_path / "data", "argo", quiet=True)
+
+
+def test_a_net_gives_the_road(generated: Path, tmp_path: Path) -> None:
+    (net,) = (generated / "roads").iterdir()
+    path = tmp_path / "argo1_tracks.csv"
+    path.write_text(ARGO)
+    import_recordings(path, tmp_path / "with", "argo", net=net, quiet=True)
+    import_recordings(path, tmp_path / "without", "argo", quiet=True)
+    for name, has_road in (("with", True), ("without", False)):
+        dataset = open_dataset(tmp_path / name)
+        assert (dataset.road(dataset.episodes()[0]) is not None) is has_road
+
+
+def test_files_pass_as_datasets_for_a_while(generated: Path, tmp_path: Path) -> None:
+    path = tmp_path / "argo1_tracks.csv"
+    path.write_text(ARGO)
+    with as_dataset(generated) as folder:
+        assert folder == generated
+    with as_dataset(path) as folder:
+        assert [e.split for e in open_dataset(folder).episodes()] == ["test"]
+    assert not folder.exists()
+
+
+def test_vehicle_types_give_sizes(tmp_path: Path) -> None:
+    (tmp_path / "fcd.xml").write_text(
+        '<fcd-export><timestep time="0"><vehicle id="a" x="0" y="0" angle="90" type="t" speed="1"/>'
+        "</timestep></fcd-export>"
+    )
+    types = tmp_path / "routes.rou.xml"
+    types.write_text('<routes><vType id="t" vClass="truck" length="7.5"/></routes>')
+    import_recordings(tmp_path / "fcd.xml", tmp_path / "data", types=types, quiet=True)
+    (table,) = (tmp_path / "data").rglob("agents.parquet")
+    (agent,) = pq.read_table(table).to_pylist()
+    assert (agent["kind"], agent["length_m"]) == ("truck", 7.5)
+    with pytest.raises(InputError, match="only it needs them"):
+        import_recordings(types, tmp_path / "no", "argo", types=types, quiet=True)
