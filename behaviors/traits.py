@@ -62,8 +62,9 @@ REASON_GAP_S, REASON_GAP_M = 4.0, 15.0
 """A leader is a reason to slow within this headway or gap (our choice: farther ones do not bind
 even those who keep 3 s)."""
 
-REASON_STOP_M: Final = 60.0
-"""A junction or crossing within this is a reason to slow (our choice)."""
+REASON_JUNCTION_M, REASON_STOP_M = 40.0, 60.0
+"""Any junction within the first, and one where one must stop or a crossing in use within the
+second, is a reason to slow (our choice)."""
 
 WAITING_S: Final = 3.0
 """Waiting: standing so long before a free way on, for others who go first (our choice)."""
@@ -463,9 +464,9 @@ def _no_reason(seen: Seen) -> BoolArray:
     """(N, T) whether nothing ahead explains slowing down or standing."""
     near = (seen.gap < REASON_GAP_M) | (seen.gap < REASON_GAP_S * seen.speed)
     junction = (seen.stop_distance < REASON_STOP_M) & seen.stop_ahead
+    junction |= seen.stop_distance < REASON_JUNCTION_M
     crossing = (seen.crossing_distance < REASON_STOP_M) & seen.crossing_used
-    inside = seen.stop_distance < 0
-    return seen.valid & seen.drives[:, None] & ~(near | junction | crossing | inside)
+    return seen.valid & seen.drives[:, None] & ~(near | junction | crossing)
 
 
 def not_moving(seen: Seen) -> list[Exhibit]:

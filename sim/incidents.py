@@ -49,6 +49,9 @@ WALKING_MPS: Final = 1.3
 HOLD_S: Final = 1.0
 """A yielding driver would have come to the crossing this much earlier, or sooner, unslowed."""
 
+SLOWED: Final = 0.7
+"""A yielding driver slows to less than this share of the speed at first sight (our choice)."""
+
 RECENT_S: Final = 8.0
 """A rule broken at a junction this long before a collision caused it (our choice: the time to
 cross the junction)."""
@@ -201,7 +204,7 @@ def _verdict(
             continue
         other = int(tracks.ids[person])
         to_path = (path - along_crossing[entry]) * way - half  # m still to walk to the path
-        if begin < entry <= end and 0 < to_path < PATH_S * WALKING_MPS:
+        if begin < entry <= end and -2 * half < to_path < PATH_S * WALKING_MPS:
             return EventKind.NOT_YIELDED, other
         if to_path > 0 and end >= entry:
             continue
@@ -218,7 +221,8 @@ def _verdict(
         first = seen.gap[row, clear] > here or here < 5.0
         if seen.stop_distance[row, clear] >= 0 and seen.signal[row, clear] in _STOP_SIGNALS:
             continue
-        if here <= APPROACH_M and first and unslowed < clear + HOLD_S / tracks.step_s:
+        slowed = tracks.speed[row, begin : clear + 1].min() < max(SLOWED * speed, ROLLING_MPS)
+        if here <= APPROACH_M and first and slowed and unslowed < clear + HOLD_S / tracks.step_s:
             yielded = EventKind.YIELDED, other
     return yielded
 
