@@ -89,7 +89,7 @@ FORMATS: Final[dict[str, Format]] = {
         "sim.formats.levelx:read_highd",
     ),
     "interaction": Format(
-        ("*_tracks_*.csv",),
+        ("vehicle_tracks_*.csv",),
         _columns("track_id", "timestamp_ms", "agent_type"),
         "sim.formats.interaction:read",
     ),

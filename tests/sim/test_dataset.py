@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError, sample_profile
 from sim.atomic import remove_partial, whole_folder, write_whole
@@ -28,7 +31,9 @@ from sim.dataset import (
 )
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec
-from sim.schema import HEADING_QUANTUM, POSITION_QUANTUM, EpisodeMeta, split_of
+from sim.schema import EPISODE_FILES, HEADING_QUANTUM, POSITION_QUANTUM, EpisodeMeta, split_of
+
+TABLES = [name.removesuffix(".parquet") for name in EPISODE_FILES]
 
 META = EpisodeMeta(scenario="hand-made", engine="sumo", seed=4, options={"mix": {"timid": 1.0}})
 
@@ -356,7 +361,7 @@ def parquet(table: pa.Table) -> bytes:
     return sink.getvalue().to_pybytes()
 
 
-@pytest.mark.parametrize("name", ["steps", "agents", "frames", "signals", "events"])
+@pytest.mark.parametrize("name", TABLES)
 def test_altered_truncated_and_missing_files(tmp_path: Path, name: str) -> None:
     dataset = small(tmp_path)
     (entry,) = dataset.episodes()
@@ -374,7 +379,7 @@ def test_altered_truncated_and_missing_files(tmp_path: Path, name: str) -> None:
         dataset.read(entry)
 
 
-@pytest.mark.parametrize("name", ["steps", "agents", "frames", "signals", "events"])
+@pytest.mark.parametrize("name", TABLES)
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"\0" * 5000, b"PAR1" * 500])
 def test_files_that_are_no_tables(tmp_path: Path, name: str, content: bytes) -> None:
     dataset = forge(small(tmp_path), f"{name}.parquet", content)
@@ -438,3 +443,33 @@ def test_dense_arrays_beyond_the_limit_are_refused(tmp_path: Path) -> None:
     dataset = forge(dataset, "frames.parquet", parquet(times), frames=100_000)
     with pytest.raises(InputError, match="agents times steps at most"):
         dataset.read(dataset.episodes()[0])
+
+
+@pytest.fixture(scope="module")
+def valid(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return small(tmp_path_factory.mktemp("valid"))
+
+
+@pytest.mark.parametrize("name", TABLES)
+@settings(max_examples=100, deadline=None, database=None)
+@given(data=st.data())
+def test_altered_tables_are_read_or_refused(
+    valid: Dataset, tmp_path_factory: pytest.TempPathFactory, name: str, data: st.DataObject
+) -> None:
+    source = valid.path / "episodes" / valid.episodes()[0].id / f"{name}.parquet"
+    content = bytearray(source.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        length = data.draw(st.integers(0, 4))
+        content[at : at + length] = data.draw(st.binary(max_size=4))
+    folder = tmp_path_factory.mktemp("altered") / "data"
+    shutil.copytree(valid.path, folder)
+    dataset = forge(open_dataset(folder), f"{name}.parquet", bytes(content))
+    message = f"{name}.parquet: read"
+    try:
+        dataset.read(dataset.episodes()[0])
+    except InputError as error:
+        message = str(error)
+    shutil.rmtree(folder)
+    assert ".parquet" in message
+    assert "\n" not in message

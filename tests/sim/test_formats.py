@@ -202,7 +202,9 @@ def test_highd_gives_the_upper_left_corner_and_y_down(tmp_path: Path) -> None:
 
 def test_interaction_with_pedestrians(tmp_path: Path) -> None:
     (tmp_path / "pedestrian_tracks_000.csv").write_text(INTERACTION_WALKERS)
-    tracks = read(put(tmp_path, "interaction"), "interaction")
+    put(tmp_path, "interaction")
+    (recording,) = read_recordings(tmp_path)  # one recording, not one per file
+    tracks = recording.tracks
     assert tracks.names == ("1", "P1")
     assert [KINDS[k] for k in tracks.kind] == [AgentKind.CAR, AgentKind.PEDESTRIAN]
     assert tracks.time_s.tolist() == [0.1, 0.2]
