@@ -16,15 +16,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
 from graphrqi.classify import Classifier, make_classifier, restore_classifier
+from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
-from graphrqi.features.observer import (
+from graphrqi.features.observer import Observer
+from graphrqi.features.plain import PlainObserver
+from graphrqi.features.spectrum_observers import (
     BlindObserver,
-    DrivingObserver,
     EigenvectorObserver,
-    Observer,
     SpectrumObserver,
 )
-from graphrqi.features.plain import PlainObserver
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.samples import Samples
 from sim.atomic import whole_folder

@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from behaviors.labels import BEHAVIORS, Style
 from experiments.report.figures import confusion_figure, gradient_figure, map_figure
 from experiments.report.run_file import Metrics, RunFile, Score, read_run
-from graphrqi.features.observer import NEIGHBORS, RESET
+from graphrqi.features.graph_spectrum import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.methods import Model, load_model
 from graphrqi.predict import predict

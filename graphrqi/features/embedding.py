@@ -16,6 +16,7 @@ References:
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,8 +25,9 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from graphrqi.features.evidence import Evidence
+from graphrqi.features.graph_spectrum import NEIGHBORS
 from graphrqi.features.kinematic import Motion, MotionEstimator, align
-from graphrqi.features.observer import NEIGHBORS, Observation
+from graphrqi.features.observer import Observation
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -243,11 +245,11 @@ class EmbeddingObserver:
 
     def observation(self) -> Observation:
         """The last embedding of the drivers present; zeros for those that came since."""
-        ids, seconds, sums = self._evidence.present()
-        rows = np.zeros((ids.size, NUM_DIMENSIONS))
-        into, source = align(self._ids, ids)
+        present = self._evidence.observation()
+        rows = np.zeros((present.ids.size, NUM_DIMENSIONS))
+        into, source = align(self._ids, present.ids)
         rows[into] = self._embedding[source]
-        return Observation(ids, seconds, sums, rows)
+        return dataclasses.replace(present, instant=rows)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """The rows as they are."""

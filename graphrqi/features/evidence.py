@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.features.kinematic import FORGET_S, align
+from graphrqi.features.observer import Observation
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -44,7 +45,8 @@ class Evidence:
         seen[rows] = time_s
         self._ids, self._sums, self._seconds, self._seen_s = merged, sums, seconds, seen
 
-    def present(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Ids (n,), seconds (n,) and sums (n, S) of those seen at the last moment."""
+    def observation(self) -> Observation:
+        """The evidence on those seen at the last moment."""
         here = self._seen_s == (np.inf if self._time_s is None else self._time_s)
-        return self._ids[here], self._seconds[here], self._sums[here]
+        ids = self._ids[here]
+        return Observation(ids, self._seconds[here], self._sums[here], np.zeros((ids.size, 0)))

@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.observer import BLOCKS, DrivingObserver, Observation
+from graphrqi.features.driving import BLOCKS, DrivingObserver
+from graphrqi.features.observer import Observation
 from graphrqi.features.statistics import describe_names
 
 FloatArray = NDArray[np.float64]

@@ -16,11 +16,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.features.driving import INTERACTION_NEIGHBORS
 from graphrqi.features.evidence import Evidence
 from graphrqi.features.graph_signal import differences
 from graphrqi.features.interaction import interactions
 from graphrqi.features.kinematic import MotionEstimator, align
-from graphrqi.features.observer import INTERACTION_NEIGHBORS, Observation
+from graphrqi.features.observer import Observation
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -96,8 +97,7 @@ class TrajectoryObserver:
 
     def observation(self) -> Observation:
         """Evidence on the drivers present."""
-        ids, seconds, sums = self._evidence.present()
-        return Observation(ids, seconds, sums, np.zeros((ids.size, 0)))
+        return self._evidence.observation()
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, 27) means, deviations and shares of the time."""

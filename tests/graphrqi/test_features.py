@@ -7,16 +7,16 @@ import pytest
 from scipy.sparse import csr_array
 
 from graphrqi.features import following_law
+from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.graph_signal import differences
 from graphrqi.features.interaction import NOMINAL_LENGTH_M, interactions
 from graphrqi.features.kinematic import FORGET_S, MotionEstimator, align
-from graphrqi.features.observer import (
+from graphrqi.features.spectral import eigenvector_rows, invariant, whole_eigenspaces
+from graphrqi.features.spectrum_observers import (
     BlindObserver,
-    DrivingObserver,
     EigenvectorObserver,
     SpectrumObserver,
 )
-from graphrqi.features.spectral import eigenvector_rows, invariant, whole_eigenspaces
 from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
 

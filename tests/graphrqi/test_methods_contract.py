@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver, LaplacianPairs, consensus
-from graphrqi.features.observer import DrivingObserver
 from graphrqi.features.plain import GRAPH_SIGNALS, PlainObserver
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.methods import METHODS, Model, load_model, save_model, train

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphrqi.features.observer import BlindObserver
+from graphrqi.features.spectrum_observers import BlindObserver
 from graphrqi.samples import collect
 from sim.frames import Tracks
 

@@ -30,7 +30,7 @@ def tracks():
 
 @pytest.fixture(scope="module")
 def model(tracks):
-    from graphrqi.features.observer import DrivingObserver
+    from graphrqi.features.driving import DrivingObserver
 
     samples = collect(tracks, DrivingObserver("eigh"), every_s=10.0, per_moment=1)
     return train("graphrqi-plus", samples, solver="eigh")
@@ -38,7 +38,7 @@ def model(tracks):
 
 def test_a_window_is_the_difference_of_two_moments(tracks):
     """What is cut out of a long observation equals what a fresh observer sees in it."""
-    from graphrqi.features.observer import SpectrumObserver
+    from graphrqi.features.spectrum_observers import SpectrumObserver
 
     whole = collect(tracks, SpectrumObserver("eigh"), windows_s=(float("inf"),), every_s=10.0)
     young = whole.where((whole.seconds > 9.95) & (whole.seconds < 10.05))
@@ -50,7 +50,7 @@ def test_a_window_is_the_difference_of_two_moments(tracks):
 
 
 def test_samples_are_of_labelled_drivers_only(tracks):
-    from graphrqi.features.observer import BlindObserver
+    from graphrqi.features.spectrum_observers import BlindObserver
 
     samples = collect(tracks, BlindObserver(), windows_s=(5.0,))
     driving = set(tracks.ids[tracks.behavior >= 0].tolist())
@@ -60,7 +60,7 @@ def test_samples_are_of_labelled_drivers_only(tracks):
 
 
 def test_drawing_windows_is_seeded(tracks):
-    from graphrqi.features.observer import BlindObserver
+    from graphrqi.features.spectrum_observers import BlindObserver
 
     one, two, other = (
         collect(tracks, BlindObserver(), per_moment=1, seed=s).seconds for s in (1, 1, 2)
@@ -70,7 +70,7 @@ def test_drawing_windows_is_seeded(tracks):
 
 
 def test_recordings_without_labels_are_refused(tracks):
-    from graphrqi.features.observer import BlindObserver
+    from graphrqi.features.spectrum_observers import BlindObserver
 
     bare = dataclasses.replace(tracks, behavior=None)
     with pytest.raises(InputError, match=r"tracks\.behavior: found no labels"):

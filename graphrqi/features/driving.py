@@ -1,0 +1,184 @@
+"""The observer behind ``graphrqi-plus``: how drivers move, and how they treat their neighbours."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.features import following_law
+from graphrqi.features.evidence import Evidence
+from graphrqi.features.graph_signal import differences
+from graphrqi.features.graph_spectrum import SPECTRAL, GraphSpectrum, spectral_means
+from graphrqi.features.interaction import Interaction, interactions
+from graphrqi.features.kinematic import Motion, MotionEstimator
+from graphrqi.features.observer import Observation
+from graphrqi.features.spectral import INVARIANT_NAMES
+from graphrqi.features.statistics import Block, describe, describe_names, spread
+from graphrqi.graph import TrafficGraph
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+INTERACTION_NEIGHBORS: Final = 8
+"""Nearest neighbours among which leaders are looked for (our choice: on a three-lane road the
+four nearest are often all in the next lanes)."""
+
+_HEADWAY_S = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.1, 1.3, 1.55, 1.85, 2.2, 2.6, 3.1, 3.8, 5.0)
+_SPEED_MPS = (0.0, 0.5, 2.0, 4.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0,
+              17.0, 18.0, 20.0, 22.0, 24.0, 30.0)  # fmt: skip
+_ACCEL_MPS2 = (-7.0, -5.0, -3.5, -2.5, -1.7, -1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 0.8, 1.1, 1.4, 1.7,
+               2.1, 2.6, 3.2, 4.0, 5.0)  # fmt: skip
+_POSITIVE_MPS2 = (0.0, 0.3, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.1, 2.4, 2.7, 3.0, 3.4, 3.8, 4.3,
+                  5.0, 6.5, 8.0)  # fmt: skip
+_DIFFERENCE_MPS = (-10.0, -6.0, -4.0, -2.5, -1.5, -0.8, -0.3, 0.0, 0.3, 0.8, 1.5, 2.5, 4.0, 6.0,
+                   10.0)  # fmt: skip
+_STANDSTILL_M = (0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 8.0)
+_SIDEWAYS_M = (0.0, 0.2, 0.5, 1.0, 1.8, 3.0, 4.5)
+_INVERSE_TTC = (0.0, 0.03, 0.07, 0.12, 0.2, 0.3, 0.5, 0.8, 1.5)
+_SLOW_MPS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
+
+BLOCKS: Final[tuple[Block, ...]] = (
+    Block("speed", _SPEED_MPS),
+    Block("free speed", _SPEED_MPS),
+    Block("speed over neighbours", _DIFFERENCE_MPS),
+    Block("speed over wider neighbours", _DIFFERENCE_MPS),
+    Block("acceleration", _ACCEL_MPS2),
+    Block("acceleration when free", _ACCEL_MPS2),
+    Block("acceleration while following", _ACCEL_MPS2),
+    Block("pull-away", _POSITIVE_MPS2),
+    Block("braking", _POSITIVE_MPS2),
+    Block("headway while following", _HEADWAY_S),
+    Block("headway", _HEADWAY_S),
+    Block("steady headway", _HEADWAY_S),
+    Block("standstill gap", _STANDSTILL_M),
+    Block("leader's speed while standing", _SLOW_MPS),
+    Block("closing", _DIFFERENCE_MPS),
+    Block("inverse time to collision", _INVERSE_TTC),
+    Block("rear headway", _HEADWAY_S),
+    Block("rear headway after moving over", _HEADWAY_S),
+    Block("sideways", _SIDEWAYS_M),
+    Block("sideways over neighbours", _SIDEWAYS_M),
+    Block("beside", (0.0, 1.0, 2.0, 4.0)),
+    Block("speed near pedestrian", _SPEED_MPS),
+    Block("acceleration near pedestrian", _ACCEL_MPS2),
+)
+"""What the driving observer watches (our choice of quantities and scales)."""
+
+_WATCHED: Final = sum(len(b.nodes) for b in BLOCKS)
+"""Columns of evidence that belong to the blocks; the car-following and spectral ones follow."""
+
+_LAW: Final = 2 * following_law.COLUMNS
+"""Columns of evidence on the car-following law: in steady following, and in all of it."""
+
+
+class DrivingObserver:
+    """How each driver moves, differs from its neighbours, and treats those around it.
+
+    Args:
+        solver: a key of ``SOLVERS`` for the spectral part.
+    """
+
+    feature_names = (
+        *describe_names(BLOCKS),
+        *(f"{when}: {name}" for when in ("steady", "held up") for name in following_law.LAW_NAMES),
+        *(f"spectrum_{name}" for name in INVARIANT_NAMES),
+        "log_seconds",
+    )
+
+    def __init__(self, solver: str = "graphrqi") -> None:
+        self._spectrum = GraphSpectrum(solver)
+        self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
+        self._motion = MotionEstimator()
+        self._evidence = Evidence(_WATCHED + _LAW + SPECTRAL)
+
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions; see `Observer.update`."""
+        motion = self._motion.update(time_s, ids, xy)
+        self._near = self._near.observe(ids, xy)
+        self._spectrum.observe(ids, xy)
+        around = interactions(motion, drives, self._near.adjacency)
+        moment = np.zeros((ids.size, _WATCHED + _LAW + SPECTRAL))
+        self._watch(motion, around, drives, moment)
+        moment[:, _WATCHED + _LAW :] = self._spectrum.moment(time_s, ids)
+        self._evidence.add(time_s, ids[drives], moment[drives])
+
+    def observation(self) -> Observation:
+        """Evidence on the drivers present."""
+        return self._evidence.observation()
+
+    def _watch(
+        self, motion: Motion, around: Interaction, drives: BoolArray, out: FloatArray
+    ) -> None:
+        """Write this moment's weights of every block."""
+        adjacency = self._near.adjacency
+        v, a = np.maximum(motion.speed, 0.0), motion.acceleration
+        moving = v > 2.0
+        gap, rear = around.gap, around.rear_gap
+        has_leader, has_follower = around.leader >= 0, around.follower >= 0
+        closing = v - around.leader_speed
+        with np.errstate(divide="ignore", invalid="ignore"):
+            headway = gap / v
+            rear_headway = rear / np.maximum(around.rear_speed, 0.1)
+            inverse_ttc = np.maximum(closing, 0.0) / np.maximum(gap, 0.3)
+        clear = ~has_leader | (gap > np.maximum(25.0, 4.0 * v))
+        following = has_leader & moving & (headway < 5.0)
+        speed_signal = differences(adjacency, v, drives)
+        sideways_signal = differences(adjacency, motion.sideways, drives, scales=1)
+        side = np.abs(motion.sideways)
+        standing = has_leader & (v < 0.3) & (around.leader_speed < 0.3)
+        walker = ~np.isnan(around.pedestrian_m)
+        always = np.ones(v.size, dtype=bool)
+        watched: tuple[tuple[FloatArray, BoolArray], ...] = (
+            (v, always),
+            (v, clear & (np.abs(a) < 0.5) & moving),
+            (speed_signal[:, 0], always),
+            (speed_signal[:, 1], always),
+            (a, v > 0.5),
+            (a, clear & moving),
+            (a, following),
+            (a, (a > 0.2) & (v < 9.0) & (clear | (closing < 0.0))),
+            (-a, a < -0.3),
+            (headway, following),
+            (headway, has_leader & moving),
+            (headway, following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.5)),
+            (gap, standing),
+            (around.leader_speed, has_leader & (v < 0.3)),
+            (closing, following),
+            (inverse_ttc, has_leader & (closing > 0.2)),
+            (rear_headway, has_follower & moving),
+            (rear_headway, has_follower & moving & (side > 1.2)),
+            (side, moving),
+            (np.abs(sideways_signal[:, 0]), moving),
+            (around.beside, moving),
+            (v, walker),
+            (a, walker),
+        )
+        values = np.stack([value for value, _ in watched])
+        counts = np.stack([condition for _, condition in watched])
+        spread(values, counts, BLOCKS, out)
+
+        steady = following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.5)
+        held_up = steady | (has_leader & (headway < 5.0) & (a < -0.2) & (closing > 0.2))
+        for number, condition in enumerate((steady, held_up)):
+            start = _WATCHED + number * following_law.COLUMNS
+            out[:, start : start + following_law.COLUMNS] = following_law.products(
+                v, around.leader_speed, gap, condition
+            )
+
+    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
+        """Distributions of what was watched, mean spectral features, and the time observed."""
+        return np.concatenate(
+            [
+                describe(sums[:, :_WATCHED], BLOCKS),
+                *(
+                    following_law.infer(sums[:, start : start + following_law.COLUMNS])
+                    for start in (_WATCHED, _WATCHED + following_law.COLUMNS)
+                ),
+                spectral_means(sums[:, _WATCHED + _LAW :]),
+                np.log1p(seconds)[:, None],
+            ],
+            axis=1,
+        )
