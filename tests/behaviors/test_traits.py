@@ -1,0 +1,203 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from behaviors.labels import TRAITS, Behavior, Trait
+from behaviors.shown_label import ENOUGH, characteristic_traits, shown_label
+from behaviors.traits import DETECTORS, Exhibit, RuleEncounter, Seen, detect, runs
+
+T = 600
+STEP_S = 0.1
+
+
+def scene(agents: int = 2) -> Seen:
+    """Everybody drives at 10 m/s, alone, in the middle of an endless lane; the limit is 14 m/s."""
+    shape = (agents, T)
+    far, none = np.full(shape, np.inf), np.full(shape, -1)
+    return Seen(
+        time_s=np.arange(1, T + 1) * STEP_S,
+        valid=np.ones(shape, dtype=bool),
+        drives=np.ones(agents, dtype=bool),
+        length=np.full(agents, 4.5),
+        width=np.full(agents, 1.8),
+        speed=np.full(shape, 10.0),
+        limit=np.full(shape, 14.0),
+        edge=np.zeros(shape, dtype=np.int64),
+        lane=np.zeros(shape, dtype=np.int64),
+        offset=np.zeros(shape),
+        lane_width=np.full(shape, 3.2),
+        lane_heading=np.zeros(shape),
+        leader=none.copy(),
+        follower=none.copy(),
+        gap=far.copy(),
+        closing=np.zeros(shape),
+        stop_distance=far.copy(),
+        stop_ahead=np.zeros(shape, dtype=bool),
+        crossing_distance=far.copy(),
+        crossing_used=np.zeros(shape, dtype=bool),
+        off_crossing=np.zeros(shape, dtype=bool),
+        on_red=np.zeros(shape, dtype=bool),
+    )
+
+
+def traits_of(seen: Seen, agent: int = 0) -> set[Trait]:
+    return {e.trait for e in detect(seen) if e.agent == agent}
+
+
+def test_there_is_a_detector_and_an_amount_for_every_row_of_the_table():
+    assert set(DETECTORS) == set(TRAITS) == set(ENOUGH)
+
+
+def test_driving_along_shows_an_even_speed_and_nothing_else():
+    assert traits_of(scene()) == {Trait.UNIFORM_SPEED}
+
+
+def test_over_speeding():
+    seen = scene()
+    seen.speed[0, 100:150] = 16.0
+    found = DETECTORS[Trait.OVER_SPEEDING](seen)
+    assert [(e.agent, round(e.begin_s, 1), round(e.end_s, 1)) for e in found] == [(0, 10.1, 15.0)]
+    assert found[0].value == pytest.approx(16 / 14)
+    seen.speed[0, 100:150] = 15.0  # inside the tolerance
+    assert not DETECTORS[Trait.OVER_SPEEDING](seen)
+
+
+@pytest.mark.parametrize(
+    ("gap", "trait"), [(8.0, Trait.TAILGATING), (5.0, Trait.DRIVING_CLOSE), (20.0, None)]
+)
+def test_headways(gap, trait):
+    seen = scene()
+    seen.leader[0], seen.gap[0] = 1, gap
+    close = traits_of(seen) & {Trait.TAILGATING, Trait.DRIVING_CLOSE}
+    assert close == ({trait} if trait else set())
+
+
+def change(seen: Seen, agent: int, column: int) -> None:
+    """From the lane 0 to the lane 1 on the left, the centre being there at ``column``."""
+    seen.lane[agent, column:] = 1
+    drift = np.linspace(0.0, 1.6, 12, endpoint=False)
+    seen.offset[agent, column - 12 : column] = drift
+    seen.offset[agent, column : column + 12] = drift - 1.6
+
+
+def test_one_lane_change_is_no_weaving_two_are():
+    seen = scene()
+    change(seen, 0, 200)
+    assert Trait.WEAVING not in traits_of(seen)
+    seen.lane[0, 300:] = 2
+    assert Trait.WEAVING in traits_of(seen)
+    seen.edge[0, 300:] = 1  # onto the next road: no lane change
+    assert Trait.WEAVING not in traits_of(seen)
+
+
+@pytest.mark.parametrize(("gap", "found"), [(6.0, True), (14.0, False)])
+def test_cutting_in_is_told_by_the_headway_left_when_the_box_touches_the_lane(gap, found):
+    seen = scene()
+    change(seen, 0, 200)
+    seen.lane[1] = 1
+    seen.follower[0, 200:] = 1
+    seen.leader[1, 200:] = 0
+    seen.gap[1, 200:] = gap
+    exhibits = DETECTORS[Trait.CUTTING_IN](seen)
+    assert bool(exhibits) is found
+    if found:
+        assert exhibits[0].value == pytest.approx(0.6)
+        assert exhibits[0].other == 1
+        assert exhibits[0].begin_s < 20.0 < exhibits[0].end_s + 0.2
+
+
+def test_a_gap_that_opened_during_the_change_counts_as_it_was_at_the_touch():
+    seen = scene()
+    change(seen, 0, 200)
+    seen.lane[1], seen.follower[0, 200:], seen.leader[1, 200:] = 1, 1, 0
+    seen.gap[1, 200:] = 11.0
+    seen.speed[0, 150:200] = 18.0  # 8 m/s faster, about 0.6 s from touching to the centre
+    exhibits = DETECTORS[Trait.CUTTING_IN](seen)
+    assert exhibits
+    assert exhibits[0].value < 0.8
+
+
+def test_overtaking_means_passing_the_former_leader():
+    seen = scene()
+    seen.leader[0, :200], seen.gap[0, :200] = 1, 15.0
+    change(seen, 0, 200)
+    assert Trait.OVERTAKING not in traits_of(seen)
+    seen.speed[0, 200:] = 14.0  # 4 m/s faster: 24 m are made up in 6 s
+    found = DETECTORS[Trait.OVERTAKING](seen)
+    assert [(e.agent, e.other) for e in found] == [(0, 1)]
+    assert found[0].end_s - found[0].begin_s == pytest.approx(6.0, abs=0.3)
+
+
+def test_wrong_direction_measures_metres():
+    seen = scene()
+    seen.lane_heading[0, 100:200] = np.pi
+    found = DETECTORS[Trait.WRONG_DIRECTION](seen)
+    assert [(e.agent, round(e.value)) for e in found] == [(0, 100)]
+
+
+@pytest.mark.parametrize("flag", ["off_crossing", "on_red"])
+def test_only_pedestrians_jaywalk(flag):
+    seen = scene()
+    getattr(seen, flag)[0, 100:150] = True
+    assert not DETECTORS[Trait.JAYWALKING](seen)
+    seen.drives[0] = False
+    assert DETECTORS[Trait.JAYWALKING](seen)[0].value == pytest.approx(5.0)
+
+
+def test_rules_kept_and_broken():
+    kept, broken = RuleEncounter(0, 5.0, True), RuleEncounter(0, 9.0, False)
+    good = dataclasses.replace(scene(), encounters=(kept,))
+    bad = dataclasses.replace(scene(), encounters=(kept, broken))
+    assert Trait.FOLLOWING_RULES in traits_of(good)
+    assert traits_of(bad) & {Trait.FOLLOWING_RULES, Trait.BREAKING_RULES} == {Trait.BREAKING_RULES}
+
+
+def test_stopping_needs_to_be_unprovoked():
+    seen = scene()
+    seen.speed[0, 200:260] = 0.0
+    assert {Trait.NOT_MOVING, Trait.SLOWING} <= traits_of(seen)
+    for name, value in (("gap", 10.0), ("stop_distance", 20.0)):
+        reason = scene()
+        reason.speed[0, 200:260] = 0.0
+        getattr(reason, name)[0] = value
+        assert not traits_of(reason) & {Trait.NOT_MOVING, Trait.SLOWING}
+
+
+def test_waiting_at_a_crossing():
+    seen = scene()
+    seen.speed[0, 200:260], seen.crossing_distance[0], seen.crossing_used[0] = 0.0, 3.0, True
+    found = DETECTORS[Trait.WAITING](seen)
+    assert [round(e.value, 1) for e in found] == [6.0]
+    assert Trait.NOT_MOVING not in traits_of(seen)
+
+
+def test_keeping_the_leader():
+    seen = scene()
+    seen.leader[0], seen.gap[0] = 1, 25.0
+    assert Trait.KEEPING_NEIGHBORS in traits_of(seen)
+    seen.leader[0, ::100] = -1
+    assert Trait.KEEPING_NEIGHBORS not in traits_of(seen)
+
+
+def test_runs_find_stretches_at_both_ends():
+    flags = np.array([[True, True, False, True]])
+    assert list(runs(flags)) == [(0, 0, 2), (0, 3, 4)]
+
+
+def test_exhibits_come_in_order_of_time():
+    seen = scene()
+    seen.speed[0, 300:400], seen.speed[1, 100:200] = 17.0, 17.0
+    begins = [e.begin_s for e in detect(seen)]
+    assert begins == sorted(begins)
+
+
+def test_shown_label_takes_the_majority_inside_one_parent_class():
+    def many(trait, count, seconds=0.0):
+        return [Exhibit(trait, 0, 0.0, seconds, 1.0)] * count
+
+    impatient = many(Trait.OVERTAKING, 3) + many(Trait.WEAVING, 2) + many(Trait.CUTTING_IN, 1)
+    assert shown_label(impatient) is Behavior.IMPATIENT
+    assert shown_label(many(Trait.WAITING, 1)) is Behavior.CAUTIOUS
+    assert shown_label(many(Trait.WAITING, 1) + many(Trait.CUTTING_IN, 1)) is None
+    assert characteristic_traits(many(Trait.OVERTAKING, 2)) == ()
