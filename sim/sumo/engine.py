@@ -9,8 +9,10 @@ References:
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -72,7 +74,8 @@ class _Simulation:
                 "frames first or use another process"
             )
         try:
-            libsumo.start(["sumo", *arguments])
+            with _stderr_kept_in(log):
+                libsumo.start(["sumo", *arguments])
         except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
             if libsumo.isLoaded():
                 libsumo.close()
@@ -91,12 +94,36 @@ class _Simulation:
 _SIMULATION: Final = _Simulation()
 
 
+@contextlib.contextmanager
+def _stderr_kept_in(path: Path) -> Iterator[None]:
+    """Send what C code writes to stderr to a file: SUMO tells its reasons only there.
+
+    libsumo holds Python's lock meanwhile, so nobody else's words are caught.
+    """
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with path.open("wb") as file:
+            os.dup2(file.fileno(), 2)
+            try:
+                yield
+            finally:
+                os.dup2(kept, 2)
+    finally:
+        os.close(kept)
+
+
 def _reason(log: Path, fallback: str) -> str:
-    """The first error in SUMO's log, in one line."""
+    """The first error that SUMO told, in one line."""
     lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.exists() else []
-    for line in lines:
+    for number, line in enumerate(lines):
         if line.startswith("Error:"):
-            return line.removeprefix("Error:").strip()
+            told = [line.removeprefix("Error:").strip()]
+            for more in lines[number + 1 :]:
+                if not more.startswith(" "):
+                    break
+                told.append(more.strip())
+            return " ".join(told)
     return " ".join(fallback.split()) or "no reason given"
 
 
@@ -153,7 +180,7 @@ def _start(
     scenario: Scenario, agents: Sequence[AgentSpec], seed: int, step_ms: int, scratch: Path
 ) -> tuple[Any, Path]:
     """Start the simulation; returns libsumo's C module and where the log is."""
-    routes, log = scratch / "agents.rou.xml", scratch / "sumo.log"
+    routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
     routes.write_text("\n".join(route_file(agents)), encoding="utf-8")
     arguments = [
         "--net-file", str(scenario.road.source),

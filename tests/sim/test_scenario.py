@@ -1,0 +1,93 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior
+from scenarios.straight_road import straight_road
+from sim.frames import AgentKind
+from sim.scenario import KIND_LIMITS, Scenario, sample_agents
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return straight_road(duration_s=200.0, pedestrians_per_h=600.0)
+
+
+def test_same_seed_same_agents(scenario):
+    assert sample_agents(scenario, 4) == sample_agents(scenario, 4)
+    assert sample_agents(scenario, 4) != sample_agents(scenario, 5)
+
+
+def test_agents_come_in_order_with_ids_from_zero(scenario):
+    agents = sample_agents(scenario, 0)
+    assert [a.id for a in agents] == list(range(len(agents)))
+    assert [a.depart_s for a in agents] == sorted(a.depart_s for a in agents)
+    assert all(0 < a.depart_s < 200.0 for a in agents)
+
+
+def test_pedestrians_have_no_behaviour_and_drivers_have_a_profile(scenario):
+    for agent in sample_agents(scenario, 1):
+        walks = agent.kind is AgentKind.PEDESTRIAN
+        assert (agent.behavior is None) is walks
+        assert (agent.profile is None) is walks
+        assert (agent.speed_mps > 0) is walks
+
+
+def test_one_stream_does_not_change_another(scenario):
+    fewer = dataclasses.replace(
+        scenario,
+        streams=tuple(
+            dataclasses.replace(s, per_hour=0.0) if s.walking else s for s in scenario.streams
+        ),
+    )
+    drivers = [a for a in sample_agents(scenario, 3) if a.profile is not None]
+    alone = sample_agents(fewer, 3)
+    assert [dataclasses.replace(a, id=0) for a in drivers] == [
+        dataclasses.replace(a, id=0) for a in alone
+    ]
+
+
+def test_the_flow_and_the_mix_are_what_was_asked_for():
+    made = straight_road(flow=3600.0, mix="timid=.75,reckless=.25", duration_s=3600.0)
+    drivers = [a for a in sample_agents(made, 0) if a.behavior is not None]
+    assert len(drivers) == pytest.approx(3600, rel=0.06)
+    timid = np.mean([a.behavior is Behavior.TIMID for a in drivers])
+    assert timid == pytest.approx(0.75, abs=0.03)
+
+
+def test_vehicle_lengths_vary_and_kinds_keep_their_limits():
+    made = straight_road(kinds="car=.5,truck=.3,bicycle=.2", duration_s=1800.0)
+    agents = [a for a in sample_agents(made, 0) if a.profile is not None]
+    for kind in (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BICYCLE):
+        mine = [a for a in agents if a.kind is kind]
+        assert np.std([a.length_m for a in mine]) > 0
+        assert max(a.profile.max_accel_mps2 for a in mine) <= KIND_LIMITS[kind].max_accel_mps2
+
+
+def test_jaywalkers_are_as_many_as_asked_for():
+    made = straight_road(flow=0, pedestrians_per_h=3000.0, jaywalk_share=0.3, duration_s=3600.0)
+    assert np.mean([a.jaywalks for a in sample_agents(made, 0)]) == pytest.approx(0.3, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("mix", {Behavior.TIMID: 0.5}),
+        ("mix", {Behavior.TIMID: 1.5, Behavior.RECKLESS: -0.5}),
+        ("kinds", {AgentKind.CAR: 0.9}),
+        ("spread", -1.0),
+        ("duration_s", 0.0),
+        ("step_s", 2.0),
+        ("jaywalk_share", 1.2),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(scenario, field, value):
+    with pytest.raises(InputError, match=f"^{field}: found"):
+        dataclasses.replace(scenario, **{field: value})
+
+
+def test_negative_seed_is_refused(scenario):
+    with pytest.raises(InputError, match="seed: found -1"):
+        sample_agents(scenario, -1)

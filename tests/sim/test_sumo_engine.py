@@ -1,0 +1,308 @@
+import dataclasses
+import hashlib
+import itertools
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.profiles import PROFILES
+from scenarios import SCENARIOS, get_scenario
+from sim.engines import get_engine
+from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
+from sim.incidents import incidents
+from sim.observables import observe
+from sim.scenario import AgentSpec, sample_agents
+from sim.sumo.engine import SumoError, run
+from sim.sumo.vehicle_types import ATTRIBUTES, route_file, vehicle_type
+
+
+def drive(scenario, seed=0) -> list[Frame]:
+    return list(run(scenario, sample_agents(scenario, seed), seed))
+
+
+def digest(frames) -> str:
+    total = hashlib.sha256()
+    for frame in frames:
+        for name in ("ids", "xy", "heading", "speed", "length", "kind", "signals"):
+            total.update(np.ascontiguousarray(getattr(frame, name)).tobytes())
+        total.update(repr((frame.time_s, frame.events)).encode())
+    return total.hexdigest()
+
+
+def short(name="straight_road", **options):
+    return get_scenario(name)(**{"duration_s": 40.0, "flow": "dense", **options})
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_conventions(name):
+    scenario = short(name, pedestrians_per_h=600.0)
+    frames = drive(scenario)
+    assert [f.time_s for f in frames] == pytest.approx(np.arange(1, 401) * 0.1)
+    west, south, east, north = scenario.road.bounds
+    for frame in frames[::20]:
+        assert (np.diff(frame.ids) > 0).all()
+        assert (frame.heading > -math.pi).all()
+        assert (frame.heading <= math.pi).all()
+        assert frame.signals.size == len(scenario.road.signal_groups)
+        inside = (frame.xy >= [west - 15, south - 15]) & (frame.xy <= [east + 15, north + 15])
+        assert inside.all()
+    assert any(len(f) for f in frames)
+
+
+def test_same_seed_same_frames_with_every_controller_on():
+    for name in ("straight_road", "two_way_road", "four_way_intersection"):
+        scenario = short(name, duration_s=60.0, jaywalk_share=0.5, pedestrians_per_h=400.0)
+        assert digest(drive(scenario, 1)) == digest(drive(scenario, 1))
+    assert digest(drive(scenario, 1)) != digest(drive(scenario, 2))
+
+
+def lone(scenario, **changes) -> AgentSpec:
+    agent = AgentSpec(
+        id=7,
+        kind=AgentKind.CAR,
+        behavior=Behavior.CAREFUL,
+        profile=PROFILES[Behavior.CAREFUL],
+        route=scenario.streams[0].route,
+        depart_s=1.0,
+        length_m=5.0,
+        width_m=1.9,
+    )
+    return dataclasses.replace(agent, **changes)
+
+
+def test_positions_are_box_centres_and_headings_point_along_the_road():
+    scenario = short("straight_road", duration_s=10.0)
+    frames = list(run(scenario, [lone(scenario)], 0))
+    seen = [f for f in frames if len(f)]
+    first, last = seen[0], seen[-1]
+    assert first.ids.tolist() == [7]
+    assert first.length[0] == 5.0
+    assert first.heading[0] == pytest.approx(0.0)
+    lane = scenario.road.project(last.xy, last.heading)
+    assert abs(lane.offset[0]) < 1e-6
+    travelled = sum(float(f.speed[0]) * 0.1 for f in seen[1:])
+    assert last.xy[0, 0] - first.xy[0, 0] == pytest.approx(travelled, abs=0.01)
+    assert -0.1 <= first.xy[0, 0] - 2.5 <= 1.5  # the rear bumper begins where the road does
+
+
+def test_signals_follow_the_plan_of_the_road():
+    scenario = short("four_way_intersection", flow=0.0, duration_s=70.0, step_s=1.0)
+    (plan,) = scenario.road.signal_plans
+    for frame in run(scenario, [lone(scenario)], 0):
+        expected = plan.state_at(frame.time_s - 0.05)
+        assert tuple(frame.signals[list(plan.groups)]) == expected
+
+
+@pytest.mark.parametrize("step_s", [0.05, 0.1, 0.25, 0.5, 1.0])
+def test_step_is_kept_whatever_it_is(step_s):
+    scenario = short(duration_s=20.0, step_s=step_s)
+    frames = drive(scenario)
+    assert len(frames) == round(20.0 / step_s)
+    assert frames[-1].time_s == pytest.approx(20.0)
+
+
+def test_a_timid_driver_keeps_a_longer_headway_than_a_threatening_one():
+    headway = {}
+    for behavior in (Behavior.TIMID, Behavior.THREATENING):
+        scenario = short(mix=f"{behavior}=1", duration_s=90.0, flow=2400.0, pedestrians_per_h=0.0)
+        tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
+        seen = observe(tracks, scenario.road)
+        follows = (np.abs(seen.closing) < 1.0) & (tracks.speed > 4.0) & (seen.headway < 8.0)
+        headway[behavior] = float(np.median(seen.headway[follows]))
+    assert headway[Behavior.TIMID] > 2.5 * headway[Behavior.THREATENING]
+
+
+def test_red_lights_are_run_by_the_reckless_only():
+    runs = {}
+    for mix in ("reckless=1", "careful=.4,cautious=.3,timid=.3"):
+        scenario = get_scenario("four_way_intersection")(mix=mix, duration_s=120.0)
+        tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
+        events = incidents(tracks, scenario.road)
+        runs[mix] = sum(e.kind is EventKind.RED_RUN for e in events)
+        if mix.startswith("careful"):
+            assert not any(e.kind is EventKind.COLLISION for e in events)
+    red, none = runs.values()
+    assert red > 5
+    assert none == 0
+
+
+def test_only_the_reckless_drive_on_the_wrong_side():
+    metres = {}
+    for behavior in (Behavior.RECKLESS, Behavior.IMPATIENT):
+        mix = f"{behavior}=.5,timid=.5"
+        scenario = get_scenario("two_way_road")(mix=mix, duration_s=200.0, flow=400.0)
+        tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 2), 2))
+        seen = observe(tracks, scenario.road)
+        wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
+        metres[behavior] = float(tracks.speed[wrong].sum()) * 0.1
+    assert metres[Behavior.RECKLESS] > 50.0
+    assert metres[Behavior.IMPATIENT] == 0.0
+
+
+def test_jaywalkers_cross_away_from_any_crossing_and_the_simulation_closes():
+    scenario = short(
+        flow=300.0, pedestrians_per_h=400.0, jaywalk_share=1.0, crossing=False, duration_s=300.0
+    )
+    crossed = 0
+    for _ in range(2):  # a second one after walkers were led by hand
+        tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
+        walkers = tracks.kind == PEDESTRIAN
+        y = tracks.xy[walkers, :, 1]
+        crossed += int(((np.nanmax(y, axis=1) > 0.0) & (np.nanmin(y, axis=1) < -9.6)).sum())
+        assert float(np.nanmax(tracks.speed[walkers])) < 3.0
+    assert crossed >= 2
+
+
+def test_a_second_simulation_is_refused_and_the_first_goes_on():
+    scenario = short(duration_s=5.0)
+    agents = sample_agents(scenario, 0)
+    first = run(scenario, agents, 0)
+    next(first)
+    with pytest.raises(SumoError, match="found a simulation running in this process"):
+        next(run(scenario, agents, 0))
+    assert len(list(first)) == 49
+    assert len(drive(scenario)) == 50
+
+
+def test_leaving_early_closes_the_simulation():
+    scenario = short(duration_s=5.0)
+    for _ in range(3):
+        frames = run(scenario, sample_agents(scenario, 0), 0)
+        assert len(list(itertools.islice(frames, 7))) == 7
+        frames.close()
+
+
+def test_an_error_in_the_loop_closes_the_simulation():
+    scenario = short(duration_s=5.0)
+
+    def broken():
+        for _ in run(scenario, sample_agents(scenario, 0), 0):
+            raise RuntimeError("the user's own")
+
+    with pytest.raises(RuntimeError):
+        broken()
+    assert len(drive(scenario)) == 50
+
+
+def test_a_broken_net_is_one_line_with_the_reason(tmp_path):
+    scenario = short(duration_s=5.0)
+    net = tmp_path / "road.net.xml"
+    net.write_text("<net version='1.20'><edge")
+    road = dataclasses.replace(scenario.road, source=net)
+    with pytest.raises(SumoError, match="sumo: could not start: ") as error:
+        drive(dataclasses.replace(scenario, road=road))
+    assert "\n" not in str(error.value)
+    assert f"unexpected end of input In file '{net}'" in str(error.value)
+    assert len(drive(scenario)) == 50
+
+
+def test_a_route_that_cannot_be_driven_is_refused():
+    scenario = short(duration_s=5.0)
+    with pytest.raises(SumoError, match="sumo: "):
+        list(run(scenario, [lone(scenario, route=("east_out", "east_in"))], 0))
+    assert len(drive(scenario)) == 50
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"route": ("nowhere",)}, "found edge 'nowhere' in its route"),
+        ({"profile": None}, "found no profile"),
+    ],
+)
+def test_unusable_agents_are_refused(changes, message):
+    scenario = short(duration_s=5.0)
+    with pytest.raises(InputError, match=message):
+        list(run(scenario, [lone(scenario, **changes)], 0))
+
+
+@pytest.mark.parametrize("seed", [-1, 2**31])
+def test_bad_seeds_are_refused(seed):
+    scenario = short(duration_s=5.0)
+    with pytest.raises(InputError, match="seed: found"):
+        run(scenario, [], seed)
+
+
+def test_missing_net_is_refused(tmp_path):
+    scenario = short(duration_s=5.0)
+    road = dataclasses.replace(scenario.road, source=tmp_path / "gone.net.xml")
+    with pytest.raises(InputError, match="found no file"):
+        run(dataclasses.replace(scenario, road=road), [], 0)
+
+
+def test_double_ids_and_odd_steps_are_refused():
+    scenario = short(duration_s=5.0)
+    with pytest.raises(InputError, match="found an id twice"):
+        run(scenario, [lone(scenario), lone(scenario)], 0)
+    odd = dataclasses.replace(scenario, step_s=0.0333)
+    with pytest.raises(InputError, match="expected whole milliseconds"):
+        run(odd, [], 0)
+
+
+def test_nobody_on_the_road():
+    scenario = short(flow=0.0, pedestrians_per_h=0.0, duration_s=2.0)
+    frames = drive(scenario)
+    assert [len(f) for f in frames] == [0] * 20
+
+
+def test_every_kind_drives_with_its_own_size():
+    scenario = short(
+        kinds="car=.4,bus=.15,truck=.15,motorcycle=.15,bicycle=.15", duration_s=120.0, flow=1800.0
+    )
+    frames = drive(scenario)
+    assert {int(k) for f in frames for k in f.kind} >= {0, 1, 2, 3, 4}
+    bicycles = [float(f.speed[f.kind == AgentKind.BICYCLE.code].max(initial=0)) for f in frames]
+    assert 3.0 < max(bicycles) < 12.0
+
+
+@pytest.mark.parametrize("behavior", BEHAVIORS)
+def test_all_drivers_share_one_model_and_only_known_attributes_are_written(behavior):
+    scenario = short()
+    attributes = vehicle_type(lone(scenario, behavior=behavior, profile=PROFILES[behavior]))
+    assert attributes.keys() <= ATTRIBUTES
+    shared = ("carFollowModel", "laneChangeModel", "sigma", "speedDev", "emergencyDecel")
+    reference = vehicle_type(lone(scenario))
+    assert [attributes[n] for n in shared] == [reference[n] for n in shared]
+    assert float(attributes["tau"]) == PROFILES[behavior].time_headway_s
+
+
+def test_routes_are_written_in_order_of_departure():
+    scenario = short()
+    late, early = lone(scenario, depart_s=9.0), lone(scenario, id=8, depart_s=2.0)
+    lines = [line for line in route_file([late, early]) if line.startswith("<vehicle")]
+    assert ['id="8"' in lines[0], 'id="7"' in lines[1]] == [True, True]
+
+
+def test_nothing_is_printed_and_other_engines_names_are_suggested():
+    code = (
+        "from scenarios import get_scenario; from sim.engines import get_engine\n"
+        "from sim.scenario import sample_agents\n"
+        "s = get_scenario('straight_road')(duration_s=3.0)\n"
+        "n = sum(1 for _ in get_engine('sumo')(s, sample_agents(s, 0), 0))\n"
+        "assert n == 30\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    with pytest.raises(InputError, match="did you mean 'sumo'"):
+        get_engine("summo")
+
+
+def test_importing_the_layers_loads_no_simulator():
+    code = (
+        "import sys, scenarios, sim.engines, sim.net, sim.scenario, behaviors\n"
+        "scenarios.SCENARIOS['straight_road']\n"
+        "assert not {'libsumo', 'highway_env', 'torch'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_frames_are_read_only():
+    scenario = short(duration_s=1.0)
+    frame = next(iter(run(scenario, [lone(scenario, depart_s=0.0)], 0)))
+    with pytest.raises(ValueError, match="read-only"):
+        frame.xy[:] = 0.0
