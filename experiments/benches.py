@@ -30,6 +30,12 @@ def _highway(quick: bool) -> list[Row]:
     return list(rows)
 
 
+def _classification(quick: bool) -> list[Row]:
+    from experiments.protocols import run_classification_bench
+
+    return run_classification_bench(quick)
+
+
 def _real_data(quick: bool) -> list[Row]:
     from experiments.real_data import run_real_data_bench
 
@@ -40,9 +46,14 @@ BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
     "spectrum": _spectrum,
     "highway": _highway,
     "generate": _generate,
+    "classification": _classification,
     "real-data": _real_data,
 }
 """Every bench; each takes whether to be quick and returns flat rows."""
+
+
+NEED_RECORDINGS: Final = frozenset({"real-data"})
+"""Benches on recordings, which are found through the environment variable ``GRAPHRQI_DATA``."""
 
 
 def run_bench(name: str, quick: bool = False) -> list[Row]:

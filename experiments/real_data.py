@@ -276,7 +276,7 @@ def _answers(
             _Answers(
                 np.array(TASKS[task], dtype=np.int8)[video.codes],
                 probability,
-                probability / shares,
+                probability if view == "majority" else probability / shares,
                 np.full(n, shares.argmax(), dtype=np.int8),
                 np.full(n, number),
             )
@@ -309,7 +309,8 @@ def _rows(found: _Answers, task: int, keys: Mapping[str, Cell]) -> list[Row]:
     if task == len(BEHAVIORS):
         names = tuple(b.value for b in BEHAVIORS)
     for code, name in enumerate(names):
-        values[f"recall_{name}"] = bootstrap(recall_of(code), even)
+        if (found.truth == code).any():
+            values[f"recall_{name}"] = bootstrap(recall_of(code), even)
     if task == 2:
         values["auc"] = auc_within(found.probability[:, 0], found.truth == 0, found.group)
 

@@ -1,0 +1,122 @@
+"""What sensors and trackers do to recordings: noise, lost frames, mistaken identities, cut tracks.
+
+Each takes tracks, a level and a generator, and returns other tracks; labels stay with the ids.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from sim.frames import Tracks
+
+Disturbance = Callable[[Tracks, float, np.random.Generator], Tracks]
+
+SWITCH_DISTANCE_M: Final = 10.0
+"""Agents nearer than this can be mistaken for one another (our choice: two car lengths)."""
+
+
+def position_noise(tracks: Tracks, deviation_m: float, rng: np.random.Generator) -> Tracks:
+    """Independent Gaussian errors of every position, in x and in y."""
+    return dataclasses.replace(tracks, xy=tracks.xy + rng.normal(0.0, deviation_m, tracks.xy.shape))
+
+
+def dropped_frames(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
+    """A share of the frames is missing; the first and the last are kept."""
+    keep = rng.random(tracks.time_s.size) >= share
+    keep[[0, -1]] = True
+    return dataclasses.replace(
+        tracks,
+        time_s=tracks.time_s[keep],
+        xy=tracks.xy[:, keep],
+        heading=tracks.heading[:, keep],
+        speed=tracks.speed[:, keep],
+        valid=tracks.valid[:, keep],
+        signals=tracks.signals[:, keep],
+    )
+
+
+def identity_switches(tracks: Tracks, per_minute: float, rng: np.random.Generator) -> Tracks:
+    """Neighbours' identities are exchanged, ``per_minute`` times for each agent on average.
+
+    An id then follows another agent from there on. Its label is that of the agent it follows
+    longest, so what remains wrong are windows around and after the exchange.
+    """
+    n, t = tracks.valid.shape
+    source = np.tile(np.arange(n)[:, None], (1, t))  # which agent each id follows, at each time
+    chance = per_minute / 60.0 * tracks.step_s / 2.0  # two agents take part in each exchange
+    for step in range(1, t):
+        here = np.flatnonzero(tracks.valid[source[:, step], step])
+        for one in here[rng.random(here.size) < chance]:
+            place = tracks.xy[source[here, step], step]
+            away = np.hypot(*(place - tracks.xy[source[one, step], step]).T)
+            away[here == one] = np.inf
+            if away.size and away.min() < SWITCH_DISTANCE_M:
+                other = here[int(away.argmin())]
+                source[[one, other], step:] = source[[other, one], step:]
+    column = np.arange(t)[None]
+    behavior = tracks.behavior
+    if behavior is not None:
+        longest = [
+            np.bincount(source[i, tracks.valid[source[i], np.arange(t)]], minlength=n).argmax()
+            for i in range(n)
+        ]
+        behavior = behavior[np.array(longest, dtype=np.int64)]
+    return dataclasses.replace(
+        tracks,
+        xy=tracks.xy[source, column],
+        heading=tracks.heading[source, column],
+        speed=tracks.speed[source, column],
+        valid=tracks.valid[source, column],
+        behavior=behavior,
+    )
+
+
+def cut_tracks(tracks: Tracks, piece_s: float, rng: np.random.Generator) -> Tracks:
+    """Every track is lost after ``piece_s`` and found again under a new id."""
+    if piece_s <= 0:
+        raise InputError(f"piece_s: found {piece_s}, expected a time > 0")
+    rows, columns = [], []
+    for row in range(tracks.ids.size):
+        seen = np.flatnonzero(tracks.valid[row])
+        if not seen.size:
+            continue
+        # The first cut comes at random, so that not all tracks are cut at the same age.
+        age = tracks.time_s[seen] - tracks.time_s[seen[0]] + rng.uniform(0.0, piece_s)
+        for piece in np.unique(np.floor(age / piece_s)):
+            rows.append(row)
+            columns.append(seen[np.floor(age / piece_s) == piece])
+    valid = np.zeros((len(rows), tracks.time_s.size), dtype=bool)
+    for piece, seen in enumerate(columns):
+        valid[piece, seen] = True
+    source = np.array(rows, dtype=np.int64)
+    hidden = ~valid
+    xy, heading, speed = tracks.xy[source], tracks.heading[source], tracks.speed[source]
+    xy[hidden], heading[hidden], speed[hidden] = np.nan, np.nan, np.nan
+    return dataclasses.replace(
+        tracks,
+        ids=np.arange(source.size),
+        names=tuple(f"{tracks.names[row]}/{i}" for i, row in enumerate(rows)),
+        kind=tracks.kind[source],
+        length=tracks.length[source],
+        width=tracks.width[source],
+        xy=xy,
+        heading=heading,
+        speed=speed,
+        valid=valid,
+        behavior=None if tracks.behavior is None else tracks.behavior[source],
+        events=(),
+    )
+
+
+DISTURBANCES: Final[dict[str, tuple[Disturbance, tuple[float, ...], str]]] = {
+    "position noise": (position_noise, (0.1, 0.3, 1.0), "m"),
+    "dropped frames": (dropped_frames, (0.1, 0.3, 0.5), "of all"),
+    "identity switches": (identity_switches, (0.5, 2.0), "per agent and minute"),
+    "cut tracks": (cut_tracks, (5.0, 15.0), "s"),
+}
+"""Each disturbance with its levels and their unit."""

@@ -1,0 +1,663 @@
+"""Classification under protocols that cannot leak, and how far each disturbance hurts.
+
+Every row says the protocol it was measured under:
+
+- ``inductive``: trained on training episodes, scored on episodes that were never seen.
+- ``transductive``: half the drivers of an episode are labelled, the other half are scored.
+- ``across-scenarios``: trained on one scenario's episodes, scored on another's.
+- ``across-traffic``: scored on flows, mixes and scenarios that were never trained on.
+- ``across-engines``: trained on one simulator's drivers, scored on another's.
+- ``robustness``: windows, noise, lost frames, switches, cuts, long-tailed mixes, wrong labels.
+
+The ``leak-probe`` sees an agent's number and the time and nothing else; it has to stay at chance.
+The ``ceiling`` sees the numbers that the drivers were made from. Intervals are by bootstrap over
+episodes; differences are of paired bootstraps.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS, Style
+from behaviors.profiles import PROFILE_FIELDS
+from experiments.disturbances import DISTURBANCES
+from experiments.generate import GenerateConfig, generate
+from experiments.metrics import (
+    METRICS,
+    bootstrap,
+    calibration_error,
+    confusion,
+    macro_f1,
+    recall_of,
+    reliability,
+    style_balanced_accuracy,
+    weighted_accuracy,
+)
+from experiments.parallel import in_parallel
+from experiments.tables import Cell, Row
+from experiments.train import TRAINING_EVERY_S, TRAINING_PER_MOMENT
+from graphrqi.classify import Classifier, make_classifier
+from graphrqi.methods import METHODS, Model, train
+from graphrqi.samples import WINDOWS_S, Samples, collect
+from graphrqi.stream import BehaviorStream
+from sim.dataset import Dataset, open_dataset
+from sim.frames import Tracks
+from sim.schema import EpisodeEntry, Split
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+OURS: Final = "graphrqi-plus"
+"""The method that the others are compared with."""
+
+RIVALS: Final = ("forest", "boosted", "cheung", "dane", "graphrqi")
+"""Methods whose paired difference to ours is given."""
+
+SCORED_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, float("inf"))
+"""Lengths of observation scored; the last is a driver's whole life."""
+
+MAIN_S: Final = 10.0
+"""Length of observation at which everything but the window is compared."""
+
+SCORED_EVERY_S: Final = 2.0
+"""Time between the ends of scored windows of one driver (our choice)."""
+
+LONG_TAIL: Final = (53, 13, 52, 266, 2, 6)
+"""Agents of each behaviour in the annotated TRAF videos, in the order of ``BEHAVIORS``."""
+
+WRONG_LABELS: Final = (0.1, 0.3)
+"""Shares of training drivers whose label is replaced by another one."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Disturbed:
+    """A disturbance at a level; the empty name leaves recordings as they are."""
+
+    name: str = ""
+    level: float = 0.0
+
+    def __str__(self) -> str:
+        """For the ``variation`` column."""
+        return f"{self.name} {self.level:g} {DISTURBANCES[self.name][2]}" if self.name else ""
+
+    def applied(self, tracks: Tracks, seed: int) -> Tracks:
+        """The tracks as a sensor would see them."""
+        if not self.name:
+            return tracks
+        return DISTURBANCES[self.name][0](tracks, self.level, np.random.default_rng(seed))
+
+
+UNDISTURBED: Final = Disturbed()
+
+
+def disturbed_samples(
+    folder: Path,
+    entry: EpisodeEntry,
+    number: int,
+    method: str,
+    disturbed: Disturbed,
+    windows_s: Sequence[float],
+    every_s: float,
+    per_moment: int | None,
+) -> Samples:
+    """Samples of one episode; of lives only the last look at each driver.
+
+    Args:
+        folder: of the dataset.
+        entry: which episode.
+        number: to put on the samples, and the seed of what is drawn.
+        method: whose observer looks.
+        disturbed: what happens to the recording.
+        windows_s: lengths of observation.
+        every_s: time between the ends of windows.
+        per_moment: how many lengths to draw per driver and moment; None for all.
+
+    Returns:
+        The samples.
+    """
+    tracks = disturbed.applied(open_dataset(folder).read(entry).tracks, number)
+    observer = METHODS[method].observer("graphrqi")
+    finite = tuple(w for w in windows_s if np.isfinite(w))
+    parts = [collect(tracks, observer, number, finite, every_s, per_moment, number)]
+    if len(finite) < len(windows_s):
+        again = METHODS[method].observer("graphrqi")
+        lives = collect(tracks, again, number, (float("inf"),), every_s, None, number)
+        order = np.lexsort((lives.time_s, lives.agent))
+        last = np.flatnonzero(np.diff(lives.agent[order], append=-1))
+        chosen = np.zeros(len(lives), dtype=bool)
+        chosen[order[last]] = True
+        whole = lives.where(chosen)
+        parts.append(dataclasses.replace(whole, seconds=np.full(len(whole), np.inf)))
+    return Samples.join(parts)
+
+
+class Recordings:
+    """Samples of a dataset's episodes, made once for all methods that look alike.
+
+    Args:
+        dataset: where from.
+        jobs: processes; None for one per core.
+    """
+
+    def __init__(self, dataset: Dataset, jobs: int | None = None) -> None:
+        self.dataset = dataset
+        self._jobs = jobs
+        self._number = {e.id: i for i, e in enumerate(dataset.manifest.episodes)}
+        self.scenario = np.array([e.scenario for e in dataset.manifest.episodes])
+        self._kept: dict[tuple[tuple[object, ...], tuple[str, ...]], Samples] = {}
+
+    def _gather(
+        self,
+        split: Split | None,
+        method: str,
+        disturbed: Disturbed,
+        windows_s: Sequence[float],
+        every_s: float,
+        per_moment: int | None,
+    ) -> Samples:
+        names = METHODS[method].observer("graphrqi").feature_names
+        what = (split, disturbed, tuple(windows_s), every_s, per_moment)
+        for (looked, found), samples in self._kept.items():
+            if looked == what and set(names) <= set(found):  # a column of one name is the same
+                columns = [found.index(name) for name in names]
+                return dataclasses.replace(samples, features=samples.features[:, columns])
+        arguments = [
+            (self.dataset.path, entry, self._number[entry.id], method, disturbed,
+             tuple(windows_s), every_s, per_moment)
+            for entry in self.dataset.episodes(split)
+        ]  # fmt: skip
+        samples = Samples.join(list(in_parallel(disturbed_samples, arguments, self._jobs)))
+        self._kept[what, names] = samples
+        return samples
+
+    def training(self, method: str, disturbed: Disturbed = UNDISTURBED) -> Samples:
+        """Windows of all lengths of the training episodes."""
+        return self._gather(
+            "train", method, disturbed, WINDOWS_S, TRAINING_EVERY_S, TRAINING_PER_MOMENT
+        )
+
+    def validation(self, method: str, disturbed: Disturbed = UNDISTURBED) -> Samples | None:
+        """The same of the validation episodes; None if there are none."""
+        if not self.dataset.episodes("validation"):
+            return None
+        return self._gather(
+            "validation", method, disturbed, WINDOWS_S, TRAINING_EVERY_S, TRAINING_PER_MOMENT
+        )
+
+    def scored(
+        self,
+        method: str,
+        windows_s: Sequence[float] = (MAIN_S,),
+        disturbed: Disturbed = UNDISTURBED,
+        split: Split | None = "test",
+    ) -> Samples:
+        """Windows of the test episodes (or of all, where ``split`` is None)."""
+        return self._gather(split, method, disturbed, windows_s, SCORED_EVERY_S, None)
+
+    def of(self, scenario: str, samples: Samples) -> Samples:
+        """The samples of one scenario."""
+        return samples.where(self.scenario[samples.episode] == scenario)
+
+
+# --- rows ---------------------------------------------------------------------------------------
+
+
+def _cell(value: float) -> float | None:
+    return None if np.isnan(value) else value
+
+
+def _row(keys: Mapping[str, Cell], metric: str, value: tuple[float, float, float], n: int) -> Row:
+    low, high = value[1:]
+    return {
+        **keys,
+        "metric": metric,
+        "value": _cell(value[0]),
+        "low": _cell(low),
+        "high": _cell(high),
+        "n": n,
+    }
+
+
+def score_rows(
+    samples: Samples, probability: FloatArray, majority: int, keys: Mapping[str, Cell]
+) -> list[Row]:
+    """Rows of every metric of one method's answers."""
+    answer = probability.argmax(axis=1)
+    matrices = confusion(samples.codes, answer, samples.episode)
+    constant = confusion(samples.codes, np.full(len(samples), majority), samples.episode)
+    bins = reliability(samples.codes, probability, samples.episode)
+    values = {name: bootstrap(metric, matrices) for name, metric in METRICS.items()}
+    values["majority_weighted_accuracy"] = bootstrap(weighted_accuracy, constant)
+    values["ece"] = bootstrap(calibration_error, bins)
+    for code in np.unique(samples.codes):
+        values[f"recall_{BEHAVIORS[code].value}"] = bootstrap(recall_of(code), matrices)
+    return [_row(keys, metric, value, len(samples)) for metric, value in values.items()]
+
+
+def _keys(
+    protocol: str, scenario: str, method: str, window_s: float | None, variation: str = ""
+) -> dict[str, Cell]:
+    if window_s is not None and not np.isfinite(window_s):
+        window_s, variation = None, ", ".join(filter(None, ("whole life", variation)))
+    return {
+        "protocol": protocol,
+        "scenario": scenario,
+        "method": method,
+        "window_s": window_s,
+        "variation": variation,
+    }
+
+
+def _posterior(model: Model | Classifier, samples: Samples) -> FloatArray:
+    return model.posterior(samples.features.astype(np.float64))
+
+
+def _as_long_as(samples: Samples, window_s: float) -> NDArray[np.bool_]:
+    """Which samples were observed for this long."""
+    return np.isclose(samples.seconds, window_s, atol=0.3)
+
+
+def _majority(samples: Samples) -> int:
+    return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())
+
+
+def difference_rows(
+    samples: Samples, ours: FloatArray, theirs: FloatArray, keys: Mapping[str, Cell]
+) -> list[Row]:
+    """How much better ours is, on the same windows, with a paired interval."""
+    pair = np.stack(
+        [confusion(samples.codes, p.argmax(axis=1), samples.episode) for p in (ours, theirs)],
+        axis=1,
+    )
+    metrics: dict[str, Callable[[FloatArray], FloatArray]] = {
+        "macro_f1_difference": macro_f1,
+        "style_balanced_accuracy_difference": style_balanced_accuracy,
+    }
+    rows = []
+    for name, metric in metrics.items():
+
+        def statistic(
+            counts: FloatArray, metric: Callable[[FloatArray], FloatArray] = metric
+        ) -> FloatArray:
+            both = metric(counts)
+            return np.asarray(both[..., 0] - both[..., 1])
+
+        rows.append(_row(keys, name, bootstrap(statistic, pair), len(samples)))
+    return rows
+
+
+# --- protocols ----------------------------------------------------------------------------------
+
+
+def fitted(
+    recordings: Recordings,
+    method: str,
+    scenario: str | None = None,
+    disturbed: Disturbed = UNDISTURBED,
+) -> tuple[Model, int]:
+    """A method trained on the training episodes, and their majority class."""
+    training = recordings.training(method, disturbed)
+    validation = recordings.validation(method, disturbed)
+    if scenario is not None:
+        training = recordings.of(scenario, training)
+        validation = None if validation is None else recordings.of(scenario, validation)
+    return train(method, training, validation), _majority(training)
+
+
+def inductive(
+    recordings: Recordings, methods: Sequence[str], windows_s: Sequence[float]
+) -> list[Row]:
+    """Unseen episodes, every method, every length of observation; ours against each rival."""
+    rows: list[Row] = []
+    answers: dict[tuple[str, str], FloatArray] = {}
+    for method in methods:
+        model, majority = fitted(recordings, method)
+        everything = recordings.scored(method, windows_s)
+        for scenario in recordings.dataset.scenarios:
+            here = recordings.of(scenario, everything)
+            for window_s in windows_s:
+                samples = here.where(_as_long_as(here, window_s))
+                if not len(samples):
+                    continue
+                probability = _posterior(model, samples)
+                keys = _keys("inductive", scenario, method, window_s)
+                rows += score_rows(samples, probability, majority, keys)
+                if window_s == MAIN_S:
+                    answers[scenario, method] = probability
+                    moving = samples.where(samples.moving)
+                    if len(moving):
+                        keys = _keys("inductive", scenario, method, window_s, "moving")
+                        rows += score_rows(moving, _posterior(model, moving), majority, keys)
+            rival = answers.get((scenario, OURS))
+            if rival is not None and method in RIVALS and (scenario, method) in answers:
+                samples = here.where(_as_long_as(here, MAIN_S))
+                keys = _keys("inductive", scenario, OURS, MAIN_S, f"minus {method}")
+                rows += difference_rows(samples, rival, answers[scenario, method], keys)
+    return rows
+
+
+def leak_probe(recordings: Recordings) -> list[Row]:
+    """A forest that sees who and when, on the same windows as everyone."""
+    parts = [
+        dataclasses.replace(
+            samples, features=np.stack([samples.agent, samples.time_s], axis=1).astype(np.float32)
+        )
+        for samples in (recordings.training("majority"), recordings.scored("majority"))
+    ]
+    forest = make_classifier("forest", len(BEHAVIORS), feature_share=1.0)
+    forest.fit(parts[0].features.astype(np.float64), parts[0].codes, None, 0)
+    rows: list[Row] = []
+    for scenario in recordings.dataset.scenarios:
+        here = recordings.of(scenario, parts[1])
+        keys = _keys("inductive", scenario, "leak-probe", MAIN_S)
+        rows += score_rows(here, _posterior(forest, here), _majority(parts[0]), keys)
+    return rows
+
+
+def _drivers(dataset: Dataset, split: Split) -> tuple[FloatArray, NDArray[np.int8], IntArray]:
+    """Realised profile numbers, codes and episode of every driver of a split."""
+    numbers, codes, episodes = [], [], []
+    index = {e.id: i for i, e in enumerate(dataset.manifest.episodes)}
+    for entry in dataset.episodes(split):
+        for agent in dataset.read(entry).agents:
+            if agent.behavior is not None and agent.profile is not None:
+                numbers.append([getattr(agent.profile, name) for name in PROFILE_FIELDS[:5]])
+                codes.append(agent.behavior.code)
+                episodes.append(index[entry.id])
+    return np.array(numbers), np.array(codes, dtype=np.int8), np.array(episodes)
+
+
+def ceiling(recordings: Recordings) -> list[Row]:
+    """A forest on the numbers that drivers were made from: nobody can do much better.
+
+    Desired speed, headway, gap, acceleration and braking; not the rates and probabilities, which
+    tell the class at once and show in hardly any window.
+    """
+    numbers, codes, _ = _drivers(recordings.dataset, "train")
+    forest = make_classifier("forest", len(BEHAVIORS), trees=200, min_leaf=3, feature_share=0.4)
+    forest.fit(numbers, codes, None, 0)
+    numbers, truth, episode = _drivers(recordings.dataset, "test")
+    nothing = np.zeros(truth.size)
+    samples = Samples(
+        numbers.astype(np.float32), truth, episode, np.arange(truth.size), nothing,
+        np.full(truth.size, np.inf), np.ones(truth.size, dtype=bool),
+    )  # fmt: skip
+    rows: list[Row] = []
+    for scenario in recordings.dataset.scenarios:
+        here = recordings.of(scenario, samples)
+        keys = _keys("inductive", scenario, "ceiling", float("inf"))
+        majority = int(np.bincount(codes).argmax())
+        rows += score_rows(here, _posterior(forest, here), majority, keys)
+    return rows
+
+
+def transductive(recordings: Recordings, methods: Sequence[str]) -> list[Row]:
+    """Half the drivers of each test episode are labelled, the others are scored."""
+    rows: list[Row] = []
+    for method in methods:
+        samples = recordings.scored(method)
+        rng = np.random.default_rng(0)
+        scored: dict[str, list[tuple[Samples, FloatArray]]] = {}
+        for episode in np.unique(samples.episode):
+            here = samples.where(samples.episode == episode)
+            agents = rng.permutation(np.unique(here.agent))
+            known = np.isin(here.agent, agents[: agents.size // 2])
+            labelled, asked = here.where(known), here.where(~known)
+            if np.unique(labelled.codes).size < 2 or not len(asked):
+                continue
+            model = train(method, labelled)
+            scenario = str(recordings.scenario[episode])
+            scored.setdefault(scenario, []).append((asked, _posterior(model, asked)))
+        for scenario, parts in scored.items():
+            together = Samples.join([part for part, _ in parts])
+            probability = np.concatenate([p for _, p in parts])
+            keys = _keys("transductive", scenario, method, MAIN_S)
+            rows += score_rows(together, probability, _majority(samples), keys)
+    return rows
+
+
+def across_scenarios(recordings: Recordings, methods: Sequence[str]) -> list[Row]:
+    """Trained on each scenario alone, scored on every other one."""
+    rows: list[Row] = []
+    for method in methods:
+        test = recordings.scored(method)
+        for trained_on in recordings.dataset.scenarios:
+            model, majority = fitted(recordings, method, trained_on)
+            for scenario in recordings.dataset.scenarios:
+                if scenario == trained_on:
+                    continue
+                here = recordings.of(scenario, test)
+                for variation, samples in (("", here), (", moving", here.where(here.moving))):
+                    about = f"trained on {trained_on}{variation}"
+                    keys = _keys("across-scenarios", scenario, method, MAIN_S, about)
+                    rows += score_rows(samples, _posterior(model, samples), majority, keys)
+    return rows
+
+
+def across_datasets(
+    recordings: Recordings,
+    others: Mapping[str, Recordings],
+    methods: Sequence[str],
+    protocol: str,
+) -> list[Row]:
+    """Trained on one dataset, scored on all episodes of others, named by what differs."""
+    rows: list[Row] = []
+    for method in methods:
+        model, majority = fitted(recordings, method)
+        for variation, other in others.items():
+            everything = other.scored(method, split=None)
+            for scenario in other.dataset.scenarios:
+                here = other.of(scenario, everything)
+                keys = _keys(protocol, scenario, method, MAIN_S, variation)
+                rows += score_rows(here, _posterior(model, here), majority, keys)
+    return rows
+
+
+def _long_tailed(samples: Samples, seed: int) -> Samples:
+    """As many drivers of each behaviour as in TRAF, in proportion."""
+    rng = np.random.default_rng(seed)
+    driver = samples.episode * 10**9 + samples.agent
+    drivers, first = np.unique(driver, return_index=True)
+    codes = samples.codes[first]
+    count = np.bincount(codes, minlength=len(BEHAVIORS))
+    share = np.array(LONG_TAIL) / sum(LONG_TAIL)
+    wanted = np.maximum(np.floor(share * (count / share).min()), 1).astype(np.int64)
+    if wanted.sum() < 60:  # the rarest class decides; keep the most frequent one whole instead
+        wanted = np.maximum(np.round(share / share.max() * count.max()), 1).astype(np.int64)
+    kept = [
+        rng.permutation(drivers[codes == code])[: wanted[code]] for code in range(len(BEHAVIORS))
+    ]
+    return samples.where(np.isin(driver, np.concatenate(kept)))
+
+
+def _mislabelled(samples: Samples, share: float, seed: int) -> Samples:
+    """A share of the drivers gets another label."""
+    rng = np.random.default_rng(seed)
+    driver = samples.episode * 10**9 + samples.agent
+    drivers, inverse = np.unique(driver, return_inverse=True)
+    shift = np.where(
+        rng.random(drivers.size) < share, rng.integers(1, len(BEHAVIORS), drivers.size), 0
+    )
+    codes = (samples.codes + shift[inverse]) % len(BEHAVIORS)
+    return dataclasses.replace(samples, codes=codes.astype(np.int8))
+
+
+def robustness(
+    recordings: Recordings, methods: Sequence[str], levels: int | None = None
+) -> list[Row]:
+    """Each disturbance at each level, unknown and known in training; long tails; wrong labels."""
+    rows: list[Row] = []
+
+    def add(model: Model, majority: int, samples: Samples, variation: str) -> None:
+        for scenario in recordings.dataset.scenarios:
+            here = recordings.of(scenario, samples)
+            if len(here):
+                keys = _keys("robustness", scenario, model.method.name, MAIN_S, variation)
+                rows.extend(score_rows(here, _posterior(model, here), majority, keys))
+
+    for name, (_, every_level, _) in DISTURBANCES.items():
+        for level in every_level[:levels]:
+            disturbed = Disturbed(name, level)
+            longest = min(level, MAIN_S) if name == "cut tracks" else MAIN_S
+            window_s = max((w for w in WINDOWS_S if w < longest), default=1.0)
+            windows_s = (window_s if longest < MAIN_S else MAIN_S,)
+            for method in methods:
+                clean, majority = fitted(recordings, method)
+                test = recordings.scored(method, windows_s, disturbed)
+                about = str(disturbed)
+                if windows_s != (MAIN_S,):
+                    about += f", windows of {windows_s[0]:g} s"
+                add(clean, majority, test, about)
+                known, majority = fitted(recordings, method, disturbed=disturbed)
+                add(known, majority, test, f"{about}, trained with it")
+    for method in methods:
+        training, test = recordings.training(method), recordings.scored(method)
+        validation = recordings.validation(method)
+        clean = train(method, training, validation)
+        tailed = _long_tailed(test, 0)
+        add(clean, _majority(training), tailed, "long-tailed mix")
+        rare = _long_tailed(training, 1)
+        add(train(method, rare, validation), _majority(rare), tailed, "long-tailed mix, trained so")
+        for share in WRONG_LABELS[:levels]:
+            wrong = _mislabelled(training, share, 2)
+            add(train(method, wrong, validation), _majority(wrong), test,
+                f"{share:g} of training drivers mislabelled")  # fmt: skip
+    return rows
+
+
+def interpretability(recordings: Recordings) -> list[Row]:
+    """AUC of |w_j|, w = L u of the largest eigenvector, for aggressive against conservative.
+
+    The paper reads a large entry as an aggressive driver. L u = lambda u, so |w_j| orders the
+    drivers of one graph as |u_j| does; only drivers of the same graph are compared.
+    """
+    samples = recordings.scored("graphrqi")
+    size = np.abs(samples.features[:, 0].astype(np.float64))
+    aggressive = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])[samples.codes]
+    rows: list[Row] = []
+    for scenario in recordings.dataset.scenarios:
+        chosen = np.flatnonzero(recordings.scenario[samples.episode] == scenario)
+        counts = []
+        for episode in np.unique(samples.episode[chosen]):
+            won = pairs = 0.0
+            here = chosen[samples.episode[chosen] == episode]
+            for moment in np.unique(samples.time_s[here]):
+                now = here[samples.time_s[here] == moment]
+                up, down = size[now][aggressive[now]], size[now][~aggressive[now]]
+                beats = (up[:, None] > down).sum() + 0.5 * (up[:, None] == down).sum()
+                won, pairs = won + float(beats), pairs + up.size * down.size
+            counts.append([won, pairs])
+        value = bootstrap(lambda c: np.asarray(c[..., 0] / c[..., 1]), np.array(counts))
+        keys = _keys("inductive", scenario, "largest-eigenvector", None)
+        rows.append(_row(keys, "auc", value, int(chosen.size)))
+    return rows
+
+
+def speed_rows(recordings: Recordings, methods: Sequence[str], frames: int = 100) -> list[Row]:
+    """Time from a frame to everyone's posterior, features included, ms (median)."""
+    rows: list[Row] = []
+    for method in methods:
+        model, _ = fitted(recordings, method)
+        for scenario in recordings.dataset.scenarios:
+            entry = recordings.dataset.episodes("test", scenario)[0]
+            tracks = recordings.dataset.read(entry).tracks
+            stream, spent, agents = BehaviorStream(model), [], []
+            middle = tracks.time_s.size // 2
+            for step in range(max(0, middle - frames), middle + frames):
+                if step >= tracks.time_s.size:
+                    break
+                frame = tracks.frame(step)
+                begin = time.perf_counter()
+                stream.update(frame)
+                spent.append(1000.0 * (time.perf_counter() - begin))
+                agents.append(len(frame))
+            half = len(spent) // 2  # the first half warms up
+            low, value, high = np.quantile(spent[half:], [0.025, 0.5, 0.975])
+            keys = _keys(
+                "inductive", scenario, method, None, f"{np.median(agents[half:]):g} agents"
+            )
+            found = (float(value), float(low), float(high))
+            rows.append(_row(keys, "ms_per_frame", found, len(spent) - half))
+    return rows
+
+
+# --- the bench ----------------------------------------------------------------------------------
+
+
+TRAFFIC: Final[dict[str, dict[str, Any]]] = {
+    "light flow": {"flow": "light"},
+    "dense flow": {"flow": "dense"},
+    "mostly careful": {"mix": {"careful": 0.6, "cautious": 0.2, "impatient": 0.1, "reckless": 0.04,
+                               "threatening": 0.03, "timid": 0.03}},
+    "other roads": {"scenarios": ("two_way_road", "priority_intersection")},
+}  # fmt: skip
+"""What is never trained on, as options of `GenerateConfig`."""
+
+SCENARIOS: Final = ("straight_road", "four_way_intersection")
+
+
+def _made(folder: Path, name: str, jobs: int | None, **options: Any) -> Recordings:
+    where = folder / name.replace(" ", "-")
+    config = GenerateConfig(**{"scenarios": SCENARIOS, "seed": 11, **options})
+    generate(config, where, jobs, quiet=True)
+    return Recordings(open_dataset(where), jobs)
+
+
+def run_classification_bench(
+    quick: bool = False,
+    dataset: Path | None = None,
+    folder: Path = Path("runs/classification"),
+    methods: Sequence[str] = tuple(METHODS),
+    jobs: int | None = None,
+) -> list[Row]:
+    """What ``graphrqi bench classification`` measures.
+
+    Args:
+        quick: few short episodes, a level of each disturbance, the main methods.
+        dataset: train and test on this one; None makes one.
+        folder: where datasets are made; what is there is used again.
+        methods: keys of ``METHODS``; ours comes first, so that others can be compared with it.
+        jobs: processes; None for one per core.
+
+    Returns:
+        Flat rows keyed by protocol, scenario, method, window_s and variation.
+    """
+    size: dict[str, Any] = {"episodes": 5, "duration_s": 60.0} if quick else {"episodes": 20}
+    few: dict[str, Any] = {**size, "episodes": 2 if quick else 5}
+    if quick:
+        methods = [m for m in methods if m in ("majority", "graphrqi", "cheung", "forest", OURS)]
+    if dataset is None:
+        recordings = _made(folder, "quick base" if quick else "base", jobs, **size)
+    else:
+        recordings = Recordings(open_dataset(dataset), jobs)
+    order = sorted(methods, key=lambda name: name != OURS)
+    main = [m for m in order if m in (OURS, "boosted")]
+    prefix = "quick " if quick else ""
+    traffic = {
+        name: _made(folder, f"{prefix}{name}", jobs, **{**few, "seed": 12, **options})
+        for name, options in TRAFFIC.items()
+    }
+    highway = {
+        "trained on sumo, scored on highway": _made(
+            folder, f"{prefix}highway", jobs, **{**few, "engine": "highway", "seed": 13}
+        )
+    }
+    return [
+        *inductive(recordings, order, (MAIN_S,) if quick else SCORED_S),
+        *leak_probe(recordings),
+        *ceiling(recordings),
+        *interpretability(recordings),
+        *transductive(recordings, order),
+        *across_scenarios(recordings, main),
+        *across_datasets(recordings, traffic, main, "across-traffic"),
+        *across_datasets(recordings, highway, main, "across-engines"),
+        *robustness(recordings, main, 1 if quick else None),
+        *speed_rows(recordings, main),
+    ]
