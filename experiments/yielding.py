@@ -138,46 +138,73 @@ def encounters(
         yield scene, posterior, Encounters(row, room, (gone < room + ENTERED_M).astype(np.float64))
 
 
-def yield_rows(
-    episodes: Sequence[tuple[Tracks, Road, Mapping[int, Posterior]]],
-    predictors: Sequence[str],
-    scenario: str,
-) -> list[dict[str, Any]]:
-    """AUC and Brier score of each predictor's chance of yielding.
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What predictors said of the encounters of an episode.
+
+    Attributes:
+        chance: (m,) chance of yielding by predictor.
+        happened: (m,) 1 where the driver yielded.
+    """
+
+    chance: Mapping[str, FloatArray]
+    happened: FloatArray
+
+
+def ask(
+    tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior], predictors: Sequence[str]
+) -> Asked:
+    """Ask predictors about every encounter of an episode.
 
     Args:
-        episodes: tracks, road and beliefs by the index one past each instant.
+        tracks: the episode.
+        road: where it happened.
+        posteriors: beliefs by the index one past each instant.
         predictors: keys of ``PREDICTORS``.
-        scenario: its name, for the rows.
 
     Returns:
-        Flat rows with intervals over encounters; none if all yielded or none did.
+        Chances and outcomes.
     """
     chance: dict[str, list[FloatArray]] = {name: [] for name in predictors}
-    truth: list[FloatArray] = []
-    for tracks, road, posteriors in episodes:
-        for scene, posterior, met in encounters(tracks, road, posteriors):
-            truth.append(met.yielded)
-            for name in predictors:
-                prediction = get_predictor(name)(scene, posterior)
-                chance[name].append(yield_chance(prediction, scene, met.row, met.room))
-    if not truth:
+    happened: list[FloatArray] = []
+    for scene, posterior, met in encounters(tracks, road, posteriors):
+        happened.append(met.yielded)
+        for name in predictors:
+            prediction = get_predictor(name)(scene, posterior)
+            chance[name].append(yield_chance(prediction, scene, met.row, met.room))
+    if not happened:
+        return Asked({name: np.empty(0) for name in predictors}, np.empty(0))
+    return Asked({n: np.concatenate(c) for n, c in chance.items()}, np.concatenate(happened))
+
+
+def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[dict[str, Any]]:
+    """AUC and Brier score of each predictor's chances, with intervals over encounters.
+
+    Args:
+        episodes: from `ask`.
+        scenario: its name, for the rows.
+        split: which part of the data, for the rows.
+
+    Returns:
+        Flat rows; none if there is no encounter, or all yielded, or none did.
+    """
+    episodes = [e for e in episodes if e.happened.size]
+    if not episodes:
         return []
-    happened = np.concatenate(truth)
+    happened = np.concatenate([e.happened for e in episodes])
     if happened.min() == happened.max():
         return []
     rows = []
-    rng = np.random.default_rng(0)
-    draws = rng.integers(0, happened.size, (RESAMPLES // 4, happened.size))
-    for name in predictors:
-        told = np.concatenate(chance[name])
+    draws = np.random.default_rng(0).integers(0, happened.size, (RESAMPLES // 4, happened.size))
+    for name in episodes[0].chance:
+        told = np.concatenate([e.chance[name] for e in episodes])
         for metric, score in (("yield_auc", auc), ("yield_brier", brier)):
             drawn = [score(told[d], happened[d]) for d in draws]
             low, high = np.nanquantile(drawn, [0.025, 0.975])
             rows.append(
                 {
                     "scenario": scenario, "predictor": name, "horizon_s": DECIDED_S,
-                    "behavior": "all", "split": "test", "metric": metric,
+                    "behavior": "all", "split": split, "metric": metric,
                     "value": score(told, happened), "low": float(low), "high": float(high),
                     "n": int(happened.size),
                 }

@@ -1,0 +1,81 @@
+"""Prediction without a map: leaders from the traffic, and nothing where gaps are implausible."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from behaviors.labels import BEHAVIORS
+from graphrqi.posterior import Posterior
+from graphrqi.predict import predict
+from graphrqi.predict.unmapped import inferred_leaders, plausible
+from sim.frames import PEDESTRIAN, Frame, Tracks
+
+NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+
+
+def recording(x, speed, *, y=None, accel=0.0, kind=None, length=4.5) -> Tracks:
+    x, speed = np.array(x, dtype=float), np.array(speed, dtype=float)
+    n = x.size
+    frames = []
+    for ago in np.arange(30, -1, -1) / 10:
+        past = speed - accel * ago
+        frames.append(
+            Frame(
+                time_s=10.0 - ago, ids=np.arange(n),
+                xy=np.column_stack([x - (speed + past) / 2 * ago, np.zeros(n) if y is None else y]),
+                heading=np.zeros(n), speed=past, length=np.full(n, length), width=np.full(n, 1.8),
+                kind=np.zeros(n) if kind is None else np.array(kind),
+            )
+        )  # fmt: skip
+    return Tracks.from_frames(frames)
+
+
+def ends(tracks: Tracks, predictor="car-following"):
+    return predict(tracks, NOBODY, None, predictor=predictor).best[:, -1]
+
+
+def test_leaders_are_found_in_the_own_line_only():
+    tracks = recording([0, 30, 20, 60], [10, 10, 10, 10], y=[0.0, 0.3, 3.5, 0.0])
+    leader, gap = inferred_leaders(tracks)
+    assert leader.tolist() == [1, 3, -1, -1]
+    assert gap[:2] == pytest.approx([25.5, 25.5])
+
+
+def test_steady_drivers_keep_their_speed():
+    assert ends(recording([0.0], [12.0]))[0] == pytest.approx([60.0, 0.0])
+
+
+def test_an_acceleration_fades():
+    end = ends(recording([0.0], [8.0], accel=1.0))[0, 0]
+    assert 40.0 < end < 40.0 + 0.5 * 1.0 * 25.0
+
+
+def test_who_brakes_does_not_reverse():
+    told = predict(recording([0.0], [1.0], accel=-3.0), NOBODY, None)
+    assert (np.diff(told.xy[0, :, :, 0], axis=1) >= -1e-9).all()
+
+
+def test_a_slower_leader_slows_its_follower():
+    alone = ends(recording([0.0], [12.0]))[0, 0]
+    behind = ends(recording([0.0, 25.0], [12.0, 5.0]))[0, 0]
+    assert behind < alone - 5.0
+
+
+def test_implausible_gaps_switch_leaders_off():
+    overlapping = recording([0.0, 2.0, 50.0, 52.0], [12.0, 5.0, 12.0, 5.0])
+    assert not plausible(overlapping)
+    assert plausible(recording([0.0, 25.0], [12.0, 5.0]))
+    assert ends(overlapping)[0, 0] == pytest.approx(60.0)
+
+
+def test_constant_velocity_keeps_its_meaning():
+    end = ends(recording([0.0, 25.0], [12.0, 5.0], accel=0.5), "constant-velocity")
+    assert end[:, 0] == pytest.approx([60.0, 50.0])
+
+
+def test_pedestrians_walk_on():
+    tracks = recording([0.0, 3.0], [1.4, 0.0], kind=[PEDESTRIAN, 0])
+    told = predict(tracks, NOBODY, None)
+    assert told.xy[0, :, -1, 0] == pytest.approx(7.0)
+    assert told.probability.sum(axis=1) == pytest.approx(1.0)
