@@ -67,6 +67,9 @@ EXTRA = 8
 """Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
 
 
+_SAME_ROWS = np.empty(0, np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """What the next step starts from.
@@ -121,38 +124,33 @@ def solve(
         return answer(graph, values[chosen], kept, end, tol, True, "", Found(kept))
     if DENSE_SHARE * num_pairs >= d:
         return _dense(graph, num_pairs, end, tol, nonzero, "")
-    from graphrqi.spectrum import factorization
+    from graphrqi.spectrum import tracking
 
-    order, label, count = factorization.order_rows(graph.indptr, graph.indices)
-    known = np.empty((d, 0))
-    k = num_pairs
-    if nonzero or end == "smallest":
-        k = min(k, d - count)
-    if end == "smallest" and not nonzero:
-        known = null_space(graph)[:, :num_pairs]
-        k = num_pairs - known.shape[1]
-        if k == 0:  # all of them are zero, and L has no eigenvalue below zero
-            return answer(graph, np.zeros(num_pairs), known, end, tol, complete=True)
-    if DENSE_SHARE * k >= d - count:
-        return _dense(graph, num_pairs, end, tol, nonzero, "")
-    analysis = order, label, count
-    scale = max(1.0, lambda_max_floor(graph))
     note = ""
-    if previous is not None and previous.end == end:
-        found = _track(graph, analysis, k, end, previous, tol, scale, MAX_SWEEPS)
-        if found is None:
-            note = "started again without the earlier vectors"
-            found = _track(graph, analysis, k, end, None, tol, scale, MAX_SWEEPS_COLD)
-    else:
-        found = _track(graph, analysis, k, end, None, tol, scale, MAX_SWEEPS_COLD)
-    if found is None:
+    warm = previous if previous is not None and previous.end == end else None
+    limit = MAX_SWEEPS_COLD if warm is None else MAX_SWEEPS
+    status, values, residuals, vectors, found, departure = tracking.certified_pairs(
+        graph.indptr, graph.indices, graph.values, *_start(graph, warm),
+        num_pairs, end == "smallest", nonzero, tol, limit, DENSE_SHARE, EXTRA,
+    )  # fmt: skip
+    if status == tracking.GAVE_UP and warm is not None:
+        note = "started again without the earlier vectors"
+        status, values, residuals, vectors, found, departure = tracking.certified_pairs(
+            graph.indptr, graph.indices, graph.values, *_start(graph, None),
+            num_pairs, end == "smallest", nonzero, tol, MAX_SWEEPS_COLD, DENSE_SHARE, EXTRA,
+        )  # fmt: skip
+    if status == tracking.LEFT_TO_DENSE:
+        return _dense(graph, num_pairs, end, tol, nonzero, "")
+    if status == tracking.GAVE_UP:
         return _fall_back(graph, num_pairs, end, tol, nonzero)
-    values, vectors, residuals, carried = found
-    if known.shape[1]:
-        values = np.concatenate([np.zeros(known.shape[1]), values])
-        vectors = np.hstack([known, vectors])
-        residuals = np.concatenate([np.zeros(known.shape[1]), residuals])
-    return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, note, Found(carried))
+    if departure > 1e-12:  # Newton's step to the nearest orthonormal block squares it
+        gram = vectors.T @ vectors
+        vectors = 1.5 * vectors - 0.5 * vectors @ gram
+        measured = answer(graph, values, vectors, end, tol, True, note, Found(vectors))
+        if measured.certified:
+            return measured
+        return _fall_back(graph, num_pairs, end, tol, nonzero)
+    return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, note, Found(found))
 
 
 def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
@@ -214,85 +212,37 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     )
 
 
-def _track(
-    graph: TrafficGraph,
-    analysis: tuple[NDArray[np.int32], NDArray[np.int32], int],
-    k: int,
-    end: End,
-    previous: Spectrum | None,
-    tol: float,
-    scale: float,
-    max_sweeps: int,
-) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """Run the tracker once.
+def _start(
+    graph: TrafficGraph, previous: Spectrum | None
+) -> tuple[
+    Floats,
+    NDArray[np.int64],
+    NDArray[np.int32],
+    NDArray[np.int32],
+    Floats,
+]:
+    """What the tracker starts from.
 
     Args:
         graph: d vehicles.
-        analysis: order, components and their number.
-        k: wanted pairs, outside the null space at the smallest end.
-        end: which end.
-        previous: earlier answer to start from.
-        tol: residual asked for, relative to ``scale``.
-        scale: lower bound on lambda_max, at least 1.
-        max_sweeps: factorisations to give up after.
+        previous: earlier answer, or None.
 
     Returns:
-        None if the certificate was not reached; else (k,) values in the order of the end, (d, k)
-        vectors, (k,) residuals and (d, m) all vectors found.
+        (d, m) vectors; (d,) row in the earlier graph, empty if the rows are the same; and the
+        earlier Laplacian's row starts, columns and values.
     """
-    from graphrqi.spectrum import factorization, tracking
-
-    order, label, count = analysis
-    d = order.size
-    warm, changed = np.empty((d, 0)), np.zeros(d, np.bool_)
-    if previous is not None:
-        old = previous.carried.vectors if isinstance(previous.carried, Found) else None
-        if old is None:
-            old = previous.eigenvectors
-        if previous.ids is graph.ids or np.array_equal(previous.ids, graph.ids):
-            warm = old
-            old_row = np.arange(d)
-        else:
-            warm = carry_rows(previous, graph, old)
-            old_row = rows_before(previous.graph, graph)
-        before = previous.graph
-        changed = tracking.changed_rows(
-            old_row,
-            before.indptr, before.indices, before.values,
-            graph.indptr, graph.indices, graph.values,
-        )  # fmt: skip
-    starts, rows, entries, diagonal, _ = factorization.factor_pattern(
-        graph.indptr, graph.indices, graph.values, order
-    )
-    target = factorization.update_targets(starts, rows)
-    deflate = end == "smallest"
-    bound = 2.0 * scale + 1.0
-    if deflate:
-        entries, diagonal = -entries, -diagonal
-    low, high = (-bound, 0.0) if deflate else (-1.0, bound)
-    room = min(k + EXTRA, d)
-    vectors, values, residuals = np.empty((d, room)), np.empty(room), np.empty(room)
-    certified, found, _ = tracking.track(
-        order, starts, rows, target, entries, diagonal, label, count, deflate,
-        warm, changed, k, scale, tol, low, high, max_sweeps, vectors, values, residuals,
-    )  # fmt: skip
-    if not certified:
-        return None
-    vectors, values, residuals = vectors[:, :found], values[:k], residuals[:k]
-    gram = vectors.T @ vectors
-    gram.flat[:: found + 1] -= 1.0
-    departure = float(np.abs(gram).max())
-    if departure > 1e-13:  # Newton's step to the nearest orthonormal block squares it
-        vectors = vectors - 0.5 * vectors @ gram
-    if departure > 1e-12:
-        first = vectors[:, :k]
-        signed = -values if deflate else values
-        residuals = np.linalg.norm(graph.laplacian @ first - first * signed, axis=0)
-    if departure > 1e-6 or residuals.max() > tol * scale:
-        return None
-    chosen = np.ascontiguousarray(vectors[:, :k])
-    carried = chosen if found == k else np.ascontiguousarray(vectors)
-    return -values if deflate else values, chosen, residuals, carried
+    if previous is None:
+        return np.empty((graph.ids.size, 0)), _SAME_ROWS, graph.indptr, graph.indices, graph.values
+    before = previous.graph
+    carried = previous.carried
+    vectors = carried.vectors if isinstance(carried, Found) else previous.eigenvectors
+    rows = _SAME_ROWS
+    if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
+        vectors = carry_rows(previous, graph, vectors)
+        rows = rows_before(before, graph)
+    # one memory layout, writable: for any other the kernel would be compiled anew
+    vectors = np.require(vectors, np.float64, ["C", "W"])
+    return vectors, rows, before.indptr, before.indices, before.values
 
 
 def rows_before(before: TrafficGraph, graph: TrafficGraph) -> NDArray[np.int64]:

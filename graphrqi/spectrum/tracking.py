@@ -13,7 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.compiled import compiled
-from graphrqi.spectrum.factorization import factor_and_solve
+from graphrqi.spectrum.factorization import (
+    factor_and_solve,
+    factor_pattern,
+    order_rows,
+    update_targets,
+)
 from graphrqi.spectrum.lanes import less, load, more, plus, spread, store
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -42,6 +47,7 @@ THETA, RES, HOME = 0, 1, 2  # rows of `number`: Ritz value, residual, shift it c
 STATUS, AGE, USE = 0, 1, 2  # rows of `mark`
 FREE, CANDIDATE, FOUND, NEW = 0, 1, 2, 3  # values of STATUS
 COUNT, IDLE = -1, -2  # values of `lane` that are no vector
+TRACKED, LEFT_TO_DENSE, GAVE_UP = 0, 1, 2  # what came of it
 
 
 @compiled
@@ -254,32 +260,37 @@ def changed_rows(
     indptr: Ints,
     indices: Ints,
     values: Floats,
+    known: bool,
 ) -> Bools:
     """Find the rows in which two matrices differ.
 
     Args:
-        old_row: (d,) row in the earlier matrix of every row, or -1.
+        old_row: (d,) row in the earlier matrix of every row, or -1; empty if they are the same.
         old_indptr: the earlier matrix in CSR: row starts,
         old_indices: columns,
         old_values: and values.
         indptr: (d + 1,) the matrix in CSR: row starts,
         indices: columns,
         values: and values.
+        known: whether there is an earlier matrix at all.
 
     Returns:
         (d,) whether the row differs.
     """
-    d = old_row.size
+    d = indptr.size - 1
+    same_rows = old_row.size == 0
     differs = np.empty(d, np.bool_)
     for i in range(d):
-        r = old_row[i]
-        differs[i] = True
+        differs[i] = known
+        if not known:
+            continue
+        r = i if same_rows else old_row[i]
         if r < 0 or old_indptr[r + 1] - old_indptr[r] != indptr[i + 1] - indptr[i]:
             continue
         same = True
         first, last = old_indptr[r], old_indptr[r + 1]
         for p in range(indptr[i], indptr[i + 1]):
-            column = old_row[indices[p]]
+            column = indices[p] if same_rows else old_row[indices[p]]
             q = first + p - indptr[i]
             if old_indices[q] != column:  # another order of the rows: search
                 q = first
@@ -647,10 +658,8 @@ def track(
     low: float,
     high: float,
     max_sweeps: int,
-    answer: Floats,
-    values: Floats,
-    residuals: Floats,
-) -> tuple[bool, int, int]:
+    extra: int,
+) -> tuple[bool, Floats, Floats, Floats]:
     """Find and certify the k largest eigenpairs of M.
 
     Args:
@@ -672,12 +681,11 @@ def track(
         low: below all eigenvalues.
         high: above all eigenvalues that count; 0 with ``deflate``.
         max_sweeps: factorisations to give up after.
-        answer: (d, m) room for the vectors, by row, m >= k.
-        values: (m,) room for the eigenvalues of M, descending.
-        residuals: (m,) room for the residuals of the vectors as answered.
+        extra: pairs found beyond the k-th that are answered too.
 
     Returns:
-        Whether none of the k was missed, number of pairs answered, factorisations used.
+        Whether none of the k was missed, (m,) eigenvalues of M, descending, (m,) residuals and (d,
+        m) vectors by row; m >= k if certified.
     """
     d = order.size
     ignored = components if deflate else 0
@@ -800,7 +808,9 @@ def track(
     found = 0
     for b in range(slots):
         found += mark[STATUS, b] == FOUND
-    found = min(found, answer.shape[1])
+    found = min(found, k + extra)
+    values, residuals = np.empty(found, np.float64), np.empty(found, np.float64)
+    answer = np.empty((d, found), np.float64)
     for c in range(found):
         best = -1
         for b in range(slots):
@@ -814,4 +824,125 @@ def track(
     for j in range(d):
         for c in range(found):
             answer[order[j], c] = pool[clear[c], j]
-    return certified, found, sweeps
+    return certified, values, residuals, answer
+
+
+@compiled
+def departure_from_orthonormal(x: Floats) -> float:
+    """Return the largest entry of x^T x - I for a (d, m) block."""
+    d, m = x.shape
+    g = np.empty((m, m), np.float64)
+    for a in range(m):
+        for b in range(m):
+            g[a, b] = -1.0 if a == b else 0.0
+    for j in range(d):
+        for a in range(m):
+            v = x[j, a]
+            for b in range(a + 1):
+                g[a, b] += v * x[j, b]
+    largest = 0.0
+    for a in range(m):
+        for b in range(a + 1):
+            largest = max(largest, abs(g[a, b]))
+    return largest
+
+
+@compiled
+def certified_pairs(
+    indptr: Ints,
+    indices: Ints,
+    values: Floats,
+    warm: Floats,
+    old_row: NDArray[np.int64],
+    old_indptr: Ints,
+    old_indices: Ints,
+    old_values: Floats,
+    num_pairs: int,
+    smallest: bool,
+    nonzero: bool,
+    tol: float,
+    max_sweeps: int,
+    share: int,
+    extra: int,
+) -> tuple[int, Floats, Floats, Floats, Floats, float]:
+    """Analyse a Laplacian, track its pairs, and put the answer together.
+
+    Args:
+        indptr: (d + 1,) the Laplacian in CSR: row starts,
+        indices: columns,
+        values: and values, every diagonal entry stored.
+        warm: (d, m) vectors to start from; m may be 0.
+        old_row: (d,) row in the Laplacian they belong to, or -1; empty if the rows are the same.
+        old_indptr: that Laplacian in CSR: row starts,
+        old_indices: columns,
+        old_values: and values.
+        num_pairs: pairs wanted.
+        smallest: from the smallest end.
+        nonzero: leave out the null space.
+        tol: residuals up to tol * max(1, lambda_max) count as converged.
+        max_sweeps: factorisations to give up after.
+        share: one in so many pairs wanted is left to a dense solution.
+        extra: pairs beyond the k-th, found because they equal it, that are kept.
+
+    Returns:
+        TRACKED, LEFT_TO_DENSE or GAVE_UP; if tracked, the (k,) eigenvalues in the order of the end,
+        (k,) residuals, (d, k) vectors, (d, m) vectors to start from next time, and the largest
+        departure of those from orthonormality.
+    """
+    d = indptr.size - 1
+    order, label, components = order_rows(indptr, indices)
+    zeros = 0
+    k = num_pairs
+    if smallest and not nonzero:
+        zeros = min(components, num_pairs)
+        k = num_pairs - zeros
+    elif smallest or nonzero:
+        k = min(k, d - components)
+    none, nothing = np.empty(0, np.float64), np.empty((0, 0), np.float64)
+    if share * k >= d - components:
+        return LEFT_TO_DENSE, none, none, nothing, nothing, 0.0
+    pairs = zeros + k
+    out, out_residuals = np.empty(pairs, np.float64), np.empty(pairs, np.float64)
+    vectors = np.empty((d, pairs), np.float64)
+    if zeros > 0:  # the null space: the indicators of the components
+        size = np.empty(components, np.float64)
+        for c in range(components):
+            size[c] = 0.0
+        for i in range(d):
+            size[label[i]] += 1.0
+            for c in range(zeros):
+                vectors[i, c] = 0.0
+        for i in range(d):
+            if label[i] < zeros:
+                vectors[i, label[i]] = 1.0 / math.sqrt(size[label[i]])
+        for c in range(zeros):
+            out[c] = out_residuals[c] = 0.0
+        if k == 0:
+            return TRACKED, out, out_residuals, vectors, vectors[:, :0].copy(), 0.0
+    starts, rows, entries, diagonal, _ = factor_pattern(indptr, indices, values, order)
+    target = update_targets(starts, rows)
+    scale = 1.0
+    for j in range(d):
+        scale = max(scale, diagonal[j])
+    low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
+    if smallest:
+        low, high = -high, 0.0
+        for j in range(d):
+            diagonal[j] = -diagonal[j]
+        for p in range(entries.size):
+            entries[p] = -entries[p]
+    changed = changed_rows(
+        old_row, old_indptr, old_indices, old_values, indptr, indices, values, warm.shape[1] > 0
+    )
+    certified, theta, residuals, found = track(
+        order, starts, rows, target, entries, diagonal, label, components, smallest,
+        warm, changed, k, scale, tol, low, high, max_sweeps, extra,
+    )  # fmt: skip
+    if not certified:
+        return GAVE_UP, none, none, nothing, nothing, 0.0
+    for c in range(k):
+        out[zeros + c] = -theta[c] if smallest else theta[c]
+        out_residuals[zeros + c] = residuals[c]
+        for i in range(d):
+            vectors[i, zeros + c] = found[i, c]
+    return TRACKED, out, out_residuals, vectors, found, departure_from_orthonormal(found)

@@ -130,6 +130,31 @@ def test_the_previous_answer_may_be_of_other_vehicles() -> None:
     assert errors_against_lapack(found, 8, False).max() < 1e-8
 
 
+def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
+    from graphrqi.graph import cell_grid
+    from graphrqi.spectrum import factorization, tracking
+
+    previous: Spectrum | None = None
+    for name in ("eigh", "graphrqi", "arpack", "graphrqi"):
+        for kind in ("instantaneous", "accumulated"):
+            for graph in graph_sequence("road", kind, 64, 2):
+                again = TrafficGraph.from_edges(graph.ids, graph.edges, graph.weights)
+                for nonzero in (False, True):
+                    previous = SOLVERS[name](graph, 4, "smallest", previous, nonzero=nonzero)
+                    previous = SOLVERS[name](again, 4, "smallest", previous, nonzero=nonzero)
+    for kernel in (
+        cell_grid.cell_grid,
+        cell_grid.nearest_neighbors,
+        cell_grid.join,
+        factorization.order_rows,
+        factorization.factor_and_solve,
+        tracking.certified_pairs,
+        tracking.track,
+    ):
+        assert len(kernel.signatures) <= 1, kernel  # type: ignore[attr-defined]
+    assert len(tracking.certified_pairs.signatures) == 1  # type: ignore[attr-defined]
+
+
 def test_same_call_same_answer_to_the_bit() -> None:
     graphs = list(graph_sequence("road", "accumulated", 100, 3))
     answers = []
