@@ -1,0 +1,151 @@
+import importlib
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior
+from scenarios import SCENARIOS, get_scenario
+from scenarios.command import main
+from scenarios.demand import parse_flow, parse_kinds, parse_mix
+from scenarios.networks import build
+from scenarios.networks.geometry import FourWayGeometry, StraightGeometry
+from sim.engines import ENGINES
+from sim.frames import AgentKind
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_command_prints_a_summary(name, engine, capsys):
+    assert main(name, ["--engine", engine, "--duration-s", "4"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"scenario: {name}"
+    assert "frames: 40" in lines
+    assert any(line.startswith("collisions: ") for line in lines)
+
+
+def test_the_command_runs_from_any_folder(tmp_path):
+    command = [sys.executable, "-m", "scenarios.all_way_stop", "--duration-s", "5"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "frames: 50" in done.stdout.splitlines()
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenarios_carry_the_name_they_are_registered_under(name):
+    scenario = SCENARIOS[name]()
+    assert scenario.name == name
+    assert sum(scenario.mix.values()) == pytest.approx(1.0)
+    assert importlib.import_module(f"scenarios.{name}").__doc__
+    edges = {lane.edge for lane in scenario.road.lanes}
+    assert {e for stream in scenario.streams for e in stream.route} <= edges
+
+
+def test_an_episode_is_written(tmp_path, capsys):
+    out = tmp_path / "data"
+    arguments = ["--duration-s", "5", "--flow", "2000", "--seed", "3", "--out", str(out)]
+    assert main("straight_road", [*arguments, "--set", "lanes=2"]) == 0
+    manifest = json.loads((out / "manifest.json").read_text())
+    (episode,) = manifest["episodes"]
+    assert episode["scenario"] == "straight_road"
+    assert episode["frames"] == 50
+    assert episode["options"]["lanes"] == 2
+    assert "frames: 50" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--mix", "timid=.5"], "mix: found shares adding to 0.5, expected 1"),
+        (["--mix", "shy=1"], "mix: found 'shy', expected one of impatient"),
+        (["--mix", "timid=x"], "mix: found timid='x', expected a share >= 0"),
+        (["--mix", "timid"], "mix: found 'timid', expected name=share"),
+        (["--mix", "timid=.5,timid=.5"], "mix: found 'timid' twice"),
+        (["--kinds", "pedestrian=1"], "kinds: found 'pedestrian', expected one of car"),
+        (["--flow", "-3"], "flow: found '-3', expected light or medium or dense or a number"),
+        (["--flow", "heavy"], "flow: found 'heavy'"),
+        (["--flow", "nan"], "flow: found 'nan'"),
+        (["--spread", "-1"], "spread: found -1.0, expected a number >= 0"),
+        (["--duration-s", "0"], "duration_s: found 0.0, expected seconds > 0"),
+        (["--step-s", "5"], "step_s: found 5.0, expected seconds from 0.01 to 1"),
+        (["--seed", "-1"], "seed: found -1, expected an integer >= 0"),
+        (["--engine", "suma"], "unknown engine 'suma': did you mean 'sumo'?"),
+        (["--set", "lanez=2"], "unknown option of scenario 'straight_road', 'lanez'"),
+        (["--set", "lanes=9"], "lanes: found 9, expected 1 to 5"),
+        (["--set", "lanes=two"], "lanes: found 'two', expected a value like 3"),
+        (["--set", "crossing=3"], "crossing: found 3, expected a value like True"),
+        (["--set", "lanes"], "--set: found 'lanes', expected NAME=VALUE"),
+        (["--set", "length_m=-5"], "length_m: found -5, expected a number > 0"),
+        (["--set", "jaywalk_share=2"], "jaywalk_share: found 2, expected 0 to 1"),
+        (["--set", "pedestrians_per_h=-2"], "pedestrians_per_h: found -2"),
+    ],
+)
+def test_bad_values_are_refused_by_name_in_one_line(arguments, message, capsys):
+    assert main("straight_road", arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("scenarios.straight_road: error: ")
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_an_unwritable_folder_is_one_line(tmp_path, capsys):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    assert main("straight_road", ["--duration-s", "2", "--out", str(blocked / "x")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_unknown_names_are_suggested():
+    with pytest.raises(InputError, match="did you mean 'straight_road'"):
+        get_scenario("straight_raod")
+
+
+def test_flow_mix_and_kinds():
+    assert parse_flow("1e3", {}) == 1000.0
+    assert parse_mix(None) == pytest.approx(dict.fromkeys(Behavior, 1 / 6))
+    assert parse_mix({"timid": 1}) == {Behavior.TIMID: 1.0}
+    assert parse_kinds({AgentKind.BUS: 1.0}) == {AgentKind.BUS: 1.0}
+
+
+def test_the_shipped_sources_are_those_of_the_geometries():
+    for name, geometry in build.SHIPPED.items():
+        for file, text in geometry.sources().items():
+            assert (build.FOLDER / name / file).read_text(encoding="utf-8") == text
+
+
+def test_shipped_nets_do_not_say_where_or_when_they_were_built():
+    for name in build.SHIPPED:
+        text = (build.FOLDER / name / build.NET).read_text(encoding="utf-8")
+        assert "<!--" not in text
+        assert "generated" not in text
+
+
+def test_another_geometry_says_what_to_install_or_is_built_and_kept(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    geometry = FourWayGeometry(lanes=3, arm_m=120.0)
+    try:
+        build.find_netconvert()
+    except InputError:
+        with pytest.raises(InputError, match=r"pip install graphrqi\[networks\]"):
+            build.net_of(geometry)
+        assert not list(tmp_path.rglob("*"))
+        return
+    net = build.net_of(geometry)
+    assert net.is_relative_to(tmp_path)
+    assert build.net_of(geometry) == net
+
+
+def test_a_netconvert_that_fails_is_one_line(tmp_path, monkeypatch):
+    failing = tmp_path / "netconvert"
+    failing.write_text("#!/bin/sh\necho 'Error: no good' >&2\nexit 1\n")
+    failing.chmod(0o755)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(build, "find_netconvert", lambda: str(failing))
+    with pytest.raises(InputError, match="netconvert refused the sources: Error: no good"):
+        build.net_of(StraightGeometry(length_m=333.0))
+    assert os.listdir(tmp_path / "cache" / "graphrqi" / "networks")
+    assert not list((tmp_path / "cache").rglob("road.net.xml"))
