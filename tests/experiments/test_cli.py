@@ -14,6 +14,9 @@ from experiments.cli import app, main
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
 
 
+ONE = ("generate", "--scenario", "straight_road", "--episodes", "1")
+
+
 def graphrqi(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as ended:
         main(arguments)
@@ -50,6 +53,14 @@ def test_help_imports_nothing_heavy() -> None:
         (["generate", "--out", "{tmp}/x", "--scenario", "straight", "--episodes", "1"], "straight"),
         (["generate", "--out", "{tmp}/x", "--config", "{tmp}/none.toml"], "No such file"),
         (["generate", "--out", "{tmp}/x", "--jobs", "many"], "--jobs"),
+        ([*ONE, "--out", "{tmp}/file"], "found a file, expected a folder"),
+        ([*ONE, "--out", "{tmp}/file/x"], "{tmp}/file/x: Not a directory"),
+        ([*ONE, "--out", "{tmp}/x", "--jobs", "0"], "jobs: found 0"),
+        (["verify", "{tmp}"], "manifest.json"),
+        (["import", "{tmp}/file", "--out", "{tmp}/x"], "found no known format"),
+        (["import", "{tmp}/file", "--format", "ngsmi", "--out", "{tmp}/x"], "did you mean 'ngsim'"),
+        (["export", "{tmp}", "--format", "ngsim", "--out", "{tmp}/x"], "found no writer"),
+        (["classify", "{tmp}/none", "--out", "{tmp}/l"], "none"),
         (["run", "straight_road", "--engine", "sumoo"], "did you mean 'sumo'"),
         (["run", "straight_road", "--mix", "timid=3"], "mix: found shares adding to 3"),
         (["run", "straight_road", "--seed", "-1"], "--seed"),
@@ -60,12 +71,13 @@ def test_help_imports_nothing_heavy() -> None:
 def test_every_mistake_is_one_line_and_exit_code_2(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
 ) -> None:
+    (tmp_path / "file").touch()
     filled = [a.format(tmp=tmp_path) for a in arguments]
     code, out, err = graphrqi(capsys, *filled)
     assert code == 2
     assert err.startswith("graphrqi: error: ")
     assert err.count("\n") == 1
-    assert message in err
+    assert message.format(tmp=tmp_path) in err
     assert out == ""
 
 
