@@ -339,6 +339,27 @@ def bench_real_data(
     show_table(run_real_data_bench(data, _words(test_videos), quick), json)
 
 
+@bench.command(
+    "classification", epilog="example: graphrqi bench classification --data data --json rows.json"
+)
+def bench_classification(
+    data: Annotated[
+        Path | None, typer.Option(help="A dataset to learn and score on [default: one is made].")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Where datasets are made; those that are there are used.")
+    ] = Path("runs/classification"),
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Score every method under every protocol."""
+    from experiments.protocols import run_classification_bench
+    from experiments.tables import show_table
+
+    show_table(run_classification_bench(quick, data, out, jobs=jobs), json)
+
+
 def _add_bench(name: str, what: str) -> None:
     @bench.command(name, help=what, epilog=f"example: graphrqi bench {name} --quick")
     def measure(quick: Quick = False, json: Json = None) -> None:
@@ -351,7 +372,6 @@ def _add_bench(name: str, what: str) -> None:
 for _name, _what in {
     "behaviors": "Measure which behaviour shows which trait, in every scenario.",
     "highway": "Measure the highway-env engine's speed beside the stock road's.",
-    "classification": "Score every method under every protocol.",
     "prediction": "Measure every predictor's errors on unseen episodes.",
     "generate": "Measure the cost of generating data.",
 }.items():

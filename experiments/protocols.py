@@ -17,6 +17,7 @@ episodes; differences are of paired bootstraps.
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -209,18 +210,14 @@ class Recordings:
 # --- rows ---------------------------------------------------------------------------------------
 
 
-def _cell(value: float) -> float | None:
-    return None if np.isnan(value) else value
-
-
 def _row(keys: Mapping[str, Cell], metric: str, value: tuple[float, float, float], n: int) -> Row:
     low, high = value[1:]
     return {
         **keys,
         "metric": metric,
-        "value": _cell(value[0]),
-        "low": _cell(low),
-        "high": _cell(high),
+        "value": value[0],
+        "low": None if np.isnan(low) else low,
+        "high": None if np.isnan(high) else high,
         "n": n,
     }
 
@@ -620,44 +617,60 @@ def run_classification_bench(
     """What ``graphrqi bench classification`` measures.
 
     Args:
-        quick: few short episodes, a level of each disturbance, the main methods.
+        quick: few short episodes, one level of each disturbance, one method.
         dataset: train and test on this one; None makes one.
         folder: where datasets are made; what is there is used again.
-        methods: keys of ``METHODS``; ours comes first, so that others can be compared with it.
+        methods: keys of ``METHODS``.
         jobs: processes; None for one per core.
 
     Returns:
         Flat rows keyed by protocol, scenario, method, window_s and variation.
     """
-    size: dict[str, Any] = {"episodes": 5, "duration_s": 60.0} if quick else {"episodes": 20}
-    few: dict[str, Any] = {**size, "episodes": 2 if quick else 5}
     if quick:
-        methods = [m for m in methods if m in ("majority", "graphrqi", "cheung", "forest", OURS)]
+        with tempfile.TemporaryDirectory() as made:
+            size = {"episodes": 5, "duration_s": 40.0}
+            few = {"episodes": 1, "duration_s": 30.0}
+            dense = {"dense flow": TRAFFIC["dense flow"]}
+            return _measured(
+                dataset, Path(made), ("cheung",), ("cheung",), size, few, dense, jobs, 1
+            )
+    ours_first = sorted(methods, key=lambda name: name != OURS)
+    main = [name for name in ours_first if name in (OURS, "boosted")]
+    size, few = {"episodes": 20}, {"episodes": 5}
+    return _measured(dataset, folder, ours_first, main, size, few, TRAFFIC, jobs)
+
+
+def _measured(
+    dataset: Path | None,
+    folder: Path,
+    methods: Sequence[str],
+    main: Sequence[str],
+    size: Mapping[str, Any],
+    few: Mapping[str, Any],
+    traffic: Mapping[str, Mapping[str, Any]],
+    jobs: int | None,
+    levels: int | None = None,
+) -> list[Row]:
+    """Rows of every protocol: all methods where they are compared, the main ones elsewhere."""
     if dataset is None:
-        recordings = _made(folder, "quick base" if quick else "base", jobs, **size)
+        recordings = _made(folder, "base", jobs, **size)
     else:
         recordings = Recordings(open_dataset(dataset), jobs)
-    order = sorted(methods, key=lambda name: name != OURS)
-    main = [m for m in order if m in (OURS, "boosted")]
-    prefix = "quick " if quick else ""
-    traffic = {
-        name: _made(folder, f"{prefix}{name}", jobs, **{**few, "seed": 12, **options})
-        for name, options in TRAFFIC.items()
+    others = {
+        name: _made(folder, name, jobs, **{**few, "seed": 12, **options})
+        for name, options in traffic.items()
     }
-    highway = {
-        "trained on sumo, scored on highway": _made(
-            folder, f"{prefix}highway", jobs, **{**few, "engine": "highway", "seed": 13}
-        )
-    }
+    highway = _made(folder, "highway", jobs, **{**few, "engine": "highway", "seed": 13})
+    engines = {"trained on sumo, scored on highway": highway}
     return [
-        *inductive(recordings, order, (MAIN_S,) if quick else SCORED_S),
+        *inductive(recordings, methods, SCORED_S),
         *leak_probe(recordings),
         *ceiling(recordings),
         *interpretability(recordings),
-        *transductive(recordings, order),
+        *transductive(recordings, methods),
         *across_scenarios(recordings, main),
-        *across_datasets(recordings, traffic, main, "across-traffic"),
-        *across_datasets(recordings, highway, main, "across-engines"),
-        *robustness(recordings, main, 1 if quick else None),
+        *across_datasets(recordings, others, main, "across-traffic"),
+        *across_datasets(recordings, engines, main, "across-engines"),
+        *robustness(recordings, main, levels),
         *speed_rows(recordings, main),
     ]

@@ -314,19 +314,17 @@ def _rows(found: _Answers, task: int, keys: Mapping[str, Cell]) -> list[Row]:
     if task == 2:
         values["auc"] = auc_within(found.probability[:, 0], found.truth == 0, found.group)
 
-    def cell(value: float) -> float | None:
-        return None if np.isnan(value) else value
-
     return [
         {
             **keys,
             "metric": metric,
-            "value": cell(value),
-            "low": cell(low),
-            "high": cell(high),
+            "value": value,
+            "low": None if np.isnan(low) else low,
+            "high": None if np.isnan(high) else high,
             "n": int(found.truth.size),
         }
         for metric, (value, low, high) in values.items()
+        if not np.isnan(value)
     ]
 
 
