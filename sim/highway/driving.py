@@ -111,7 +111,7 @@ def driver_numbers(profile: Profile, kind: AgentKind) -> FloatArray:
             max(profile.min_gap_m / max(assertive, 1e-9), LEAST_CHANGE_GAP_M),
             max(limits.emergency_decel_mps2, profile.comfort_decel_mps2),
             profile.startup_delay_s,
-            limits.max_speed_mps,
+            min(limits.max_speed_mps, limits.cruise_mps * profile.speed_factor),
         ]
     )
     row.flags.writeable = False

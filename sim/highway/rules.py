@@ -22,7 +22,7 @@ from sim.frames import EventKind, Signal
 from sim.highway import driving
 from sim.highway.network import Conflict, LaneIndex
 from sim.highway.vehicle import Orders, ProfileVehicle
-from sim.highway.walkers import ROOM_M, Walker
+from sim.highway.walkers import Walker, strip_half
 
 if TYPE_CHECKING:
     from sim.highway.traffic import TrafficRoad
@@ -58,12 +58,28 @@ INSISTED_BRAKING_MPS2: Final = 3.0
 AT_LINE_M: Final = 5.0
 """A conflict that begins this soon after the line is waited for at the line."""
 
+WAITING_S: Final = 1.0
+"""Who has stood this long inside a junction, or before it without priority, is taken to wait (our
+choice)."""
+
 PATIENCE_S: Final = 20.0
 """After standing this long, drivers go in spite of others that stand too (our choice, as SUMO's
 ignored junction blockers)."""
 
-KERB_SOON_S: Final = 2.0
-"""A pedestrian this near the kerb is seen to want to cross (our choice)."""
+KERB_SOON_S: Final = 4.0
+"""A pedestrian this near the kerb is seen to want to cross (our choice), by drivers who demand at
+least that gap."""
+
+MET_S: Final = 3.0
+"""A driver who would pass less than this before a pedestrian meets that pedestrian, whatever the
+driver thinks of it (our choice): events tell who yielded and who did not."""
+
+MET_KERB_S: Final = 2.0
+"""And the pedestrian is on the crossing or this near its kerb (our choice)."""
+
+STALLED_S: Final = 4.0
+"""A pedestrian who has stood this long on the crossing, out of one's way, waits for the vehicles
+(our choice; without it each would wait for the other in a full junction)."""
 
 DANGER_S: Final = 1.0
 """Everybody brakes for a pedestrian who steps onto the lane within this time (our choice)."""
@@ -82,12 +98,12 @@ class Approach:
     Attributes:
         vehicle: which.
         to_line: front bumper to the beginning of the path, m; negative beyond it.
-        waits: whether it was going to stop before or inside the junction a step ago.
+        held: whether a light or a sign made it stop at the line a step ago.
     """
 
     vehicle: Vehicle
     to_line: float
-    waits: bool
+    held: bool
 
 
 @dataclass(slots=True)
@@ -143,9 +159,9 @@ def _approaching(road: TrafficRoad, views: list[_View]) -> dict[LaneIndex, list[
     found: dict[LaneIndex, list[Approach]] = {}
     for view in views:
         orders = getattr(view.vehicle, "orders", None)
-        waits = orders is not None and (orders.at_line or orders.inside)
+        held = orders is not None and orders.held
         if view.path is not None and view.to_line < SIGHT_M:
-            found.setdefault(view.path, []).append(Approach(view.vehicle, view.to_line, waits))
+            found.setdefault(view.path, []).append(Approach(view.vehicle, view.to_line, held))
         left = getattr(view.vehicle, "last_path", None)
         if left is not None and left != view.path:
             if view.s - view.vehicle.LENGTH / 2 < 0.0:
@@ -248,7 +264,7 @@ def _orders(
         orders.changes = view.s > NO_CHANGE_M[0] and (then is None or view.to_line > NO_CHANGE_M[1])
         if then is not None and view.path is None and view.to_line < SIGHT_M:
             orders.stop_gap = view.to_line  # on a lane that does not lead there
-            orders.at_line = True
+            orders.held = True
             orders.changes = True
     if view.lane[0].startswith("~"):
         if view.to_line < SIGHT_M:
@@ -261,9 +277,12 @@ def _orders(
             orders.speed_cap = math.sqrt(bend * bend + braking * max(view.to_line, 0.0))
         if view.to_line > -ENTERED_M:
             _at_line(road, view, orders)
-        if not orders.at_line:
+        if not orders.held:
             _conflicts(road, view, approaching, orders)
     _crossings(road, view, on_foot, orders)
+    through = view.path is not None and not network.info[view.path].must_yield
+    if through and -ENTERED_M < view.to_line < orders.stop_gap < math.inf:
+        _stop(orders, view.to_line)  # nobody with priority enters to stop inside
     return orders
 
 
@@ -286,23 +305,22 @@ def _at_line(road: TrafficRoad, view: _View, orders: Orders) -> None:
             hard = float(vehicle.numbers[driving.EMERGENCY_DECEL])
             if not runs and _stoppable(speed, to_line, hard):
                 _stop(orders, to_line)
-                orders.at_line = True
+                orders.held = True
         elif state == Signal.YELLOW.code:
             elapsed = road.time_s - road.signal_since[info.signal]
             comfort = float(vehicle.numbers[driving.COMFORT_DECEL])
             if elapsed >= vehicle.profile.yellow_run_s and _stoppable(speed, to_line, comfort):
                 _stop(orders, to_line)
-                orders.at_line = True
-    if info.must_stop and not orders.at_line:
+                orders.held = True
+    if info.must_stop and not orders.held:
         if to_line < LINE_M and speed < driving.STANDING_MPS:
             vehicle.draws["stood", path] = True
         rolls = _draw(vehicle, ("roll", path), vehicle.profile.stop_roll_probability)
         if not rolls and not vehicle.draws.get(("stood", path), False):
             _stop(orders, to_line)
-            orders.at_line = True
-    if not orders.at_line and _exit_blocked(road, view):
+            orders.held = True
+    if not orders.held and _exit_blocked(road, view):
         _stop(orders, to_line)
-        orders.at_line = True
 
 
 def _exit_blocked(road: TrafficRoad, view: _View) -> bool:
@@ -352,10 +370,6 @@ def _conflicts(
             if not _stoppable(vehicle.speed, gap, float(vehicle.numbers[driving.EMERGENCY_DECEL])):
                 continue
             _stop(orders, gap)
-            if at_line:
-                orders.at_line = True
-            else:
-                orders.inside = True
 
 
 def _blocks(
@@ -383,13 +397,15 @@ def _blocks(
         if stood > 2.0 * PATIENCE_S and foe_standing > PATIENCE_S:
             return False
         return bool(enter < clears + MARGIN_S)
-    if foe.waits:
+    if foe.held:
         return False
     if stood > PATIENCE_S and foe_standing > 1.0:
         return False
     info = road.network_info.info[conflict.other]
     foe_entered = foe.to_line < -ENTERED_M
     theirs = _rank(road, other, info.signal, info.must_yield, entered=foe_entered)
+    if foe_standing > WAITING_S and (foe_entered or theirs >= mine):
+        return False  # it waits itself, for this vehicle or for another
     foe_enters = _reach_s(speed, begin, FOE_ACCEL_MPS2, max(speed, 8.0))
     foe_leaves = end / max(speed, 2.0)
     profile = vehicle.profile
@@ -441,7 +457,7 @@ def _crossings(
     profile, speed = vehicle.profile, vehicle.speed
     hard = float(vehicle.numbers[driving.EMERGENCY_DECEL])
     gentle = max(1.2 * float(vehicle.numbers[driving.COMFORT_DECEL]), 3.0)
-    half = road.network_info.lanes[view.lane].width / 2 + ROOM_M
+    half = strip_half(road.network_info.lanes[view.lane].width / 2)
     yields = set()
     for _, crossing, near, far, u in _strips_ahead(road, view):
         if far + vehicle.LENGTH < 0.0:
@@ -472,14 +488,19 @@ def _crossings(
                     _stop(orders, near)
                     yields.add(crossing)
                 continue
+            if on and walker.stood_s > STALLED_S:
+                continue
             if not ((plan.priority or lit) and (on or walk)):
                 continue
-            if enters > clears + profile.crossing_gap_s or leaves < comes - DANGER_S:
+            if leaves < comes - DANGER_S or not _stoppable(speed, near, gentle):
                 continue
-            if not _stoppable(speed, near, gentle):
+            if enters < clears + MET_S and -beyond < MET_KERB_S * pace:
+                vehicle.draws["met", crossing] = True
+            if -beyond > profile.crossing_gap_s * pace:
                 continue
-            vehicle.draws["met", crossing] = True
-            if _draw(vehicle, ("ped", crossing), profile.yield_probability):
+            if enters < clears + profile.crossing_gap_s and _draw(
+                vehicle, ("ped", crossing), profile.yield_probability
+            ):
                 vehicle.draws["yielded", crossing] = True
                 _stop(orders, near)
                 yields.add(crossing)
@@ -496,7 +517,7 @@ def _note_arrivals(
 
     vehicle = view.vehicle
     yields = orders.yields_to if orders is not None else frozenset()
-    held = orders is not None and orders.at_line
+    held = orders is not None and orders.held
     for lane, crossing, near, far, _ in _strips_ahead(road, view):
         if near > SIGHT_M or far + vehicle.LENGTH < 0.0:
             continue

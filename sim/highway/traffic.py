@@ -51,7 +51,8 @@ JOINED_M: Final = 2.0
 way it takes there (our choice: half a car)."""
 
 ALIGNED: Final = 0.5
-"""Vehicles turned more than 60 degrees from a lane are crossing it, not on it."""
+"""Vehicles turned more than 60 degrees from a lane are crossing it, not on it; those who face the
+other way are on it too, other than inside junctions."""
 
 SIGHT_M: Final = 200.0
 """Leaders farther ahead are not looked for (our choice)."""
@@ -185,6 +186,7 @@ class TrafficRoad(FastRoad):
             np.array(last),
         )
         connector = np.array([self.network_info.info[i].connector for i in self._index])
+        self._connector = connector
         width = np.array([lane.width for lane in lanes])
         self._margin = width / 2 + np.where(connector, PATH_MARGIN_M, STRETCH_MARGIN_M)
         self._lengths = np.array([lane.length for lane in lanes])
@@ -257,7 +259,7 @@ class TrafficRoad(FastRoad):
         self._s, self._lateral, facing = _locate(xy, heading, *self._pieces)
         self._along = speed[:, None] * facing
         on = np.abs(self._lateral) <= self._margin[None]
-        on &= np.abs(facing) > ALIGNED
+        on &= np.where(self._connector[None], facing, np.abs(facing)) > ALIGNED
         on &= self._s >= -self._behind[None]
         on &= self._s <= self._lengths[None] + self._length[:, None] / 2
         self._on = on

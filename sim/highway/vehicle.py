@@ -106,16 +106,14 @@ class Orders:
     Attributes:
         stop_gap: front bumper to the nearest line at which to stop, m; infinite if none.
         speed_cap: speed not to exceed, m/s; infinite if none.
-        at_line: whether the driver is going to stop at the junction's stop line.
-        inside: whether the driver is going to stop inside the junction.
+        held: whether a light or a sign makes the driver stop at the junction's stop line.
         yields_to: the crossings whose pedestrians are let go first.
         changes: whether lane changes are allowed here.
     """
 
     stop_gap: float = math.inf
     speed_cap: float = math.inf
-    at_line: bool = False
-    inside: bool = False
+    held: bool = False
     yields_to: frozenset[int] = field(default_factory=frozenset)
     changes: bool = True
 

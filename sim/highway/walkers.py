@@ -39,8 +39,13 @@ SETBACK_M: Final = 1.6
 """How far back from the kerb one waits, m (our choice: out of the way of turning vehicles); a
 crossover begins and ends there."""
 
-ROOM_M: Final = 0.3
-"""Half a pedestrian's width, m."""
+STRIP_M: Final = 0.1
+"""The strip of a lane that is closed to one of vehicles and pedestrians while the other is on it
+ends this far inside the lane's edges, m: one can stand between two lanes (our choice)."""
+
+WALKED_M: Final = 1.1
+"""Half the width of the middle of a crossing on which pedestrians walk, m (`OFFSET_M`, half a
+pedestrian and a little)."""
 
 SPARE_S: Final = 0.7
 """Time to spare a pedestrian wants before a vehicle comes, s (our choice)."""
@@ -250,6 +255,7 @@ class Walker(Landmark):  # type: ignore[misc]
         self.free_speed = agent.speed_mps
         self.crossed = 0
         self.struck_at = math.inf
+        self.stood_s = 0.0
 
     @property
     def arrived(self) -> bool:
@@ -276,9 +282,10 @@ class Walker(Landmark):  # type: ignore[misc]
                 near = way.begin_s - self.s <= max(KERB_M, self.free_speed * dt)
                 if near and not self._may_start(road, way):
                     speed = 0.0
-            elif not self._may_go_on(road, way):
+            elif not self._may_go_on(road, way, self.free_speed * dt):
                 speed = 0.0
         self.speed = speed
+        self.stood_s = 0.0 if speed > 0.0 else self.stood_s + dt
         self.s = min(self.s + speed * dt, self.footway.length)
         if way is not None and self.s >= way.end_s:
             self.crossed += 1
@@ -289,7 +296,8 @@ class Walker(Landmark):  # type: ignore[misc]
         found = []
         for number, (u, half) in enumerate(road.strips_of[way.crossing]):
             middle = way.begin_s + way.along(u)
-            found.append((middle - half - ROOM_M, middle + half + ROOM_M, number))
+            half = strip_half(half)
+            found.append((middle - half, middle + half, number))
         return sorted(found)
 
     def _may_start(self, road: TrafficRoad, way: Crossover) -> bool:
@@ -300,9 +308,9 @@ class Walker(Landmark):  # type: ignore[misc]
         strips = self._strips(road, way)
         return all(self._safe(road, way, strip) for strip in (strips[:1] if lit else strips))
 
-    def _may_go_on(self, road: TrafficRoad, way: Crossover) -> bool:
+    def _may_go_on(self, road: TrafficRoad, way: Crossover, stride: float) -> bool:
         for begin, end, number in self._strips(road, way):
-            if self.s < begin <= self.s + KERB_M and not self._safe(
+            if self.s <= begin < self.s + stride and not self._safe(
                 road, way, (begin, end, number)
             ):
                 return False
@@ -319,10 +327,16 @@ class Walker(Landmark):  # type: ignore[misc]
         )
 
 
+def strip_half(half_width: float) -> float:
+    """Half the width of a lane's strip of a crossing, m, for half the lane's width."""
+    return half_width - STRIP_M
+
+
 def _lets_go(arrival: Arrival, crossing: int, enter_s: float, leave_s: float) -> bool:
     """Whether a vehicle will not be on its strip between two times from now."""
-    speed, near = arrival.vehicle.speed, arrival.near
-    clear = (arrival.far + arrival.vehicle.LENGTH) / max(speed, 0.5)
+    speed, half = arrival.vehicle.speed, (arrival.far - arrival.near) / 2
+    near, far = arrival.near + half - WALKED_M, arrival.far - half + WALKED_M
+    clear = (far + arrival.vehicle.LENGTH) / max(speed, 0.5)
     if clear < 0.0 or (speed > 0.5 and clear < enter_s - 0.2):
         return True
     if near <= 0.1:

@@ -1,0 +1,463 @@
+"""The engines' contract, and the physics and manners of the highway-env engine."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from behaviors import PROFILES, Behavior, InputError
+from scenarios import SCENARIOS
+from sim.engines import ENGINES, get_engine
+from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
+from sim.highway.demand import Demand
+from sim.highway.engine import network_of, read_frame, run
+from sim.highway.traffic import CLEAR_AFTER_S, TrafficRoad
+from sim.highway.vehicle import ProfileVehicle
+from sim.observables import observe
+from sim.scenario import AgentSpec, sample_agents
+
+STRAIGHT = ("east_in", "east_out")
+
+
+def driver(
+    behavior: Behavior,
+    number: int = 0,
+    *,
+    route=STRAIGHT,
+    depart_s: float = 0.0,
+    kind: AgentKind = AgentKind.CAR,
+    length: float = 4.6,
+    **changes,
+) -> AgentSpec:
+    profile = dataclasses.replace(PROFILES[behavior], **changes)
+    return AgentSpec(
+        number, kind, behavior, profile, route, depart_s, length, 1.8, 0.0, seed=number
+    )
+
+
+def walker(number: int, route, depart_s: float = 0.0, speed: float = 1.4) -> AgentSpec:
+    return AgentSpec(
+        number, AgentKind.PEDESTRIAN, None, None, route, depart_s, 0.25, 0.5, speed, seed=number
+    )
+
+
+def tracks(name: str, agents, duration_s: float, seed: int = 0, **options) -> Tracks:
+    scenario = SCENARIOS[name](duration_s=duration_s, **options)
+    return Tracks.from_frames(run(scenario, agents, seed), {a.id: a.behavior for a in agents})
+
+
+def put(road: TrafficRoad, lane, s: float, speed: float, behavior: Behavior, number: int = 0):
+    geometry = road.network_info.lanes[lane]
+    vehicle = ProfileVehicle(
+        road, geometry.position(s, 0.0), geometry.heading_at(s), speed,
+        profile=PROFILES[behavior], behavior=behavior, agent=number, seed=number,
+        lane_index=lane, stretches=(lane[:2],),
+    )  # fmt: skip
+    road.vehicles.append(vehicle)
+    return vehicle
+
+
+def straight_network():
+    return network_of(SCENARIOS["straight_road"]().road)
+
+
+# The contract of every engine ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=sorted(ENGINES))
+def episode(request):
+    scenario = SCENARIOS["four_way_intersection"](duration_s=25.0, flow="dense")
+    agents = sample_agents(scenario, 1)
+    return request.param, scenario, agents, list(get_engine(request.param)(scenario, agents, 1))
+
+
+def test_frames_come_every_step_until_the_end(episode):
+    _, scenario, _, frames = episode
+    times = np.array([frame.time_s for frame in frames])
+    np.testing.assert_allclose(times, 0.1 * np.arange(1, 251), atol=1e-9)
+    assert all(frame.signals.size == len(scenario.road.signal_groups) for frame in frames)
+    assert all((frame.signals < len(SIGNALS)).all() for frame in frames)
+
+
+def test_frames_keep_the_conventions(episode):
+    _, _, agents, frames = episode
+    for frame in frames:
+        assert (np.diff(frame.ids) > 0).all()
+        assert (np.abs(frame.heading) <= math.pi).all()
+        assert (frame.speed >= 0).all()
+    known = {agent.id: agent for agent in agents}
+    last = frames[-1]
+    assert len(last) > 5
+    for i, length, kind in zip(last.ids, last.length, last.kind, strict=True):
+        assert length == pytest.approx(known[int(i)].length_m)
+        assert kind == known[int(i)].kind.code
+
+
+def test_traffic_keeps_to_the_right_and_moves_along_its_heading(episode):
+    _, _, agents, frames = episode
+    seen = Tracks.from_frames(frames, {agent.id: agent.behavior for agent in agents})
+    north = [a.id for a in agents if a.route[0] == "south_in" and a.kind is AgentKind.CAR]
+    rows = np.flatnonzero(np.isin(seen.ids, north))
+    assert rows.size
+    for row in rows:
+        steps = np.flatnonzero(seen.valid[row])[:20]
+        assert (seen.xy[row, steps, 0] > 0).all()  # the right half of the southern arm
+        np.testing.assert_allclose(seen.heading[row, steps], math.pi / 2, atol=0.3)
+    moved = np.diff(seen.xy, axis=1)
+    both = seen.valid[:, 1:] & seen.valid[:, :-1]
+    fast = both & (seen.speed[:, 1:] > 3.0) & (seen.kind != PEDESTRIAN)[:, None]
+    way = moved[fast]
+    np.testing.assert_allclose(np.hypot(*way.T) / 0.1, seen.speed[:, :-1][fast], atol=1.6)
+    turned = np.arctan2(way[:, 1], way[:, 0]) - seen.heading[:, :-1][fast]
+    assert np.median(np.abs(np.sin(turned))) < 0.01
+    assert (np.cos(turned) > 0.7).all()  # in tight bends a body is at an angle to its way
+
+
+def test_same_seed_same_frames_to_the_bit(episode):
+    engine, scenario, agents, frames = episode
+    for one, other in zip(frames, get_engine(engine)(scenario, agents, 1), strict=True):
+        for name in ("ids", "xy", "heading", "speed", "signals"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        assert one.events == other.events
+
+
+def test_an_early_end_leaves_the_engine_usable(episode):
+    engine, scenario, agents, frames = episode
+    opened = get_engine(engine)(scenario, agents, 1)
+    next(opened)
+    opened.close()
+    np.testing.assert_array_equal(next(get_engine(engine)(scenario, agents, 1)).xy, frames[0].xy)
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_refuses_what_cannot_be_driven(engine):
+    scenario = SCENARIOS["straight_road"](duration_s=1.0)
+    go = get_engine(engine)
+    with pytest.raises(InputError, match="seed"):
+        go(scenario, (), -1)
+    with pytest.raises(InputError, match="twice"):
+        go(scenario, (driver(Behavior.TIMID, 1), driver(Behavior.TIMID, 1)), 0)
+    with pytest.raises(InputError, match="nowhere"):
+        go(scenario, (driver(Behavior.TIMID, route=("nowhere",)),), 0)
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_timid_drivers_keep_a_longer_headway_than_threatening_ones(engine):
+    scenario = SCENARIOS["straight_road"](
+        duration_s=120.0, flow="dense", mix="timid=.5,threatening=.5"
+    )
+    agents = sample_agents(scenario, 0)
+    seen = Tracks.from_frames(
+        get_engine(engine)(scenario, agents, 0), {a.id: a.behavior for a in agents}
+    )
+    facts = observe(seen, scenario.road)
+    headway = {}
+    for behavior in (Behavior.TIMID, Behavior.THREATENING):
+        rows = seen.behavior == behavior.code
+        near = facts.on_road[rows] & (facts.headway[rows] < 8.0) & (seen.speed[rows] > 2.0)
+        headway[behavior] = float(np.median(facts.headway[rows][near]))
+    assert headway[Behavior.TIMID] > 1.5 * headway[Behavior.THREATENING]
+
+
+# Car following -------------------------------------------------------------------------------
+
+
+def test_follows_at_idms_equilibrium_gap_from_bumper_to_bumper():
+    road = TrafficRoad(straight_network())
+    leader = put(road, ("east_in<", "east_out>", 0), 100.0, 8.0, Behavior.CAREFUL, 1)
+    leader.profile = dataclasses.replace(
+        PROFILES[Behavior.CAREFUL], speed_factor=8.0 / 13.89, lane_change_gain=0.0
+    )
+    follower = put(road, ("east_in<", "east_out>", 0), 70.0, 8.0, Behavior.CAREFUL, 2)
+    follower.profile = dataclasses.replace(PROFILES[Behavior.CAREFUL], lane_change_gain=0.0)
+    for _ in range(700):
+        road.act()
+        road.step(0.1)
+    profile = follower.profile
+    speed, wanted = follower.speed, profile.speed_factor * 13.89
+    gap = leader.position[0] - follower.position[0] - (leader.LENGTH + follower.LENGTH) / 2
+    expected = (profile.min_gap_m + speed * profile.time_headway_s) / math.sqrt(
+        1.0 - (speed / wanted) ** 4
+    )
+    assert speed == pytest.approx(8.0, abs=0.05)
+    assert gap == pytest.approx(expected, rel=0.02)
+
+
+def test_a_free_driver_is_not_held_to_the_limit():
+    seen = tracks("straight_road", [driver(Behavior.IMPATIENT)], 30.0)
+    assert seen.speed[0, -1] == pytest.approx(1.35 * 13.89, rel=0.02)
+
+
+@pytest.mark.parametrize("behavior", list(Behavior))
+def test_stops_behind_what_stands_in_the_way(behavior):
+    road = TrafficRoad(straight_network())
+    for lane in range(3):
+        block = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, behavior, 10 + lane)
+        block.wishes.stop_at, block.wishes.stop_until = math.inf, math.inf
+    own = put(road, ("east_in<", "east_out>", 1), 20.0, 14.0, behavior, 1)
+    for _ in range(400):
+        road.act()
+        road.step(0.1)
+    assert not own.crashed
+    gap = 200.0 - own.position[0] - own.LENGTH
+    assert own.speed < 0.3
+    assert 0.0 < gap < 3.0 * own.profile.min_gap_m + 1.0
+
+
+def test_a_driver_who_stops_for_no_reason_does_and_goes_on():
+    seen = tracks("straight_road", [driver(Behavior.TIMID, stop_rate_per_min=4.0)], 60.0)
+    speed = seen.speed[0][seen.valid[0]]
+    assert speed.min() < 1.0
+    assert speed[np.argmin(speed) :].max() > 6.0
+
+
+def test_nobody_drives_backwards_and_the_road_clears():
+    scenario = SCENARIOS["straight_road"](duration_s=140.0, flow=600)
+    agents = [a for a in sample_agents(scenario, 2) if a.depart_s < 20.0]
+    seen = Tracks.from_frames(run(scenario, agents, 0))
+    assert np.nanmin(seen.speed) >= 0.0
+    drivers = seen.kind != PEDESTRIAN
+    assert not seen.valid[drivers, -1].any()
+
+
+# Lane changes --------------------------------------------------------------------------------
+
+
+def lanes_of(seen: Tracks, row: int = 0):
+    return seen.xy[row, seen.valid[row], 1]
+
+
+def test_an_impatient_driver_overtakes_and_a_timid_one_stays_behind():
+    for behavior, overtakes in ((Behavior.IMPATIENT, True), (Behavior.TIMID, False)):
+        road = TrafficRoad(straight_network())
+        slow = put(road, ("east_in<", "east_out>", 1), 60.0, 5.0, Behavior.TIMID, 1)
+        slow.profile = dataclasses.replace(
+            PROFILES[Behavior.TIMID], speed_factor=0.36, stop_rate_per_min=0.0
+        )
+        own = put(road, ("east_in<", "east_out>", 1), 20.0, 9.0, behavior, 2)
+        for _ in range(300):
+            road.act()
+            road.step(0.1)
+        assert bool(own.position[0] > slow.position[0]) is overtakes
+
+
+def test_a_lane_change_takes_about_three_seconds():
+    road = TrafficRoad(straight_network())
+    vehicle = put(road, ("east_in<", "east_out>", 1), 50.0, 12.0, Behavior.TIMID)
+    begin = vehicle.position[1]
+    vehicle.target_lane_index = vehicle.wanted_lane_index = ("east_in<", "east_out>", 0)
+    taken = 0.0
+    while abs(vehicle.position[1] - begin) < 3.0 and taken < 10.0:
+        road.act()
+        road.step(0.1)
+        taken += 0.1
+    assert 2.0 < taken < 4.5
+
+
+def test_a_threatening_driver_cuts_in_just_ahead_of_somebody():
+    road = TrafficRoad(straight_network())
+    put(road, ("east_in<", "east_out>", 0), 90.0, 10.0, Behavior.CAREFUL, 1)
+    own = put(road, ("east_in<", "east_out>", 1), 102.0, 10.5, Behavior.THREATENING, 2)
+    own.profile = dataclasses.replace(
+        PROFILES[Behavior.THREATENING], lane_change_gain=0.0, cut_in_rate_per_min=600.0
+    )
+    for _ in range(60):
+        road.act()
+        road.step(0.1)
+        if own.lane_index[2] != 1:
+            break
+    assert own.lane_index[2] == 0
+    assert not own.crashed
+
+
+# Lights, junctions, crossings ----------------------------------------------------------------
+
+
+def red_runs(behavior: Behavior, number: int) -> tuple[int, int]:
+    """How many of lone drivers that come to a red light run it."""
+    runs = 0
+    for seed in range(number):
+        agent = driver(behavior, route=("east_in", "west_out"))
+        agent = dataclasses.replace(agent, seed=seed)
+        scenario = SCENARIOS["four_way_intersection"](duration_s=29.0)
+        events = [e for f in run(scenario, [agent], seed) for e in f.events]
+        runs += sum(e.kind is EventKind.RED_RUN for e in events)
+    return runs, number
+
+
+def test_reckless_drivers_run_red_lights_and_careful_ones_wait():
+    runs, number = red_runs(Behavior.RECKLESS, 5)
+    assert runs == number
+    assert red_runs(Behavior.CAREFUL, 5)[0] == 0
+    assert red_runs(Behavior.IMPATIENT, 5)[0] == 0
+
+
+def test_a_driver_who_waits_at_red_stands_before_the_line_and_goes_at_green():
+    seen = tracks(
+        "four_way_intersection", [driver(Behavior.CAREFUL, route=("east_in", "west_out"))], 60.0
+    )
+    front = seen.xy[0, :, 0] - seen.length[0] / 2
+    red = seen.time_s < 29.0
+    assert np.nanmin(front[red]) > 10.4  # the line
+    assert seen.speed[0, 280] < 0.2
+    assert seen.xy[0, seen.valid[0]][-1, 0] < -200.0
+
+
+@pytest.mark.parametrize("turn", ["north_out", "west_out", "south_out"])
+def test_keeps_to_its_path_through_the_junction(turn):
+    agent = driver(Behavior.CAREFUL, route=("east_in", turn))
+    scenario = SCENARIOS["four_way_intersection"](duration_s=75.0)
+    seen = Tracks.from_frames(run(scenario, [agent], 0))
+    facts = observe(seen, scenario.road)
+    assert np.nanmax(np.abs(facts.offset[0])) < 0.9
+    assert np.isin(turn, [scenario.road.lanes[i].edge for i in facts.lane[0] if i >= 0])
+
+
+def test_a_left_turner_lets_oncoming_traffic_pass_first():
+    agents = [
+        driver(Behavior.CAREFUL, 0, route=("north_in", "east_out")),
+        driver(Behavior.CAREFUL, 1, route=("south_in", "north_out"), depart_s=0.0),
+    ]
+    seen = tracks("four_way_intersection", agents, 60.0)
+    assert not [e for e in seen.events if e.kind is EventKind.COLLISION]
+    through = seen.time_s[np.flatnonzero(seen.xy[1, :, 1] > 10.0)[0]]
+    turned = seen.time_s[np.flatnonzero(seen.xy[0, :, 0] > 10.0)[0]]
+    assert turned > through
+
+
+def meet_pedestrian(behavior: Behavior, seed: int = 0) -> Tracks:
+    """A driver and a pedestrian who come to the zebra together."""
+    pace = PROFILES[behavior].speed_factor * 13.89
+    depart_s = 400.0 / 1.4 - 395.0 / pace
+    agents = [
+        dataclasses.replace(
+            driver(behavior, 0, depart_s=depart_s, stop_rate_per_min=0.0), seed=seed
+        ),
+        walker(1, ("west_in", "east_in"), speed=1.4),
+    ]
+    return tracks("straight_road", agents, 320.0, step_s=0.2)
+
+
+@pytest.mark.parametrize(
+    ("behavior", "yields"),
+    [(Behavior.CAREFUL, True), (Behavior.TIMID, True), (Behavior.RECKLESS, False)],
+)
+def test_conservative_drivers_let_pedestrians_cross_and_reckless_ones_do_not(behavior, yields):
+    seen = meet_pedestrian(behavior)
+    kinds = [event.kind for event in seen.events]
+    assert EventKind.COLLISION not in kinds
+    assert (EventKind.YIELDED in kinds) is yields
+    assert (EventKind.NOT_YIELDED in kinds) is (not yields)
+
+
+def test_pedestrians_cross_at_the_crossing_and_reach_the_other_side():
+    seen = tracks("straight_road", [walker(0, ("east_in", "west_out"))], 330.0, step_s=0.5)
+    on_road = (seen.xy[0, :, 1] < -0.8) & (seen.xy[0, :, 1] > -8.8)
+    assert on_road.any()
+    assert (np.abs(seen.xy[0, on_road, 0] - 400.0) < 2.0).all()
+    assert seen.xy[0, seen.valid[0]][-1, 1] > 0.0
+
+
+def test_pedestrians_wait_for_their_light():
+    seen = tracks("four_way_intersection", [walker(0, ("east_in", "west_out"))], 330.0, step_s=0.2)
+    on = (np.abs(seen.xy[0, :, 0]) < 6.0) & (np.abs(seen.xy[0, :, 1]) < 10.4)
+    begin = int(np.flatnonzero(on)[0])
+    crossing = SCENARIOS["four_way_intersection"]().road.crossings[0]
+    stepped_out = seen.signals[crossing.signal, begin - 12 : begin]
+    assert (stepped_out == SIGNALS.index("green")).any()
+
+
+def test_an_all_way_stop_is_stopped_at_or_rolled():
+    for behavior, rolls in ((Behavior.CAREFUL, False), (Behavior.RECKLESS, True)):
+        seen = tracks("all_way_stop", [driver(behavior, route=("east_in", "west_out"))], 60.0)
+        rolled = any(event.kind is EventKind.STOP_ROLLED for event in seen.events)
+        assert rolled is rolls
+        assert bool(np.nanmin(seen.speed[0]) < 0.3) is (not rolls)
+
+
+def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
+    agents = [
+        driver(Behavior.TIMID, 0, stop_rate_per_min=0.0, speed_factor=0.4),
+        driver(Behavior.RECKLESS, 1, depart_s=6.0, wrong_way_rate_per_min=60.0),
+    ]
+    seen = tracks("two_way_road", agents, 90.0)
+    assert EventKind.WRONG_WAY in [event.kind for event in seen.events]
+    both = seen.valid.all(axis=0)
+    assert (seen.xy[1, both, 0] > seen.xy[0, both, 0]).any()  # got past
+    own_side = seen.xy[0, seen.valid[0]][0, 1]
+    assert seen.xy[1, seen.valid[1]][-1, 1] == pytest.approx(own_side, abs=0.5)
+    assert not [e for e in seen.events if e.kind is EventKind.COLLISION]
+
+
+# Collisions ----------------------------------------------------------------------------------
+
+
+def test_a_collision_is_noted_with_its_cause_and_cleared():
+    road = TrafficRoad(straight_network())
+    standing = put(road, ("east_in<", "east_out>", 1), 100.0, 0.0, Behavior.CAREFUL, 1)
+    standing.wishes.stop_at, standing.wishes.stop_until = math.inf, math.inf
+    moving = put(road, ("east_in<", "east_out>", 1), 90.0, 14.0, Behavior.THREATENING, 2)
+    for _ in range(10):
+        road.act()
+        road.step(0.1)
+    (event,) = [e for e in road.take_events() if e.kind is EventKind.COLLISION]
+    assert (event.agent, event.other, event.rule) == (2, 1, "did not keep the gap")
+    assert moving.crashed
+    assert standing.crashed
+    for _ in range(round(10 * CLEAR_AFTER_S) + 5):
+        road.act()
+        road.step(0.1)
+    assert road.vehicles == []
+    assert [e.kind for e in road.take_events()] == [EventKind.REMOVAL] * 2
+
+
+def test_traffic_behind_a_collision_goes_on_once_it_is_cleared():
+    road = TrafficRoad(straight_network())
+    for lane in range(3):
+        wreck = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, Behavior.CAREFUL, lane)
+        wreck.crashed, wreck.crashed_at = True, 0.0
+    own = put(road, ("east_in<", "east_out>", 0), 120.0, 10.0, Behavior.CAREFUL, 9)
+    for _ in range(300):
+        road.act()
+        road.step(0.1)
+    assert not own.crashed
+    assert own.position[0] > 210.0
+
+
+def test_conservative_drivers_cause_no_collisions_on_the_straight_road():
+    scenario = SCENARIOS["straight_road"](duration_s=100.0, flow="dense")
+    agents = sample_agents(scenario, 7)
+    events = [e for f in run(scenario, agents, 7) for e in f.events]
+    caused = [e for e in events if e.kind is EventKind.COLLISION]
+    assert all(agents[e.agent].behavior.style == "aggressive" for e in caused)
+
+
+def test_all_kinds_of_vehicles_drive():
+    agents = [
+        driver(Behavior.CAREFUL, i, depart_s=4.0 * i, kind=kind, length=length)
+        for i, (kind, length) in enumerate(
+            [(AgentKind.BUS, 12.0), (AgentKind.BICYCLE, 1.8), (AgentKind.TRUCK, 8.5)]
+        )
+    ]
+    seen = tracks("straight_road", agents, 40.0)
+    np.testing.assert_allclose(seen.length, [12.0, 1.8, 8.5])
+    assert seen.kind.tolist() == [a.kind.code for a in agents]
+    assert np.nanmax(seen.speed[1]) < 5.6  # as fast as bicycles go
+    assert not seen.events
+
+
+def test_who_finds_no_room_waits_and_enters_later():
+    agents = [driver(Behavior.TIMID, i) for i in range(9)]
+    scenario = SCENARIOS["straight_road"](duration_s=30.0)
+    road = TrafficRoad(network_of(scenario.road))
+    demand = Demand(road, agents, 0)
+    demand.enter()
+    assert len(road.vehicles) == 3  # one a lane
+    for _ in range(300):
+        demand.enter()
+        road.act()
+        road.step(0.1)
+    assert len(read_frame(road)) == 9

@@ -1,0 +1,257 @@
+"""The network made from a road, the quicker road, and the compiled step."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from highway_env.road.lane import lane_from_config
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.objects import Obstacle
+
+from behaviors import PROFILES, Behavior, InputError
+from experiments.highway import run_highway_bench
+from scenarios import SCENARIOS
+from sim.highway.engine import network_of, run
+from sim.highway.fast_road import FastRoad, separation
+from sim.highway.lanes import PolylineLane
+from sim.highway.traffic import TrafficRoad
+from sim.highway.vehicle import ProfileVehicle
+from sim.highway.walkers import find_footway
+from sim.road import Road as SumoRoad
+from sim.scenario import sample_agents
+
+FOUR_WAY = ("south_in>", "north_out<")
+
+
+def network(name: str):
+    return network_of(SCENARIOS[name]().road)
+
+
+# The network ---------------------------------------------------------------------------------
+
+
+def test_a_straight_road_is_one_stretch_with_lanes_counted_from_the_left():
+    made = network("straight_road")
+    assert set(made.lanes) == {("east_in<", "east_out>", i) for i in range(3)}
+    road: SumoRoad = made.road
+    leftmost = made.lanes["east_in<", "east_out>", 0]
+    assert leftmost.length == pytest.approx(800.0)
+    assert leftmost.start[1] == -max(
+        lane.centerline[0, 1] for lane in road.lanes if lane.edge == "east_in"
+    )
+    strips = made.info["east_in<", "east_out>", 0].strips
+    assert [(strip.near_s, strip.far_s) for strip in strips] == [(398.0, 402.0)]
+
+
+def test_junction_paths_join_lanes_and_know_their_light_and_their_foes():
+    made = network("four_way_intersection")
+    paths = [lane for lane, info in made.info.items() if info.connector]
+    assert len(paths) == len(made.road.connections) == 16
+    for (lane, stretch), path in made.onward.items():
+        begin, end = made.lanes[lane], made.lanes[made.exit_of[path]]
+        way = made.lanes[path]
+        np.testing.assert_allclose(way.position(0, 0), begin.position(begin.length, 0), atol=0.1)
+        np.testing.assert_allclose(way.position(way.length, 0), end.position(0, 0), atol=0.1)
+        assert made.exit_of[path][:2] == stretch
+    assert all(made.info[path].signal >= 0 for path in paths)
+    straight = made.info[(*FOUR_WAY, 0)]
+    assert not straight.must_yield
+    for conflict in straight.conflicts:
+        back = [c for c in made.info[conflict.other].conflicts if c.other == (*FOUR_WAY, 0)]
+        assert back, conflict
+        assert back[0].begin_s == conflict.other_begin_s
+    parallel = (*FOUR_WAY, 1)
+    assert parallel not in [c.other for c in straight.conflicts]
+
+
+def test_lanes_keep_their_order_over_the_junction():
+    made = network("four_way_intersection")
+    for number in range(2):
+        path = made.onward[("south_in<", "south_in>", number), ("north_out<", "north_out>")]
+        assert made.exit_of[path][2] == number
+        assert path[2] == number  # highway-env's own vehicles rely on it
+
+
+def test_opposite_lanes_have_ghosts_and_one_way_roads_have_none():
+    assert network("straight_road").ghost == {}
+    made = network("two_way_road")
+    for lane, ghost in made.ghost.items():
+        own, over = made.lanes[lane], made.lanes[ghost]
+        np.testing.assert_allclose(over.direction, own.direction, atol=1e-9)
+        s, lateral = own.local_coordinates(over.position(10.0, 0.0))
+        assert s == pytest.approx(10.0)
+        assert lateral == pytest.approx(-own.width)  # to the left
+
+
+def test_routes_that_do_not_exist_are_refused_by_name():
+    made = network("four_way_intersection")
+    with pytest.raises(InputError, match="'up'"):
+        made.stretches(("up",))
+    with pytest.raises(InputError, match="no way"):
+        made.stretches(("east_out", "west_in"))
+
+
+def test_polylines_project_back_and_survive_their_config():
+    lane = PolylineLane(np.array([[0.0, 0.0], [10.0, 0.0], [16.0, 8.0], [16.0, 20.0]]), 3.2)
+    for s in (0.0, 4.0, 12.0, 19.0, 28.0):
+        for lateral in (-0.5, 0.0, 0.5):
+            back = lane.local_coordinates(lane.position(s, lateral))
+            np.testing.assert_allclose(back, [s, lateral], atol=0.35)
+    again = lane_from_config(lane.to_config())
+    np.testing.assert_array_equal(again.points, lane.points)
+    assert lane.heading_at(-1.0) == 0.0
+    assert lane.heading_at(lane.length) == pytest.approx(np.pi / 2)
+
+
+def test_footways_use_crossings_only_where_they_have_to():
+    road = SCENARIOS["four_way_intersection"]().road
+    assert find_footway(road, ("east_in", "north_out")).crossovers == ()
+    assert len(find_footway(road, ("east_in", "west_out")).crossovers) == 1
+    assert len(find_footway(road, ("east_in", "south_out")).crossovers) == 2
+    with pytest.raises(InputError, match="sidewalk"):
+        find_footway(road, ("nowhere",))
+
+
+# The quicker road ----------------------------------------------------------------------------
+
+
+def crowd(kind: type[Road], cars: int, spacing: float, seed: int) -> Road:
+    net = RoadNetwork.straight_road_network(4, speed_limit=30)
+    road = kind(net, np_random=np.random.RandomState(seed))
+    rng = np.random.default_rng(seed)
+    for i in range(cars):
+        lane = net.get_lane(("0", "1", i % 4))
+        s = 20 + (i // 4) * spacing + rng.uniform(0, spacing / 2)
+        vehicle = IDMVehicle(road, lane.position(s, rng.uniform(-1, 1)), speed=rng.uniform(5, 28))
+        vehicle.target_speed = rng.uniform(10, 35)
+        road.vehicles.append(vehicle)
+    road.objects.append(Obstacle(road, net.get_lane(("0", "1", 1)).position(300.0, 0.0)))
+    return road
+
+
+@pytest.mark.parametrize(("spacing", "seed"), [(25.0, 0), (9.0, 1), (6.5, 2)])
+def test_the_quicker_road_is_the_stock_road_to_the_bit_even_in_pile_ups(spacing, seed):
+    roads = [crowd(kind, 40, spacing, seed) for kind in (Road, FastRoad)]
+    crashed = 0
+    for _ in range(75):
+        for road in roads:
+            road.act()
+            road.step(1 / 15)
+        states = [
+            [(*v.position, v.heading, v.speed, v.crashed, v.lane_index) for v in road.vehicles]
+            for road in roads
+        ]
+        assert states[0] == states[1]
+        crashed = sum(v.crashed for v in roads[0].vehicles)
+    assert crashed or spacing > 10.0
+
+
+def test_cars_side_by_side_are_decided_by_the_stock_search():
+    for kind in (Road, FastRoad):
+        road = crowd(kind, 0, 20.0, 0)
+        net = road.network
+        for lane in range(4):
+            vehicle = IDMVehicle(road, net.get_lane(("0", "1", lane)).position(50.0, 0.0), speed=20)
+            road.vehicles.append(vehicle)
+        twin = IDMVehicle(road, net.get_lane(("0", "1", 0)).position(50.0, 1.0), speed=20)
+        road.vehicles.append(twin)
+        road.act()
+        found = road.neighbour_vehicles(road.vehicles[1], ("0", "1", 0))
+        assert found == Road.neighbour_vehicles(road, road.vehicles[1], ("0", "1", 0))
+
+
+def test_separation_of_boxes():
+    east, north = np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]])
+    half = np.array([[2.0, 1.0]])
+
+    def apart(dx: float, dy: float, other) -> float:
+        return float(separation(np.array([[dx, dy]]), east, half, other, half)[0])
+
+    assert apart(5.0, 0.0, east) == pytest.approx(1.0)
+    assert apart(0.0, 1.5, east) == pytest.approx(-0.5)
+    assert apart(3.5, 0.0, north) == pytest.approx(0.5)
+    moving = separation(np.array([[5.0, 0.0]]), east, half, east, half, np.array([[-1.5, 0.0]]))
+    assert moving[0] == pytest.approx(-0.5)
+
+
+# The compiled step ---------------------------------------------------------------------------
+
+
+def test_the_compiled_step_agrees_with_the_vehicles_over_a_minute_of_everything():
+    scenario = SCENARIOS["straight_road"](duration_s=60.0, flow="dense")
+    agents = sample_agents(scenario, 3)
+    pairs = zip(run(scenario, agents, 1), run(scenario, agents, 1, compiled=True), strict=True)
+    for one, other in pairs:
+        np.testing.assert_array_equal(one.ids, other.ids)
+        np.testing.assert_allclose(one.xy, other.xy, atol=1e-6)
+        np.testing.assert_allclose(one.speed, other.speed, atol=1e-6)
+        assert one.events == other.events
+    assert len(one) > 20
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_new_profile_is_heeded_at_the_next_step(compiled):
+    road = TrafficRoad(network("straight_road"), compiled=compiled)
+    lane = road.network_info.lanes["east_in<", "east_out>", 1]
+    vehicle = ProfileVehicle(
+        road, lane.position(50.0, 0.0), 0.0, 9.0, profile=PROFILES[Behavior.CAREFUL],
+        lane_index=("east_in<", "east_out>", 1), stretches=(("east_in<", "east_out>"),),
+    )  # fmt: skip
+    road.vehicles.append(vehicle)
+    for _ in range(20):
+        road.act()
+        road.step(0.1)
+    before = vehicle.action["acceleration"]
+    assert before > 0
+    vehicle.profile = dataclasses.replace(PROFILES[Behavior.CAREFUL], speed_factor=0.3)
+    road.act()
+    road.step(0.1)
+    assert vehicle.action["acceleration"] < 0
+
+
+def test_the_compiled_step_refuses_junctions_by_name():
+    with pytest.raises(InputError, match="four_way_intersection"):
+        TrafficRoad(network("four_way_intersection"), compiled=True)
+
+
+def test_copies_keep_their_driver():
+    road = TrafficRoad(network("straight_road"))
+    lane = road.network_info.lanes["east_in<", "east_out>", 1]
+    vehicle = ProfileVehicle(
+        road, lane.position(50.0, 0.0), 0.0, 9.0, profile=PROFILES[Behavior.RECKLESS],
+        behavior=Behavior.RECKLESS, length=6.0, agent=7,
+    )  # fmt: skip
+    vehicle.randomize_behavior()
+    copy = ProfileVehicle.create_from(vehicle)
+    assert copy.profile == vehicle.profile == PROFILES[Behavior.RECKLESS]
+    assert (copy.LENGTH, copy.agent, copy.behavior) == (6.0, 7, Behavior.RECKLESS)
+    assert copy.diagonal == pytest.approx(np.hypot(6.0, 1.8))
+    with pytest.raises(TypeError, match="IDMVehicle"):
+        ProfileVehicle.create_from(IDMVehicle(road, [0.0, 0.0]))
+
+
+def test_vehicles_drive_on_highway_envs_own_road_too():
+    net = RoadNetwork.straight_road_network(3, speed_limit=20)
+    road = Road(net, np_random=np.random.RandomState(0))
+    for i in range(6):
+        place = net.get_lane(("0", "1", i % 3)).position(20.0 + 15 * i, 0.0)
+        road.vehicles.append(
+            ProfileVehicle(road, place, 0.0, 12.0, profile=PROFILES[list(Behavior)[i]], seed=i)
+        )
+    for _ in range(100):
+        road.act()
+        road.step(0.1)
+    assert not any(vehicle.crashed for vehicle in road.vehicles)
+    assert all(vehicle.position[0] > 60.0 for vehicle in road.vehicles)
+
+
+def test_the_bench_has_a_row_for_every_road_and_compares_results():
+    rows = run_highway_bench(sizes=(12,), seconds=1.0, most_stock_frames=5)
+    keys = {(row["road"], row["metric"]) for row in rows}
+    assert ("fast", "ratio_to_stock") in keys
+    exact = {r["road"]: r["value"] for r in rows if r["metric"] == "farthest_m"}
+    assert exact["fast"] == 0.0
+    assert exact["compiled"] < 1e-6
