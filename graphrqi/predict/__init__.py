@@ -28,6 +28,11 @@ PREDICTORS: Final[dict[str, str]] = {
     "behavior-mixture": "graphrqi.predict.mixture:behavior_mixture",
     "oracle": "graphrqi.predict.following:oracle",
     "shuffled": "graphrqi.predict.following:shuffled",
+    "lstm": "graphrqi.predict.lstm:lstm",
+    "graphrqi-predict": "graphrqi.predict.learned:graphrqi_predict",
+    "graphrqi-predict-unlabelled": "graphrqi.predict.learned:unlabelled_predict",
+    "graphrqi-predict-oracle": "graphrqi.predict.learned:oracle_predict",
+    "graphrqi-predict-shuffled": "graphrqi.predict.learned:shuffled_predict",
 }
 """Where each predictor lives, as "module:function"."""
 

@@ -116,7 +116,7 @@ def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
     inputs = np.concatenate(
         [
             features(first),
-            relative.reshape(row.size, -1) / 10.0,
+            relative.reshape(row.size, 3 * KNOTS * 2) / 10.0,
             np.stack([likely[row, order[:, 0]], second_likely], axis=1),
             probability,
             _by_behavior(first, rollout, table),
@@ -155,7 +155,9 @@ def unlabelled(scene: Scene) -> Known:
     straight = scene.speed[:, None] * np.arange(1, KNOTS + 1) * KNOT_S
     relative = stack[:, [0, 1, 4]].copy()
     relative[..., 0] -= straight[:, None]
-    inputs = np.concatenate([features(scene), relative.reshape(row.size, -1) / 10.0], axis=1)
+    inputs = np.concatenate(
+        [features(scene), relative.reshape(row.size, 3 * KNOTS * 2) / 10.0], axis=1
+    )
     return Known(inputs, stack)
 
 

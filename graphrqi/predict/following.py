@@ -90,13 +90,22 @@ def oracle(scene: Scene, posterior: Posterior) -> Prediction:
     Raises:
         InputError: if the history carries no labels.
     """
+    return aware_with(scene, true_behavior(scene), default_table())
+
+
+def true_behavior(scene: Scene) -> FloatArray:
+    """(n, 6) beliefs of one who knows the true behaviours; uniform for those that have none.
+
+    Raises:
+        InputError: if the history carries no labels.
+    """
     behavior = scene.history.behavior
     if behavior is None:
         raise InputError("oracle: found a history without behaviours, expected labelled tracks")
     code = behavior.astype(np.int64)
     sure = np.full((code.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
     sure[code >= 0] = np.eye(len(BEHAVIORS))[code[code >= 0]]
-    return aware_with(scene, sure, default_table())
+    return sure
 
 
 def shuffled(scene: Scene, posterior: Posterior) -> Prediction:

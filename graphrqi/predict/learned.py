@@ -29,9 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known, from_own_frame, known
 from graphrqi.predict.drivers import default_table
+from graphrqi.predict.following import shuffled_posterior, true_behavior
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene import STEP_S, Scene
 from sim.frames import PEDESTRIAN
@@ -227,3 +229,23 @@ def _spline(steps: int) -> tuple[FloatArray, FloatArray]:
     beyond = (time_s - inside)[:, None]
     matrix = through(inside) + beyond * through(inside, 1)
     return np.asarray(matrix), np.asarray((starting(inside) + beyond * starting(inside, 1))[:, 0])
+
+
+def unlabelled_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """`graphrqi_predict` told nothing of who drives how: what the labels are measured against."""
+    nothing = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+    return graphrqi_predict(scene, nothing)
+
+
+def oracle_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """`graphrqi_predict` told every driver's true behaviour.
+
+    Raises:
+        InputError: if the history carries no labels.
+    """
+    return graphrqi_predict(scene, Posterior(scene.ids, true_behavior(scene)))
+
+
+def shuffled_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """`graphrqi_predict` told other drivers' behaviours: how far wrong labels mislead it."""
+    return graphrqi_predict(scene, shuffled_posterior(scene, posterior))

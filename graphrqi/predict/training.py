@@ -38,6 +38,9 @@ WEIGHT_DECAY: Final = 1e-3
 RELAXATION: Final = 0.05
 """Share of the loss that also pulls on futures that did not win (Rupprecht et al.)."""
 
+CHECKED: Final = 1000
+"""Validation examples at most from which the spreads' scale is found (our choice)."""
+
 SCORE_WEIGHT, SPREAD_WEIGHT = 0.2, 0.1
 """Weights of the scores' and the spreads' losses against displacement in metres (our choice)."""
 
@@ -249,11 +252,11 @@ def train_lstm(
 def right_spread(futures: Futures, truth: NDArray[np.float32]) -> float:
     """Factor for the spreads with which nominal 90 % sets cover 90 % at the last knot."""
     low, high = 0.1, 10.0
+    every = max(1, len(truth) // CHECKED)
+    own, spread = futures.own[::every, :, -1], futures.spread[::every, :, -1]
+    probability, ended = futures.probability[::every], truth[::every, -1].astype(np.float64)
     for _ in range(20):
         middle = float(np.sqrt(low * high))
-        inside = covered(
-            futures.own[:, :, -1], futures.spread[:, :, -1] * middle, futures.probability,
-            truth[:, -1].astype(np.float64),
-        )  # fmt: skip
+        inside = covered(own, spread * middle, probability, ended)
         low, high = (middle, high) if inside.mean() < 0.9 else (low, middle)
     return float(np.sqrt(low * high))

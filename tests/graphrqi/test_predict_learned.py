@@ -1,0 +1,160 @@
+"""Learned predictors: frames, splines, files, and that training learns what can be learned."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from graphrqi.predict import training
+from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known
+from graphrqi.predict.learned import MODES, PER_MODE, _spline, decode, load_network, save_network
+from graphrqi.predict.lstm import load_lstm
+from graphrqi.predict.metrics import covered, log_density, overlap
+from graphrqi.predict.training import Examples, train_lstm, train_perceptron
+
+INPUTS = 72
+
+
+def made_up(count: int, seed: int) -> Examples:
+    """Drivers that go one of the first two bases' way, as their first input says."""
+    rng = np.random.default_rng(seed)
+    inputs = np.zeros((count, INPUTS), dtype=np.float32)
+    inputs[:, 0] = rng.standard_normal(count)
+    speed = rng.uniform(5, 15, count)
+    time_s = np.arange(1, KNOTS + 1) * KNOT_S
+    straight = np.stack([speed[:, None] * time_s, np.zeros((count, KNOTS))], axis=-1)
+    bases = np.repeat(straight[:, None], len(BASES), axis=1)
+    bases[:, 1, :, 1] += time_s
+    left = inputs[:, 0] > 0
+    truth = np.where(left[:, None, None], bases[:, 1], bases[:, 0])
+    return Examples(inputs, bases.astype(np.float32), truth.astype(np.float32))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_and_quick():
+    """The training of the module at a size that suits made-up examples."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "HIDDEN", (32, 32))
+        patch.setattr(training, "BATCH", 64)
+        patch.setattr(training, "LEARNING_RATE", 5e-3)
+        yield
+
+
+@pytest.fixture(scope="module")
+def perceptron(small_and_quick):
+    return train_perceptron(made_up(2048, 0), made_up(300, 1), epochs=10)
+
+
+def known(examples: Examples) -> Known:
+    return Known(examples.inputs.astype(np.float64), examples.bases.astype(np.float64))
+
+
+def ade(futures, examples: Examples) -> float:
+    return float(np.linalg.norm(futures.own[:, 0] - examples.truth, axis=-1).mean())
+
+
+def test_perceptron_learns_which_way_drivers_go(perceptron):
+    test = made_up(500, 2)
+    untold = float(np.linalg.norm(test.bases[:, 0] - test.truth, axis=-1).mean())
+    assert ade(perceptron(known(test)), test) < 0.5 * untold
+
+
+def test_lstm_learns_which_way_drivers_go():
+    test = made_up(500, 2)
+    network = train_lstm(made_up(2048, 0), made_up(300, 1), epochs=4)
+    untold = float(np.linalg.norm(test.bases[:, 0] - test.truth, axis=-1).mean())
+    assert ade(network(known(test)), test) < 0.5 * untold
+
+
+def test_training_twice_gives_the_same_network():
+    one, other = (train_perceptron(made_up(256, 0), made_up(100, 1), epochs=1) for _ in "ab")
+    assert all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
+
+
+def test_networks_survive_their_files(perceptron, tmp_path):
+    path = tmp_path / "network.safetensors"
+    save_network(perceptron, path, {"split": "train"})
+    again = load_network(path)
+    test = known(made_up(50, 3))
+    assert np.allclose(again(test).own, perceptron(test).own, atol=1e-3)
+    rival = train_lstm(made_up(256, 0), made_up(100, 1), epochs=1)
+    rival.save(tmp_path / "lstm.safetensors", {})
+    assert np.allclose(
+        load_lstm(tmp_path / "lstm.safetensors")(test).own, rival(test).own, atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("load", [load_network, load_lstm])
+def test_broken_network_files_are_refused(load, tmp_path):
+    with pytest.raises(InputError, match="found no file"):
+        load(tmp_path / "missing")
+    (tmp_path / "broken").write_bytes(b"12345678{")
+    with pytest.raises(InputError, match="expected a trained predictor"):
+        load(tmp_path / "broken")
+
+
+def test_newer_network_files_are_refused(perceptron, tmp_path):
+    from safetensors.numpy import save_file
+
+    path = tmp_path / "newer"
+    save_file({"mean": np.zeros(1)}, path, {"about": json.dumps({"schema_version": 99})})
+    for load in (load_network, load_lstm):
+        with pytest.raises(InputError, match="schema_version: found 99, expected 1"):
+            load(path)
+
+
+def test_decoded_futures_are_distributions_with_the_first_the_likeliest():
+    rng = np.random.default_rng(0)
+    raw = rng.standard_normal((40, MODES * PER_MODE))
+    futures = decode(raw, rng.standard_normal((40, len(BASES), KNOTS, 2)), 1.0)
+    assert futures.probability.sum(axis=1) == pytest.approx(1.0)
+    assert (futures.probability.argmax(axis=1) == 0).all()
+    assert (futures.spread > 0).all()
+
+
+@pytest.mark.parametrize("steps", [20, 50, 60])
+def test_spline_runs_through_the_knots_and_starts_at_the_present_speed(steps):
+    matrix, start = _spline(steps)
+    time_s = np.arange(1, steps + 1) * 0.1
+    knots = np.arange(1, KNOTS + 1) * KNOT_S
+    way = 8.0 * knots - 0.5 * knots**2
+    told = matrix @ way + 8.0 * start
+    at = time_s[time_s <= 5.0]
+    assert told[: at.size] == pytest.approx(8.0 * at - 0.5 * at**2, abs=0.05)
+
+
+def test_sets_cover_what_they_promise():
+    rng = np.random.default_rng(1)
+    n = 2500
+    xy = rng.normal(0, 5, (n, 3, 2))
+    probability = np.tile([0.5, 0.3, 0.2], (n, 1))
+    spread = np.full((n, 3), 1.5)
+    mode = rng.choice(3, n, p=[0.5, 0.3, 0.2])
+    truth = xy[np.arange(n), mode] + 1.5 * rng.standard_normal((n, 2))
+    assert covered(xy, spread, probability, truth).mean() == pytest.approx(0.9, abs=0.02)
+    assert covered(xy, spread * 0.5, probability, truth).mean() < 0.75
+
+
+def test_log_density_integrates_to_one():
+    grid = np.stack(np.meshgrid(*[np.linspace(-12, 12, 241)] * 2), axis=-1).reshape(1, -1, 2)
+    xy = np.array([[[0.0, 0.0], [3.0, 1.0]]])
+    density = log_density(grid, xy, np.array([[1.0, 0.7]]), np.array([[0.6, 0.4]]))
+    assert np.exp(density).sum() * 0.01 == pytest.approx(1.0, abs=1e-3)
+
+
+def test_rotated_boxes_overlap_only_where_they_do():
+    xy = np.array([[0.0, 0.0], [3.2, 0.0]])
+    size, width = np.full(2, 4.0), np.full(2, 2.0)
+    assert overlap(xy, np.array([0.0, 0.0]), size, width).all()
+    assert overlap(xy, np.array([0.0, np.pi / 2]), size, width).tolist() == [False, False]
+    assert overlap(xy * 0.9, np.array([0.0, np.pi / 2]), size, width).all()
+
+
+def test_spread_scale_widens_the_sets(perceptron):
+    test = known(made_up(50, 4))
+    wider = dataclasses.replace(perceptron, spread_scale=perceptron.spread_scale * 3)
+    assert (wider(test).spread >= perceptron(test).spread).all()
