@@ -1,6 +1,7 @@
 """The GraphRQI paper's Argoverse sequences as CSV: ``frame,id,x,y``, metres, 10 Hz assumed.
 
-Coordinates move with the recording vehicle (offset by 1500 m); they are kept as they are.
+Coordinates move with the recording vehicle (offset by 1500 m); its motion is taken out, so that
+parked cars stand. Labels are read from ``..._labels.csv`` beside ``..._tracks.csv``.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from typing import Final
 
 import numpy as np
 
+from sim.formats.argo_labels import read_labels
 from sim.formats.csv_columns import read_columns
+from sim.formats.ego_motion import remove_ego_motion
 from sim.formats.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, Rows, assemble
 
 FRAME_RATE_HZ: Final = 10.0
@@ -46,11 +49,18 @@ def read(path: Path) -> Iterator[Recording]:
         width=np.full(n, CAR_WIDTH_M),
         kind=np.zeros(n, dtype=np.int8),
     )
-    yield Recording(
-        path.stem,
-        assemble(path, rows),
-        (
-            "positions are in the frame of the recording vehicle, which moves",
-            "kinds and sizes are not in this format: cars of 4.5 m are assumed",
-        ),
-    )
+    tracks = remove_ego_motion(assemble(path, rows))
+    notes = [
+        "the recording vehicle's motion was estimated from those that stand, and taken out",
+        "kinds and sizes are not in this format: cars of 4.5 m are assumed",
+    ]
+    beside = path.with_name(path.name.replace("_tracks", "_labels"))
+    if beside != path and beside.is_file():
+        found = read_labels(beside)
+        known = [found.get(name) for name in tracks.names]
+        behaviors = [None if label is None else label.behavior for label in known]
+        codes = [-1 if behavior is None else behavior.code for behavior in behaviors]
+        tracks = tracks.with_behavior(np.array(codes, dtype=np.int8))
+        vague = sum(label is not None and label.behavior is None for label in known)
+        notes.append(f"{vague} agents are aggressive, but of which class is not known: no label")
+    yield Recording(path.stem, tracks, tuple(notes))

@@ -264,7 +264,7 @@ def test_every_view_gives_one_row_per_agent(data):
 # --- ARGO ---------------------------------------------------------------------------------------
 
 
-def test_ego_motion_is_undone():
+def test_ego_motion_is_undone(tmp_path):
     """Eight parked cars and one that drives, seen from a car that turns."""
     rng = np.random.default_rng(1)
     parked = rng.uniform(-40, 40, (8, 2))
@@ -280,12 +280,14 @@ def test_ego_motion_is_undone():
     text = "frame,id,x,y\n" + "".join(
         f"{t},{i},{seen[i, t, 0]!r},{seen[i, t, 1]!r}\n" for t in range(40) for i in range(9)
     ).replace("np.float64(", "").replace(")", "")
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "argo1_tracks.csv"
-        path.write_text(text)
-        tracks = remove_ego_motion(next(iter(argo.read(path))).tracks)
+    path = tmp_path / "argo1_tracks.csv"
+    path.write_text(text)
+    (tmp_path / "argo1_labels.csv").write_text("id,code\n0,3\n3,1\n8,5\n")
+    (recording,) = argo.read(path)
+    tracks = recording.tracks
+    assert tracks.behavior.tolist() == [3, -1, -1, -1, -1, -1, -1, -1, 4]
+    assert "1 agents are aggressive" in recording.notes[-1]
+    assert remove_ego_motion(tracks).xy == pytest.approx(tracks.xy, abs=1e-6)
     moved = np.hypot(*(tracks.xy[:, -1] - tracks.xy[:, 0]).T)
     assert moved[:8].max() < 1e-6
     assert moved[8] == pytest.approx(6.0 * 3.9, abs=1e-6)
@@ -344,7 +346,7 @@ def test_traf_annotators_agree_as_far_as_known():
 @with_data
 def test_argo_cars_are_parked_once_ego_motion_is_undone():
     path = Path(DATA) / "argo" / "argo1_tracks.csv"
-    tracks = remove_ego_motion(next(iter(argo.read(path))).tracks)
+    tracks = next(iter(argo.read(path))).tracks
     seen = [np.flatnonzero(row) for row in tracks.valid]
     moved = [
         np.hypot(*(tracks.xy[i, s[-1]] - tracks.xy[i, s[0]]))
