@@ -15,6 +15,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -260,6 +261,7 @@ class _Reader:
         self._sumo = sumo
         self._plans = road.signal_plans
         self._groups = len(road.signal_groups)
+        self._row = {str(a.id): row for row, a in enumerate(agents)}
         self._ids = np.array([a.id for a in agents], dtype=np.int64)
         self._length = np.array([a.length_m for a in agents])
         self._width = np.array([a.width_m for a in agents])
@@ -271,6 +273,8 @@ class _Reader:
     def watch(self, time_s: float) -> None:
         """Note what happened in the last simulation step."""
         collisions = self._sumo.simulation_getCollisions()
+        if not collisions and not self._touching:
+            return
         touching = {(int(c.collider), int(c.victim)) for c in collisions}
         for collider, victim in sorted(touching - self._touching):
             self._events.append(Event(EventKind.COLLISION, time_s, collider, victim))
@@ -292,53 +296,52 @@ class _Reader:
         """
         sumo = self._sumo
         vehicles = sumo.vehicle_getIDList()
-        state = self._state(
-            vehicles,
-            sumo.vehicle_getPosition,
-            sumo.vehicle_getAngle,
-            sumo.vehicle_getSpeed,
+        persons = sumo.person_getIDList() if self._walk else ()
+        n = len(vehicles) + len(persons)
+        front = np.fromiter(
+            chain(
+                chain.from_iterable(map(sumo.vehicle_getPosition, vehicles)),
+                chain.from_iterable(map(sumo.person_getPosition, persons)),
+            ),
+            np.float64,
+            2 * n,
+        ).reshape(n, 2)
+        angle = np.fromiter(
+            chain(map(sumo.vehicle_getAngle, vehicles), map(sumo.person_getAngle, persons)),
+            np.float64,
+            n,
         )
-        ids = np.fromiter(map(int, vehicles), np.int64, len(vehicles))
-        if self._walk:
-            persons = sumo.person_getIDList()
-            walking = self._state(
-                persons, sumo.person_getPosition, sumo.person_getAngle, sumo.person_getSpeed
-            )
-            for row, name in enumerate(persons):
-                walking[row, 3] = walking_speeds.get(name, walking[row, 3])
-            state = np.concatenate([state, walking])
-            ids = np.concatenate([ids, np.fromiter(map(int, persons), np.int64, len(persons))])
-        order = np.argsort(ids)
-        ids, state = ids[order], state[order]
-        rows = np.searchsorted(self._ids, ids)
+        speed = np.fromiter(
+            chain(map(sumo.vehicle_getSpeed, vehicles), map(sumo.person_getSpeed, persons)),
+            np.float64,
+            n,
+        )
+        if walking_speeds:
+            for row, name in enumerate(persons, len(vehicles)):
+                speed[row] = walking_speeds.get(name, speed[row])
+        rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
+        order = rows.argsort()
+        rows = rows[order]
         length = self._length[rows]
-        heading = math.pi / 2 - np.radians(state[:, 2])
-        heading = math.pi - np.mod(math.pi - heading, 2 * math.pi)
-        forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        # 90 - angle is in (-270, 90]: only angles from 270 on need a turn
+        heading = np.radians(90.0 - angle[order])
+        heading[heading <= -math.pi] += 2.0 * math.pi
+        xy = front[order]
+        xy[:, 0] -= 0.5 * length * np.cos(heading)
+        xy[:, 1] -= 0.5 * length * np.sin(heading)
         events, self._events = tuple(self._events), []
         return Frame(
             time_s=time_s,
-            ids=ids,
-            xy=state[:, :2] - 0.5 * length[:, None] * forward,
+            ids=self._ids[rows],
+            xy=xy,
             heading=heading,
-            speed=state[:, 3],
+            speed=speed[order],
             length=length,
             width=self._width[rows],
             kind=self._kind[rows],
             signals=self._signals(),
             events=events,
         )
-
-    def _state(
-        self, names: tuple[str, ...], position: Any, angle: Any, speed: Any
-    ) -> NDArray[np.float64]:
-        """(n, 4) x and y of the front bumper, m; degrees clockwise from north; m/s."""
-        state = np.empty((len(names), 4))
-        for row, name in enumerate(names):
-            state[row, :2] = position(name)
-        state[:, 2] = np.fromiter(map(angle, names), np.float64, len(names))
-        state[:, 3] = np.fromiter(map(speed, names), np.float64, len(names))
-        return state
 
     def _signals(self) -> NDArray[np.int8]:
         codes = np.zeros(self._groups, dtype=np.int8)

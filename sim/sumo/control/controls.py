@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from sim.road import Road
 from sim.scenario import AgentSpec
@@ -12,6 +12,9 @@ from sim.sumo.control.jaywalking import Jaywalking
 from sim.sumo.control.obedience import Obedience
 from sim.sumo.control.stopping import Stopping
 from sim.sumo.control.wrong_way import WrongWay
+
+DRIVERS_ACT_S: Final = 0.2
+"""How often drivers reconsider; pedestrians who are led by hand move at every step."""
 
 
 class Controls:
@@ -26,6 +29,8 @@ class Controls:
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
         self._sumo = sumo
+        self._step = 0
+        self._every = max(2, round(DRIVERS_ACT_S / step_s))
         self._obedience = Obedience(sumo, road, agents)
         self._cutting_in = CuttingIn(sumo, road, agents)
         self._stopping = Stopping(sumo, road, agents)
@@ -38,13 +43,18 @@ class Controls:
         Args:
             time_s: simulated time, s.
         """
+        self._step += 1
         vehicles = self._sumo.vehicle_getIDList()
         persons = self._sumo.person_getIDList()
-        self._obedience.step(vehicles, persons)
-        self._cutting_in.step(time_s, vehicles)
-        self._stopping.step(time_s, vehicles)
-        self._wrong_way.step(time_s, vehicles)
         self._jaywalking.step(time_s, vehicles, persons)
+        if self._step % self._every == 0:
+            self._obedience.step(vehicles, persons)
+            self._stopping.step(time_s, vehicles)
+        elif self._step % self._every == 1:
+            self._cutting_in.step(time_s, vehicles)
+            self._wrong_way.step(time_s, vehicles)
+            return
+        self._wrong_way.removed = []
 
     @property
     def removed(self) -> Sequence[int]:

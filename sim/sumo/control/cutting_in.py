@@ -50,6 +50,9 @@ MATCHING_S: Final = 0.4
 HALF_CHANGE_S: Final = 1.4
 """When the centre is on the new lane; until then the victim's speed is kept."""
 
+RETRY_S: Final = 0.4
+"""Who finds no gap looks again after this long (our choice)."""
+
 CLEAR_M: Final = 30.0
 """No cut-in starts closer to a junction (our choice)."""
 
@@ -115,10 +118,13 @@ class CuttingIn:
                 if time_s >= driver.until_s:
                     self._sumo.vehicle_setLaneChangeMode(name, ORDINARY)
                     driver.until_s = -1.0
-            elif time_s >= driver.wish_s and self._cut_in(name, driver):
-                driver.until_s = time_s + MANOEUVRE_S
-                driver.paced = True
-                driver.wish_s = time_s + MANOEUVRE_S + _pause_s(driver)
+            elif time_s >= driver.wish_s:
+                if self._cut_in(name, driver):
+                    driver.until_s = time_s + MANOEUVRE_S
+                    driver.paced = True
+                    driver.wish_s = driver.until_s + _pause_s(driver)
+                else:
+                    driver.wish_s = time_s + RETRY_S
 
     def _cut_in(self, name: str, driver: _Driver) -> bool:
         """Cut in now if there is a car to cut in on and room for it."""
