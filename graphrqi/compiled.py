@@ -26,15 +26,3 @@ def compiled(function: F) -> F:
         results equal those of the same arithmetic in numpy to the bit.
     """
     return cast(F, njit(cache=True, error_model="numpy")(function))
-
-
-def compiled_with_fma(function: F) -> F:
-    """Like :func:`compiled`, but a product and a sum may be fused into one rounding.
-
-    Args:
-        function: a function in numba's subset of Python.
-
-    Returns:
-        The same function, compiled.
-    """
-    return cast(F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
