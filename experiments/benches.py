@@ -42,12 +42,19 @@ def _real_data(quick: bool) -> list[Row]:
     return run_real_data_bench(quick=quick)
 
 
+def _prediction(quick: bool) -> list[Row]:
+    from experiments.prediction_bench import run_prediction_bench
+
+    return run_prediction_bench(quick)
+
+
 BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
     "spectrum": _spectrum,
     "highway": _highway,
     "generate": _generate,
     "classification": _classification,
     "real-data": _real_data,
+    "prediction": _prediction,
 }
 """Every bench; each takes whether to be quick and returns flat rows."""
 

@@ -38,7 +38,7 @@ CALIBRATE_EVERY_S: Final = 3.0
 EXAMPLES_EVERY_S: Final = 1.0
 """Time between instants that networks are trained on, s (our choice)."""
 
-UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.1
+UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
 """Shares of training instants with no belief and with another driver's (our choice)."""
 
 

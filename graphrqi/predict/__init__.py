@@ -52,7 +52,7 @@ def predict(
     posterior: Posterior,
     road: Road | None,
     horizon_s: float = 5.0,
-    predictor: str = "car-following",
+    predictor: str = "graphrqi-predict",
 ) -> Prediction:
     """Predict where every agent of a history will be.
 

@@ -87,7 +87,8 @@ def decode(raw: FloatArray, bases: FloatArray, spread_scale: float) -> Futures:
     weight = softmax(each[..., :b])
     time_s = np.arange(1, KNOTS + 1) * KNOT_S
     residual = each[..., b : b + 2 * KNOTS].reshape(n, MODES, KNOTS, 2) * time_s[:, None]
-    own = np.einsum("nkb,nbtc->nktc", weight, bases) + residual
+    blended = weight @ bases.reshape(n, b, 2 * KNOTS)
+    own = blended.reshape(n, MODES, KNOTS, 2) + residual
     scale = np.exp(np.clip(each[..., b + 2 * KNOTS : b + 3 * KNOTS], -6.0, 4.0))
     spread = np.maximum(scale * time_s * spread_scale, LEAST_SPREAD_M)
     probability = softmax(each[..., -1])
@@ -205,12 +206,12 @@ def to_prediction(scene: Scene, futures: Futures) -> Prediction:
     knot they go straight on. Pedestrians walk on as they do.
     """
     matrix, start = _spline(scene.steps)
-    own = np.einsum("ht,nktc->nkhc", matrix, futures.own)
+    own = matrix @ futures.own
     own[..., 0] += scene.speed[:, None, None] * start
     xy = from_own_frame(scene, own)
     walks = scene.history.kind == PEDESTRIAN
     xy[walks] = scene.straight_on()[walks][:, None]
-    spread = np.einsum("ht,nkt->nkh", np.abs(matrix), futures.spread)
+    spread = futures.spread @ np.abs(matrix).T
     return Prediction(scene.ids, scene.time_s, xy, futures.probability, spread)
 
 
