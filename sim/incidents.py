@@ -88,7 +88,7 @@ def incidents(tracks: Tracks, road: Road, observed: Observables | None = None) -
     for event in tracks.events:
         if event.kind is EventKind.COLLISION and event.other is not None:
             found.append(_blame(tracks, road, seen, event, found, cuts, forbidden))
-        elif event.kind not in {EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.WRONG_WAY}:
+        elif event.kind is EventKind.REMOVAL:  # an engine's other events are found here, alike
             found.append(event)
     return tuple(sorted(found, key=lambda e: (e.time_s, e.agent, e.kind)))
 
@@ -130,7 +130,8 @@ def _stood_at_red(tracks: Tracks, seen: Observables, row: int, column: int) -> b
     """Whether somebody stood first in line at a red light before passing the line."""
     zone = _zone(seen.stop_distance[row], column, STOP_ZONE_M)
     red = seen.signal[row, zone] == Signal.RED.code
-    return bool((red & (tracks.speed[row, zone] < ROLLING_MPS)).any())
+    first = seen.gap[row, zone] > seen.stop_distance[row, zone]
+    return bool((red & first & (tracks.speed[row, zone] < ROLLING_MPS)).any())
 
 
 def _crossings_passed(tracks: Tracks, road: Road, seen: Observables) -> list[Event]:
