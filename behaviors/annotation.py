@@ -117,3 +117,36 @@ def cohen_kappa(first: Sequence[Hashable], second: Sequence[Hashable]) -> float:
     left, right = Counter(first), Counter(second)
     by_chance = sum(left[answer] * right[answer] for answer in left) / n**2
     return float("nan") if by_chance == 1.0 else (seen - by_chance) / (1.0 - by_chance)
+
+
+def fleiss_kappa(counts: NDArray[np.int64]) -> float:
+    """Agreement of any number of annotators beyond chance.
+
+    Args:
+        counts: (n, k) how many annotators gave agent i the answer j; as many for every agent, at
+            least 2.
+
+    Returns:
+        1 for perfect agreement, 0 for chance, negative below it; NaN where everybody always gave
+        the same one answer.
+
+    Raises:
+        InputError: if the agents have not all as many answers, or fewer than 2.
+
+    References:
+        Fleiss (1971), Psychological Bulletin 76, 378.
+
+    Example:
+        >>> fleiss_kappa(np.array([[3, 0], [0, 3]]))
+        1.0
+    """
+    table = np.asarray(counts, dtype=np.float64)
+    answers = table.sum(axis=1) if table.ndim == 2 else np.empty(0)
+    if not answers.size or answers.min() != answers.max() or answers[0] < 2 or table.min() < 0:
+        raise InputError(
+            "counts: found uneven numbers of answers, expected as many for every agent, at least 2"
+        )
+    raters = answers[0]
+    seen = float((((table**2).sum(axis=1) - raters) / (raters * (raters - 1))).mean())
+    by_chance = float(((table.sum(axis=0) / table.sum()) ** 2).sum())
+    return float("nan") if by_chance == 1.0 else (seen - by_chance) / (1.0 - by_chance)
