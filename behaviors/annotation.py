@@ -12,6 +12,9 @@ from collections import Counter
 from collections.abc import Hashable, Sequence
 from typing import Final, Literal, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from behaviors.errors import InputError
 from behaviors.labels import TRAITS, Behavior, Style, Trait
 
