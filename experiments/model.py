@@ -21,7 +21,7 @@ CLASSIFIER_SEED: Final = 2020
 PREDICTOR_SEED: Final = 2021
 """Seeds of the two datasets (our choice: unlike anything that examples use)."""
 
-CLASSIFIER_EPISODES: Final = 40
+CLASSIFIER_EPISODES: Final = 30
 PREDICTOR_EPISODES: Final = 15
 """Per scenario, 300 s each, 60 % of them for training (our choice: more gained little)."""
 
