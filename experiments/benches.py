@@ -48,6 +48,12 @@ def _prediction(quick: bool) -> list[Row]:
     return run_prediction_bench(quick)
 
 
+def _loop(quick: bool) -> list[Row]:
+    from experiments.loop_bench import run_loop_bench
+
+    return run_loop_bench(quick)
+
+
 BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
     "spectrum": _spectrum,
     "highway": _highway,
@@ -55,6 +61,7 @@ BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
     "classification": _classification,
     "real-data": _real_data,
     "prediction": _prediction,
+    "loop": _loop,
 }
 """Every bench; each takes whether to be quick and returns flat rows."""
 
