@@ -144,6 +144,15 @@ def test_only_the_reckless_drive_on_the_wrong_side():
     assert metres[Behavior.IMPATIENT] == 0.0
 
 
+def test_who_stands_on_the_wrong_side_is_taken_off_and_the_others_drive_on():
+    scenario = get_scenario("two_way_road")(duration_s=600.0)
+    frames = drive(scenario, 3)
+    assert len(frames) == 6000
+    (removal,) = [e for f in frames for e in f.events if e.kind is EventKind.REMOVAL]
+    after = next(f for f in frames if f.time_s > removal.time_s)
+    assert removal.agent not in after.ids
+
+
 def test_jaywalkers_cross_away_from_any_crossing_and_the_simulation_closes():
     scenario = short(
         flow=300.0, pedestrians_per_h=400.0, jaywalk_share=1.0, crossing=False, duration_s=300.0

@@ -92,14 +92,17 @@ class WrongWay:
             vehicles: names of the vehicles on the road; who is taken off is in `removed`.
         """
         self.removed = []
+        present = list(vehicles)
         for name in vehicles:
             driver = self._drivers.get(name)
             if driver is None:
                 continue
             if driver.since_s >= 0:
-                self._follow_up(name, driver, time_s, vehicles)
+                self._follow_up(name, driver, time_s, present)
+                if driver.agent.id in self.removed:
+                    present.remove(name)
             elif time_s >= driver.wish_s:
-                leader = self._chance(name, vehicles)
+                leader = self._chance(name, present)
                 if leader:
                     lane = self._lanes[self._sumo.vehicle_getLaneID(name)]
                     self._sumo.vehicle_setLaneChangeMode(name, NOTHING)
