@@ -9,7 +9,7 @@ have the six behaviours' profiles. Configure one with ``gymnasium.make(id, confi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 from behaviors.errors import lookup
 from scenarios import get_scenario
@@ -133,8 +133,6 @@ class FourWayIntersectionEnv(TrafficEnv):
         v0: the first.
     """
 
-    centre: ClassVar[tuple[float, float] | None] = (0.0, 0.0)
-
     @classmethod
     def default_config(cls) -> dict[str, Any]:
         """The configuration where nothing else is asked for; see the class docstring."""
@@ -145,7 +143,7 @@ class FourWayIntersectionEnv(TrafficEnv):
             "screen_width": 720,
             "screen_height": 720,
             "scaling": 9.0,
-            "centering_position": [0.5, 0.5],
+            "centering_position": [0.5, 0.6],
         }
 
     def configure(self, config: Mapping[str, Any] | None) -> None:

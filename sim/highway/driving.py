@@ -1,8 +1,9 @@
-"""The equations every driver drives by, compiled, on one driver at a time.
+"""The equations every driver drives by, compiled.
 
-The same functions serve the vehicle objects and the compiled step of straight roads, so the two
-cannot drift apart. A driver's numbers are one row, laid out by the indices below (`driver_numbers`
-makes it from a `Profile`).
+The same functions serve the vehicle objects, one at a time, and the loops over everybody on a
+straight road (`decide`, `move`), so the two cannot drift apart. The loops are in this file and not
+beside their caller because numba's cache looks at a function's own file only. A driver's numbers
+are one row, laid out by the indices below (`driver_numbers` makes it from a `Profile`).
 
 References:
     Treiber, Hennecke, Helbing (2000), Phys. Rev. E 62, 1805: IDM.
@@ -24,6 +25,8 @@ from sim.frames import AgentKind
 from sim.scenario import KIND_LIMITS
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 SPEED_FACTOR: Final = 0
 TIME_HEADWAY: Final = 1
@@ -53,6 +56,10 @@ MOST_IMPOSED_MPS2: Final = 6.0
 
 LEAST_CHANGE_GAP_M: Final = 0.5
 """Nobody changes into a smaller gap than this, m (our choice)."""
+
+WORTH_MPS2: Final = 0.15
+"""A lane that soon comes up against a slower leader is taken all the same if that one is faster
+than the present leader by this times the driver's patience (our choice)."""
 
 STOP_MARGIN_M: Final = 1.0
 """How far before a stop line or a crossing one comes to rest, m (our choice)."""
@@ -253,7 +260,7 @@ def change_incentive(
         return -np.inf
     if new_gap < np.inf and new_speed < desired:
         lasts = new_gap / (desired - new_speed)
-        better = old_gap < np.inf and new_speed > old_speed + 1.0
+        better = old_gap < np.inf and new_speed > old_speed + WORTH_MPS2 * driver[PATIENCE]
         if lasts < driver[PATIENCE] and not better:
             return -np.inf
     after = idm(driver, speed, desired, new_gap, new_speed)
@@ -327,3 +334,180 @@ def steer(
     bend = curvature + HEADING_GAIN_PER_S * off / nonzero
     angle = math.atan(2.0 * math.tan(math.asin(min(max(half * bend, -1.0), 1.0))))
     return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)
+
+
+@njit(cache=True, error_model="numpy")
+def _search(
+    i: int,
+    lane: int,
+    order: IntArray,
+    count: IntArray,
+    s: FloatArray,
+    along: FloatArray,
+    length: FloatArray,
+    sight: float,
+) -> tuple[int, float, float, int, float, float]:
+    """Who is ahead of and behind a vehicle on a lane: row, bumper gap and speed of both."""
+    here = s[i, lane]
+    low, high = 0, count[lane]
+    while low < high:
+        middle = (low + high) // 2
+        if s[order[lane, middle], lane] < here:
+            low = middle + 1
+        else:
+            high = middle
+    front, front_gap, front_speed = -1, np.inf, 0.0
+    at = low
+    while at < count[lane] and order[lane, at] == i:
+        at += 1
+    if at < count[lane]:
+        j = order[lane, at]
+        gap = -here + s[j, lane] - (length[i] + length[j]) / 2
+        if gap < sight:
+            front, front_gap, front_speed = j, gap, along[j, lane]
+    rear, rear_gap, rear_speed = -1, np.inf, 0.0
+    at = low - 1
+    while at >= 0 and order[lane, at] == i:
+        at -= 1
+    if at >= 0:
+        j = order[lane, at]
+        rear, rear_gap = j, here - s[j, lane] - (length[i] + length[j]) / 2
+        rear_speed = along[j, lane]
+    return front, front_gap, front_speed, rear, rear_gap, rear_speed
+
+
+@njit(cache=True, error_model="numpy")
+def _wanted_by(row: int, numbers: FloatArray, limit: float) -> float:
+    if row < 0:
+        return 0.0
+    return float(min(numbers[row, SPEED_FACTOR] * limit, numbers[row, TOP_SPEED]))
+
+
+@njit(cache=True, error_model="numpy")
+def decide(
+    active: BoolArray,
+    eligible: BoolArray,
+    cutting_in: BoolArray,
+    stopping: BoolArray,
+    order: IntArray,
+    count: IntArray,
+    s: FloatArray,
+    lateral: FloatArray,
+    along: FloatArray,
+    length: FloatArray,
+    speed: FloatArray,
+    heading: FloatArray,
+    lane: IntArray,
+    target: IntArray,
+    numbers: FloatArray,
+    default: FloatArray,
+    stop_gap: FloatArray,
+    speed_cap: FloatArray,
+    clock: FloatArray,
+    go_at: FloatArray,
+    limit: FloatArray,
+    lane_heading: float,
+    sight: float,
+    wanted: IntArray,
+    steering: FloatArray,
+    accel: FloatArray,
+    cut_in: BoolArray,
+) -> None:
+    """Fill ``wanted``, ``steering``, ``accel``, ``go_at`` and ``cut_in`` of the active rows."""
+    n, lanes = s.shape
+    for i in range(n):
+        if not active[i]:
+            continue
+        driver, mine, v = numbers[i], lane[i], speed[i]
+        desired = min(driver[SPEED_FACTOR] * limit[mine], driver[TOP_SPEED], speed_cap[i])
+        _, gap, ahead, rear, rear_gap, rear_speed = _search(
+            i, mine, order, count, s, along, length, sight
+        )
+        choice = mine
+        if target[i] != mine:
+            choice = target[i]
+            for j in range(n):
+                if j == i or not active[j] or target[j] != target[i] or lane[j] == target[i]:
+                    continue
+                beyond = s[j, mine] - s[i, mine]
+                room = beyond - (length[i] + length[j]) / 2
+                if beyond > 0.0 and room < driver[CHANGE_GAP] + v * 0.5:
+                    choice = mine
+                    break
+        elif eligible[i]:
+            most = 0.0
+            for side in (mine - 1, mine + 1):
+                if side < 0 or side >= lanes:
+                    continue
+                _, new_gap, new_speed, new_rear, new_rear_gap, new_rear_speed = _search(
+                    i, side, order, count, s, along, length, sight
+                )
+                if cutting_in[i] and may_cut_in(
+                    driver, v, new_gap, new_speed, new_rear_gap, new_rear_speed
+                ):
+                    choice = side
+                    cut_in[i] = True
+                    break
+                gain = change_incentive(
+                    driver,
+                    v,
+                    desired,
+                    gap,
+                    ahead,
+                    new_gap,
+                    new_speed,
+                    numbers[new_rear] if new_rear >= 0 else default,
+                    new_rear_speed,
+                    _wanted_by(new_rear, numbers, limit[mine]),
+                    new_rear_gap,
+                    new_rear_gap + length[i] + new_gap,
+                    numbers[rear] if rear >= 0 else default,
+                    rear_speed,
+                    _wanted_by(rear, numbers, limit[mine]),
+                    rear_gap,
+                    rear_gap + length[i] + gap,
+                )
+                if gain > most:
+                    choice, most = side, gain
+        a = follow(driver, v, desired, gap, ahead)
+        if choice != mine:
+            _, new_gap, new_speed, _, _, _ = _search(
+                i, choice, order, count, s, along, length, sight
+            )
+            a = min(a, follow(driver, v, desired, new_gap, new_speed))
+        if stop_gap[i] < np.inf:
+            a = min(a, approach(driver, v, stop_gap[i]))
+        if stopping[i]:
+            a = min(a, -driver[COMFORT_DECEL])
+        a, go_at[i] = start_up(driver, v, a, clock[i], go_at[i])
+        wanted[i], accel[i] = choice, a
+        steering[i] = steer(lateral[i, choice], lane_heading, 0.0, heading[i], v, length[i])
+
+
+@njit(cache=True, error_model="numpy")
+def move(
+    mask: BoolArray,
+    crashed: BoolArray,
+    xy: FloatArray,
+    heading: FloatArray,
+    speed: FloatArray,
+    length: FloatArray,
+    steering: FloatArray,
+    accel: FloatArray,
+    most: float,
+    dt: float,
+) -> None:
+    """highway-env's kinematic bicycle for ``dt`` seconds, in place."""
+    for i in range(len(mask)):
+        if not mask[i]:
+            continue
+        angle, a, v = steering[i], accel[i], speed[i]
+        if crashed[i]:
+            angle, a = 0.0, -v
+        if v > most:
+            a = min(a, most - v)
+        slip = math.atan(0.5 * math.tan(angle))
+        xy[i, 0] += v * math.cos(heading[i] + slip) * dt
+        xy[i, 1] += v * math.sin(heading[i] + slip) * dt
+        heading[i] += v * math.sin(slip) / (length[i] / 2.0) * dt
+        speed[i] = max(v + a * dt, 0.0)

@@ -133,7 +133,6 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         "render_modes": ["human", "rgb_array"],
         "render_fps": 5,
     }
-    centre: ClassVar[tuple[float, float] | None] = None
 
     road: TrafficRoad
     config: dict[str, Any]
@@ -619,7 +618,7 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the scene; an image array in the mode ``rgb_array``."""
         if self.render_mode is not None and self.viewer is None:
-            self.viewer = TrafficViewer(self, self.road.network_info, self.centre)
+            self.viewer = TrafficViewer(self, self.road.network_info)
         return cast("NDArray[np.uint8] | None", super().render())
 
 

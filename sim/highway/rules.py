@@ -52,7 +52,7 @@ MARGIN_M: Final = 0.7
 FOE_ACCEL_MPS2: Final = 2.0
 """Acceleration that others are expected to use (our choice)."""
 
-INSISTED_BRAKING_MPS2: Final = 3.0
+INSISTED_BRAKING_MPS2: Final = 4.5
 """Braking that the most insistent driver makes others with priority do (our choice)."""
 
 AT_LINE_M: Final = 5.0

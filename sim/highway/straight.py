@@ -14,7 +14,6 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sim.highway import driving
@@ -24,187 +23,6 @@ if TYPE_CHECKING:
     from sim.highway.traffic import TrafficRoad
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-
-
-@njit(cache=True, error_model="numpy")
-def _search(
-    i: int,
-    lane: int,
-    order: IntArray,
-    count: IntArray,
-    s: FloatArray,
-    along: FloatArray,
-    length: FloatArray,
-    sight: float,
-) -> tuple[int, float, float, int, float, float]:
-    """Who is ahead of and behind a vehicle on a lane: row, bumper gap and speed of both."""
-    here = s[i, lane]
-    low, high = 0, count[lane]
-    while low < high:
-        middle = (low + high) // 2
-        if s[order[lane, middle], lane] < here:
-            low = middle + 1
-        else:
-            high = middle
-    front, front_gap, front_speed = -1, np.inf, 0.0
-    at = low
-    while at < count[lane] and order[lane, at] == i:
-        at += 1
-    if at < count[lane]:
-        j = order[lane, at]
-        gap = -here + s[j, lane] - (length[i] + length[j]) / 2
-        if gap < sight:
-            front, front_gap, front_speed = j, gap, along[j, lane]
-    rear, rear_gap, rear_speed = -1, np.inf, 0.0
-    at = low - 1
-    while at >= 0 and order[lane, at] == i:
-        at -= 1
-    if at >= 0:
-        j = order[lane, at]
-        rear, rear_gap = j, here - s[j, lane] - (length[i] + length[j]) / 2
-        rear_speed = along[j, lane]
-    return front, front_gap, front_speed, rear, rear_gap, rear_speed
-
-
-@njit(cache=True, error_model="numpy")
-def _wanted_by(row: int, numbers: FloatArray, limit: float) -> float:
-    if row < 0:
-        return 0.0
-    return float(min(numbers[row, driving.SPEED_FACTOR] * limit, numbers[row, driving.TOP_SPEED]))
-
-
-@njit(cache=True, error_model="numpy")
-def _decide(
-    active: BoolArray,
-    eligible: BoolArray,
-    cutting_in: BoolArray,
-    stopping: BoolArray,
-    order: IntArray,
-    count: IntArray,
-    s: FloatArray,
-    lateral: FloatArray,
-    along: FloatArray,
-    length: FloatArray,
-    speed: FloatArray,
-    heading: FloatArray,
-    lane: IntArray,
-    target: IntArray,
-    numbers: FloatArray,
-    default: FloatArray,
-    stop_gap: FloatArray,
-    speed_cap: FloatArray,
-    clock: FloatArray,
-    go_at: FloatArray,
-    limit: FloatArray,
-    lane_heading: float,
-    sight: float,
-    wanted: IntArray,
-    steering: FloatArray,
-    accel: FloatArray,
-    cut_in: BoolArray,
-) -> None:
-    """Fill ``wanted``, ``steering``, ``accel``, ``go_at`` and ``cut_in`` of the active rows."""
-    n, lanes = s.shape
-    for i in range(n):
-        if not active[i]:
-            continue
-        driver, mine, v = numbers[i], lane[i], speed[i]
-        desired = min(
-            driver[driving.SPEED_FACTOR] * limit[mine], driver[driving.TOP_SPEED], speed_cap[i]
-        )
-        _, gap, ahead, rear, rear_gap, rear_speed = _search(
-            i, mine, order, count, s, along, length, sight
-        )
-        choice = mine
-        if target[i] != mine:
-            choice = target[i]
-            for j in range(n):
-                if j == i or not active[j] or target[j] != target[i] or lane[j] == target[i]:
-                    continue
-                beyond = s[j, mine] - s[i, mine]
-                room = beyond - (length[i] + length[j]) / 2
-                if beyond > 0.0 and room < driver[driving.CHANGE_GAP] + v * 0.5:
-                    choice = mine
-                    break
-        elif eligible[i]:
-            most = 0.0
-            for side in (mine - 1, mine + 1):
-                if side < 0 or side >= lanes:
-                    continue
-                _, new_gap, new_speed, new_rear, new_rear_gap, new_rear_speed = _search(
-                    i, side, order, count, s, along, length, sight
-                )
-                if cutting_in[i] and driving.may_cut_in(
-                    driver, v, new_gap, new_speed, new_rear_gap, new_rear_speed
-                ):
-                    choice = side
-                    cut_in[i] = True
-                    break
-                gain = driving.change_incentive(
-                    driver,
-                    v,
-                    desired,
-                    gap,
-                    ahead,
-                    new_gap,
-                    new_speed,
-                    numbers[new_rear] if new_rear >= 0 else default,
-                    new_rear_speed,
-                    _wanted_by(new_rear, numbers, limit[mine]),
-                    new_rear_gap,
-                    new_rear_gap + length[i] + new_gap,
-                    numbers[rear] if rear >= 0 else default,
-                    rear_speed,
-                    _wanted_by(rear, numbers, limit[mine]),
-                    rear_gap,
-                    rear_gap + length[i] + gap,
-                )
-                if gain > most:
-                    choice, most = side, gain
-        a = driving.follow(driver, v, desired, gap, ahead)
-        if choice != mine:
-            _, new_gap, new_speed, _, _, _ = _search(
-                i, choice, order, count, s, along, length, sight
-            )
-            a = min(a, driving.follow(driver, v, desired, new_gap, new_speed))
-        if stop_gap[i] < np.inf:
-            a = min(a, driving.approach(driver, v, stop_gap[i]))
-        if stopping[i]:
-            a = min(a, -driver[driving.COMFORT_DECEL])
-        a, go_at[i] = driving.start_up(driver, v, a, clock[i], go_at[i])
-        wanted[i], accel[i] = choice, a
-        steering[i] = driving.steer(lateral[i, choice], lane_heading, 0.0, heading[i], v, length[i])
-
-
-@njit(cache=True, error_model="numpy")
-def _move(
-    mask: BoolArray,
-    crashed: BoolArray,
-    xy: FloatArray,
-    heading: FloatArray,
-    speed: FloatArray,
-    length: FloatArray,
-    steering: FloatArray,
-    accel: FloatArray,
-    most: float,
-    dt: float,
-) -> None:
-    """highway-env's kinematic bicycle for ``dt`` seconds, in place."""
-    for i in range(len(mask)):
-        if not mask[i]:
-            continue
-        angle, a, v = steering[i], accel[i], speed[i]
-        if crashed[i]:
-            angle, a = 0.0, -v
-        if v > most:
-            a = min(a, most - v)
-        slip = math.atan(0.5 * math.tan(angle))
-        xy[i, 0] += v * math.cos(heading[i] + slip) * dt
-        xy[i, 1] += v * math.sin(heading[i] + slip) * dt
-        heading[i] += v * math.sin(slip) / (length[i] / 2.0) * dt
-        speed[i] = max(v + a * dt, 0.0)
 
 
 class StraightTraffic:
@@ -285,7 +103,7 @@ class StraightTraffic:
         s, lateral, along, length = road.lane_table(self.keys)
         self._wanted, self._steering, self._accel = lane.copy(), np.zeros(n), np.zeros(n)
         cut_in = np.zeros(n, dtype=bool)
-        _decide(
+        driving.decide(
             active, eligible, cutting_in, stopping, order, count, s, lateral, along, length,
             speed, np.array([v.heading for v in vehicles], dtype=np.float64), lane, target,
             self._rows(vehicles), DEFAULT_DRIVER, stop_gap, cap, clock, go_at, self._limit,
@@ -309,7 +127,7 @@ class StraightTraffic:
         xy = np.array([v.position for v in vehicles], dtype=np.float64)
         heading = np.array([v.heading for v in vehicles], dtype=np.float64)
         speed = np.array([v.speed for v in vehicles], dtype=np.float64)
-        _move(
+        driving.move(
             mine,
             np.array([bool(v.crashed) for v in vehicles]),
             xy,

@@ -66,24 +66,19 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
     Args:
         env: the environment, with a `TrafficRoad` as its ``road``.
         network: what to draw.
-        centre: where to look, m, in highway-env's axes; None to follow the ego vehicle.
     """
 
-    def __init__(
-        self, env: Any, network: HighwayNetwork, centre: tuple[float, float] | None = None
-    ) -> None:
+    def __init__(self, env: Any, network: HighwayNetwork) -> None:
         super().__init__(env)
         self.network = network
-        self.centre = None if centre is None else np.array(centre)
         self._shapes = _shapes(network)
 
     def window_position(self) -> FloatArray:
         """Where the view is centred, m."""
-        if self.centre is not None:
-            return self.centre
         position = np.array(super().window_position(), dtype=np.float64)
-        lane = next(iter(self.network.lanes.values()))
-        position[1] = lane.position(0.0, 0.0)[1] + 3.0  # the middle of a straight road
+        if not self.network.exit_of:  # a road without junctions stays where it is on the screen
+            lane = next(iter(self.network.lanes.values()))
+            position[1] = lane.position(0.0, 0.0)[1] + lane.width
         return position
 
     def display(self) -> None:
