@@ -26,6 +26,11 @@ EQUAL_MIX: Final[dict[Behavior, float]] = {b: 1.0 / len(BEHAVIORS) for b in BEHA
 """Every behaviour as often as any other."""
 
 
+WALK_START_M: Final = 40.0
+"""Pedestrians enter this far before the end of their first edge, so that those who cross do so
+within an episode and not after minutes of sidewalk (our choice)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Stream:
     """One stream of demand along one route.

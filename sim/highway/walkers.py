@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from sim.frames import Signal
 from sim.road import Road
-from sim.scenario import AgentSpec
+from sim.scenario import WALK_START_M, AgentSpec
 
 if TYPE_CHECKING:
     from sim.highway.traffic import Arrival, TrafficRoad
@@ -125,7 +125,9 @@ def find_footway(road: Road, route: Sequence[str]) -> Footway:
             raise InputError(f"route: found edge {edge!r} without sidewalk, expected one with")
         lines.append(sidewalks[edge].centerline)
     ends = _orient(lines)
-    points = [ends[0][0], ends[0][1]]
+    begin, leave = ends[0]
+    share = min(1.0, WALK_START_M / max(float(np.hypot(*(begin - leave))), 1e-9))
+    points = [leave + share * (begin - leave), leave]
     crossed: list[tuple[int, int, bool]] = []  # point index at which it begins
     for (_, leave), (enter, onward) in itertools.pairwise(ends):
         for xy, crossing, forward in _walk(road, leave, enter):

@@ -19,7 +19,7 @@ from xml.sax.saxutils import quoteattr
 from behaviors.errors import InputError
 from behaviors.profiles import Profile
 from sim.frames import AgentKind
-from sim.scenario import KIND_LIMITS, AgentSpec
+from sim.scenario import KIND_LIMITS, WALK_START_M, AgentSpec
 
 IMPERFECTION: Final = 0.2
 """Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5)."""
@@ -132,7 +132,10 @@ def route_file(agents: Sequence[AgentSpec]) -> Iterator[str]:
         edges = quoteattr(" ".join(agent.route))
         depart = f"{agent.depart_s:.3f}"
         if agent.kind is AgentKind.PEDESTRIAN:
-            yield f'<person id="{agent.id}" type="{agent.id}" depart="{depart}">'
+            yield (
+                f'<person id="{agent.id}" type="{agent.id}" depart="{depart}" '
+                f'departPos="-{WALK_START_M:g}">'
+            )
             yield f"<walk edges={edges}/></person>"
         else:
             yield (
