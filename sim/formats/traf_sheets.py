@@ -185,7 +185,7 @@ def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArr
     return out
 
 
-def defects(tracks: Tracks, sheets: tuple[Sheet, ...], jump: float = 3.0) -> tuple[str, ...]:
+def defects(tracks: Tracks, sheets: tuple[Sheet, ...], jump: float = 1.5) -> tuple[str, ...]:
     """What is wrong with a video's tracks and sheets, one sentence each.
 
     Args:
