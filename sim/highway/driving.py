@@ -87,6 +87,9 @@ CUT_IN_REAR_M: Final = (2.0, 15.0)
 """Bumper gap to the one cut in front of, m: nearer is a collision, farther is no cut-in (our
 choice)."""
 
+UNSEEN_S: Final = 1.0
+"""It takes this long until one who changes lanes is seen on the new one, s (0.6 m aside)."""
+
 CUT_IN_BRAKING_MPS2: Final = 4.0
 """Braking that a cut-in may demand of either party at once, m/s2 (our choice)."""
 
@@ -296,9 +299,10 @@ def may_cut_in(
         return False
     behind = max(rear_speed - speed, 0.0)
     ahead = max(speed - new_speed, 0.0) if new_gap < np.inf else 0.0
-    if behind * behind > 2.0 * CUT_IN_BRAKING_MPS2 * rear_gap:
+    left, left_ahead = rear_gap - UNSEEN_S * behind, new_gap - UNSEEN_S * ahead
+    if left < 0.0 or behind * behind > 2.0 * CUT_IN_BRAKING_MPS2 * left:
         return False
-    return ahead * ahead <= 2.0 * CUT_IN_BRAKING_MPS2 * new_gap
+    return left_ahead > 0.0 and ahead * ahead <= 2.0 * CUT_IN_BRAKING_MPS2 * left_ahead
 
 
 @njit(cache=True, error_model="numpy")

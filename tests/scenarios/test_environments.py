@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import sys
 import warnings
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -183,6 +185,27 @@ def test_the_classifier_is_given_every_simulated_frame():
     rows = observation["agents"]
     driving = (rows[:, 0] == 1) & (rows[:, 9] == 0)
     np.testing.assert_allclose(rows[driving, 10:], 1 / 6, rtol=1e-6)
+
+
+def test_a_named_classifier_is_made_anew_for_every_episode(monkeypatch):
+    made = []
+
+    class Stream(Uniform):
+        def update(self, frame):
+            return self(frame)
+
+    def load():
+        made.append(Stream())
+        return made[-1]
+
+    monkeypatch.setitem(sys.modules, "classifier_of_a_test", SimpleNamespace(load=load))
+    env = make(
+        "graphrqi/StraightRoad-v0", observation="posterior", classifier="classifier_of_a_test:load"
+    )
+    env.reset(seed=0)
+    env.reset(seed=1)
+    assert len(made) == 3  # gymnasium.make resets once itself
+    assert all(np.all(np.diff(stream.times) > 0) for stream in made)
 
 
 def test_the_graph_joins_each_to_its_nearest():
