@@ -164,8 +164,9 @@ def test_true_behaviours_are_one_hot_and_those_of_the_mix():
 
 
 def test_kinematics_tell_where_others_are_in_the_ego_vehicles_frame():
-    env = make("graphrqi/FourWayIntersection-v0", flow="dense", warmup_s=20.0).unwrapped
-    observation, _ = env.reset(seed=2)
+    env = make("graphrqi/FourWayIntersection-v0", flow=6000, warmup_s=20.0).unwrapped
+    env.reset(seed=2)
+    observation = [env.step(1)[0] for _ in range(15)][-1]
     ego = env.vehicle
     other = env._visible()[0]
     x, y = other.position - ego.position  # y to the south

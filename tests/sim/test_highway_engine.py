@@ -17,7 +17,7 @@ from sim.highway.engine import network_of, read_frame, run
 from sim.highway.traffic import CLEAR_AFTER_S, TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.observables import observe
-from sim.scenario import AgentSpec, sample_agents
+from sim.scenario import WALK_START_M, AgentSpec, sample_agents
 
 STRAIGHT = ("east_in", "east_out")
 
@@ -330,15 +330,13 @@ def test_a_left_turner_lets_oncoming_traffic_pass_first():
 
 def meet_pedestrian(behavior: Behavior, seed: int = 0) -> Tracks:
     """A driver and a pedestrian who come to the zebra together."""
-    pace = PROFILES[behavior].speed_factor * 13.89
-    depart_s = 400.0 / 1.4 - 395.0 / pace
+    arrives_s = 10.0 + 395.0 / (PROFILES[behavior].speed_factor * 13.89)
+    leaves_s = arrives_s - 1.5 - WALK_START_M / 1.4
     agents = [
-        dataclasses.replace(
-            driver(behavior, 0, depart_s=depart_s, stop_rate_per_min=0.0), seed=seed
-        ),
-        walker(1, ("west_in", "east_in"), speed=1.4),
+        dataclasses.replace(driver(behavior, 0, depart_s=10.0, stop_rate_per_min=0.0), seed=seed),
+        walker(1, ("west_in", "east_in"), leaves_s, speed=1.4),
     ]
-    return tracks("straight_road", agents, 320.0, step_s=0.2)
+    return tracks("straight_road", agents, 90.0)
 
 
 @pytest.mark.parametrize(
