@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import re
 import shutil
@@ -105,24 +104,26 @@ def test_seeds_differ_and_depend_on_nothing_else() -> None:
 # --- interruptions ------------------------------------------------------------------------------
 
 
-def _hold(folder: str, held: multiprocessing.synchronize.Event) -> None:
-    with sole_writer(Path(folder)):
-        held.set()
-        time.sleep(60)
+_HOLDER = """
+import sys, time
+from pathlib import Path
+from sim.lock import sole_writer
+with sole_writer(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
 
 
 def test_a_second_run_is_refused_while_the_first_lives(tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
-    held = context.Event()
-    holder = context.Process(target=_hold, args=(str(tmp_path), held))
-    holder.start()
-    try:
-        assert held.wait(60)
-        with pytest.raises(InputError, match="another run is writing"):
-            generate(CONFIG, tmp_path, quiet=True)
-    finally:
-        holder.kill()
-        holder.join()
+    command = [sys.executable, "-c", _HOLDER, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        try:
+            assert holder.stdout.readline() == "held\n"
+            with pytest.raises(InputError, match="another run is writing"):
+                generate(CONFIG, tmp_path, quiet=True)
+        finally:
+            holder.kill()
     with sole_writer(tmp_path):  # the dead holder's lock is gone with it
         assert (tmp_path / ".lock").exists()
     assert not (tmp_path / ".lock").exists()
@@ -320,7 +321,7 @@ def test_broken_configuration_files(tmp_path: Path, text: str, message: str) -> 
         ({"scenarios": ("straight_raod",)}, "did you mean 'straight_road'"),
         ({"engine": "sumoo"}, "did you mean 'sumo'"),
         ({"mix": "timid=2"}, "mix: found shares adding to 2"),
-        ({"mix": {"angry": 1.0}}, "mix: found behaviour 'angry'"),
+        ({"mix": {"angry": 1.0}}, "mix: found 'angry', expected one of impatient"),
         ({"flow": -5.0}, "flow: found"),
         ({"duration_s": 0.0}, "duration_s: found 0"),
         ({"spread": -1.0}, "spread: found -1"),
