@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, cast
 
 from behaviors.errors import lookup
 from experiments.tables import Row
@@ -21,6 +21,12 @@ def _spectrum(quick: bool) -> list[Row]:
     if quick:
         return [*run_spectrum_bench(sizes=(25, 50), steps=10), *run_spectrum_study(50, 50)]
     return [*run_spectrum_bench(), *run_spectrum_study()]
+
+
+def _behaviors(quick: bool) -> list[Row]:
+    from experiments.behaviors import run_behaviors_bench
+
+    return cast("list[Row]", run_behaviors_bench(quick=quick))
 
 
 def _highway(quick: bool) -> list[Row]:
@@ -56,6 +62,7 @@ def _loop(quick: bool) -> list[Row]:
 
 BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
     "spectrum": _spectrum,
+    "behaviors": _behaviors,
     "highway": _highway,
     "generate": _generate,
     "classification": _classification,

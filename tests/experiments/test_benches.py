@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from experiments.benches import BENCHES, NEED_RECORDINGS, run_bench
+from experiments.cli import bench
 from experiments.study import run_study
 
 
@@ -21,9 +22,16 @@ def test_rows_are_tidy(name: str) -> None:
     assert rows
     for row in rows:
         assert {"metric", "value", "low", "high", "n"} <= row.keys()
-        assert isinstance(row["value"], int | float)
-        assert math.isfinite(row["value"])
+        if row["value"] is None:
+            assert row["n"] == 0  # nobody had an occasion
+        else:
+            assert math.isfinite(row["value"])
     json.dumps(rows, allow_nan=False)
+
+
+def test_every_bench_has_its_command() -> None:
+    commands = {command.name for command in bench.registered_commands}
+    assert commands == set(BENCHES)
 
 
 def test_a_study_goes_on_where_it_was_stopped(
@@ -31,11 +39,11 @@ def test_a_study_goes_on_where_it_was_stopped(
 ) -> None:
     asked: list[str] = []
 
-    def bench(name: str, quick: bool) -> list[dict[str, str | float | None]]:
+    def measured(name: str, quick: bool) -> list[dict[str, str | float | None]]:
         asked.append(name)
         return [{"metric": "m", "value": 1.0, "low": None, "high": None, "n": 1}]
 
-    monkeypatch.setattr("experiments.study.run_bench", bench)
+    monkeypatch.setattr("experiments.study.run_bench", measured)
     monkeypatch.delenv("GRAPHRQI_DATA", raising=False)
     (tmp_path / "generate.json").write_text("[]")
     files = run_study(tmp_path)
