@@ -322,7 +322,18 @@ class Tracks:
             Tracks of those agents only; the last column is the present.
         """
         columns = slice(max(0, stop - steps), stop)
-        rows = np.flatnonzero(self.valid[:, stop - 1])
+        return self.part(np.flatnonzero(self.valid[:, stop - 1]), columns)
+
+    def part(self, rows: IntArray, columns: slice) -> Tracks:
+        """Some agents at some of the times.
+
+        Args:
+            rows: indices of the agents, ascending.
+            columns: which times, at least one.
+
+        Returns:
+            Their tracks, with the events between the first and the last of these times.
+        """
         begin, end = self.time_s[columns][0], self.time_s[columns][-1]
         return Tracks(
             ids=self.ids[rows],

@@ -16,21 +16,7 @@ PERIOD_S: Final = 0.1
 
 def _columns(tracks: Tracks, columns: slice) -> Tracks:
     """Some time steps of tracks, with the agents that are seen in them."""
-    rows = np.flatnonzero(tracks.valid[:, columns].any(axis=1))
-    return Tracks(
-        ids=tracks.ids[rows],
-        names=tuple(tracks.names[i] for i in rows),
-        kind=tracks.kind[rows],
-        length=tracks.length[rows],
-        width=tracks.width[rows],
-        time_s=tracks.time_s[columns],
-        xy=tracks.xy[rows, columns],
-        heading=tracks.heading[rows, columns],
-        speed=tracks.speed[rows, columns],
-        valid=tracks.valid[rows, columns],
-        signals=tracks.signals[:, columns],
-        behavior=None if tracks.behavior is None else tracks.behavior[rows],
-    )
+    return tracks.part(np.flatnonzero(tracks.valid[:, columns].any(axis=1)), columns)
 
 
 def every_tenth(tracks: Tracks) -> Tracks:
