@@ -42,6 +42,7 @@ from experiments.metrics import (
     weighted_accuracy,
 )
 from experiments.parallel import in_parallel
+from experiments.scoring import majority_of
 from experiments.tables import Cell, Row
 from experiments.train import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from graphrqi.classify import Classifier, make_classifier
@@ -261,10 +262,6 @@ def _as_long_as(samples: Samples, window_s: float) -> NDArray[np.bool_]:
     return np.isclose(samples.seconds, window_s, atol=0.3)
 
 
-def _majority(samples: Samples) -> int:
-    return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())
-
-
 def difference_rows(
     samples: Samples, ours: FloatArray, theirs: FloatArray, keys: Mapping[str, Cell]
 ) -> list[Row]:
@@ -305,7 +302,7 @@ def fitted(
     if scenario is not None:
         training = recordings.of(scenario, training)
         validation = None if validation is None else recordings.of(scenario, validation)
-    return train(method, training, validation), _majority(training)
+    return train(method, training, validation), majority_of(training)
 
 
 def inductive(
@@ -354,7 +351,7 @@ def leak_probe(recordings: Recordings) -> list[Row]:
     for scenario in recordings.dataset.scenarios:
         here = recordings.of(scenario, parts[1])
         keys = _keys("inductive", scenario, "leak-probe", MAIN_S)
-        rows += score_rows(here, _posterior(forest, here), _majority(parts[0]), keys)
+        rows += score_rows(here, _posterior(forest, here), majority_of(parts[0]), keys)
     return rows
 
 
@@ -416,7 +413,7 @@ def transductive(recordings: Recordings, methods: Sequence[str]) -> list[Row]:
             together = Samples.join([part for part, _ in parts])
             probability = np.concatenate([p for _, p in parts])
             keys = _keys("transductive", scenario, method, MAIN_S)
-            rows += score_rows(together, probability, _majority(samples), keys)
+            rows += score_rows(together, probability, majority_of(samples), keys)
     return rows
 
 
@@ -519,12 +516,17 @@ def robustness(
         validation = recordings.validation(method)
         clean = train(method, training, validation)
         tailed = _long_tailed(test, 0)
-        add(clean, _majority(training), tailed, "long-tailed mix")
+        add(clean, majority_of(training), tailed, "long-tailed mix")
         rare = _long_tailed(training, 1)
-        add(train(method, rare, validation), _majority(rare), tailed, "long-tailed mix, trained so")
+        add(
+            train(method, rare, validation),
+            majority_of(rare),
+            tailed,
+            "long-tailed mix, trained so",
+        )
         for share in WRONG_LABELS[:levels]:
             wrong = _mislabelled(training, share, 2)
-            add(train(method, wrong, validation), _majority(wrong), test,
+            add(train(method, wrong, validation), majority_of(wrong), test,
                 f"{share:g} of training drivers mislabelled")  # fmt: skip
     return rows
 

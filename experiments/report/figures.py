@@ -202,9 +202,7 @@ def gradient_figure(frame: Frame, truth: CodeArray, graph: TrafficGraph, w: Floa
     Returns:
         SVG: the darker a vehicle, the larger its share; edges are the graph's.
     """
-    order = np.argsort(graph.ids)
-    rows = order[np.searchsorted(graph.ids, frame.ids, sorter=order)]
-    value = np.abs(w)[rows]
+    value = np.abs(w)[graph.rows_of(frame.ids)]
     place = dict(zip(frame.ids.tolist(), frame.xy, strict=True))
     edges = [[place[a], place[b]] for a, b in graph.edges.tolist() if a in place and b in place]
     figure = Figure(figsize=(11.0, 3.6))

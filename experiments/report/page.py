@@ -152,8 +152,7 @@ def draw_scene(dataset: Dataset, model: Model, scenario: str) -> Scene | None:
             codes = tracks.behavior[rows]
         spectrum = SOLVERS["eigh"](graph, num_pairs=1, end="largest")
         w = np.asarray(graph.laplacian @ spectrum.eigenvectors[:, 0])
-        order = np.argsort(graph.ids)
-        here = np.abs(w)[order[np.searchsorted(graph.ids, frame.ids, sorter=order)]]
+        here = np.abs(w)[graph.rows_of(frame.ids)]
         return Scene(
             scenario=scenario,
             episode=entry.id,

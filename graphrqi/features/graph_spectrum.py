@@ -47,8 +47,7 @@ class GraphSpectrum:
         self._previous = self._solve(
             self._graph, num_pairs=NUM_PAIRS + 1, end="largest", previous=self._previous
         )
-        order = np.argsort(self._graph.ids)  # the graph's rows are in order of first sight
-        rows = order[np.searchsorted(self._graph.ids, ids, sorter=order)]
+        rows = self._graph.rows_of(ids)
         return self._previous, rows, self._graph.degree
 
     def moment(self, time_s: float, ids: IntArray) -> FloatArray:

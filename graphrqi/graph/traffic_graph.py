@@ -286,6 +286,11 @@ class TrafficGraph:
             all_ids, indptr, indices[:size].copy(), values[:size].copy(), rule, count, earlier
         )
 
+    def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Rows (n,) of vehicles ``ids`` (n,), all of which must be in the graph."""
+        order = np.argsort(self.ids)  # rows are in order of first sight
+        return order[np.searchsorted(self.ids, ids, sorter=order)]
+
     @property
     def laplacian(self) -> csr_array[Any, tuple[int, int]]:
         """(d, d) D - A as a scipy CSR array over this graph's (read-only) arrays."""
