@@ -7,7 +7,7 @@ at once. Whatever a user can do wrong ends in one line on stderr and exit code 2
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -17,12 +17,24 @@ from typer.exceptions import TyperException
 app = typer.Typer(
     name="graphrqi",
     help="Label, classify and predict drivers in simulated and recorded traffic.",
-    epilog="example: graphrqi run straight_road --stream",
+    epilog="example: graphrqi run straight_road --stream. Exit codes: 0 done; 2 something asked "
+    "for is wrong or missing, said in one line; 130 stopped by Ctrl-C; 1 a defect of the program.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+def _names_of(what: str) -> Callable[[str], list[str]]:
+    """What the shell offers when a registered name is being typed."""
+
+    def complete(incomplete: str) -> list[str]:
+        from experiments.doctor import names_of
+
+        return [name for name in names_of(what) if name.startswith(incomplete)]
+
+    return complete
+
 
 Json = Annotated[
     Path | None,
@@ -32,7 +44,13 @@ ModelName = Annotated[
     str, typer.Option("--model", help="A model that ships, or a folder written by train.")
 ]
 FormatName = Annotated[
-    str | None, typer.Option("--format", metavar="KEY", help="Told from the content if left out.")
+    str | None,
+    typer.Option(
+        "--format",
+        metavar="KEY",
+        help="Told from the content if left out.",
+        autocompletion=_names_of("format"),
+    ),
 ]
 Net = Annotated[
     Path | None,
@@ -40,7 +58,10 @@ Net = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
-Engine = Annotated[str, typer.Option(help="Which simulator; see graphrqi list.")]
+Engine = Annotated[
+    str,
+    typer.Option(help="Which simulator; see graphrqi list.", autocompletion=_names_of("engine")),
+]
 Flow = Annotated[
     str | None, typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour.")
 ]
@@ -68,7 +89,12 @@ def list_names(json: Json = None) -> None:
 
 @app.command(epilog="example: graphrqi run straight_road --flow dense --stream --predict")
 def run(
-    scenario: Annotated[str, typer.Argument(help="Name of a scenario; see graphrqi list.")],
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a scenario; see graphrqi list.", autocompletion=_names_of("scenario")
+        ),
+    ],
     engine: Engine = "sumo",
     stream: Annotated[bool, typer.Option("--stream", help="Classify drivers as they go.")] = False,
     predict: Annotated[bool, typer.Option("--predict", help="Predict, and score it.")] = False,
@@ -99,13 +125,19 @@ def run(
 def generate(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     scenario: Annotated[
-        list[str] | None, typer.Option(help="A scenario's name; repeat for several.")
+        list[str] | None,
+        typer.Option(
+            help="A scenario's name; repeat for several.", autocompletion=_names_of("scenario")
+        ),
     ] = None,
     episodes: Annotated[int | None, typer.Option(help="Episodes per scenario.")] = None,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="The same options in a file.")
     ] = None,
-    engine: Annotated[str | None, typer.Option(help="Which simulator [default: sumo].")] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(help="Which simulator [default: sumo].", autocompletion=_names_of("engine")),
+    ] = None,
     flow: Flow = None,
     mix: Mix = None,
     spread: Spread = None,
@@ -138,7 +170,9 @@ def generate(
 def train(
     dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
     out: Annotated[Path, typer.Option(help="Folder of the model.")],
-    method: Annotated[str, typer.Option(help="See graphrqi list.")] = "graphrqi-plus",
+    method: Annotated[
+        str, typer.Option(help="See graphrqi list.", autocompletion=_names_of("method"))
+    ] = "graphrqi-plus",
     seed: Seed = 0,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     quiet: Quiet = False,
@@ -175,11 +209,22 @@ def predict(
     source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
     predictors: Annotated[
         str, typer.Option(metavar="A,B", help="Names, separated by commas; see graphrqi list.")
-    ] = "constant-velocity,car-following-blind,car-following",
+    ] = "constant-velocity,car-following-blind,graphrqi-predict",
     horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Parquet file for the futures themselves.")
+    ] = None,
+    submission: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Parquet file of the last predictor's futures as Argoverse 2's challenge takes "
+            "them: of 6 s, 5 s after the beginning of each recording.",
+        ),
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -187,10 +232,13 @@ def predict(
     """Predict where everyone goes, and score it."""
     from experiments.exchange import as_dataset
     from experiments.prediction import predict_dataset
+    from experiments.submission import submit_dataset
 
-    names = [name.strip() for name in predictors.split(",") if name.strip()]
+    names = _words(predictors)
     with as_dataset(source, format, net) as dataset:
-        predict_dataset(dataset, names, horizon_s, model, json, jobs=jobs, quiet=quiet)
+        predict_dataset(dataset, names, horizon_s, model, json, out=out, jobs=jobs, quiet=quiet)
+        if submission is not None:
+            submit_dataset(dataset, names[-1], model, submission)
 
 
 @app.command(epilog="example: graphrqi report runs/demo")
@@ -226,7 +274,15 @@ def import_(
 @app.command(epilog="example: graphrqi export data --format argoverse2 --out exported")
 def export(
     dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
-    format: Annotated[str, typer.Option("--format", metavar="KEY", help="See graphrqi list.")],
+    format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="KEY",
+            help="See graphrqi list.",
+            autocompletion=_names_of("format"),
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="Folder to write into.")],
     quiet: Quiet = False,
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import platform
 import re
@@ -12,7 +13,7 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Final, Literal
 
-from behaviors.errors import InputError
+from behaviors.errors import InputError, lookup
 from experiments.tables import Row
 
 START_LIMIT_S: Final = 120.0
@@ -21,6 +22,7 @@ START_LIMIT_S: Final = 120.0
 EXTRAS: Final[dict[str, str]] = {
     "cluster": "only needed to generate on many machines",
     "networks": "only needed to build roads of your own",
+    "docs": "only needed to build the documentation's pages",
     "dev": "only needed to test and change the code",
 }
 """What each optional part is for."""
@@ -48,25 +50,38 @@ class Finding:
         return asdict(self)
 
 
+REGISTRIES: Final[dict[str, str]] = {
+    "scenario": "scenarios:SCENARIOS",
+    "engine": "sim.engines:ENGINES",
+    "method": "graphrqi.methods:METHODS",
+    "solver": "graphrqi.spectrum:SOLVERS",
+    "predictor": "graphrqi.predict:PREDICTORS",
+    "format": "sim.formats:FORMATS",
+    "bench": "experiments.benches:BENCHES",
+}
+"""Where the names live that the commands take, as "module:dictionary", by what they name."""
+
+
+def names_of(what: str) -> list[str]:
+    """The registered names of one kind of thing.
+
+    Args:
+        what: a key of ``REGISTRIES``.
+
+    Returns:
+        Its names, in the registry's order.
+
+    Example:
+        >>> names_of("engine")
+        ['sumo', 'highway']
+    """
+    module, dictionary = lookup(REGISTRIES, what, "registry").split(":")
+    return list(getattr(importlib.import_module(module), dictionary))
+
+
 def registered_names() -> dict[str, list[str]]:
     """Every name that the commands take, by what it names."""
-    from experiments.benches import BENCHES
-    from graphrqi.methods import METHODS
-    from graphrqi.predict import PREDICTORS
-    from graphrqi.spectrum import SOLVERS
-    from scenarios import SCENARIOS
-    from sim.engines import ENGINES
-    from sim.formats import FORMATS
-
-    return {
-        "scenario": list(SCENARIOS),
-        "engine": list(ENGINES),
-        "method": list(METHODS),
-        "solver": list(SOLVERS),
-        "predictor": list(PREDICTORS),
-        "format": list(FORMATS),
-        "bench": list(BENCHES),
-    }
+    return {what: names_of(what) for what in REGISTRIES}
 
 
 def _requirements() -> Iterator[tuple[str, str]]:

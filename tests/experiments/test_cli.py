@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -117,3 +118,41 @@ def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert rows["numpy"]["state"] == "ok"
     assert rows["scenarios"]["state"] == "ok"
     assert rows["sumo starts"]["state"] == "ok", rows["sumo starts"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("run straight", "straight_road"),
+        ("run straight_road --engine h", "highway"),
+        ("train data --method graphrqi-p", "graphrqi-plus"),
+        ("bench spec", "spectrum"),
+    ],
+)
+def test_the_shell_completes_names(typed: str, offered: str) -> None:
+    words = f"graphrqi {typed}"
+    run = subprocess.run(
+        [sys.executable, "-m", "experiments.cli"],
+        env={
+            **os.environ,
+            "_GRAPHRQI_COMPLETE": "complete_bash",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(len(words.split()) - 1),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert offered in run.stdout.split()
+
+
+def test_ctrl_c_ends_it_with_130_and_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import experiments.doctor
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(experiments.doctor, "registered_names", interrupted)
+    assert graphrqi(capsys, "list") == (130, "", "")
