@@ -8,16 +8,19 @@ episode, so that intervals resample episodes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numpy as np
+import pyarrow as pa
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.metrics import bootstrap
 from experiments.parallel import in_parallel
+from experiments.prediction_file import PREDICTIONS, predictions_file, predictions_table
 from experiments.progress import Progress
 from experiments.tables import Row, show_table, write_json
 from graphrqi.methods import Model, load_model
@@ -133,6 +136,7 @@ def evaluate(
     road: Road | None,
     predictors: Sequence[str],
     horizons_s: Sequence[float] = HORIZONS_S,
+    tell: Callable[[str, Tracks, Prediction], None] | None = None,
 ) -> dict[str, Errors]:
     """Errors of predictors in one episode.
 
@@ -142,6 +146,7 @@ def evaluate(
         road: where it happened; None if there is no map.
         predictors: keys of ``PREDICTORS``.
         horizons_s: ascending, s.
+        tell: called with each predictor's name, what it saw and what it foresees.
 
     Returns:
         Errors by predictor.
@@ -172,6 +177,8 @@ def evaluate(
                 prediction = predict(history, posterior, None, ahead_s, name)
             else:
                 prediction = function(scene, posterior)
+            if tell is not None:
+                tell(name, history, prediction)
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
             gap = distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
@@ -355,9 +362,20 @@ def beliefs(tracks: Tracks, model: Model, stops: Sequence[int]) -> dict[int, Pos
 
 def evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
-    model: str,
-) -> dict[str, Errors]:  # fmt: skip
-    """Errors of predictors in one episode of a dataset, with a classifier's beliefs.
+    model: str, keep: bool = False,
+) -> tuple[dict[str, Errors], pa.Table]:  # fmt: skip
+    """Predict one episode of a dataset with a classifier's beliefs.
+
+    Args:
+        folder: of the dataset.
+        entry: which episode.
+        predictors: keys of ``PREDICTORS``.
+        horizons_s: ascending, s.
+        model: the classifier: a shipped one's name or a folder.
+        keep: whether the futures themselves are wanted.
+
+    Returns:
+        Errors by predictor, and the futures as rows (none unless they are kept).
 
     Raises:
         InputError: if the episode or the model cannot be read.
@@ -365,7 +383,16 @@ def evaluate_episode(
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     stops = list(instants(tracks, max(horizons_s)))
-    return evaluate(tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s)
+    tables = [PREDICTIONS.empty_table()]
+
+    def tell(name: str, history: Tracks, prediction: Prediction) -> None:
+        tables.append(predictions_table(prediction, history, name, entry.id, max(horizons_s)))
+
+    errors = evaluate(
+        tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s,
+        tell if keep else None,
+    )  # fmt: skip
+    return errors, pa.concat_tables(tables).unify_dictionaries()
 
 
 def predict_dataset(
@@ -375,6 +402,7 @@ def predict_dataset(
     model: str = DEFAULT_MODEL,
     json_path: Path | None = None,
     *,
+    out: Path | None = None,
     split: Split = "test",
     jobs: int | None = None,
     quiet: bool = False,
@@ -387,6 +415,7 @@ def predict_dataset(
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         json_path: where to write the rows; ``-`` for standard output.
+        out: where to write the futures (`experiments.prediction_file`); None: nowhere.
         split: which part of the dataset; all of a scenario that has no such part.
         jobs: processes; None for one per core.
         quiet: whether to show neither progress nor table.
@@ -415,12 +444,18 @@ def predict_dataset(
     if not entries:
         raise InputError(f"{source}: found no episode, expected at least 1")
     found: dict[str, list[dict[str, Errors]]] = {}
-    arguments = [(source, entry, predictors, horizons_s, model) for _, entry in entries]
-    with Progress("predicting episodes", len(entries), quiet) as progress:
-        for (scenario, entry), errors in zip(
+    keep = out is not None
+    arguments = [(source, entry, predictors, horizons_s, model, keep) for _, entry in entries]
+    with (
+        Progress("predicting episodes", len(entries), quiet) as progress,
+        nullcontext() if out is None else predictions_file(out) as file,
+    ):
+        for (scenario, entry), (errors, futures) in zip(
             entries, in_parallel(evaluate_episode, arguments, jobs), strict=True
         ):
             found.setdefault(scenario, []).append(errors)
+            if file is not None:
+                file.write_table(futures)
             progress.advance(entry.agents, entry.agent_steps)
     for scenario, episodes in found.items():
         whole = not dataset.episodes(split, scenario)

@@ -18,8 +18,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
+from experiments.prediction import beliefs
+from graphrqi.methods import load_model
+from graphrqi.predict import predict
 from graphrqi.predict.prediction import Prediction
 from sim.atomic import whole_file
+from sim.dataset import open_dataset
+from sim.formats.argoverse2 import OBSERVED_STEPS
+
+RATE_HZ: Final = 10
 
 STEPS: Final = 60
 """Places per future that the challenge wants: 6 s at 10 Hz."""
@@ -68,6 +75,41 @@ def write_submission(
     with whole_file(path) as partial:
         pq.write_table(pa.Table.from_pydict(rows, schema=SUBMISSION), partial)
     return len(rows["track_id"])
+
+
+def submit_dataset(source: Path, predictor: str, model: str, path: Path) -> int:
+    """Predict every recording of a dataset 5 s after its beginning and write a submission.
+
+    Everybody present then is predicted; the challenge picks those that it scores.
+
+    Args:
+        source: folder of a dataset; its episodes are 10 Hz.
+        predictor: a key of ``PREDICTORS``.
+        model: the classifier whose beliefs are used: a shipped one's name or a folder.
+        path: the Parquet file; it appears whole or not at all.
+
+    Returns:
+        How many rows were written.
+
+    Raises:
+        InputError: if an episode is not 10 Hz, or the dataset or the model cannot be read.
+    """
+    dataset, trained = open_dataset(source), load_model(model)
+    told: dict[str, tuple[Sequence[str], Prediction]] = {}
+    for entry in dataset.manifest.episodes:
+        tracks = dataset.read(entry).tracks
+        if abs(tracks.step_s - 1.0 / RATE_HZ) > 1e-3:
+            raise InputError(
+                f"{source}: episode {entry.id}: found a step of {tracks.step_s:g} s, expected "
+                f"{1.0 / RATE_HZ:g} s"
+            )
+        stop = min(OBSERVED_STEPS, tracks.time_s.size)
+        posterior = beliefs(tracks, trained, [stop])[stop]
+        history = tracks.window(stop, OBSERVED_STEPS)
+        prediction = predict(history, posterior, dataset.road(entry), STEPS / RATE_HZ, predictor)
+        name = str(entry.options.get("recording", entry.id))
+        told[name] = (history.names, prediction)
+    return write_submission(told, path)
 
 
 def _check(scenario: str, names: Sequence[str], prediction: Prediction) -> None:

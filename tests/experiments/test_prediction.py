@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from behaviors.errors import InputError
@@ -17,9 +18,11 @@ from experiments.prediction import (
     future,
     instants,
     metrics_tree,
+    predict_dataset,
     short_table,
     summarize,
 )
+from experiments.prediction_file import PREDICTIONS
 from experiments.predictor_training import calibrate_drivers, samples_of
 from graphrqi.posterior import Posterior
 from graphrqi.predict.drivers import table_from_json
@@ -199,3 +202,26 @@ def test_calibration_without_training_episodes_is_refused(tmp_path):
     write_manifest(tmp_path / "empty", {}, [])
     with pytest.raises(InputError, match="no training scene"):
         calibrate_drivers(tmp_path / "empty", tmp_path / "out.json", quiet=True)
+
+
+def test_predictions_file_holds_every_future_of_every_agent(dataset, tmp_path):
+    out = tmp_path / "predictions.parquet"
+    names = ["constant-velocity", "behavior-mixture"]
+    predict_dataset(dataset, names, 2.0, out=out, jobs=1, quiet=True)
+    rows = pq.read_table(out).to_pandas()
+    assert list(rows) == PREDICTIONS.names
+    one = rows.groupby(["episode", "predictor", "agent", "time_s"], observed=True)
+    assert set(one.ngroup()) >= {0, 1}
+    for (_, predictor, _, _), futures in one:
+        modes = 1 if predictor == "constant-velocity" else len(BEHAVIORS)
+        assert futures["mode"].tolist() == np.repeat(np.arange(modes), 4).tolist()
+        assert futures["ahead_s"].tolist() == [0.5, 1.0, 1.5, 2.0] * modes
+        each = futures.drop_duplicates("mode")["probability"]
+        assert each.sum() == pytest.approx(1.0, abs=1e-5)
+    opened = open_dataset(dataset)
+    tracks = opened.read(opened.episodes("test")[0]).tracks
+    row = rows[(rows["predictor"] == "constant-velocity") & (rows["ahead_s"] == 2.0)].iloc[0]
+    agent, column = tracks.names.index(row["agent"]), np.searchsorted(tracks.time_s, row["time_s"])
+    heading, speed = tracks.heading[agent, column], tracks.speed[agent, column]
+    assert row["x_m"] == pytest.approx(tracks.xy[agent, column, 0] + 2 * speed * np.cos(heading))
+    assert row["y_m"] == pytest.approx(tracks.xy[agent, column, 1] + 2 * speed * np.sin(heading))

@@ -7,8 +7,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors.errors import InputError
-from experiments.submission import STEPS, write_submission
+from experiments.exchange import import_recordings
+from experiments.submission import STEPS, submit_dataset, write_submission
 from graphrqi.predict.prediction import Prediction
+from scenarios import SCENARIOS
+from sim.dataset import open_dataset, write_manifest, write_recording
+from sim.engines import get_engine
+from sim.formats.argoverse2 import write
+from sim.frames import Frame, Tracks
+from sim.scenario import sample_agents
+from sim.schema import EpisodeMeta
 
 
 def futures(agents=2, modes=3, steps=STEPS) -> Prediction:
@@ -43,3 +51,47 @@ def test_what_the_challenge_refuses_is_refused(names, prediction, message, tmp_p
     with pytest.raises(InputError, match=message):
         write_submission({"s": (names, prediction)}, tmp_path / "no.parquet")
     assert not (tmp_path / "no.parquet").exists()
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """Windows of 11 s at 10 Hz as a dataset of imported recordings."""
+    folder = tmp_path_factory.mktemp("recordings")
+    scenario = SCENARIOS["straight_road"](duration_s=36.0, flow=1500)
+    frames = get_engine("sumo")(scenario, sample_agents(scenario, 0), 0)
+    write(folder, "drive", Tracks.from_frames(frames), scenario.road)
+    out = folder / "data"
+    import_recordings(folder, out, "argoverse2", quiet=True)
+    return out
+
+
+def test_recordings_become_a_submission_that_the_challenge_takes(recordings, tmp_path):
+    path = tmp_path / "submission.parquet"
+    rows = submit_dataset(recordings, "constant-velocity", "graphrqi-plus", path)
+    table = pq.read_table(path).to_pylist()
+    assert len(table) == rows > 0
+    dataset = open_dataset(recordings)
+    present = {
+        (str(entry.options["recording"]), name)
+        for entry in dataset.manifest.episodes
+        for name in dataset.read(entry).tracks.window(50, 50).names
+    }
+    assert {(row["scenario_id"], row["track_id"]) for row in table} == present
+    submission = pytest.importorskip("av2.datasets.motion_forecasting.eval.submission")
+    taken = submission.ChallengeSubmission.from_parquet(path)
+    assert len(taken.predictions) == len(dataset.manifest.episodes)
+
+
+def test_only_ten_hertz_can_be_submitted(tmp_path):
+    frames = [
+        Frame(
+            time_s=t, ids=[0], xy=[[t, 0.0]], heading=[0.0], speed=[1.0], length=[4.0],
+            width=[2.0], kind=[0],
+        )
+        for t in np.arange(0.0, 11.0, 0.2)
+    ]  # fmt: skip
+    meta = EpisodeMeta(scenario="here", engine="argoverse2")
+    entry = write_recording(tmp_path / "data", meta, Tracks.from_frames(frames))
+    write_manifest(tmp_path / "data", {}, [entry])
+    with pytest.raises(InputError, match=r"step of 0\.2 s, expected 0\.1 s"):
+        submit_dataset(tmp_path / "data", "constant-velocity", "graphrqi-plus", tmp_path / "no")
