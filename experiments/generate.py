@@ -75,6 +75,7 @@ class GenerateConfig(BaseModel):
         spread: how much drivers of one behaviour differ; None for the scenario's own.
         duration_s: length of an episode, s; None for the scenario's own.
         step_s: time between frames, s; None for the scenario's own.
+        limits_mps: speed limits that a scenario's episodes take in turn, m/s; None for its own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -88,17 +89,24 @@ class GenerateConfig(BaseModel):
     spread: float | None = None
     duration_s: float | None = None
     step_s: float | None = None
+    limits_mps: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
 
-    def scenario(self, name: str) -> Scenario:
-        """The scenario of that name with this configuration's options.
+    def options(self, index: int) -> dict[str, Any]:
+        """What a scenario of the episode with this index is called with."""
+        given: dict[str, Any] = self.model_dump(
+            include={"flow", "mix", "spread", "duration_s", "step_s"}, exclude_none=True
+        )
+        if self.limits_mps is not None:
+            given["limit_mps"] = self.limits_mps[index % len(self.limits_mps)]
+        return given
+
+    def scenario(self, name: str, index: int = 0) -> Scenario:
+        """The scenario of that name with this configuration's options, for one of its episodes.
 
         Raises:
             InputError: if there is no such scenario or an option is out of range.
         """
-        options: dict[str, Any] = self.model_dump(
-            include={"flow", "mix", "spread", "duration_s", "step_s"}, exclude_none=True
-        )
-        return get_scenario(name)(**options)
+        return get_scenario(name)(**self.options(index))
 
 
 def _read_toml(path: Path | None) -> dict[str, object]:
@@ -182,7 +190,7 @@ class Task:
 
     def meta(self, scenario: Scenario) -> EpisodeMeta:
         """What the episode is made from, given its scenario."""
-        flow = self.config.flow
+        given = self.config.options(self.index)
         return EpisodeMeta(
             scenario=self.scenario,
             engine=self.config.engine,
@@ -190,7 +198,7 @@ class Task:
             index=self.index,
             split=split_of(self.index),
             options={
-                **({} if flow is None else {"flow": flow}),
+                **{name: given[name] for name in ("flow", "limit_mps") if name in given},
                 "mix": {behavior.value: share for behavior, share in scenario.mix.items()},
                 "spread": scenario.spread,
                 "duration_s": scenario.duration_s,
@@ -218,7 +226,7 @@ def make_episode(folder: Path, task: Task) -> EpisodeEntry:
         InputError: if the engine cannot run it.
         OSError: if it cannot be written.
     """
-    scenario = task.config.scenario(task.scenario)
+    scenario = task.config.scenario(task.scenario, task.index)
     agents = sample_agents(scenario, task.seed)
     meta = task.meta(scenario)
     road = scenario.road.source
@@ -424,7 +432,8 @@ def generate(
         raise InputError(f"jobs: found {jobs}, expected at least 1")
     get_engine(config.engine)
     for name in config.scenarios:
-        config.scenario(name)
+        for index in range(len(config.limits_mps or (None,))):
+            config.scenario(name, index)
     tasks = [Task(config, name, i) for i in range(config.episodes) for name in config.scenarios]
     if len(set(tasks)) != len(tasks):
         raise InputError(f"scenarios: found {', '.join(config.scenarios)}, expected each once")

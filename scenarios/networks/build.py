@@ -30,6 +30,9 @@ FOLDER: Final = Path(__file__).resolve().parent
 NET: Final = "road.net.xml"
 SETTINGS: Final = "road.netccfg"
 
+LIMITS_MPS: Final = (8.33, 11.11, 16.67, 19.44)
+"""Other speed limits whose nets are shipped for the two main roads: 30, 40, 60 and 70 km/h."""
+
 SHIPPED: Final[dict[str, Geometry]] = {
     "straight_road": StraightGeometry(),
     **{
@@ -53,6 +56,8 @@ SHIPPED: Final[dict[str, Geometry]] = {
         for control in CONTROLS
         if control != "traffic_light"
     },
+    **{f"straight_road_{limit:g}_mps": StraightGeometry(limit_mps=limit) for limit in LIMITS_MPS},
+    **{f"four_way_{limit:g}_mps": FourWayGeometry(limit_mps=limit) for limit in LIMITS_MPS},
 }
 """The geometries whose nets are shipped, by folder name."""
 

@@ -334,3 +334,16 @@ def test_wrong_options_are_refused_before_anything_is_written(
     with pytest.raises(InputError, match=message):
         generate(CONFIG.model_copy(update=change), tmp_path / "data", quiet=True)
     assert not (tmp_path / "data").exists()
+
+
+def test_episodes_take_the_limits_in_turn(tmp_path):
+    config = GenerateConfig(
+        scenarios=("straight_road",), episodes=3, duration_s=2.0, limits_mps=(13.89, 8.33)
+    )
+    manifest = generate(config, tmp_path / "data", 1, quiet=True)
+    limits = {e.index: e.options["limit_mps"] for e in manifest.episodes}
+    assert limits == {0: 13.89, 1: 8.33, 2: 13.89}
+    scenario = config.scenario("straight_road", 1)
+    assert {lane.speed_limit_mps for lane in scenario.road.lanes if lane.id.startswith("east")} == {
+        8.33
+    }
