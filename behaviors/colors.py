@@ -21,3 +21,14 @@ COLORS: Final[dict[Behavior, str]] = {
 
 UNKNOWN_COLOR: Final = "#8C8C8C"
 """Of agents without a behaviour: pedestrians, and drivers not yet classified."""
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """A colour of HTML as red, green and blue, 0 to 255.
+
+    Example:
+        >>> rgb("#E69F00")
+        (230, 159, 0)
+    """
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue

@@ -241,6 +241,41 @@ def predict(
             submit_dataset(dataset, names[-1], model, submission)
 
 
+@app.command(epilog="example: graphrqi replay data --episode straight_road --out replay.html")
+def replay(
+    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.html", help="The page.")] = Path("replay.html"),
+    episode: Annotated[
+        str | None, typer.Option(metavar="ID", help="Its id or the beginning of it, or a scenario.")
+    ] = None,
+    labels: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="From classify [default: made here].")
+    ] = None,
+    predictions: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="From predict [default: made here].")
+    ] = None,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    predictor: Annotated[
+        str, typer.Option(metavar="NAME", help="See graphrqi list; none for no predictions.")
+    ] = "graphrqi-predict",
+    color: Annotated[
+        str | None,
+        typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),
+    ] = None,
+    at_s: Annotated[float | None, typer.Option("--at-s", help="Where it opens, s.")] = None,
+) -> None:
+    """Make a page that plays an episode in a browser."""
+    from experiments.replay import write_replay
+
+    write_replay(
+        source, out, episode=episode, labels=labels, predictions=predictions, format=format,
+        net=net, model=model, predictor=predictor, color=color, at_s=at_s,
+    )  # fmt: skip
+    typer.echo(out)
+
+
 @app.command(epilog="example: graphrqi report runs/demo")
 def report(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],

@@ -38,12 +38,14 @@ class Format:
         head: what the beginning of a file looks like (lower case).
         reader: "module:function", or None where it is only written.
         writer: "module:function", or None where it is only read.
+        unit: what its lengths are in: "m", or "px" where there is no scale.
     """
 
     files: tuple[str, ...]
     head: re.Pattern[bytes]
     reader: str | None = None
     writer: str | None = None
+    unit: str = "m"
 
 
 def _columns(*names: str) -> re.Pattern[bytes]:
@@ -99,7 +101,12 @@ FORMATS: Final[dict[str, Format]] = {
         "sim.formats.sumo_fcd:read",
         "sim.formats.sumo_fcd:write",
     ),
-    "traf": Format(("*.txt",), re.compile(rb"^\d+,\d+(?:,-?\d+)*\r?\n"), "sim.formats.traf:read"),
+    "traf": Format(
+        ("*.txt",),
+        re.compile(rb"^\d+,\d+(?:,-?\d+)*\r?\n"),
+        "sim.formats.traf:read",
+        unit="px",
+    ),
     "argo": Format(
         ("*.csv",),
         re.compile(rb'^(?:\xef\xbb\xbf)?"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),

@@ -15,10 +15,12 @@ from highway_env.envs.common.graphics import EnvViewer
 from highway_env.road.graphics import WorldSurface
 from numpy.typing import NDArray
 
+from behaviors.colors import COLORS, rgb
 from behaviors.labels import Behavior
 from sim.frames import Signal
 from sim.highway.lanes import corners
 from sim.highway.network import HighwayNetwork, LaneIndex
+from sim.road_shapes import DASH_M, band, hull, zebra_bars
 
 if TYPE_CHECKING:
     from sim.highway.traffic import TrafficRoad
@@ -26,15 +28,8 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 Color = tuple[int, int, int]
 
-BEHAVIOR_COLORS: Final[dict[Behavior, Color]] = {
-    Behavior.IMPATIENT: (245, 150, 35),
-    Behavior.RECKLESS: (220, 45, 45),
-    Behavior.THREATENING: (165, 55, 175),
-    Behavior.CAREFUL: (60, 135, 225),
-    Behavior.CAUTIOUS: (25, 170, 165),
-    Behavior.TIMID: (115, 190, 75),
-}
-"""Warm colours for the aggressive behaviours, cool ones for the conservative (our choice)."""
+BEHAVIOR_COLORS: Final[dict[Behavior, Color]] = {b: rgb(c) for b, c in COLORS.items()}
+"""As in every other picture, for pygame."""
 
 SIGNAL_COLORS: Final[dict[Signal, Color]] = {
     Signal.RED: (235, 50, 50),
@@ -52,12 +47,6 @@ EGO: Final[Color] = (255, 255, 255)
 OUTLINE: Final[Color] = (30, 30, 34)
 PERSON: Final[Color] = (40, 40, 120)
 CRASHED: Final[Color] = (20, 20, 20)
-
-DASH_M: Final = (3.0, 6.0)
-"""Length of a dash and of the gap after it, m (common on urban roads)."""
-
-BAR_M: Final = (0.5, 0.5)
-"""Width of a zebra's bar and of the gap after it, m."""
 
 
 class TrafficViewer(EnvViewer):  # type: ignore[misc]
@@ -126,38 +115,10 @@ class _Shapes:
         self.stops: list[tuple[FloatArray, int]] = []
 
 
-def _band(line: FloatArray, width: float) -> FloatArray:
-    """The outline of a band along a line, m."""
-    step = np.diff(line, axis=0)
-    direction = step / np.hypot(step[:, 0], step[:, 1])[:, None]
-    at_point = np.concatenate([direction[:1], direction[:-1] + direction[1:], direction[-1:]])
-    at_point = at_point / np.maximum(np.hypot(at_point[:, 0], at_point[:, 1]), 1e-9)[:, None]
-    aside = np.stack([-at_point[:, 1], at_point[:, 0]], axis=1) * width / 2
-    return np.concatenate([line - aside, (line + aside)[::-1]])
-
-
 def _beside(line: FloatArray, right: float) -> FloatArray:
-    band = _band(line, 2.0 * abs(right))
+    outline = band(line, 2.0 * abs(right))
     half = len(line)
-    return band[half:][::-1] if right > 0 else band[:half]
-
-
-def _hull(points: FloatArray) -> FloatArray:
-    """The convex hull of points (Andrew's monotone chain)."""
-    ordered = sorted({(round(float(x), 3), round(float(y), 3)) for x, y in points})
-
-    def chain(sequence: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        found: list[tuple[float, float]] = []
-        for p in sequence:
-            while len(found) >= 2:
-                (x0, y0), (x1, y1) = found[-2], found[-1]
-                if (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0) > 0:
-                    break
-                found.pop()
-            found.append(p)
-        return found[:-1]
-
-    return np.array(chain(ordered) + chain(ordered[::-1]))
+    return outline[half:][::-1] if right > 0 else outline[:half]
 
 
 def _junctions(network: HighwayNetwork) -> list[list[LaneIndex]]:
@@ -180,22 +141,22 @@ def _shapes(network: HighwayNetwork) -> _Shapes:
     flip = np.array([1.0, -1.0])
     for lane in network.road.lanes:
         if lane.walking and not lane.internal:
-            shapes.paving.append(_band(lane.centerline * flip, lane.width_m))
+            shapes.paving.append(band(lane.centerline * flip, lane.width_m))
     for paths in _junctions(network):
         bands = [
-            _band(corners([network.lanes[path]])[0], network.lanes[path].width + 4.0)
+            band(corners([network.lanes[path]])[0], network.lanes[path].width + 4.0)
             for path in paths
         ]
-        shapes.paving.append(_hull(np.concatenate(bands)))
+        shapes.paving.append(hull(np.concatenate(bands)))
         bands = [
-            _band(corners([network.lanes[path]])[0], network.lanes[path].width) for path in paths
+            band(corners([network.lanes[path]])[0], network.lanes[path].width) for path in paths
         ]
-        shapes.asphalt.append(_hull(np.concatenate(bands)))
+        shapes.asphalt.append(hull(np.concatenate(bands)))
     for index, lane in network.lanes.items():
         if index[0].startswith("~") or network.info[index].connector:
             continue
         line = corners([lane])[0]
-        shapes.asphalt.append(_band(line, lane.width))
+        shapes.asphalt.append(band(line, lane.width))
         many = len(network.net.graph[index[0]][index[1]])
         if index[2] == 0:
             facing = MIDDLE if index in network.ghost else PAINT
@@ -221,20 +182,8 @@ def _shapes(network: HighwayNetwork) -> _Shapes:
             ends = [lane.position(strip.near_s - 1.0, side * lane.width / 2) for side in (-1, 1)]
             shapes.stops.append((np.array(ends), -1))
     for crossing in network.road.crossings:
-        shapes.bars += _zebra(crossing.centerline * flip, crossing.width_m)
+        shapes.bars += zebra_bars(crossing.centerline * flip, crossing.width_m)
     return shapes
-
-
-def _zebra(line: FloatArray, width: float) -> list[FloatArray]:
-    step = line[-1] - line[0]
-    size = float(np.hypot(*step))
-    direction = step / size
-    aside = np.array([-direction[1], direction[0]]) * width / 2
-    bars = []
-    for begin in np.arange(BAR_M[1] / 2, size - BAR_M[0], sum(BAR_M)):
-        a, b = line[0] + direction * begin, line[0] + direction * (begin + BAR_M[0])
-        bars.append(np.array([a - aside, b - aside, b + aside, a + aside]))
-    return bars
 
 
 def _pixels(surface: WorldSurface, points: FloatArray) -> list[tuple[float, float]]:

@@ -1,0 +1,171 @@
+"""What a classifier believes about each driver over the time of one episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.classification import LABELS
+from graphrqi.methods import Model
+from graphrqi.posterior import Posterior
+from graphrqi.stream import BehaviorStream
+from sim.frames import FloatArray, IntArray, Tracks
+
+EVERY_S: Final = 0.5
+"""Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""
+
+MAX_ROWS: Final = 10**8
+"""Most rows of a labels file that are read (our choice)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beliefs:
+    """Posteriors of every agent of an episode, now and then.
+
+    Attributes:
+        ids: (N,) agent ids, ascending.
+        time_s: (S,) when, s, increasing.
+        probability: (N, S, 6) in the order of ``BEHAVIORS``; NaN where nothing is believed.
+    """
+
+    ids: IntArray
+    time_s: FloatArray
+    probability: NDArray[np.float32]
+
+    def at(self, time_s: float) -> Posterior:
+        """The latest beliefs at a time, of those about whom there are any."""
+        column = int(np.searchsorted(self.time_s, time_s + 1e-6)) - 1
+        if column < 0:
+            return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+        now = self.probability[:, column]
+        known = np.isfinite(now).all(axis=1)
+        return Posterior(self.ids[known], now[known].astype(np.float64))
+
+
+def sampled(tracks: Tracks, every_s: float = EVERY_S) -> IntArray:
+    """Indices of the frames at which something that changes slowly is looked at.
+
+    Args:
+        tracks: an episode.
+        every_s: time between them, s.
+
+    Returns:
+        (S,) ascending; the first is 0.
+    """
+    if not tracks.time_s.size:
+        return np.empty(0, dtype=np.int64)
+    slot = np.floor((tracks.time_s - tracks.time_s[0]) / every_s + 1e-6)
+    return np.flatnonzero(np.diff(slot, prepend=-1.0) > 0)
+
+
+def believe(tracks: Tracks, model: Model) -> Beliefs:
+    """What a model believes, from positions only.
+
+    Args:
+        tracks: an episode; its labels, if any, are not looked at.
+        model: a trained model.
+
+    Returns:
+        Its beliefs every half a second.
+    """
+    steps = sampled(tracks)
+    probability = _nothing(tracks, steps)
+    column = {int(step): i for i, step in enumerate(steps)}
+    stream = BehaviorStream(model)
+    for step, frame in enumerate(tracks.frames()):
+        stream.push(frame)
+        if step in column:
+            posterior = stream.posterior()
+            rows = np.searchsorted(tracks.ids, posterior.ids)
+            probability[rows, column[step]] = posterior.probability
+    return Beliefs(tracks.ids, tracks.time_s[steps], probability)
+
+
+def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
+    """Beliefs from a labels file, as ``graphrqi classify`` writes them.
+
+    Args:
+        path: the Parquet file.
+        episode: whose rows.
+        tracks: that episode.
+
+    Returns:
+        The beliefs at every half a second of which the file says something.
+
+    Raises:
+        InputError: if the file is not a labels file or does not speak of this episode.
+    """
+    table = read_columns(path, LABELS)
+    table = table.filter(pc.equal(table["episode"], episode))
+    if not table.num_rows:
+        raise InputError(f"{path}: found no row of episode {episode}, expected its labels")
+    names = pa.array(tracks.names, pa.string())
+    row = pc.index_in(table["agent"], value_set=names)
+    if row.null_count:
+        stranger = table["agent"].filter(pc.is_null(row))[0].as_py()
+        raise InputError(
+            f"{path}: found agent {stranger!r}, expected one of the {len(names)} of {episode}"
+        )
+    steps = sampled(tracks)
+    times = tracks.time_s[steps]
+    time_s = table["time_s"].to_numpy()
+    column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
+    here = np.abs(times[column] - time_s) < 1e-3
+    told = np.stack([table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS], axis=1)
+    if not np.isfinite(told).all() or (np.abs(told.sum(axis=1) - 1.0) > 1e-3).any():
+        raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
+    probability = _nothing(tracks, steps)
+    probability[row.to_numpy()[here], column[here]] = told[here]
+    return Beliefs(tracks.ids, times, probability)
+
+
+def read_columns(path: Path, schema: pa.Schema) -> pa.Table:
+    """The columns of a Parquet file that this project writes.
+
+    Args:
+        path: the file.
+        schema: the columns it must have, none of them empty anywhere; others are left out.
+
+    Returns:
+        The table.
+
+    Raises:
+        InputError: if the file is broken, too large, or a column is missing or of another type.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected a Parquet table")
+    try:
+        file = pq.ParquetFile(path)
+        found = file.schema_arrow
+        for field in schema:
+            if field.name not in found.names:
+                raise InputError(f"{path}: found no column {field.name}, expected it")
+        if file.metadata.num_rows > MAX_ROWS:
+            raise InputError(
+                f"{path}: found {file.metadata.num_rows} rows, expected at most {MAX_ROWS}"
+            )
+        table = file.read(columns=schema.names, use_threads=False)
+        table = table.select(schema.names).cast(schema)
+        table.validate(full=True)
+    except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: found no readable table ({reason})") from None
+    for name in schema.names:
+        if table[name].null_count:
+            raise InputError(f"{path}: found an empty {name}, expected one in every row")
+    return table.combine_chunks()
+
+
+def _nothing(tracks: Tracks, steps: IntArray) -> NDArray[np.float32]:
+    return np.full((tracks.ids.size, steps.size, len(BEHAVIORS)), np.nan, dtype=np.float32)

@@ -1,0 +1,150 @@
+"""Predictions over the time of an episode: made here, or read from a predictions file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from behaviors.errors import InputError
+from experiments.prediction_file import PREDICTIONS
+from experiments.replay.beliefs import Beliefs, read_columns, sampled
+from graphrqi.predict import predict
+from graphrqi.predict.metrics import SAMPLE_S
+from graphrqi.predict.prediction import Prediction
+from graphrqi.stream import HISTORY_STEPS
+from sim.frames import FloatArray, IntArray, Tracks
+from sim.road import Road
+
+EVERY_S: Final = 1.0
+"""Time between two predictions, s (our choice: a horizon of 5 s is looked at five times)."""
+
+LEAST_PROBABILITY: Final = 0.02
+"""Futures less likely than this are not kept (our choice)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forecast:
+    """What was predicted at one instant.
+
+    Attributes:
+        time_s: the present, s.
+        agent: (M,) index into the tracks' agents of each future, ascending.
+        probability: (M,) of each future; falling within an agent.
+        ahead_s: (H,) s from the present.
+        xy: (M, H, 2) m.
+    """
+
+    time_s: float
+    agent: IntArray
+    probability: FloatArray
+    ahead_s: FloatArray
+    xy: FloatArray
+
+
+def forecast(
+    tracks: Tracks,
+    beliefs: Beliefs,
+    road: Road | None,
+    predictor: str,
+    horizon_s: float = 5.0,
+) -> list[Forecast]:
+    """Predict every agent again and again through an episode.
+
+    Args:
+        tracks: the episode; each prediction sees only its past.
+        beliefs: about its drivers.
+        road: where it happened; None if there is no map.
+        predictor: a key of ``PREDICTORS``.
+        horizon_s: how far ahead, s.
+
+    Returns:
+        One entry per second in which anybody is there.
+    """
+    found = []
+    for step in sampled(tracks, EVERY_S)[1:]:
+        history = tracks.window(int(step) + 1, HISTORY_STEPS)
+        if not history.ids.size:
+            continue
+        time_s = float(tracks.time_s[step])
+        prediction = predict(history, beliefs.at(time_s), road, horizon_s, predictor)
+        rows = np.searchsorted(tracks.ids, prediction.ids)
+        found.append(_kept(time_s, rows, prediction))
+    return found
+
+
+def _kept(time_s: float, rows: IntArray, prediction: Prediction) -> Forecast:
+    """The futures worth keeping, those of one agent together, the likeliest first."""
+    ahead = np.arange(1, round(prediction.time_s[-1] / SAMPLE_S) + 1) * SAMPLE_S
+    at = np.clip(np.searchsorted(prediction.time_s, ahead - 1e-6), 0, prediction.time_s.size - 1)
+    order = np.argsort(-prediction.probability, axis=1, kind="stable")
+    probability = np.take_along_axis(prediction.probability, order, axis=1)
+    kept = probability >= LEAST_PROBABILITY
+    kept[:, 0] = True
+    agent, rank = np.nonzero(kept)
+    return Forecast(
+        time_s=time_s,
+        agent=rows[agent],
+        probability=probability[agent, rank],
+        ahead_s=prediction.time_s[at],
+        xy=prediction.xy[agent, order[agent, rank]][:, at],
+    )
+
+
+def read_forecasts(
+    path: Path, episode: str, tracks: Tracks, predictor: str | None = None
+) -> tuple[str, list[Forecast]]:
+    """What a predictions file says of one episode.
+
+    Args:
+        path: the Parquet file.
+        episode: whose rows.
+        tracks: that episode.
+        predictor: whose predictions; None for the first in the file.
+
+    Returns:
+        The predictor's name and its predictions, in order of time.
+
+    Raises:
+        InputError: if the file is not a predictions file or does not speak of this episode.
+    """
+    table = read_columns(path, PREDICTIONS)
+    table = table.filter(pc.equal(table["episode"], episode))
+    if not table.num_rows:
+        raise InputError(f"{path}: found no row of episode {episode}, expected its predictions")
+    whose = table["predictor"].cast(pa.string())
+    name = predictor or whose[0].as_py()
+    table = table.filter(pc.equal(whose, name))
+    if not table.num_rows:
+        names = ", ".join(sorted(set(whose.to_pylist())))
+        raise InputError(f"{path}: found no predictor {name!r}, expected one of {names}")
+    row = pc.index_in(table["agent"], value_set=pa.array(tracks.names, pa.string()))
+    if row.null_count:
+        raise InputError(f"{path}: found an agent that episode {episode} does not have")
+    agent = row.to_numpy().astype(np.int64)
+    time_s, mode, ahead_s, x, y, probability = (
+        table[column].to_numpy().astype(np.float64)
+        for column in ("time_s", "mode", "ahead_s", "x_m", "y_m", "probability")
+    )
+    if not (np.isfinite(x) & np.isfinite(y) & np.isfinite(time_s) & np.isfinite(ahead_s)).all():
+        raise InputError(f"{path}: found a place or time that is not finite, expected numbers")
+    if not ((probability >= 0.0) & (probability <= 1.0)).all():
+        raise InputError(f"{path}: found a probability outside of 0 to 1")
+    ahead = np.unique(ahead_s)
+    order = np.lexsort((ahead_s, mode, -probability, agent, time_s))
+    if order.size % ahead.size or (ahead_s[order].reshape(-1, ahead.size) != ahead).any():
+        raise InputError(f"{path}: found futures with different ahead_s, expected the same in all")
+    first = order[:: ahead.size]
+    xy = np.stack([x[order], y[order]], axis=1).reshape(-1, ahead.size, 2)
+    kept = probability[first] >= LEAST_PROBABILITY
+    first, xy = first[kept], xy[kept]
+    borders = np.flatnonzero(np.diff(time_s[first])) + 1
+    return name, [
+        Forecast(float(time_s[now[0]]), agent[now], probability[now], ahead, places)
+        for now, places in zip(np.split(first, borders), np.split(xy, borders), strict=True)
+        if now.size
+    ]

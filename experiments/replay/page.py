@@ -1,0 +1,316 @@
+"""The replay page: one HTML file that plays by itself, with nothing to load.
+
+Style and script are inlined from ``page/``; the page's own security policy lets exactly these run
+and nothing be fetched, so that a name in hostile data can neither act nor call out.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+from numpy.typing import NDArray
+
+from behaviors.colors import COLORS, UNKNOWN_COLOR
+from behaviors.labels import BEHAVIORS, TRAITS
+from behaviors.profiles import PROFILE_FIELDS
+from experiments.replay.packing import differences, pack, quantum
+from experiments.replay.scene import Scene
+from sim.atomic import write_whole
+from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray
+from sim.road_shapes import road_shapes
+
+SCRIPTS: Final = (
+    "data.js", "view.js", "colors.js", "draw.js", "timeline.js", "panel.js", "player.js",
+)  # fmt: skip
+"""In the order in which they are joined."""
+
+POSITION_QUANTUM: Final = 0.01
+"""Places are kept to this, m or pixels (our choice: a twentieth of a pixel on a screen)."""
+
+TURN: Final = 4096
+"""Headings are kept as this many parts of a circle (our choice: 0.09 degrees)."""
+
+SPEED_QUANTUM: Final = 0.05
+"""Speeds are kept to this, m/s (our choice: more than the panel shows)."""
+
+MODES: Final = ("true", "predicted", "confidence", "speed", "w")
+"""What agents can be coloured by."""
+
+RAMP_STOPS: Final = 17
+
+
+def ramp() -> list[str]:
+    """The colours of numbers, low to high: matplotlib's cividis, made for colour-blind people."""
+    return [to_hex(colormaps["cividis"](x)) for x in np.linspace(0.08, 1.0, RAMP_STOPS)]
+
+
+def default_mode(scene: Scene) -> str:
+    """What agents are coloured by at first: the truth where it is known."""
+    return "predicted" if scene.tracks.behavior is None else "true"
+
+
+def write_page(scene: Scene, out: Path, mode: str | None = None, at_s: float | None = None) -> None:
+    """Write the page of a scene.
+
+    Args:
+        scene: what to show.
+        out: the HTML file; it appears whole or not at all.
+        mode: one of ``MODES``, what agents are coloured by at first; None for the default.
+        at_s: the time at which the page opens, s; None for the beginning.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    folder = resources.files("experiments.replay") / "page"
+    style = (folder / "style.css").read_text()
+    script = (
+        '"use strict";\n(() => {\n'
+        + "\n".join((folder / name).read_text() for name in SCRIPTS)
+        + "\n})();\n"
+    )
+    environment = Environment(
+        loader=PackageLoader("experiments.replay", "page"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    page = environment.get_template("page.html").render(
+        title=scene.name,
+        style=style,
+        script=script,
+        style_hash=_csp_hash(style),
+        script_hash=_csp_hash(script),
+        data=_json(_data(scene, mode or default_mode(scene), at_s)),
+    )
+    write_whole(out, page.encode())
+
+
+def _csp_hash(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _json(value: object) -> str:
+    """JSON that no HTML parser takes for markup, whatever the strings in it say."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _data(scene: Scene, mode: str, at_s: float | None) -> dict[str, Any]:
+    """What the page's script reads."""
+    tracks = scene.tracks
+    begin_s = float(tracks.time_s[0])
+    arrays: dict[str, NDArray[Any]] = {"time": (tracks.time_s - begin_s).astype("f4")}
+    meta = _places(scene, arrays)
+    _beliefs(scene, arrays)
+    meta |= _graph(scene, arrays)
+    meta |= _forecasts(scene, arrays, meta["quantum"])
+    if tracks.signals.size:
+        meta["signals"] = _signal_changes(tracks.signals)
+    index, packed = pack(arrays)
+    entry = scene.entry
+    facts = {
+        "episode": entry.id,
+        "scenario" if scene.unit == "m" and scene.exhibits else "source": entry.scenario,
+        "engine": entry.engine,
+        "seed": entry.seed,
+        "split": entry.split,
+        "beliefs": scene.believer,
+        "predictor": scene.predictor or "none",
+        "agents": int(tracks.ids.size),
+    }
+    return meta | {
+        "title": scene.name,
+        "facts": facts,
+        "notes": list(scene.notes),
+        "unit": scene.unit,
+        "begin": begin_s,
+        "open": {"mode": mode, "at": begin_s if at_s is None else at_s},
+        "behaviors": [
+            {"name": b.value, "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
+        ],
+        "unknown": UNKNOWN_COLOR,
+        "ramp": ramp(),
+        "kinds": [k.value for k in KINDS],
+        "signalNames": [s.value for s in SIGNALS],
+        "agents": _agents(scene),
+        "road": _road(scene),
+        "events": [
+            {
+                "kind": e.kind.value,
+                "time": round(e.time_s - begin_s, 3),
+                "agent": _row(tracks.ids, e.agent),
+                "other": -1 if e.other is None else _row(tracks.ids, e.other),
+                "rule": e.rule,
+            }
+            for e in tracks.events
+        ],
+        "grave": [k.value for k in (EventKind.COLLISION, EventKind.NEAR_MISS)],
+        "traits": [
+            {"name": trait.value, "behavior": behavior.code} for trait, behavior in TRAITS.items()
+        ],
+        "exhibits": [
+            [
+                list(TRAITS).index(x.trait),
+                _row(tracks.ids, x.agent),
+                round(x.begin_s - begin_s, 2),
+                round(x.end_s - begin_s, 2),
+            ]
+            for x in scene.exhibits
+        ],
+        "index": index,
+        "packed": packed,
+    }
+
+
+def _row(ids: IntArray, agent: int) -> int:
+    """Which agent of the page an id is; -1 for one that is never seen."""
+    at = int(np.searchsorted(ids, agent))
+    return at if at < ids.size and ids[at] == agent else -1
+
+
+def _agents(scene: Scene) -> list[dict[str, Any]]:
+    tracks = scene.tracks
+    found = []
+    for i, agent in enumerate(tracks.ids.tolist()):
+        spec = scene.agents.get(agent)
+        profile = None if spec is None or spec.profile is None else spec.profile
+        found.append(
+            {
+                "name": tracks.names[i],
+                "kind": int(tracks.kind[i]),
+                "length": round(float(tracks.length[i]), 2),
+                "width": round(float(tracks.width[i]), 2),
+                "truth": -1 if tracks.behavior is None else int(tracks.behavior[i]),
+                "profile": None
+                if profile is None
+                else [[name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS],
+            }
+        )
+    return found
+
+
+def _places(scene: Scene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Where everyone is, as runs of steps without a gap."""
+    tracks = scene.tracks
+    agent, step = np.nonzero(tracks.valid)
+    begins = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
+    inside = np.ones(agent.size, dtype=bool)
+    inside[begins] = False
+    xy = tracks.xy[agent, step]
+    low = xy.min(axis=0)
+    moved = np.diff(xy, axis=0, prepend=xy[:1])[inside]
+    unit = quantum(moved, POSITION_QUANTUM)
+    for name, values in (("x", xy[:, 0] - low[0]), ("y", xy[:, 1] - low[1])):
+        arrays[f"{name}First"], arrays[f"{name}Steps"] = differences(values, begins, unit)
+    turned = np.rint(tracks.heading[agent, step] * (TURN / (2 * np.pi))).astype(np.int64)
+    change = np.diff(turned, prepend=turned[:1])
+    change = (change + TURN // 2) % TURN - TURN // 2
+    change[begins] = turned[begins]
+    arrays["headingSteps"] = change.astype(np.int16)
+    fastest = quantum(tracks.speed[agent, step], SPEED_QUANTUM)
+    _, arrays["speedSteps"] = differences(tracks.speed[agent, step], begins, fastest)
+    arrays["speedFirst"] = np.rint(tracks.speed[agent[begins], step[begins]] / fastest).astype("i2")
+    arrays["runAgent"] = agent[begins].astype("u2")
+    arrays["runStep"] = step[begins].astype("i4")
+    arrays["runSize"] = np.diff(begins, append=agent.size).astype("i4")
+    return {
+        "quantum": unit,
+        "origin": [float(low[0]), float(low[1])],
+        "turn": TURN,
+        "speedQuantum": fastest,
+        "extent": _extent(scene, xy),
+    }
+
+
+def _extent(scene: Scene, xy: FloatArray) -> list[float]:
+    """x0, y0, x1, y1 of what is worth showing."""
+    if scene.road is not None:
+        return [round(v, 2) for v in scene.road.bounds]
+    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+    return [round(float(v), 2) for v in (x0, y0, x1, y1)]
+
+
+def _beliefs(scene: Scene, arrays: dict[str, NDArray[Any]]) -> None:
+    """(N, S, 6) probabilities in 255ths; all 0 where nothing is believed."""
+    probability = scene.beliefs.probability
+    arrays["beliefTime"] = (scene.beliefs.time_s - scene.tracks.time_s[0]).astype("f4")
+    arrays["belief"] = np.rint(np.nan_to_num(probability) * 255.0).astype("u1").ravel()
+
+
+def _graph(scene: Scene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """|w| as roots in 254ths of the largest, 255 for nobody; edges by look."""
+    w = scene.graph.w
+    largest = np.nan_to_num(w).max(axis=0, initial=0.0)
+    share = np.sqrt(np.nan_to_num(w) / np.maximum(largest, 1e-12)[None])
+    shown = np.where(np.isfinite(w), np.rint(share * 254.0), 255)
+    arrays["graphTime"] = (scene.graph.time_s - scene.tracks.time_s[0]).astype("f4")
+    arrays["w"] = shown.astype("u1").ravel()
+    arrays["wLargest"] = largest.astype("f4")
+    edges = scene.graph.edges[np.argsort(scene.graph.edges[:, 2], kind="stable")]
+    for i, name in enumerate(("edgeA", "edgeB")):
+        arrays[name] = edges[:, i].astype("u2")
+    arrays["edgeBegin"], arrays["edgeEnd"] = edges[:, 2].astype("i4"), edges[:, 3].astype("i4")
+    return {}
+
+
+def _forecasts(scene: Scene, arrays: dict[str, NDArray[Any]], unit: float) -> dict[str, Any]:
+    """Futures, each as steps between its places."""
+    if not scene.forecasts:
+        return {"ahead": []}
+    origin = scene.tracks.xy[scene.tracks.valid].min(axis=0)
+    xy = np.concatenate([f.xy for f in scene.forecasts]) - origin
+    steps = np.diff(xy, axis=1)
+    coarse = max(quantum(steps, 0.05), unit)
+    whole = np.rint(xy / coarse).astype(np.int64)
+    arrays["futureFirst"] = whole[:, 0].astype("i4").ravel()
+    arrays["futureSteps"] = np.diff(whole, axis=1).astype("i2").ravel()
+    arrays["futureAgent"] = np.concatenate([f.agent for f in scene.forecasts]).astype("u2")
+    likely = np.concatenate([f.probability for f in scene.forecasts])
+    arrays["futureProbability"] = np.rint(likely * 255.0).astype("u1")
+    times = np.array([f.time_s for f in scene.forecasts]) - scene.tracks.time_s[0]
+    arrays["forecastTime"] = times.astype("f4")
+    begins = np.cumsum([0, *(f.agent.size for f in scene.forecasts)])
+    arrays["forecastBegin"] = begins.astype("i4")
+    return {"ahead": scene.forecasts[0].ahead_s.tolist(), "futureQuantum": coarse}
+
+
+def _signal_changes(signals: NDArray[np.int8]) -> list[list[list[int]]]:
+    """Of each signal group, the steps at which its state changes and the new state."""
+    found = []
+    for states in signals:
+        at = np.flatnonzero(np.diff(states, prepend=-1) != 0)
+        found.append([[int(step), int(states[step])] for step in at])
+    return found
+
+
+def _flat(shape: FloatArray) -> list[float]:
+    return [round(v, 2) for v in shape.ravel().tolist()]
+
+
+def _many(shapes: Sequence[FloatArray]) -> list[list[float]]:
+    return [_flat(shape) for shape in shapes]
+
+
+def _road(scene: Scene) -> dict[str, Any] | None:
+    if scene.road is None:
+        return None
+    shapes = road_shapes(scene.road)
+    return {
+        "paving": _many(shapes.paving),
+        "asphalt": _many(shapes.asphalt),
+        "dashes": _many(tuple(shapes.dashes)),
+        "edges": _many(shapes.edges),
+        "middles": _many(shapes.middles),
+        "bars": _many(shapes.bars),
+        "stops": [{"line": _flat(stop.line), "signal": stop.signal} for stop in shapes.stops],
+    }

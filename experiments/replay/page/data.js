@@ -1,0 +1,144 @@
+// The data: read back from what packing.py wrote.
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const $ = (id) => document.getElementById(id);
+
+async function inflated(base64) {
+  const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+const TYPES = { Uint8: Uint8Array, Uint16: Uint16Array, Int16: Int16Array, Int32: Int32Array, Float32: Float32Array };
+
+async function readArrays() {
+  const buffer = await inflated(data.packed);
+  const arrays = {};
+  for (const [name, [type, offset, count]] of Object.entries(data.index)) {
+    arrays[name] = new TYPES[type](buffer, offset, count);
+  }
+  delete data.packed;
+  return arrays;
+}
+
+// Places of every agent as runs of frames without a gap.
+function readPlaces(arrays) {
+  const count = arrays.headingSteps.length;
+  const places = { x: new Float64Array(count), y: new Float64Array(count), heading: new Float32Array(count), speed: new Float32Array(count) };
+  for (const agent of data.agents) agent.runs = [];
+  let at = 0;
+  for (let run = 0; run < arrays.runAgent.length; run++) {
+    const size = arrays.runSize[run];
+    let x = arrays.xFirst[run], y = arrays.yFirst[run], heading = 0, speed = arrays.speedFirst[run];
+    data.agents[arrays.runAgent[run]].runs.push({ begin: arrays.runStep[run], size, at });
+    for (const end = at + size; at < end; at++) {
+      x += arrays.xSteps[at]; y += arrays.ySteps[at];
+      heading += arrays.headingSteps[at]; speed += arrays.speedSteps[at];
+      places.x[at] = data.origin[0] + x * data.quantum;
+      places.y[at] = data.origin[1] + y * data.quantum;
+      places.heading[at] = heading * 2 * Math.PI / data.turn;
+      places.speed[at] = speed * data.speedQuantum;
+    }
+  }
+  return places;
+}
+
+// Possible futures: index of the places of future m is m * H.
+function readFutures(arrays) {
+  const ahead = data.ahead.length;
+  if (!ahead) return null;
+  const many = arrays.futureAgent.length;
+  const xy = new Float64Array(many * ahead * 2);
+  for (let m = 0; m < many; m++) {
+    let x = arrays.futureFirst[2 * m], y = arrays.futureFirst[2 * m + 1];
+    for (let h = 0; h < ahead; h++) {
+      if (h) {
+        x += arrays.futureSteps[2 * (m * (ahead - 1) + h - 1)];
+        y += arrays.futureSteps[2 * (m * (ahead - 1) + h - 1) + 1];
+      }
+      xy[2 * (m * ahead + h)] = data.origin[0] + x * data.futureQuantum;
+      xy[2 * (m * ahead + h) + 1] = data.origin[1] + y * data.futureQuantum;
+    }
+  }
+  return { xy, ahead: data.ahead, agent: arrays.futureAgent, probability: arrays.futureProbability, time: arrays.forecastTime, begin: arrays.forecastBegin };
+}
+
+// Index of the last entry that is not after the time; -1 if all are.
+function latest(times, time) {
+  let low = 0, high = times.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= time + 1e-4) low = middle + 1; else high = middle;
+  }
+  return low - 1;
+}
+
+let arrays, places, futures, duration;
+
+// Where an agent is at a time, between two frames on the straight line; null if it is not there.
+function placeOf(index, time, frame = latest(arrays.time, time)) {
+  for (const run of data.agents[index].runs) {
+    const into = frame - run.begin;
+    if (into < 0 || into >= run.size) continue;
+    const at = run.at + into;
+    const here = arrays.time[frame];
+    if (into + 1 >= run.size) {
+      return time - here < 0.12 ? { x: places.x[at], y: places.y[at], heading: places.heading[at], speed: places.speed[at] } : null;
+    }
+    const share = Math.min(1, Math.max(0, (time - here) / (arrays.time[frame + 1] - here)));
+    const between = (values) => values[at] + share * (values[at + 1] - values[at]);
+    return { x: between(places.x), y: between(places.y), heading: between(places.heading), speed: between(places.speed) };
+  }
+  return null;
+}
+
+// When an agent is first and last seen.
+function lifeOf(index) {
+  const runs = data.agents[index].runs;
+  const last = runs[runs.length - 1];
+  return [arrays.time[runs[0].begin], arrays.time[last.begin + last.size - 1]];
+}
+
+// The six probabilities at a look, or null.
+function beliefAt(index, look) {
+  const from = (index * arrays.beliefTime.length + look) * data.behaviors.length;
+  const row = arrays.belief.subarray(from, from + data.behaviors.length);
+  let sum = 0;
+  for (const p of row) sum += p;
+  return look < 0 || !sum ? null : Array.from(row, (p) => p / sum);
+}
+
+function beliefOf(index, time) {
+  return beliefAt(index, latest(arrays.beliefTime, time));
+}
+
+function mostLikely(belief) {
+  return belief ? belief.indexOf(Math.max(...belief)) : -1;
+}
+
+// The root of an agent's share of the largest |w|, and |w| itself; null if it is not there.
+function wOf(index, time) {
+  const look = latest(arrays.graphTime, time);
+  const root = look < 0 ? 255 : arrays.w[index * arrays.graphTime.length + look];
+  return root === 255 ? null : { share: root / 254, value: (root / 254) ** 2 * arrays.wLargest[look] };
+}
+
+// The futures of an agent as last predicted, or null.
+function futuresOf(index, time) {
+  if (!futures) return null;
+  const instant = latest(futures.time, time);
+  if (instant < 0) return null;
+  const found = [];
+  for (let m = futures.begin[instant]; m < futures.begin[instant + 1]; m++) {
+    if (futures.agent[m] === index) found.push(m);
+    else if (futures.agent[m] > index) break;
+  }
+  return found.length && time - futures.time[instant] < 1.6 ? { time: futures.time[instant], futures: found } : null;
+}
+
+function seconds(time) { return `${(data.begin + time).toFixed(1)} s`; }
+
+function titleOf(index) {
+  const agent = data.agents[index];
+  return `${data.kinds[agent.kind]} ${agent.name}`;
+}

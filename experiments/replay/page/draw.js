@@ -1,0 +1,316 @@
+// Draws the scene onto its canvas: the road once per panel, then everything that moves.
+
+const shapes = { paths: null };
+
+function pathOf(points, closed) {
+  const path = new Path2D();
+  addTo(path, points, closed);
+  return path;
+}
+
+function addTo(path, points, closed) {
+  path.moveTo(points[0], points[1]);
+  for (let i = 2; i < points.length; i += 2) path.lineTo(points[i], points[i + 1]);
+  if (closed) path.closePath();
+}
+
+function together(many, closed) {
+  const path = new Path2D();
+  for (const points of many) addTo(path, points, closed);
+  return path;
+}
+
+function setUpShapes() {
+  if (data.road) {
+    const { paving, asphalt, dashes, edges, middles, bars } = data.road;
+    // One path each: overlapping surfaces of one kind must not show their seams.
+    shapes.paths = {
+      paving: paving.map((p) => pathOf(p, true)), asphalt: asphalt.map((p) => pathOf(p, true)),
+      dashes: together(dashes), edges: together(edges), middles: together(middles), bars: together(bars, true),
+    };
+  } else {
+    shapes.tracks = new Path2D();
+    for (const agent of data.agents) {
+      for (const run of agent.runs) {
+        const stride = Math.max(1, Math.floor(run.size / 60));
+        shapes.tracks.moveTo(places.x[run.at], places.y[run.at]);
+        for (let i = stride; i < run.size; i += stride) shapes.tracks.lineTo(places.x[run.at + i], places.y[run.at + i]);
+        shapes.tracks.lineTo(places.x[run.at + run.size - 1], places.y[run.at + run.size - 1]);
+      }
+    }
+  }
+}
+
+const SIGNAL_COLORS = { red: "#d3312b", yellow: "#f2c230", green: "#25a55f", off: "#9aa3ad" };
+
+function signalState(group, frame) {
+  if (group < 0 || !data.signals || !data.signals[group]) return null;
+  let state = null;
+  for (const [step, code] of data.signals[group]) {
+    if (step > frame) break;
+    state = data.signalNames[code];
+  }
+  return state;
+}
+
+function drawRoad(ctx, panel, dpr, frame) {
+  const [a, b, c, d, e, f] = panel.matrix;
+  ctx.setTransform(a * dpr, b * dpr, c * dpr, d * dpr, e * dpr, f * dpr);
+  const pixel = 1 / panel.scale;
+  if (!data.road) {
+    ctx.strokeStyle = theme.track; ctx.globalAlpha = 0.28; ctx.lineWidth = 1.2 * pixel; ctx.lineJoin = "round";
+    ctx.stroke(shapes.tracks);
+    ctx.globalAlpha = 1;
+    return;
+  }
+  const { paving, asphalt, dashes, edges, middles, bars } = shapes.paths;
+  ctx.fillStyle = theme.paving;
+  for (const path of paving) ctx.fill(path);
+  ctx.fillStyle = theme.asphalt;
+  for (const path of asphalt) ctx.fill(path);
+  const thin = Math.max(0.14, 0.8 * pixel);
+  ctx.lineWidth = thin; ctx.strokeStyle = theme.paint; ctx.lineCap = "butt";
+  if (panel.scale > 1.2) ctx.stroke(dashes);
+  ctx.stroke(edges);
+  ctx.strokeStyle = theme.middle;
+  ctx.stroke(middles);
+  ctx.fillStyle = theme.paint;
+  ctx.fill(bars);
+  for (const stop of data.road.stops) drawStop(ctx, stop, signalState(stop.signal, frame), pixel);
+}
+
+// A stop line in its signal's colour with a lamp behind it whose shape says the same.
+function drawStop(ctx, { line }, state, pixel) {
+  ctx.strokeStyle = state ? SIGNAL_COLORS[state] : theme.paint;
+  ctx.lineWidth = Math.max(0.5, 2 * pixel);
+  ctx.beginPath(); ctx.moveTo(line[0], line[1]); ctx.lineTo(line[2], line[3]); ctx.stroke();
+  if (!state) return;
+  const size = Math.max(0.75, 3.2 * pixel);
+  // Ahead of the line, in driving direction: to the left of right-to-left, turned back.
+  const dx = line[2] - line[0], dy = line[3] - line[1], long = Math.hypot(dx, dy) || 1;
+  const x = (line[0] + line[2]) / 2 + dy / long * size * 1.7, y = (line[1] + line[3]) / 2 - dx / long * size * 1.7;
+  ctx.fillStyle = "#11151b";
+  ctx.beginPath(); ctx.arc(x, y, size * 1.35, 0, 2 * Math.PI); ctx.fill();
+  ctx.fillStyle = SIGNAL_COLORS[state];
+  ctx.beginPath();
+  if (state === "red") ctx.rect(x - size * 0.7, y - size * 0.7, size * 1.4, size * 1.4);
+  else if (state === "yellow") { ctx.moveTo(x, y + size); ctx.lineTo(x + size * 0.87, y - size * 0.5); ctx.lineTo(x - size * 0.87, y - size * 0.5); ctx.closePath(); }
+  else ctx.arc(x, y, size * 0.85, 0, 2 * Math.PI);
+  ctx.fill();
+}
+
+function drawGraph(ctx, panel, present) {
+  const look = latest(arrays.graphTime, player.time);
+  ctx.strokeStyle = theme.edge; ctx.globalAlpha = 0.5; ctx.lineWidth = 1;
+  ctx.beginPath();
+  for (let i = 0; i < arrays.edgeA.length && arrays.edgeBegin[i] <= look; i++) {
+    if (arrays.edgeEnd[i] <= look) continue;
+    const from = present.get(arrays.edgeA[i]), to = present.get(arrays.edgeB[i]);
+    if (!from || !to) continue;
+    ctx.moveTo(...toScreen(panel, from.x, from.y));
+    ctx.lineTo(...toScreen(panel, to.x, to.y));
+  }
+  ctx.stroke();
+  ctx.globalAlpha = 1;
+}
+
+function outlinePath(ctx, kind, long, wide) {
+  ctx.beginPath();
+  if (kind === "pedestrian") ctx.arc(0, 0, Math.max(long, wide) / 2, 0, 2 * Math.PI);
+  else if (kind === "bicycle" || kind === "motorcycle") ctx.ellipse(0, 0, long / 2, wide / 2, 0, 0, 2 * Math.PI);
+  else ctx.roundRect(-long / 2, -wide / 2, long, wide, Math.min(wide * 0.28, kind === "bus" || kind === "truck" ? wide * 0.12 : 99));
+}
+
+function drawAgent(ctx, panel, dpr, index, place, color) {
+  const agent = data.agents[index];
+  const kind = data.kinds[agent.kind];
+  const [x, y] = toScreen(panel, place.x, place.y);
+  const turn = view.turned ? Math.PI / 2 - place.heading : -place.heading;
+  const cos = Math.cos(turn), sin = Math.sin(turn);
+  // True size, but never so small that the colour cannot be told.
+  const long = Math.max(agent.length * panel.scale, kind === "pedestrian" ? 5 : 6);
+  const wide = Math.max(agent.width * panel.scale, kind === "pedestrian" ? 5 : 3.6);
+  if (x < panel.left - long || x > panel.left + panel.width + long || y < panel.top - long || y > panel.top + panel.height + long) return;
+  const angle = view.turned ? Math.atan2(Math.cos(place.heading), Math.sin(place.heading)) : turn;
+  ctx.setTransform(dpr * Math.cos(angle), dpr * Math.sin(angle), -dpr * Math.sin(angle), dpr * Math.cos(angle), dpr * x, dpr * y);
+  if (index === player.selected || index === player.hover) {
+    outlinePath(ctx, kind, long + 9, wide + 9);
+    ctx.strokeStyle = theme.accent; ctx.lineWidth = index === player.selected ? 3 : 1.6;
+    ctx.stroke();
+  }
+  outlinePath(ctx, kind, long, wide);
+  ctx.fillStyle = color; ctx.fill();
+  ctx.strokeStyle = theme.outline; ctx.lineWidth = long > 12 ? 1.1 : 0.8; ctx.stroke();
+  if (long < 11 || kind === "pedestrian") return;
+  ctx.fillStyle = "rgba(10,14,20,.62)";
+  ctx.beginPath();
+  if (kind === "bicycle" || kind === "motorcycle") {
+    ctx.arc(-long * 0.06, 0, wide * 0.36, 0, 2 * Math.PI);
+  } else if (kind === "car") {
+    ctx.moveTo(long * 0.1, -wide * 0.36); ctx.lineTo(long * 0.26, -wide * 0.41);
+    ctx.lineTo(long * 0.26, wide * 0.41); ctx.lineTo(long * 0.1, wide * 0.36);
+    ctx.closePath();
+    ctx.moveTo(-long * 0.34, -wide * 0.36); ctx.lineTo(-long * 0.26, -wide * 0.32);
+    ctx.lineTo(-long * 0.26, wide * 0.32); ctx.lineTo(-long * 0.34, wide * 0.36);
+    ctx.closePath();
+  } else {
+    const front = kind === "truck" ? [0.39, 0.06] : [0.43, 0.04];
+    ctx.rect(long * front[0], -wide * 0.42, long * front[1], wide * 0.84);
+    if (kind === "truck") ctx.rect(long * 0.27, -wide / 2, Math.max(1, long * 0.02), wide);
+    else { ctx.rect(-long * 0.44, -wide * 0.46, long * 0.84, wide * 0.08); ctx.rect(-long * 0.44, wide * 0.38, long * 0.84, wide * 0.08); }
+  }
+  ctx.fill();
+}
+
+function line(ctx, panel, points) {
+  ctx.beginPath();
+  points.forEach(([x, y], i) => (i ? ctx.lineTo(...toScreen(panel, x, y)) : ctx.moveTo(...toScreen(panel, x, y))));
+  ctx.stroke();
+}
+
+function futurePoints(m, from) {
+  const points = from ? [[from.x, from.y]] : [];
+  for (let h = 0; h < futures.ahead.length; h++) {
+    const at = 2 * (m * futures.ahead.length + h);
+    points.push([futures.xy[at], futures.xy[at + 1]]);
+  }
+  return points;
+}
+
+function drawFutures(ctx, panel, index, color, all) {
+  const told = futuresOf(index, player.time);
+  if (!told) return;
+  const from = placeOf(index, told.time);
+  ctx.lineCap = "round"; ctx.lineJoin = "round";
+  const shown = all ? told.futures.slice(0, 1) : [...told.futures].reverse();
+  for (const m of shown) {
+    const p = futures.probability[m] / 255, points = futurePoints(m, from);
+    if (!all) {
+      ctx.strokeStyle = theme.outline; ctx.globalAlpha = 0.85; ctx.lineWidth = 3.4 + 4 * p;
+      line(ctx, panel, points);
+    }
+    ctx.strokeStyle = color; ctx.globalAlpha = all ? 0.8 : 1; ctx.lineWidth = all ? 1.6 : 1.8 + 4 * p;
+    line(ctx, panel, points);
+  }
+  ctx.globalAlpha = 1;
+  if (all) return;
+  drawHappened(ctx, panel, index, told.time);
+  labelFutures(ctx, panel, told.futures);
+}
+
+// What really happened from the same instant on.
+function drawHappened(ctx, panel, index, time) {
+  const points = [];
+  for (let t = time; t <= time + futures.ahead[futures.ahead.length - 1] + 1e-6; t += 0.25) {
+    const place = placeOf(index, t);
+    if (!place) break;
+    points.push([place.x, place.y]);
+  }
+  if (points.length < 2) return;
+  ctx.strokeStyle = theme.ink; ctx.lineWidth = 1.6; ctx.setLineDash([1.5, 4.5]);
+  line(ctx, panel, points);
+  ctx.setLineDash([]);
+  const [x, y] = toScreen(panel, ...points[points.length - 1]);
+  ctx.beginPath(); ctx.arc(x, y, 3.6, 0, 2 * Math.PI); ctx.fillStyle = theme.paper; ctx.fill(); ctx.stroke();
+}
+
+// The probability at the end of each future, where there is room for it.
+function labelFutures(ctx, panel, told) {
+  const taken = [];
+  for (const m of told) {
+    const p = futures.probability[m] / 255;
+    if (p < 0.05) continue;
+    const at = 2 * ((m + 1) * futures.ahead.length - 1);
+    const [x, y] = toScreen(panel, futures.xy[at], futures.xy[at + 1]);
+    if (taken.some(([a, b]) => Math.abs(a - x) < 34 && Math.abs(b - y) < 17)) continue;
+    taken.push([x, y]);
+    tag(ctx, x + 8, y - 9, `${Math.round(100 * p)} %`);
+  }
+}
+
+function tag(ctx, x, y, text) {
+  ctx.font = "600 11.5px system-ui, 'DejaVu Sans', sans-serif";
+  const width = ctx.measureText(text).width + 9;
+  ctx.fillStyle = theme.paper; ctx.globalAlpha = 0.9;
+  ctx.beginPath(); ctx.roundRect(x, y - 8.5, width, 17, 4); ctx.fill();
+  ctx.globalAlpha = 1; ctx.fillStyle = theme.ink; ctx.textBaseline = "middle"; ctx.textAlign = "left";
+  ctx.fillText(text, x + 4.5, y + 0.5);
+}
+
+// A cross in a ring where somebody collided or nearly did, for two seconds.
+function drawEvents(ctx, panel) {
+  for (const event of data.events) {
+    const since = player.time - event.time;
+    if (since < -0.2 || since > 2 || !data.grave.includes(event.kind) || event.agent < 0) continue;
+    const place = placeOf(event.agent, event.time);
+    if (!place) continue;
+    const [x, y] = toScreen(panel, place.x, place.y);
+    ctx.globalAlpha = 1 - Math.max(0, since) / 2.2;
+    ctx.strokeStyle = theme.grave; ctx.lineWidth = 2.4;
+    ctx.beginPath(); ctx.arc(x, y, 12 + 6 * Math.max(0, since), 0, 2 * Math.PI); ctx.stroke();
+    if (event.kind === data.grave[0]) {
+      ctx.beginPath(); ctx.moveTo(x - 6, y - 6); ctx.lineTo(x + 6, y + 6); ctx.moveTo(x + 6, y - 6); ctx.lineTo(x - 6, y + 6); ctx.stroke();
+    }
+    ctx.globalAlpha = 1;
+  }
+}
+
+function drawScale(ctx) {
+  const { scale } = view.panels[0];
+  const length = niceAbove(70 / scale), width = length * scale;
+  const x = 14, y = view.height - 14;
+  ctx.fillStyle = theme.stage; ctx.globalAlpha = 0.8;
+  ctx.fillRect(x - 6, y - 20, width + 12, 27);
+  ctx.globalAlpha = 1; ctx.strokeStyle = theme.ink; ctx.lineWidth = 1.4;
+  ctx.beginPath(); ctx.moveTo(x, y - 4); ctx.lineTo(x, y); ctx.lineTo(x + width, y); ctx.lineTo(x + width, y - 4); ctx.stroke();
+  ctx.fillStyle = theme.ink; ctx.font = "11.5px system-ui, 'DejaVu Sans', sans-serif"; ctx.textAlign = "center"; ctx.textBaseline = "bottom";
+  ctx.fillText(`${length} ${data.unit}`, x + width / 2, y - 3);
+}
+
+function everyone(time) {
+  const frame = latest(arrays.time, time), present = new Map();
+  for (let i = 0; i < data.agents.length; i++) {
+    const place = placeOf(i, time, frame);
+    if (place) present.set(i, place);
+  }
+  return present;
+}
+
+function draw(canvas) {
+  const ctx = canvas.getContext("2d"), dpr = canvas.width / view.width;
+  const frame = latest(arrays.time, player.time), present = player.present = everyone(player.time);
+  ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
+  ctx.fillStyle = theme.stage; ctx.fillRect(0, 0, view.width, view.height);
+  const plain = () => ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
+  for (const panel of view.panels) {
+    ctx.save();
+    plain();
+    ctx.beginPath(); ctx.rect(panel.left, panel.top, panel.width, panel.height); ctx.clip();
+    drawRoad(ctx, panel, dpr, frame);
+    plain();
+    if (player.layers.graph) drawGraph(ctx, panel, present);
+    if (player.layers.paths && futures) for (const [index, place] of present) drawFutures(ctx, panel, index, colorOf(index, place), true);
+    for (const [index, place] of present) drawAgent(ctx, panel, dpr, index, place, colorOf(index, place));
+    plain();
+    const chosen = present.get(player.selected);
+    if (chosen && futures) {
+      drawFutures(ctx, panel, player.selected, colorOf(player.selected, chosen), false);
+      drawAgent(ctx, panel, dpr, player.selected, chosen, colorOf(player.selected, chosen));
+      plain();
+    }
+    if (player.layers.names) for (const [index, place] of present) {
+      const [x, y] = toScreen(panel, place.x, place.y);
+      tag(ctx, x + 7, y - 12, data.agents[index].name.slice(0, 18));
+    }
+    drawEvents(ctx, panel);
+    if (panel.label) {
+      ctx.fillStyle = theme.muted; ctx.font = "11px system-ui, 'DejaVu Sans', sans-serif"; ctx.textAlign = "left"; ctx.textBaseline = "top";
+      ctx.fillText(panel.label, panel.left + 8, panel.top + 3);
+    }
+    ctx.restore();
+  }
+  plain();
+  drawScale(ctx);
+}
+
+function colorOf(index, place) { return MODES[player.mode](index, player.time, place); }

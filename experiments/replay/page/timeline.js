@@ -1,0 +1,110 @@
+// The timeline: events and the traits that were shown, each kind of them a row.
+
+const ROW = 15, AXIS = 20;
+const timeline = { rows: [], height: 0, marks: [] };
+
+function setUpTimeline() {
+  const rows = [];
+  if (data.events.length) rows.push({ label: "events", events: data.events });
+  data.traits.forEach((trait, code) => {
+    const shown = data.exhibits.filter((x) => x[0] === code && x[1] >= 0);
+    if (shown.length) rows.push({ label: trait.name, color: data.behaviors[trait.behavior].color, shown });
+  });
+  timeline.rows = rows;
+  timeline.height = rows.length * ROW + AXIS;
+}
+
+function gutter(width) { return timeline.rows.length ? (width < 560 ? 112 : 212) : 0; }
+
+function timelineX(time, width) {
+  const left = gutter(width);
+  return left + time / duration * (width - left - 6);
+}
+
+function drawTimeline(canvas, width) {
+  const dpr = canvas.width / width, ctx = canvas.getContext("2d");
+  ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
+  ctx.clearRect(0, 0, width, timeline.height);
+  ctx.font = `${width < 560 ? 10.5 : 11.5}px system-ui, 'DejaVu Sans', sans-serif`; ctx.textBaseline = "middle";
+  timeline.marks = [];
+  const left = gutter(width);
+  timeline.rows.forEach((row, i) => {
+    const y = i * ROW + ROW / 2;
+    if (i % 2) { ctx.fillStyle = theme.panel; ctx.fillRect(left, y - ROW / 2, width - left, ROW); }
+    if (row.color) {
+      ctx.fillStyle = row.color; ctx.strokeStyle = theme.outline; ctx.lineWidth = 1;
+      ctx.beginPath(); ctx.roundRect(1, y - 4, 8, 8, 2); ctx.fill(); ctx.stroke();
+    }
+    ctx.fillStyle = theme.muted; ctx.textAlign = "left";
+    ctx.fillText(clipped(ctx, row.label, left - 22), 15, y);
+    if (row.events) for (const event of row.events) drawEventMark(ctx, event, width, y);
+    else for (const shown of row.shown) drawTraitMark(ctx, row, shown, width, y);
+  });
+  drawAxis(ctx, width, left);
+  const x = timelineX(player.time, width);
+  ctx.strokeStyle = theme.accent; ctx.lineWidth = 2;
+  ctx.beginPath(); ctx.moveTo(x, 0); ctx.lineTo(x, timeline.height - AXIS + 4); ctx.stroke();
+}
+
+function clipped(ctx, text, width) {
+  if (ctx.measureText(text).width <= width) return text;
+  let end = text.length;
+  while (end > 1 && ctx.measureText(`${text.slice(0, end)}…`).width > width) end--;
+  return `${text.slice(0, end)}…`;
+}
+
+function faded(agents) { return player.selected >= 0 && !agents.includes(player.selected); }
+
+function drawTraitMark(ctx, row, [, agent, begin, end], width, y) {
+  const x0 = timelineX(begin, width), x1 = Math.max(timelineX(end, width), x0 + 3);
+  ctx.globalAlpha = faded([agent]) ? 0.13 : player.selected >= 0 ? 1 : 0.62;
+  ctx.fillStyle = row.color;
+  ctx.fillRect(x0, y - 4.5, x1 - x0, 9);
+  ctx.globalAlpha = 1;
+  timeline.marks.push({ x0, x1, y, agent, time: begin, text: `${row.label} · ${titleOf(agent)} · ${seconds(begin)} – ${seconds(end)}` });
+}
+
+function drawEventMark(ctx, event, width, y) {
+  const x = timelineX(event.time, width), grave = data.grave.includes(event.kind);
+  ctx.globalAlpha = faded([event.agent, event.other]) ? 0.2 : 1;
+  ctx.strokeStyle = ctx.fillStyle = grave ? theme.grave : theme.muted; ctx.lineWidth = 2;
+  ctx.beginPath();
+  if (event.kind === data.grave[0]) {
+    ctx.moveTo(x - 4, y - 4); ctx.lineTo(x + 4, y + 4); ctx.moveTo(x + 4, y - 4); ctx.lineTo(x - 4, y + 4); ctx.stroke();
+  } else if (grave) {
+    ctx.moveTo(x, y - 5); ctx.lineTo(x + 4.5, y + 4); ctx.lineTo(x - 4.5, y + 4); ctx.closePath(); ctx.stroke();
+  } else {
+    ctx.arc(x, y, 2.6, 0, 2 * Math.PI); ctx.fill();
+  }
+  ctx.globalAlpha = 1;
+  timeline.marks.push({ x0: x - 5, x1: x + 5, y, agent: event.agent, time: event.time, text: eventText(event) });
+}
+
+function eventText(event) {
+  const who = [event.agent, event.other].filter((i) => i >= 0).map(titleOf).join(", ");
+  return `${event.kind} · ${who} · ${seconds(event.time)}`;
+}
+
+function drawAxis(ctx, width, left) {
+  const step = niceAbove(duration / Math.max(2, Math.floor((width - left) / 90)));
+  const y = timeline.height - AXIS;
+  ctx.strokeStyle = theme.line; ctx.lineWidth = 1; ctx.fillStyle = theme.muted; ctx.textAlign = "center";
+  ctx.beginPath(); ctx.moveTo(left, y + 0.5); ctx.lineTo(width, y + 0.5);
+  const first = Math.ceil(data.begin / step - 1e-6) * step;
+  for (let shown = first; shown <= data.begin + duration + 1e-6; shown += step) {
+    const x = timelineX(shown - data.begin, width);
+    ctx.moveTo(x, y); ctx.lineTo(x, y + 4);
+    const text = `${+shown.toFixed(3)} s`, half = ctx.measureText(text).width / 2;
+    ctx.fillText(text, Math.min(width - half - 1, Math.max(half + 1, x)), y + 12);
+  }
+  ctx.stroke();
+}
+
+function markAt(px, py) {
+  let best = null;
+  for (const mark of timeline.marks) {
+    if (Math.abs(mark.y - py) > ROW / 2 || px < mark.x0 - 2 || px > mark.x1 + 2) continue;
+    if (!best || mark.agent === player.selected || (best.agent !== player.selected && mark.x1 - mark.x0 < best.x1 - best.x0)) best = mark;
+  }
+  return best;
+}

@@ -1,0 +1,180 @@
+"""Everything a replay shows of one episode, gathered once: for the page, the video, the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from behaviors.traits import Exhibit
+from experiments.replay.beliefs import Beliefs, believe, read_beliefs
+from experiments.replay.forecasts import Forecast, forecast, read_forecasts
+from experiments.replay.graph_watch import WatchedGraph, watch_graph
+from graphrqi.methods import load_model
+from sim.dataset import Dataset, Episode
+from sim.formats import FORMATS
+from sim.frames import Tracks
+from sim.road import Road
+from sim.scenario import AgentSpec
+from sim.schema import EpisodeEntry
+
+SHOWN_EVERY_S: Final = 0.1
+"""Time between two places that are kept of an agent, s; between them it moves straight."""
+
+MAX_PLACES: Final = 1_000_000
+"""Most places of agents in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
+
+MAX_AGENTS: Final = 2**15
+"""Most agents that are shown (our choice; a page numbers them in 16 bits)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One episode, ready to be drawn.
+
+    Attributes:
+        entry: what it is and how it was made.
+        unit: of lengths, "m" or "px".
+        road: where it happened; None if not known.
+        tracks: everyone, at the times that are shown.
+        agents: what was drawn for each agent, by id.
+        exhibits: the traits that were shown.
+        beliefs: what a classifier believes.
+        believer: who believes it, in words.
+        graph: the traffic graph.
+        forecasts: predictions, in order of time.
+        predictor: whose; "" if there are none.
+        notes: what a reader should know of the data, one sentence each.
+    """
+
+    entry: EpisodeEntry
+    unit: str
+    road: Road | None
+    tracks: Tracks
+    agents: dict[int, AgentSpec]
+    exhibits: tuple[Exhibit, ...]
+    beliefs: Beliefs
+    believer: str
+    graph: WatchedGraph
+    forecasts: tuple[Forecast, ...]
+    predictor: str
+    notes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """What the episode is called: its scenario, or its recording."""
+        recording = self.entry.options.get("recording")
+        return recording if isinstance(recording, str) else self.entry.scenario
+
+
+def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
+    """The episode that is asked for, by its id or the beginning of it; by default the first.
+
+    Raises:
+        InputError: if there is none, or more than one, that begins so.
+    """
+    entries = dataset.manifest.episodes
+    if not entries:
+        raise InputError(f"{dataset.path}: found no episode, expected at least 1")
+    if episode is None:
+        return entries[0]
+    found = [entry for entry in entries if entry.id.startswith(episode)]
+    found = found or [e for e in entries if episode in (e.scenario, e.options.get("recording"))][:1]
+    if len(found) != 1:
+        known = ", ".join(f"{e.id} ({e.scenario})" for e in entries[:6])
+        more = ", ..." if len(entries) > 6 else ""
+        raise InputError(
+            f"--episode: found {len(found)} episodes that begin with {episode!r}, expected one of "
+            f"{known}{more}"
+        )
+    return found[0]
+
+
+def gather(
+    dataset: Dataset,
+    entry: EpisodeEntry,
+    *,
+    model: str,
+    labels: Path | None = None,
+    predictions: Path | None = None,
+    predictor: str = "graphrqi-predict",
+) -> Scene:
+    """Read an episode, and classify and predict in it what no file says.
+
+    Args:
+        dataset: where it is.
+        entry: which episode.
+        model: the classifier, a shipped one's name or a folder; not used where labels are given.
+        labels: a labels file, as ``graphrqi classify`` writes it.
+        predictions: a predictions file, as ``graphrqi predict`` writes it.
+        predictor: a key of ``PREDICTORS`` or "none"; of a file with several, the one to show.
+
+    Returns:
+        The scene.
+
+    Raises:
+        InputError: if a file is broken or does not speak of this episode, or it has no agents.
+    """
+    episode = dataset.read(entry)
+    tracks, road = episode.tracks, dataset.road(entry)
+    if not tracks.ids.size or tracks.time_s.size < 2:
+        raise InputError(
+            f"episode {entry.id}: found {tracks.ids.size} agents in {tracks.time_s.size} frames, "
+            "expected at least 1 in 2"
+        )
+    if tracks.ids.size > MAX_AGENTS:
+        raise InputError(
+            f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
+        )
+    if labels is None:
+        beliefs, believer = believe(tracks, load_model(model)), model
+    else:
+        beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
+    forecasts: list[Forecast] = []
+    if predictions is not None:
+        predictor, forecasts = read_forecasts(predictions, entry.id, tracks)
+    elif predictor != "none":
+        forecasts = forecast(tracks, beliefs, road, predictor)
+    unit = FORMATS[entry.engine].unit if entry.engine in FORMATS else "m"
+    stride = _stride(tracks)
+    return Scene(
+        entry=entry,
+        unit=unit,
+        road=road,
+        tracks=tracks.part(np.arange(tracks.ids.size), slice(None, None, stride)),
+        agents={spec.id: spec for spec in episode.agents},
+        exhibits=episode.exhibits,
+        beliefs=beliefs,
+        believer=believer,
+        graph=watch_graph(tracks),
+        forecasts=tuple(forecasts),
+        predictor=predictor if forecasts else "",
+        notes=_notes(episode, road, unit, stride),
+    )
+
+
+def _stride(tracks: Tracks) -> int:
+    """Every how many-th frame is kept."""
+    wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
+    return max(wanted, -(-int(tracks.valid.sum()) // MAX_PLACES))
+
+
+def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple[str, ...]:
+    told = episode.entry.options.get("notes")
+    notes = [str(note) for note in told] if isinstance(told, list) else []
+    if road is None:
+        notes.append("no road is known: faint lines show where everyone went")
+    if unit == "px":
+        notes.append(
+            "positions are pixels of an image: the shipped classifier and predictors were made for "
+            "metres, so what they say here is a guess"
+        )
+    if episode.tracks.behavior is None:
+        notes.append("nobody's true behaviour is known in this data")
+    shown_s = stride * episode.tracks.step_s
+    if shown_s > 1.5 * SHOWN_EVERY_S:
+        notes.append(f"places every {shown_s:.2g} s are kept, to keep the page small")
+    return tuple(notes)
