@@ -25,6 +25,7 @@ PREDICTORS: Final[dict[str, str]] = {
     "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
     "car-following-blind": "graphrqi.predict.following:blind",
     "car-following": "graphrqi.predict.following:aware",
+    "car-following-wary": "graphrqi.predict.following:wary_following",
     "behavior-mixture": "graphrqi.predict.mixture:behavior_mixture",
     "oracle": "graphrqi.predict.following:oracle",
     "shuffled": "graphrqi.predict.following:shuffled",

@@ -6,6 +6,8 @@ knots 0.5, 1, ..., 5 s.
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,12 +17,12 @@ from numpy.typing import NDArray
 from graphrqi.predict.constant import by_inertia
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.features import features
-from graphrqi.predict.following import ignored_gates, personal
+from graphrqi.predict.kernel import CHANGE_S
+from graphrqi.predict.manners import believed
 from graphrqi.predict.paths import PathTable
-from graphrqi.predict.rollout import Rollout, places, roll
+from graphrqi.predict.rollout import LaneTable, Rollout, places, roll, steady
 from graphrqi.predict.route import candidates, path_probability
 from graphrqi.predict.scene import STEP_S, Scene
-from sim.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
 
@@ -29,9 +31,6 @@ KNOT_S: Final = 0.5
 
 KNOTS: Final = 10
 """How many: up to 5 s."""
-
-CHANGE_S: Final = 3.0
-"""How long a change to the lane beside takes, s (our choice: 3 to 6 s are observed)."""
 
 BASES: Final = ("likeliest way", "second way", "lane to the left", "lane to the right", "inertia")
 """What each base is."""
@@ -88,25 +87,25 @@ def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
     Returns:
         The inputs of every agent of the scene; those of pedestrians mean nothing.
     """
-    driver = personal(scene, table.expected(probability))
-    ignores = ignored_gates(scene, probability)
-    choice, likely = path_probability(scene, driver, ignores)
+    manners = believed(scene, probability, table)
+    choice, likely = path_probability(scene, manners)
     order = np.argsort(-likely, axis=1, kind="stable")
     row = np.arange(len(choice))
     first = scene.with_path(choice[row, order[:, 0]])
-    rollout = roll(first, driver, ignores, table.decay_s)
+    rollout = roll(first, manners, table.decay_s)
     main = to_own_frame(scene, at_knots(places(first, rollout)))
     bases = [main]
     second_likely = np.zeros(row.size)
     if choice.shape[1] > 1:
         second = scene.with_path(choice[row, order[:, 1]])
         second_likely = likely[row, order[:, 1]]
-        other = roll(second, driver, ignores, table.decay_s)
+        other = roll(second, manners, table.decay_s)
         bases.append(to_own_frame(scene, at_knots(places(second, other))))
         bases[1] = np.where((second_likely > 1e-3)[:, None, None], bases[1], main)
     else:
         bases.append(main)
-    bases += _beside(scene, main)
+    kept = dataclasses.replace(manners, changing=np.empty((0, manners.changing.shape[1])))
+    bases += _beside(first, main, lambda moving: roll(moving, kept, table.decay_s, rollout))
     inertia = by_inertia(scene)
     bases.append(to_own_frame(scene, at_knots(inertia)))
     stack = np.stack(bases, axis=1)
@@ -143,13 +142,11 @@ def unlabelled(scene: Scene) -> Known:
     likely = np.where(real, table.probability[choice], 0.0)
     order = np.argsort(-likely, axis=1, kind="stable")
     row = np.arange(len(choice))
-    travelled = scene.s[:, None] + scene.speed[:, None] * scene.time_s[None]
-    steady = Rollout(travelled, np.repeat(scene.speed[:, None], scene.steps, axis=1))
-    bases = []
-    for rank in (0, min(1, choice.shape[1] - 1)):
-        taken = scene.with_path(choice[row, order[:, rank]])
-        bases.append(to_own_frame(scene, at_knots(places(taken, steady))))
-    bases += _beside(scene, bases[0])
+    first, second = (
+        scene.with_path(choice[row, order[:, rank]]) for rank in (0, min(1, choice.shape[1] - 1))
+    )
+    bases = [to_own_frame(scene, at_knots(places(s, steady(s)))) for s in (first, second)]
+    bases += _beside(first, bases[0], steady)
     bases.append(to_own_frame(scene, at_knots(by_inertia(scene))))
     stack = np.stack(bases, axis=1)
     straight = scene.speed[:, None] * np.arange(1, KNOTS + 1) * KNOT_S
@@ -161,18 +158,33 @@ def unlabelled(scene: Scene) -> Known:
     return Known(inputs, stack)
 
 
-def _beside(scene: Scene, main: FloatArray) -> list[FloatArray]:
-    """The main rollout moved over to the lane on the left and on the right, where there is one."""
-    graph = LaneGraph.of(scene.road)
+def _beside(scene: Scene, main: FloatArray, drive: Callable[[Scene], Rollout]) -> list[FloatArray]:
+    """Everyone driven on after moving to the lane on the left and on the right, where one is.
+
+    Args:
+        scene: everyone on its likeliest way.
+        main: (n, KNOTS, 2) the rollout there, m: taken where there is no such lane.
+        drive: drives a scene on.
+    """
+    table = LaneTable.of(scene.road)
     lane = np.maximum(scene.lane, 0)
-    share = np.clip(np.arange(1, KNOTS + 1) * KNOT_S / CHANGE_S, 0.0, 1.0)
+    turn = PathTable.of(scene.road).turn[scene.path]
     found = []
-    for beside, sign in ((graph.left, 1.0), (graph.right, -1.0)):
-        there = scene.on_path & (beside[lane] >= 0)
-        apart = np.where(there, (graph.width[lane] + graph.width[beside[lane]]) / 2, 0.0)
-        moved = main.copy()
-        moved[..., 1] += sign * apart[:, None] * share[None]
-        found.append(moved)
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        to = np.maximum(table.beside[side, lane], 0)
+        way = table.way[to, turn]
+        way = np.where(way >= 0, way, table.way[to].max(axis=1))
+        there = scene.on_path & (table.beside[side, lane] >= 0) & (way >= 0)
+        apart = sign * table.apart[side, lane]
+        moving = dataclasses.replace(
+            scene,
+            lane=np.where(there, to, scene.lane),
+            path=np.where(there, way, scene.path),
+            offset=np.where(there, scene.offset - apart, scene.offset),
+            sideways=np.where(there, apart / CHANGE_S, scene.sideways),
+        )
+        moved = to_own_frame(scene, at_knots(places(moving, drive(moving))))
+        found.append(np.where(there[:, None, None], moved, main))
     return found
 
 
@@ -183,8 +195,7 @@ def _by_behavior(scene: Scene, others: Rollout, table: DriverTable) -> FloatArra
     for code in range(len(table.behavior)):
         probability = np.zeros((scene.ids.size, len(table.behavior)))
         probability[:, code] = 1.0
-        driver = personal(scene, table.expected(probability))
-        result = roll(scene, driver, ignored_gates(scene, probability), table.decay_s, others)
-        ahead = np.where(scene.on_path[:, None], result.x - others.x, 0.0)
+        result = roll(scene, believed(scene, probability, table), table.decay_s, others)
+        ahead = np.where(scene.on_path[:, None], result.gone - others.gone, 0.0)
         parts += [ahead[:, half] / 5.0, ahead[:, -1] / 10.0]
     return np.stack(parts, axis=1)

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
-from graphrqi.predict.drivers import RUNS_RED, YIELDS, DriverTable, default_table
-from graphrqi.predict.paths import PathTable
+from graphrqi.predict.drivers import DriverTable, default_table
+from graphrqi.predict.manners import Manners, average, believed, wary
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
 from graphrqi.predict.route import on_likely_paths
 from graphrqi.predict.scene import Scene
 from sim.frames import PEDESTRIAN
-from sim.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-FREE_WEIGHT: Final = 0.1
-"""Weight of what a driver's behaviour says of its wished speed against seeing it drive freely (our
-choice: within a behaviour wishes differ by 15 %, a driver's own by little)."""
 
 
 def blind(scene: Scene, posterior: Posterior) -> Prediction:
@@ -42,46 +34,31 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
     return aware_with(scene, posterior.of(scene.ids), default_table())
 
 
+def wary_following(scene: Scene, posterior: Posterior) -> Prediction:
+    """`aware`, and conservative drivers keep away from neighbours believed to be aggressive."""
+    return wary_with(scene, posterior.of(scene.ids), default_table())
+
+
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
     """`blind` with the given numbers."""
-    driver = np.broadcast_to(table.average, (scene.ids.size, table.average.size))
-    return _driven(scene, personal(scene, driver), None, table.average_decay_s)
+    return _driven(scene, average(scene, table), table.average_decay_s)
 
 
 def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
     """`aware` with the given numbers and (n, 6) beliefs."""
-    driver = personal(scene, table.expected(probability))
-    return _driven(scene, driver, ignored_gates(scene, probability), table.decay_s)
+    return _driven(scene, believed(scene, probability, table), table.decay_s)
 
 
-def _driven(
-    scene: Scene, driver: FloatArray, ignores: BoolArray | None, decay_s: float
-) -> Prediction:
+def wary_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
+    """`wary_following` with the given numbers and (n, 6) beliefs."""
+    manners = wary(believed(scene, probability, table), probability)
+    return _driven(scene, manners, table.decay_s)
+
+
+def _driven(scene: Scene, manners: Manners, decay_s: float) -> Prediction:
     """Everyone driven on along its most likely way."""
-    routed = on_likely_paths(scene, driver, ignores)
-    return scene.predicted(places(routed, roll(routed, driver, ignores, decay_s)))
-
-
-def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
-    """(n, R) gates that each driver more likely runs than respects, under (n, 6) beliefs."""
-    groups = PathTable.of(scene.road).groups
-    crossings = groups + LaneGraph.of(scene.road).cross_lane.size
-    ignores = np.zeros((scene.ids.size, scene.closed.shape[0]), dtype=np.bool_)
-    ignores[:, :groups] = (probability @ RUNS_RED > 0.5)[:, None]
-    ignores[:, groups:crossings] = (probability @ YIELDS < 0.5)[:, None]
-    return ignores
-
-
-def personal(scene: Scene, driver: FloatArray) -> FloatArray:
-    """Driver numbers with each one's wished speed corrected by what it was seen to drive."""
-    wished = np.log(driver[:, 0])
-    seen = ~np.isnan(scene.free_factor)
-    wished[seen] = (
-        FREE_WEIGHT * wished[seen] + np.log(np.maximum(scene.free_factor[seen], 0.1))
-    ) / (1.0 + FREE_WEIGHT)
-    out = driver.copy()
-    out[:, 0] = np.maximum(np.exp(wished), scene.least_factor)
-    return out
+    routed = on_likely_paths(scene, manners)
+    return scene.predicted(places(routed, roll(routed, manners, decay_s)))
 
 
 def oracle(scene: Scene, posterior: Posterior) -> Prediction:

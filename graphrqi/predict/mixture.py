@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.drivers import DriverTable, default_table
-from graphrqi.predict.following import ignored_gates, personal
+from graphrqi.predict.manners import believed
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
 from graphrqi.predict.route import ACCELERATION_SD, on_likely_paths
@@ -33,10 +33,9 @@ def behavior_mixture(scene: Scene, posterior: Posterior) -> Prediction:
 
 def mixture_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
     """`behavior_mixture` with (n, 6) beliefs and driver numbers."""
-    expected = personal(scene, table.expected(probability))
-    ignores = ignored_gates(scene, probability)
-    routed = on_likely_paths(scene, expected, ignores)
-    others = roll(routed, expected, ignores, table.decay_s)
+    expected = believed(scene, probability, table)
+    routed = on_likely_paths(scene, expected)
+    others = roll(routed, expected, table.decay_s)
     n = scene.ids.size
     futures = np.empty((n, len(BEHAVIORS), scene.steps, 2))
     weight = np.log(np.maximum(probability, 1e-6))
@@ -44,10 +43,10 @@ def mixture_with(scene: Scene, probability: FloatArray, table: DriverTable) -> P
     for behavior in BEHAVIORS:
         sure = np.zeros((n, len(BEHAVIORS)))
         sure[:, behavior.code] = 1.0
-        driver, ignored = personal(scene, table.expected(sure)), ignored_gates(scene, sure)
-        rollout = roll(routed, driver, ignored, table.decay_s, others)
+        manners = believed(scene, sure, table)
+        rollout = roll(routed, manners, table.decay_s, others)
         futures[:, behavior.code] = places(routed, rollout)
-        first = roll(routed, driver, ignored, decay_s=0.0, others=others, steps=1)
+        first = roll(routed, manners, decay_s=0.0, others=others, steps=1)
         miss = (scene.accel - (first.v[:, 0] - speed) / STEP_S) / ACCELERATION_SD
         told = np.minimum(0.5 * miss**2, LARGEST_EVIDENCE)
         weight[:, behavior.code] -= np.where(scene.on_path, told, 0.0)

@@ -12,8 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict import rollout
+from graphrqi.predict.manners import Manners
 from graphrqi.predict.paths import PathTable
+from graphrqi.predict.rollout import roll
 from graphrqi.predict.scene import STEP_S, Scene
 
 FloatArray = NDArray[np.float64]
@@ -40,15 +41,12 @@ def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:
     return first[:, None] + np.where(real, step[None], 0), real
 
 
-def path_probability(
-    scene: Scene, driver: FloatArray, ignores: BoolArray | None
-) -> tuple[IntArray, FloatArray]:
+def path_probability(scene: Scene, manners: Manners) -> tuple[IntArray, FloatArray]:
     """How likely each driver takes each way on.
 
     Args:
         scene: the present.
-        driver: (n, 5) numbers of each driver.
-        ignores: (n, R) gates each driver ignores, or None.
+        manners: how each driver drives.
 
     Returns:
         (n, C) paths and (n, C) their probabilities; rows sum to 1.
@@ -59,9 +57,7 @@ def path_probability(
     if choice.shape[1] > 1:
         speed = np.maximum(scene.speed, 0.0)
         for c in range(choice.shape[1]):
-            first = rollout.roll(
-                scene.with_path(choice[:, c]), driver, ignores, decay_s=0.0, steps=1
-            )
+            first = roll(scene.with_path(choice[:, c]), manners, decay_s=0.0, steps=1)
             accel = (first.v[:, 0] - speed) / STEP_S
             miss = 0.5 * ((scene.accel - accel) / ACCELERATION_SD) ** 2
             weight[:, c] -= np.minimum(miss, LARGEST_EVIDENCE)
@@ -70,7 +66,7 @@ def path_probability(
     return choice, np.asarray(likely / likely.sum(axis=1, keepdims=True))
 
 
-def on_likely_paths(scene: Scene, driver: FloatArray, ignores: BoolArray | None) -> Scene:
+def on_likely_paths(scene: Scene, manners: Manners) -> Scene:
     """The scene with everyone on the way that it most likely takes."""
-    choice, probability = path_probability(scene, driver, ignores)
+    choice, probability = path_probability(scene, manners)
     return scene.with_path(choice[np.arange(len(choice)), probability.argmax(axis=1)])

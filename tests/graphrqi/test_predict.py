@@ -19,6 +19,7 @@ from graphrqi.predict.drivers import (
     table_from_json,
     table_to_json,
 )
+from graphrqi.predict.manners import Manners, believed, wary
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
 from graphrqi.predict.scene import CLOSED, OPEN, make_scene
@@ -72,11 +73,19 @@ def on_lane(road, lane, s, offset=0.0):
     return line[0] + s * forward + offset * left, float(np.arctan2(forward[1], forward[0]))
 
 
-def driver(**numbers):
+def driver(scene, **numbers) -> Manners:
+    """Everyone drives by the profiles' average but for some numbers, and keeps its lane."""
     average = dict(
         zip(DRIVER_FIELDS, np.exp(np.log(initial_table().behavior).mean(axis=0)), strict=True)
     )
-    return np.array([[{**average, **numbers}[f] for f in DRIVER_FIELDS]])
+    n = scene.ids.size
+    return Manners(
+        following=np.tile([{**average, **numbers}[f] for f in DRIVER_FIELDS], (n, 1)),
+        changing=np.empty((0, 4)),
+        ignores=np.zeros((n, scene.closed.shape[0]), dtype=bool),
+        wary=np.zeros(n),
+        feared=np.zeros(n),
+    )
 
 
 def believing(ids, behavior: Behavior) -> Posterior:
@@ -136,16 +145,16 @@ def free_scene(road, speed=10.0, accel=0.0, lane="east_in_1", s=60.0):
 
 def test_free_driver_reaches_its_wished_speed(straight):
     scene = free_scene(straight)
-    result = roll(scene, driver(speed_factor=1.0, max_accel_mps2=2.0), decay_s=0.0)
+    result = roll(scene, driver(scene, speed_factor=1.0, max_accel_mps2=2.0), decay_s=0.0)
     assert result.v[0, 9] == pytest.approx(12.0)
     assert result.v[0, -1] == pytest.approx(13.89)
-    assert np.diff(result.x[0]) == pytest.approx((result.v[0, 1:] + result.v[0, :-1]) / 20)
+    assert np.diff(result.gone[0]) == pytest.approx((result.v[0, 1:] + result.v[0, :-1]) / 20)
 
 
 def test_residual_acceleration_fades(straight):
     scene = free_scene(straight, speed=5.0, accel=2.0)
-    numbers = driver(speed_factor=1.5, max_accel_mps2=1.0)
-    lasting = roll(scene, numbers, decay_s=2.0)
+    manners = driver(scene, speed_factor=1.5, max_accel_mps2=1.0)
+    lasting = roll(scene, manners, decay_s=2.0)
     gained = np.diff(lasting.v[0], prepend=5.0) / 0.1
     assert gained == pytest.approx(1.0 + np.exp(-np.arange(50) * 0.1 / 2.0))
 
@@ -157,10 +166,10 @@ def test_followers_stop_behind_a_standing_vehicle_in_the_order_of_their_gaps(str
     scene = dataclasses.replace(scene, accel=np.zeros(2))
     gaps = []
     for min_gap in (1.0, 3.0):
-        numbers = np.tile(driver(min_gap_m=min_gap, max_accel_mps2=2.0), (2, 1))
-        numbers[0, 3] = 1e-6  # the leader stays
-        result = roll(scene, numbers, decay_s=0.0)
-        gaps.append(result.x[0, -1] - result.x[1, -1] - 4.5)
+        manners = driver(scene, min_gap_m=min_gap, max_accel_mps2=2.0)
+        manners.following[0, 3] = 1e-6  # the leader stays
+        result = roll(scene, manners, decay_s=0.0)
+        gaps.append(result.s[0, -1] - result.s[1, -1] - 4.5)
         assert result.v[1, -1] < 0.1
     assert gaps == pytest.approx([1.0, 3.0], abs=0.3)
 
@@ -172,11 +181,89 @@ def test_longer_headway_keeps_a_longer_gap(straight):
     scene = make_scene(past, straight, horizon_s=10.0)
     final = []
     for headway in (0.5, 2.5):
-        numbers = np.tile(driver(time_headway_s=headway), (2, 1))
-        numbers[0, 0] = 10.0 / 13.89
-        result = roll(dataclasses.replace(scene, accel=np.zeros(2)), numbers, decay_s=0.0)
-        final.append(result.x[0, -1] - result.x[1, -1])
+        manners = driver(scene, time_headway_s=headway)
+        manners.following[0, 0] = 10.0 / 13.89
+        result = roll(dataclasses.replace(scene, accel=np.zeros(2)), manners, decay_s=0.0)
+        final.append(result.s[0, -1] - result.s[1, -1])
     assert final[1] > final[0] + 10.0
+
+
+def changing(manners: Manners, politeness=0.0, threshold_mps2=1.0) -> Manners:
+    """The same drivers, who change lanes by these numbers."""
+    row = [politeness, threshold_mps2, 4.0, 1.0]
+    return dataclasses.replace(manners, changing=np.tile(row, (len(manners.following), 1)))
+
+
+def behind_a_slow_leader(road, beside=()):
+    """A fast driver 55 m behind a slow one in the middle lane, and some in the lane to the left."""
+    places = [("east_in_1", 115.0, 4.0), ("east_in_1", 60.0, 12.0), *beside]
+    xy, heading = zip(*(on_lane(road, lane, s) for lane, s, _ in places), strict=True)
+    scene = make_scene(history(xy, heading, [v for _, _, v in places]), road, horizon_s=8.0)
+    return dataclasses.replace(scene, accel=np.zeros(len(places)))
+
+
+def lane_names(road, result, row):
+    return [road.lanes[i].id for i in result.lane[row]]
+
+
+def test_passes_a_slow_leader_if_it_is_worth_it(straight):
+    scene = behind_a_slow_leader(straight)
+    stays, eager = driver(scene), changing(driver(scene))
+    for manners in (stays, eager):
+        manners.following[0, 0] = 4.0 / 13.89
+    patient = roll(scene, stays, decay_s=0.0)
+    passing = roll(scene, eager, decay_s=0.0)
+    lazy = roll(scene, changing(stays, threshold_mps2=50.0), decay_s=0.0)
+    assert set(lane_names(straight, patient, 1)) == {"east_in_1"}
+    assert np.array_equal(lazy.s, patient.s)
+    changed = lane_names(straight, passing, 1)
+    assert changed[0] == "east_in_1"
+    assert changed[-1] in ("east_in_0", "east_in_2")
+    assert passing.gone[1, -1] > patient.gone[1, -1] + 10.0
+    side = places(scene, passing)[1, :, 1]
+    assert abs(side[-1] - side[0]) == pytest.approx(3.2, abs=0.6)
+    assert np.abs(np.diff(side)).max() < 0.15  # gradually, not at once
+
+
+def test_nobody_changes_into_a_neighbour(straight):
+    both_sides = [(lane, 60.0, 12.0) for lane in ("east_in_0", "east_in_2")]
+    scene = behind_a_slow_leader(straight, both_sides)
+    manners = changing(driver(scene, speed_factor=12.0 / 13.89))
+    manners.following[0, 0] = 4.0 / 13.89
+    first = roll(scene, manners, decay_s=0.0, steps=25)
+    assert set(lane_names(straight, first, 1)) == {"east_in_1"}
+
+
+def test_polite_drivers_mind_whom_they_make_brake(straight):
+    scene = behind_a_slow_leader(straight, [("east_in_2", 38.0, 13.5), ("east_in_0", 38.0, 13.5)])
+    ends = {}
+    for politeness in (0.0, 5.0):
+        manners = changing(driver(scene), politeness=politeness)
+        manners.following[0, 0] = 4.0 / 13.89
+        result = roll(scene, manners, decay_s=0.0, steps=30)
+        ends[politeness] = lane_names(straight, result, 1)[-1]
+    assert ends[0.0] != "east_in_1"
+    assert ends[5.0] == "east_in_1"
+
+
+def test_conservative_drivers_keep_away_from_the_aggressive(straight):
+    a, heading = on_lane(straight, "east_in_1", 90.0)
+    b, _ = on_lane(straight, "east_in_1", 60.0)
+    past = history([a, b], [heading] * 2, [10.0, 12.0])
+    scene = make_scene(past, straight, horizon_s=10.0)
+    table = dataclasses.replace(default_table(), change_margin_mps2=100.0)
+    gaps = {}
+    for leader in (Behavior.THREATENING, Behavior.TIMID):
+        sure = np.eye(len(BEHAVIORS))[[leader.code, Behavior.CAREFUL.code]]
+        manners = believed(scene, sure, table)
+        manners.following[0] = manners.following[1]  # the leader drives alike in both
+        manners.following[0, 0] = 10.0 / 13.89
+        for kind, each in (("plain", manners), ("wary", wary(manners, sure))):
+            result = roll(scene, each, decay_s=0.0)
+            gaps[leader, kind] = result.s[0, -1] - result.s[1, -1]
+    assert gaps[Behavior.THREATENING, "plain"] == pytest.approx(gaps[Behavior.TIMID, "plain"])
+    assert gaps[Behavior.TIMID, "wary"] == pytest.approx(gaps[Behavior.TIMID, "plain"])
+    assert gaps[Behavior.THREATENING, "wary"] > gaps[Behavior.THREATENING, "plain"] + 3.0
 
 
 def test_stops_at_red_and_goes_at_green(four_way):
@@ -190,10 +277,10 @@ def test_stops_at_red_and_goes_at_green(four_way):
     for state in (CLOSED, OPEN):
         closed = scene.closed.copy()
         closed[group] = state
-        ends[state] = roll(dataclasses.replace(scene, closed=closed), driver(), decay_s=0.0)
+        ends[state] = roll(dataclasses.replace(scene, closed=closed), driver(scene), decay_s=0.0)
     assert ends[CLOSED].v[0, -1] < 0.5
-    assert ends[CLOSED].x[0, -1] + 2.25 <= length + 1e-6
-    assert ends[OPEN].x[0, -1] > length + 10.0
+    assert ends[CLOSED].gone[0, -1] <= 40.0 - 2.25 + 1e-6
+    assert ends[OPEN].gone[0, -1] > 50.0
 
 
 def test_who_cannot_stop_any_more_goes_through(four_way):
@@ -202,8 +289,8 @@ def test_who_cannot_stop_any_more_goes_through(four_way):
     scene = make_scene(history([place], [heading], [13.0]), four_way)
     closed = np.zeros_like(scene.closed)
     closed[: len(four_way.signal_groups)] = CLOSED
-    result = roll(dataclasses.replace(scene, closed=closed), driver(), decay_s=0.0)
-    assert result.x[0, -1] > length + 20.0
+    result = roll(dataclasses.replace(scene, closed=closed), driver(scene), decay_s=0.0)
+    assert result.gone[0, -1] > 26.0
 
 
 def test_waits_for_a_pedestrian_and_reckless_does_not(straight):
@@ -248,7 +335,7 @@ def test_blind_does_not_listen(straight):
 def test_places_follow_the_lane_and_return_to_its_centre(straight):
     place, heading = on_lane(straight, "east_in_2", 60.0, offset=0.5)
     scene = make_scene(history([place], [heading], [10.0]), straight)
-    xy = places(scene, roll(scene, driver(), decay_s=0.0))
+    xy = places(scene, roll(scene, driver(scene), decay_s=0.0))
     centre, _ = on_lane(straight, "east_in_2", 0.0)
     assert xy[0, 0, 1] - centre[1] == pytest.approx(0.5, abs=0.06)
     assert xy[0, -1, 1] - centre[1] == pytest.approx(0.0, abs=0.05)
@@ -305,8 +392,8 @@ def test_driver_numbers_survive_their_file():
     ("text", "message"),
     [
         ("{", "broken file"),
-        ('{"schema_version": 99}', "schema_version: found 99, expected 1"),
-        ('{"schema_version": 1}', "broken file"),
+        ('{"schema_version": 99}', "schema_version: found 99, expected 2"),
+        ('{"schema_version": 2}', "broken file"),
     ],
 )
 def test_broken_driver_files_are_refused(text, message):

@@ -1,0 +1,103 @@
+"""How each driver of a scene is taken to drive in a rollout, given who it is believed to be."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS, Style
+from graphrqi.predict.drivers import RUNS_RED, YIELDS, DriverTable
+from graphrqi.predict.paths import PathTable
+from graphrqi.predict.scene import Scene
+from sim.lane_graph import LaneGraph
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+FREE_WEIGHT: Final = 0.1
+"""Weight of what a driver's behaviour says of its wished speed against seeing it drive freely (our
+choice: within a behaviour wishes differ by 15 %, a driver's own by little)."""
+
+AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS], dtype=np.float64)
+"""(6,) 1 for the aggressive behaviours."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Manners:
+    """How n drivers drive.
+
+    Attributes:
+        following: (n, 5) car-following numbers, columns as ``drivers.DRIVER_FIELDS``.
+        changing: (n, 4) lane-changing numbers, columns as ``drivers.CHANGING_FIELDS``; (0, 4):
+            nobody changes lanes.
+        ignores: (n, R) whether each ignores each gate of the scene.
+        wary: (n,) how far each keeps away from those who are feared, 0 to 1.
+        feared: (n,) how far each is kept away from, 0 to 1.
+    """
+
+    following: FloatArray
+    changing: FloatArray
+    ignores: BoolArray
+    wary: FloatArray
+    feared: FloatArray
+
+
+def believed(scene: Scene, probability: FloatArray, table: DriverTable) -> Manners:
+    """The manners expected under (n, 6) beliefs about who drives how."""
+    following = personal(scene, table.expected(probability))
+    return Manners(
+        following=following,
+        changing=table.changing(probability),
+        ignores=ignored_gates(scene, probability),
+        wary=np.zeros(len(following)),
+        feared=np.zeros(len(following)),
+    )
+
+
+def wary(manners: Manners, probability: FloatArray) -> Manners:
+    """The same, but conservative drivers keep away from neighbours believed to be aggressive.
+
+    They keep a longer headway behind them (twice as long at full certainty) and prefer lanes
+    without them (worth 1 m/s2 at full certainty).
+    """
+    aggressive = probability @ AGGRESSIVE
+    return dataclasses.replace(manners, wary=1.0 - aggressive, feared=aggressive)
+
+
+def average(scene: Scene, table: DriverTable) -> Manners:
+    """Everyone drives as the average driver does."""
+    n = scene.ids.size
+    unknown = np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+    return Manners(
+        following=personal(scene, np.tile(table.average, (n, 1))),
+        changing=table.changing(unknown),
+        ignores=np.zeros((n, scene.closed.shape[0]), dtype=np.bool_),
+        wary=np.zeros(n),
+        feared=np.zeros(n),
+    )
+
+
+def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
+    """(n, R) gates that each driver more likely runs than respects, under (n, 6) beliefs."""
+    groups = PathTable.of(scene.road).groups
+    crossings = groups + LaneGraph.of(scene.road).cross_lane.size
+    ignores = np.zeros((scene.ids.size, scene.closed.shape[0]), dtype=np.bool_)
+    ignores[:, :groups] = (probability @ RUNS_RED > 0.5)[:, None]
+    ignores[:, groups:crossings] = (probability @ YIELDS < 0.5)[:, None]
+    return ignores
+
+
+def personal(scene: Scene, following: FloatArray) -> FloatArray:
+    """Driver numbers with each one's wished speed corrected by what it was seen to drive."""
+    wished = np.log(following[:, 0])
+    seen = ~np.isnan(scene.free_factor)
+    wished[seen] = (
+        FREE_WEIGHT * wished[seen] + np.log(np.maximum(scene.free_factor[seen], 0.1))
+    ) / (1.0 + FREE_WEIGHT)
+    out = following.copy()
+    out[:, 0] = np.maximum(np.exp(wished), scene.least_factor)
+    return out
