@@ -50,8 +50,8 @@ RAMP_STOPS: Final = 17
 
 
 def ramp() -> list[str]:
-    """The colours of numbers, low to high: matplotlib's cividis, made for colour-blind people."""
-    return [to_hex(colormaps["cividis"](x)) for x in np.linspace(0.08, 1.0, RAMP_STOPS)]
+    """The colours of numbers, low to high: viridis, made with colour-blind people in mind."""
+    return [to_hex(colormaps["viridis"](x)) for x in np.linspace(0.0, 1.0, RAMP_STOPS)]
 
 
 def default_mode(scene: Scene) -> str:

@@ -133,7 +133,7 @@ function futuresOf(index, time) {
     if (futures.agent[m] === index) found.push(m);
     else if (futures.agent[m] > index) break;
   }
-  return found.length && time - futures.time[instant] < 1.6 ? { time: futures.time[instant], futures: found } : null;
+  return found.length && time - futures.time[instant] < 2.1 ? { time: futures.time[instant], futures: found } : null;
 }
 
 function seconds(time) { return `${(data.begin + time).toFixed(1)} s`; }

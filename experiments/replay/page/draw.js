@@ -195,7 +195,7 @@ function drawFutures(ctx, panel, index, color, all) {
   ctx.globalAlpha = 1;
   if (all) return;
   drawHappened(ctx, panel, index, told.time);
-  labelFutures(ctx, panel, told.futures);
+  labelFutures(ctx, panel, told.futures, from || placeOf(index, player.time));
 }
 
 // What really happened from the same instant on.
@@ -215,13 +215,14 @@ function drawHappened(ctx, panel, index, time) {
 }
 
 // The probability at the end of each future, where there is room for it.
-function labelFutures(ctx, panel, told) {
+function labelFutures(ctx, panel, told, from) {
   const taken = [];
   for (const m of told) {
     const p = futures.probability[m] / 255;
     if (p < 0.05) continue;
     const at = 2 * ((m + 1) * futures.ahead.length - 1);
-    const [x, y] = toScreen(panel, futures.xy[at], futures.xy[at + 1]);
+    const [x, y] = toScreen(panel, futures.xy[at], futures.xy[at + 1]), [x0, y0] = toScreen(panel, from.x, from.y);
+    if (Math.hypot(x - x0, y - y0) < 24) continue;      // it stands
     if (taken.some(([a, b]) => Math.abs(a - x) < 34 && Math.abs(b - y) < 17)) continue;
     taken.push([x, y]);
     tag(ctx, x + 8, y - 9, `${Math.round(100 * p)} %`);

@@ -35,7 +35,9 @@ function showLegend() {
     const half = data.behaviors.length / 2;
     list.append(element("li", { class: "head" }, data.behaviors[0].style), element("li", { class: "head" }, data.behaviors[half].style));
     for (let i = 0; i < half; i++) for (const code of [i, i + half]) list.append(legendRow(data.behaviors[code].color, data.behaviors[code].name, code));
-    list.append(legendRow(data.unknown, "none or not known", -1));
+    const rest = legendRow(data.unknown, "does not drive, or not known", -1);
+    rest.className = "wide";
+    list.append(rest);
     parts.push(list);
   }
   const marks = element("ul", { class: "marks" });
@@ -150,7 +152,7 @@ function updateAgent() {
   if (place) {
     rows.push(["speed", data.unit === "m" ? `${place.speed.toFixed(1)} m/s (${Math.round(3.6 * place.speed)} km/h)` : `${place.speed.toFixed(1)} ${data.unit}/s`]);
     const w = wOf(index, player.time);
-    if (w) rows.push(["|w|", `${w.value.toPrecision(2)} (${Math.round(100 * w.share ** 2)} % of the largest)`]);
+    if (w) rows.push(["|w|", `${w.value < 0.005 ? 0 : w.value.toPrecision(2)} (${Math.round(100 * w.share ** 2)} % of the largest)`]);
   }
   const told = place && futuresOf(index, player.time);
   if (told) rows.push(["ways on", told.futures.map((m) => `${Math.round(futures.probability[m] / 2.55)} %`).join(", ")]);

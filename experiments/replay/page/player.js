@@ -284,7 +284,7 @@ async function start() {
   window.replay = {
     seek: (time) => seek(time - data.begin), select, setMode, setLayer, play,
     state: () => ({ time: data.begin + player.time, playing: player.playing, mode: player.mode, selected: player.selected, layers: { ...player.layers } }),
-    agents: () => view.panels.flatMap((panel) => [...player.present].map(([index, place]) => {
+    agents: () => view.panels.flatMap((panel) => [...everyone(player.time)].map(([index, place]) => {
       const [x, y] = toScreen(panel, place.x, place.y);
       return { index, name: data.agents[index].name, x, y, color: colorOf(index, place), truth: data.agents[index].truth, likely: mostLikely(beliefOf(index, player.time)) };
     }).filter(({ x, y }) => x >= panel.left && x <= panel.left + panel.width && y >= panel.top && y <= panel.top + panel.height)),

@@ -1,6 +1,6 @@
 // The timeline: events and the traits that were shown, each kind of them a row.
 
-const ROW = 15, AXIS = 20;
+const ROW = 15, AXIS = 20, BIN_S = 0.5;
 const timeline = { rows: [], height: 0, marks: [] };
 
 function setUpTimeline() {
@@ -8,13 +8,22 @@ function setUpTimeline() {
   if (data.events.length) rows.push({ label: "events", events: data.events });
   data.traits.forEach((trait, code) => {
     const shown = data.exhibits.filter((x) => x[0] === code && x[1] >= 0);
-    if (shown.length) rows.push({ label: trait.name, color: data.behaviors[trait.behavior].color, shown });
+    if (shown.length) rows.push({ label: trait.name, color: data.behaviors[trait.behavior].color, shown, many: howMany(shown) });
   });
   timeline.rows = rows;
   timeline.height = rows.length * ROW + AXIS;
 }
 
-function gutter(width) { return timeline.rows.length ? (width < 560 ? 112 : 212) : 0; }
+// How many agents show a trait, bin by bin.
+function howMany(shown) {
+  const bins = new Float32Array(Math.ceil(duration / BIN_S) + 1);
+  for (const [, , begin, end] of shown) {
+    for (let bin = Math.floor(begin / BIN_S); bin <= Math.min(bins.length - 1, end / BIN_S); bin++) bins[bin]++;
+  }
+  return bins;
+}
+
+function gutter(width) { return timeline.rows.length ? (width < 560 ? 112 : width < 800 ? 212 : 240) : 0; }
 
 function timelineX(time, width) {
   const left = gutter(width);
@@ -38,7 +47,7 @@ function drawTimeline(canvas, width) {
     ctx.fillStyle = theme.muted; ctx.textAlign = "left";
     ctx.fillText(clipped(ctx, row.label, left - 22), 15, y);
     if (row.events) for (const event of row.events) drawEventMark(ctx, event, width, y);
-    else for (const shown of row.shown) drawTraitMark(ctx, row, shown, width, y);
+    else drawTraits(ctx, row, width, y);
   });
   drawAxis(ctx, width, left);
   const x = timelineX(player.time, width);
@@ -55,13 +64,29 @@ function clipped(ctx, text, width) {
 
 function faded(agents) { return player.selected >= 0 && !agents.includes(player.selected); }
 
-function drawTraitMark(ctx, row, [, agent, begin, end], width, y) {
-  const x0 = timelineX(begin, width), x1 = Math.max(timelineX(end, width), x0 + 3);
-  ctx.globalAlpha = faded([agent]) ? 0.13 : player.selected >= 0 ? 1 : 0.62;
+// How many show it as a hill over time; of a selected agent, when it does.
+function drawTraits(ctx, row, width, y) {
+  const most = Math.max(3, ...row.many), foot = y + ROW / 2 - 1;
+  ctx.globalAlpha = player.selected >= 0 ? 0.25 : 0.9;
   ctx.fillStyle = row.color;
-  ctx.fillRect(x0, y - 4.5, x1 - x0, 9);
+  ctx.beginPath();
+  ctx.moveTo(timelineX(0, width), foot);
+  row.many.forEach((count, bin) => {
+    const tall = count / most * (ROW - 2);
+    ctx.lineTo(timelineX(Math.min(duration, bin * BIN_S), width), foot - tall);
+    ctx.lineTo(timelineX(Math.min(duration, (bin + 1) * BIN_S), width), foot - tall);
+  });
+  ctx.lineTo(timelineX(duration, width), foot);
+  ctx.fill();
   ctx.globalAlpha = 1;
-  timeline.marks.push({ x0, x1, y, agent, time: begin, text: `${row.label} · ${titleOf(agent)} · ${seconds(begin)} – ${seconds(end)}` });
+  for (const [, agent, begin, end] of row.shown) {
+    const x0 = timelineX(begin, width), x1 = Math.max(timelineX(end, width), x0 + 3);
+    if (agent === player.selected) {
+      ctx.strokeStyle = theme.outline; ctx.lineWidth = 1;
+      ctx.beginPath(); ctx.roundRect(x0, y - 4.5, x1 - x0, 9, 2); ctx.fill(); ctx.stroke();
+    }
+    timeline.marks.push({ x0, x1, y, agent, time: begin, text: `${row.label} · ${titleOf(agent)} · ${seconds(begin)} – ${seconds(end)}` });
+  }
 }
 
 function drawEventMark(ctx, event, width, y) {

@@ -2,12 +2,13 @@
 
 const LONG = 4;          // from this ratio of its sides a scene is long: it is turned and folded
 const ROW_GAP = 10;      // pixels between rows
+const FOOT = 30;         // pixels below them, for the scale
 
 const view = { panels: [], width: 0, height: 0, map: null, turned: false, long: false, busy: null };
 
 function setUpView() {
   const [x0, y0, x1, y1] = data.extent;
-  const margin = data.road ? 8 : 0.03 * Math.max(x1 - x0, y1 - y0, 1);
+  const margin = data.road ? 7 : 0.03 * Math.max(x1 - x0, y1 - y0, 1);
   view.box = [x0 - margin, y0 - margin, x1 + margin, y1 + margin];
   view.turned = y1 - y0 > LONG * (x1 - x0);
   view.long = view.turned || x1 - x0 > LONG * (y1 - y0);
@@ -54,7 +55,7 @@ function folded() {
   const [u0, v0, u1, v1] = turnedBox(view.box);
   let best = null;
   for (let rows = 1; rows <= 10; rows++) {
-    const height = (view.height - ROW_GAP * (rows - 1)) / rows;
+    const height = (view.height - FOOT - ROW_GAP * (rows - 1)) / rows;
     const scale = Math.min(view.width / ((u1 - u0) / rows), height / (v1 - v0));
     if (height > 12 && (!best || scale > best.scale * 1.02)) best = { rows, height, scale };
   }
