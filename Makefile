@@ -1,5 +1,6 @@
 # make demo   install what running needs into .venv, then the whole loop into runs/demo
 # make test   install what testing needs too, then every check
+# make docs   the documentation's pages into build/site
 # make study  every measured figure at full size into runs/study
 # make model  train the models that ship with the package again
 
@@ -11,7 +12,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 # Many small processes are faster than a few that fight over the cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test study model
+.PHONY: demo test docs study model
 
 demo: $(VENV)/.installed
 	$(BIN)/python -m experiments.demo
@@ -23,6 +24,9 @@ test: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q --doctest-modules behaviors sim graphrqi scenarios experiments
 	$(BIN)/pytest -q -n auto --dist loadfile
+
+docs: $(VENV)/.installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
 study: $(VENV)/.installed
 	$(BIN)/python -m experiments.study

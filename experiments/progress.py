@@ -82,7 +82,8 @@ class Progress:
             self._last_line = now
             words = self._words()
             told = f" ({words})" if words else ""
-            print(f"{self._what}: {self._done} of {self._total}{told}", file=sys.stderr, flush=True)
+            of = f" of {self._total}" if self._total else ""
+            print(f"{self._what}: {self._done}{of}{told}", file=sys.stderr, flush=True)
 
     def _words(self) -> str:
         """Agents, rate and time left."""

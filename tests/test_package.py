@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -94,16 +93,6 @@ def test_the_installed_command_works_anywhere(installed: Path, tmp_path: Path) -
     )
     assert generated.returncode == 0, generated.stderr
     assert (tmp_path / "data" / "manifest.json").is_file()
-
-
-def test_the_readme_does_what_it_shows() -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
-    assert len(blocks) == 2
-    for block in blocks:
-        ended = subprocess.run(
-            [sys.executable, "-c", block], capture_output=True, text=True, check=False
-        )
-        assert ended.returncode == 0, ended.stderr
 
 
 def test_every_dependency_is_pinned_to_what_is_tested_here() -> None:

@@ -1,0 +1,115 @@
+"""Every command and snippet of the README and of the documentation runs as it stands there.
+
+Left out are ``make`` and ``pip``, which install, and benches: ``test_benches`` runs each of those
+commands at ``--quick`` size, and here only their names and options are looked up. The cluster of
+the documentation has two workers, on this machine.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+import typer.main
+from sybil import Example, Sybil
+from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
+
+from experiments.cli import bench
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted(
+    path.relative_to(ROOT).as_posix() for path in [ROOT / "README.md", *ROOT.glob("docs/**/*.md")]
+)
+INSTALLS = re.compile(r"^(make|pip|source) .*\n", flags=re.MULTILINE)
+BENCH = re.compile(r"^graphrqi bench (\S+)(.*)\n", flags=re.MULTILINE)
+SMALL_CLUSTER = {"head:": "127.0.0.1:", "/shared/": "", "--nworkers 16": "--nworkers 2",
+                 "--episodes 5000": "--episodes 2 --duration-s 20"}  # fmt: skip
+
+LONGEST_S = 240.0
+
+
+def run_commands(example: Example) -> None:
+    script = INSTALLS.sub("", str(example.parsed))
+    for name, options in BENCH.findall(script):
+        command = {c.name: c for c in typer.main.get_group(bench).commands.values()}[name]
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert set(re.findall(r"--[a-z-]+", options)) <= known, f"{name} {options}"
+    script = BENCH.sub("", script)
+    if "--cluster" in script:
+        for shown, here in SMALL_CLUSTER.items():
+            assert shown in script
+            script = script.replace(shown, here)
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    said = Path("said.txt")
+    with said.open("w") as file:
+        shell = subprocess.Popen(
+            ["bash", "-euo", "pipefail", "-c", script],
+            env={**os.environ, "PATH": path, "OMP_NUM_THREADS": "1"},
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            code = shell.wait(LONGEST_S)
+        finally:
+            with suppress(ProcessLookupError):  # what it left running
+                os.killpg(shell.pid, signal.SIGKILL)
+    assert code == 0, f"{script}\n{said.read_text()}"
+
+
+SYBIL = Sybil(
+    parsers=[
+        PythonCodeBlockParser(),
+        CodeBlockParser(language="bash", evaluator=run_commands),
+    ],
+    path=str(ROOT),
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What pages call ``data`` that do not make it themselves."""
+    folder = tmp_path_factory.mktemp("docs") / "data"
+    subprocess.run(
+        [sys.executable, "-m", "experiments.cli", "generate", "--out", str(folder), "--quiet",
+         "--scenario", "straight_road", "--episodes", "5", "--duration-s", "30"],
+        check=True, cwd=ROOT,
+    )  # fmt: skip
+    return folder
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_a_page_says_runs(
+    page: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = SYBIL.parse(ROOT / page)
+    if not re.search(r"--out \S*data\s", document.text):
+        shutil.copytree(dataset, tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    for example in document.examples():
+        example.evaluate()
+
+
+def test_the_readmes_links_lead_somewhere() -> None:
+    for target in re.findall(r"\]\((?!https?:)([\w./-]+)\)", (ROOT / "README.md").read_text()):
+        assert (ROOT / target).exists(), target
+
+
+def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
+    pytest.importorskip("material", reason="pip install 'graphrqi[docs]'")
+    run = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    home = (tmp_path / "index.html").read_text()
+    assert "fonts.googleapis" not in home
