@@ -1,0 +1,105 @@
+"""A slow check: killed at random moments, again and again, a dataset ends up the same.
+
+Set GRAPHRQI_SLOW=1 to run it; GRAPHRQI_KILLS says how many kills per pool (100 if not set).
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+import pytest
+
+from experiments.generate import GenerateConfig, generate
+
+pytestmark = pytest.mark.skipif(
+    "GRAPHRQI_SLOW" not in os.environ, reason="takes minutes; set GRAPHRQI_SLOW=1 to run it"
+)
+
+KILLS = int(os.environ.get("GRAPHRQI_KILLS", "100"))
+LATEST_S = 5.0
+CONFIG = GenerateConfig(
+    scenarios=("straight_road", "four_way_intersection"), episodes=6, seed=3, duration_s=30.0
+)
+COMMAND = [
+    sys.executable, "-m", "experiments.cli", "generate", "--scenario", "straight_road",
+    "--scenario", "four_way_intersection", "--episodes", "6", "--seed", "3", "--duration-s", "30",
+    "--quiet",
+]  # fmt: skip
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (p for p in folder.rglob("*") if p.is_file())
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+@contextmanager
+def workers_of(pool: str) -> Iterator[list[str]]:
+    """Options of the pool; Dask's workers live as long as the check."""
+    if pool == "loky":
+        yield ["--jobs", "2"]
+        return
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+    ) as cluster:
+        yield ["--cluster", cluster.scheduler_address]
+
+
+def workers(pool: str, run: int) -> list[int]:
+    """Processes that make episodes."""
+    with suppress(psutil.NoSuchProcess):
+        parent = psutil.Process(run if pool == "loky" else os.getpid())
+        return [
+            child.pid
+            for child in parent.children(recursive=True)
+            if child.pid != run and "resource_tracker" not in " ".join(child.cmdline())
+        ]
+    return []
+
+
+@pytest.mark.parametrize("pool", ["loky", "dask"])
+def test_whatever_is_killed_the_bytes_are_the_same(pool: str, tmp_path: Path) -> None:
+    generate(CONFIG, tmp_path / "undisturbed", jobs=1, quiet=True)
+    wanted = content(tmp_path / "undisturbed")
+    rng = random.Random(pool)
+    kills = {"run": 0, "worker": 0}
+    finished = 0
+    with workers_of(pool) as options:
+        while sum(kills.values()) < KILLS:
+            folder = tmp_path / f"data-{finished}"
+            run = subprocess.Popen([*COMMAND, *options, "--out", str(folder)])
+            try:
+                run.wait(rng.uniform(0.3, LATEST_S))
+            except subprocess.TimeoutExpired:
+                victims = workers(pool, run.pid)
+                if victims and rng.random() < 0.5:
+                    with suppress(ProcessLookupError):
+                        os.kill(rng.choice(victims), signal.SIGKILL)
+                        kills["worker"] += 1
+                    try:
+                        run.wait(rng.uniform(0.3, LATEST_S))
+                    except subprocess.TimeoutExpired:
+                        run.kill()
+                        kills["run"] += 1
+                else:
+                    run.kill()
+                    kills["run"] += 1
+                run.wait()
+            if run.returncode == 0:
+                assert content(folder) == wanted, f"after {kills}"
+                finished += 1
+        folder = tmp_path / f"data-{finished}"
+        time.sleep(1.0)  # workers of a run that was killed end by themselves
+        subprocess.run([*COMMAND, *options, "--out", str(folder)], check=True)
+        assert content(folder) == wanted, f"after {kills}"
+    print(f"{pool}: {kills}, {finished + 1} datasets")
