@@ -503,6 +503,27 @@ def test_argoverse2_as_the_official_package_defines_it(tmp_path: Path) -> None:
     assert [r["behavior"] for r in labels] == ["impatient", "timid", "careful", None]
 
 
+def test_the_official_argoverse2_package_takes_what_is_written(tmp_path: Path) -> None:
+    loader = pytest.importorskip("av2.datasets.motion_forecasting.scenario_serialization")
+    from av2.datasets.motion_forecasting.viz.scenario_visualization import visualize_scenario
+    from av2.map.map_api import ArgoverseStaticMap
+
+    road = SCENARIOS["four_way_intersection"]().road
+    (home,) = get_writer("argoverse2")(tmp_path, "episode", episode(), road)
+    scenario = loader.load_argoverse_scenario_parquet(home / f"scenario_{home.name}.parquet")
+    assert [track.track_id for track in scenario.tracks] == ["0", "1", "2", "3"]
+    tracks = episode()
+    for row, track in enumerate(scenario.tracks):
+        places = [state.position for state in track.object_states]
+        there = tracks.xy[row, :110][tracks.valid[row, :110]]
+        np.testing.assert_array_equal(places, there)
+    archive = ArgoverseStaticMap.from_json(home / f"log_map_archive_{home.name}.json")
+    assert len(archive.vector_lane_segments) == sum(not lane.walking for lane in road.lanes)
+    assert archive.vector_pedestrian_crossings
+    visualize_scenario(scenario, archive, tmp_path / "drawn.mp4")
+    assert (tmp_path / "drawn.mp4").stat().st_size > 10_000
+
+
 def test_scenarionet_is_a_plain_dictionary(tmp_path: Path) -> None:
     from sim.formats.scenarionet import description
 
