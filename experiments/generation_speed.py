@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import resource
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -45,6 +47,28 @@ def _pair(scenario_name: str, index: int, duration_s: float) -> tuple[float, flo
     return bare_s, whole_s, entry.agent_steps, size
 
 
+def _peak_mb() -> float:
+    """Most memory that this process has ever held, MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
+
+
+def _memory_growth(episodes: int, duration_s: float) -> float:
+    """By how much making episodes one after another raises a process's peak memory, MB.
+
+    Counted from a fifth of the episodes on, when everything has been loaded and compiled.
+    """
+    begin_mb = 0.0
+    with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
+        for i in range(episodes):
+            make_episode(
+                Path(scratch), Task(_config(episodes, duration_s), SCENARIOS[i % 2], i // 2)
+            )
+            if i == episodes // 5:
+                begin_mb = _peak_mb()
+    return _peak_mb() - begin_mb
+
+
 def _row(jobs: int, metric: str, values: list[float]) -> Row:
     """Mean with a 95 % interval (normal; none for a single value)."""
     mean = float(np.mean(values))
@@ -64,7 +88,8 @@ def measure(quick: bool = False) -> list[Row]:
     Returns:
         Rows keyed ``jobs`` with ``metric, value, low, high, n``: ``over_bare_stepping`` (extra
         CPU time of a whole written episode as a share of bare stepping, paired),
-        ``bytes_per_agent_step``, ``agent_steps_per_s`` (wall clock), ``speedup``.
+        ``bytes_per_agent_step``, ``memory_growth_mb`` (of one process over many episodes),
+        ``agent_steps_per_s`` (wall clock), ``speedup``.
     """
     pairs, duration_s, episodes = (1, 30.0, 2) if quick else (4, 300.0, 8)
     # The first two calls warm up.
@@ -74,6 +99,9 @@ def measure(quick: bool = False) -> list[Row]:
         _row(1, "over_bare_stepping", [whole / bare - 1 for bare, whole, _, _ in measured]),
         _row(1, "bytes_per_agent_step", [size / steps for _, _, steps, size in measured]),
     ]
+    many, short_s = (10, 5.0) if quick else (500, 30.0)
+    (growth_mb,) = in_parallel(_memory_growth, [(many, short_s)], 1)
+    rows.append({**_row(1, "memory_growth_mb", [growth_mb]), "n": many})
     config = _config(episodes, duration_s)
     single_s: float | None = None
     for jobs in sorted({1, os.cpu_count() or 1}):
