@@ -264,16 +264,28 @@ def replay(
         str | None,
         typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),
     ] = None,
-    at_s: Annotated[float | None, typer.Option("--at-s", help="Where it opens, s.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Film it too: .mp4 or .gif.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw one moment of it too.")
+    ] = None,
+    begin_s: Annotated[
+        float | None, typer.Option("--begin-s", help="When page, film or picture begin, s.")
+    ] = None,
+    end_s: Annotated[float | None, typer.Option("--end-s", help="When the film ends, s.")] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Make a page that plays an episode in a browser."""
     from experiments.replay import write_replay
 
-    write_replay(
+    written = write_replay(
         source, out, episode=episode, labels=labels, predictions=predictions, format=format,
-        net=net, model=model, predictor=predictor, color=color, at_s=at_s,
+        net=net, model=model, predictor=predictor, color=color, begin_s=begin_s, end_s=end_s,
+        video=video, picture=picture, quiet=quiet,
     )  # fmt: skip
-    typer.echo(out)
+    for path in written:
+        typer.echo(path)
 
 
 @app.command(epilog="example: graphrqi report runs/demo")

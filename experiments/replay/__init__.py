@@ -6,8 +6,10 @@ from pathlib import Path
 
 from behaviors.errors import InputError, lookup
 from experiments.exchange import as_dataset
-from experiments.replay.page import MODES, write_page
+from experiments.replay.page import MODES, default_mode, write_page
+from experiments.replay.picture import write_picture
 from experiments.replay.scene import chosen_entry, gather
+from experiments.replay.video import check_video, write_video
 from graphrqi.predict import get_predictor
 from sim.dataset import open_dataset
 
@@ -24,8 +26,12 @@ def write_replay(
     model: str = "graphrqi-plus",
     predictor: str = "graphrqi-predict",
     color: str | None = None,
-    at_s: float | None = None,
-) -> None:
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    video: Path | None = None,
+    picture: Path | None = None,
+    quiet: bool = False,
+) -> list[Path]:
     """What ``graphrqi replay`` does.
 
     Args:
@@ -40,22 +46,42 @@ def write_replay(
         predictor: a key of ``PREDICTORS``, or "none".
         color: what agents are coloured by at first, one of ``MODES``; None for the truth where it
             is known.
-        at_s: the time at which the page opens, s; None for the beginning.
+        begin_s: when the page opens, a film begins, or a picture was taken, s; None for the
+            beginning (of a picture: the fullest moment).
+        end_s: when a film ends, s; None for the end.
+        video: also film it into this file, .mp4 or .gif.
+        picture: also draw it into this file, .png.
+        quiet: whether to show no progress.
+
+    Returns:
+        What was written.
 
     Raises:
         InputError: if an option or a file is wrong.
-        OSError: if the page cannot be written.
+        OSError: if something cannot be written.
     """
     if color is not None:
         lookup({mode: mode for mode in MODES}, color, "color")
     if predictor != "none":
         get_predictor(predictor)
-    if not out.parent.is_dir():
-        raise InputError(f"{out}: found no folder {out.parent}, expected one")
+    wanted = [path for path in (out, video, picture) if path is not None]
+    for path in wanted:
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: found no folder {path.parent}, expected one")
+    if video is not None:
+        check_video(video)
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise InputError(f"--picture: found {picture.name!r}, expected a name that ends in .png")
     with as_dataset(source, format, net) as folder:
         dataset = open_dataset(folder)
         scene = gather(
             dataset, chosen_entry(dataset, episode), model=model, labels=labels,
             predictions=predictions, predictor=predictor,
         )  # fmt: skip
-    write_page(scene, out, color, at_s)
+    mode = color or default_mode(scene)
+    write_page(scene, out, mode, begin_s)
+    if video is not None:
+        write_video(scene, video, mode, begin_s, end_s, quiet)
+    if picture is not None:
+        write_picture(scene, picture, mode, begin_s)
+    return wanted

@@ -26,6 +26,7 @@ from behaviors.profiles import PROFILE_FIELDS
 from experiments.replay.packing import differences, pack, quantum
 from experiments.replay.scene import Scene
 from sim.atomic import write_whole
+from sim.formats import FORMATS
 from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray
 from sim.road_shapes import road_shapes
 
@@ -59,14 +60,14 @@ def default_mode(scene: Scene) -> str:
     return "predicted" if scene.tracks.behavior is None else "true"
 
 
-def write_page(scene: Scene, out: Path, mode: str | None = None, at_s: float | None = None) -> None:
+def write_page(scene: Scene, out: Path, mode: str, begin_s: float | None = None) -> None:
     """Write the page of a scene.
 
     Args:
         scene: what to show.
         out: the HTML file; it appears whole or not at all.
-        mode: one of ``MODES``, what agents are coloured by at first; None for the default.
-        at_s: the time at which the page opens, s; None for the beginning.
+        mode: one of ``MODES``, what agents are coloured by at first.
+        begin_s: the time at which the page opens, s; None for the beginning.
 
     Raises:
         OSError: if it cannot be written.
@@ -90,7 +91,7 @@ def write_page(scene: Scene, out: Path, mode: str | None = None, at_s: float | N
         script=script,
         style_hash=_csp_hash(style),
         script_hash=_csp_hash(script),
-        data=_json(_data(scene, mode or default_mode(scene), at_s)),
+        data=_json(_data(scene, mode, begin_s)),
     )
     write_whole(out, page.encode())
 
@@ -105,7 +106,7 @@ def _json(value: object) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _data(scene: Scene, mode: str, at_s: float | None) -> dict[str, Any]:
+def _data(scene: Scene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
     """What the page's script reads."""
     tracks = scene.tracks
     begin_s = float(tracks.time_s[0])
@@ -118,12 +119,10 @@ def _data(scene: Scene, mode: str, at_s: float | None) -> dict[str, Any]:
         meta["signals"] = _signal_changes(tracks.signals)
     index, packed = pack(arrays)
     entry = scene.entry
+    made: dict[str, Any] = {"engine": entry.engine, "seed": entry.seed, "split": entry.split}
     facts = {
         "episode": entry.id,
-        "scenario" if scene.unit == "m" and scene.exhibits else "source": entry.scenario,
-        "engine": entry.engine,
-        "seed": entry.seed,
-        "split": entry.split,
+        **({"format": entry.engine} if entry.engine in FORMATS else made),
         "beliefs": scene.believer,
         "predictor": scene.predictor or "none",
         "agents": int(tracks.ids.size),
@@ -134,7 +133,7 @@ def _data(scene: Scene, mode: str, at_s: float | None) -> dict[str, Any]:
         "notes": list(scene.notes),
         "unit": scene.unit,
         "begin": begin_s,
-        "open": {"mode": mode, "at": begin_s if at_s is None else at_s},
+        "open": {"mode": mode, "at": begin_s if begin_at_s is None else begin_at_s},
         "behaviors": [
             {"name": b.value, "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
         ],

@@ -58,7 +58,7 @@ function drawRoad(ctx, panel, dpr, frame) {
   ctx.setTransform(a * dpr, b * dpr, c * dpr, d * dpr, e * dpr, f * dpr);
   const pixel = 1 / panel.scale;
   if (!data.road) {
-    ctx.strokeStyle = theme.track; ctx.globalAlpha = 0.28; ctx.lineWidth = 1.2 * pixel; ctx.lineJoin = "round";
+    ctx.strokeStyle = theme.track; ctx.globalAlpha = 0.45; ctx.lineWidth = 1.2 * pixel; ctx.lineJoin = "round";
     ctx.stroke(shapes.tracks);
     ctx.globalAlpha = 1;
     return;

@@ -212,5 +212,5 @@ function showNotes() {
   const parts = [element("h2", {}, "About this data"), facts];
   if (data.notes.length) parts.push(element("ul", {}, ...data.notes.map((note) => element("li", {}, note))));
   $("notes").replaceChildren(...parts);
-  $("facts").textContent = `${data.facts.engine} · ${data.agents.length} agents · ${duration.toFixed(0)} s`;
+  $("facts").textContent = `${data.facts.engine ?? data.facts.format} · ${data.agents.length} agents · ${duration.toFixed(0)} s`;
 }

@@ -1,0 +1,408 @@
+"""Draws a scene at one time as an image, without a browser: for videos and pictures.
+
+Everything is drawn at twice the size and reduced, which smooths the edges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+from PIL import Image, ImageDraw, ImageFont
+
+from behaviors.colors import COLORS, UNKNOWN_COLOR
+from behaviors.labels import BEHAVIORS
+from experiments.replay.scene import Scene
+from sim.atomic import whole_file
+from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray
+from sim.road_shapes import RoadShapes, road_shapes
+
+FINE: Final = 2
+"""How many times larger everything is drawn."""
+
+LONG: Final = 4.0
+"""From this ratio of its sides on a scene is turned to lie and folded into rows."""
+
+HEAD_PX, FOOT_PX, GAP_PX = 44, 46, 8
+"""Height of the title, of the legend, and between rows."""
+
+INK, MUTED, PAPER = "#18202B", "#55606E", "#FFFFFF"
+GROUND, PAVING, ASPHALT, PAINT, MIDDLE = "#ECEEEA", "#DCDCD6", "#C6CBD2", "#FFFFFF", "#8A6D1D"
+TRACK, EDGE, GRAVE = "#C3C9D0", "#38506E", "#B3261E"
+SIGNAL_COLORS: Final = {"red": "#D3312B", "yellow": "#F2C230", "green": "#25A55F", "off": "#9AA3AD"}
+"""As on the page, in its light theme."""
+
+BODY: Final = np.array(
+    [(1, 0.7), (0.8, 1), (-0.9, 1), (-1, 0.8), (-1, -0.8), (-0.9, -1), (0.8, -1), (1, -0.7)]
+)
+GLASS: Final = np.array([(0.2, 0.7), (0.5, 0.8), (0.5, -0.8), (0.2, -0.7)])
+"""Outlines of a vehicle and of its windscreen, in halves of its length and of its width."""
+
+EVENT_S: Final = 1.5
+"""A collision stays marked for so long, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """A part of the picture that shows a part of the world.
+
+    Attributes:
+        box: left, top, right and bottom, pixels.
+        scale: pixels per metre.
+        matrix: (2, 3) from x, y, 1 to pixels.
+    """
+
+    box: tuple[float, float, float, float]
+    scale: float
+    matrix: FloatArray
+
+    def pixels(self, xy: FloatArray) -> FloatArray:
+        """Pixels of places (..., 2)."""
+        return np.asarray(xy @ self.matrix[:, :2].T + self.matrix[:, 2])
+
+
+def lay_out(extent: tuple[float, float, float, float], width: int, height: int) -> list[Panel]:
+    """Panels that show an extent as large as fits: one, or the rows of a long road.
+
+    Args:
+        extent: x0, y0, x1, y1 in the world.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+
+    Returns:
+        The panels, top to bottom.
+
+    Example:
+        >>> [len(lay_out((0, 0, size, 12), 1280, 720)) for size in (12, 800)]
+        [1, 4]
+    """
+    x0, y0, x1, y1 = extent
+    turned = y1 - y0 > LONG * (x1 - x0)
+    u0, v0, u1, v1 = (y0, -x1, y1, -x0) if turned else (x0, y0, x1, y1)
+    axes = np.array([[0.0, 1.0], [1.0, 0.0]]) if turned else np.array([[1.0, 0.0], [0.0, -1.0]])
+    tall = height - HEAD_PX - FOOT_PX
+    many = range(1, 11) if u1 - u0 > LONG * (v1 - v0) else range(1, 2)
+    sizes = {
+        n: min(width / ((u1 - u0) / n), (tall - GAP_PX * (n - 1)) / n / (v1 - v0)) for n in many
+    }
+    rows = max(sizes, key=lambda n: (round(sizes[n], 6), -n))
+    scale, each, length = sizes[rows], (tall - GAP_PX * (rows - 1)) / rows, (u1 - u0) / rows
+    panels = []
+    for row in range(rows):
+        top = HEAD_PX + row * (each + GAP_PX)
+        u, v = u0 + (row + 0.5) * length, 0.5 * (v0 + v1)
+        shift = np.array([[width / 2 - u * scale], [top + each / 2 + v * scale]])
+        matrix = np.concatenate([scale * axes, shift], axis=1)
+        panels.append(Panel((0.0, top, float(width), top + each), scale, matrix))
+    return panels
+
+
+def shown_extent(scene: Scene) -> tuple[float, float, float, float]:
+    """x0, y0, x1, y1 of what is worth showing: of a junction, where its traffic is."""
+    places = scene.tracks.xy[scene.tracks.valid]
+    if scene.road is None:
+        low, high = places.min(axis=0), places.max(axis=0)
+        margin = max(0.03 * float((high - low).max()), 1.0)
+    else:
+        x0, y0, x1, y1 = scene.road.bounds
+        low, high, margin = np.array([x0, y0]), np.array([x1, y1]), 7.0
+        sides = np.sort(high - low)
+        if sides[1] <= LONG * sides[0]:
+            near, far = np.quantile(places, [0.14, 0.86], axis=0)
+            half = max(45.0, float((far - near).max()) / 2)
+            middle = (near + far) / 2
+            low, high = np.maximum(low, middle - half), np.minimum(high, middle + half)
+    return (
+        float(low[0] - margin), float(low[1] - margin),
+        float(high[0] + margin), float(high[1] + margin),
+    )  # fmt: skip
+
+
+class Painter:
+    """Draws one scene at any time.
+
+    Args:
+        scene: what to draw.
+        mode: what agents are coloured by: true, predicted, confidence, speed or w.
+        width: pixels.
+        height: pixels.
+    """
+
+    def __init__(self, scene: Scene, mode: str, width: int = 1280, height: int = 720) -> None:
+        self.scene, self.mode = scene, mode
+        self.width, self.height = width * FINE, height * FINE
+        self.panels = [
+            Panel(
+                tuple(FINE * side for side in panel.box),  # type: ignore[arg-type]
+                FINE * panel.scale,
+                FINE * panel.matrix,
+            )
+            for panel in lay_out(shown_extent(scene), width, height)
+        ]
+        speeds = scene.tracks.speed[scene.tracks.valid]
+        self.fastest = max(1.0, float(np.quantile(speeds, 0.995)))
+        self._shapes = None if scene.road is None else road_shapes(scene.road)
+        self._background = self._draw_background()
+
+    def draw(self, time_s: float) -> Image.Image:
+        """The picture at a time, s."""
+        image = self._background.copy()
+        rows, xy, heading, speed = self._present(time_s)
+        colors = self._colors(rows, speed, time_s)
+        for panel in self.panels:
+            part = image.crop(tuple(round(side) for side in panel.box))  # type: ignore[arg-type]
+            pen = ImageDraw.Draw(part)
+            offset = np.array([round(panel.box[0]), round(panel.box[1])])
+            if self._shapes is not None:
+                self._draw_stops(pen, panel, offset, self._shapes, time_s)
+            if self.mode == "w":
+                self._draw_edges(pen, panel, offset, rows, xy, time_s)
+            elif self.mode == "predicted":
+                self._draw_paths(pen, panel, offset, rows, colors, time_s)
+            self._draw_agents(pen, panel, offset, rows, xy, heading, colors)
+            self._draw_events(pen, panel, offset, time_s)
+            image.paste(part, (int(offset[0]), int(offset[1])))
+        clock, font = f"{time_s:.1f} s", _font(15 * FINE)
+        pen = ImageDraw.Draw(image)
+        pen.text((self.width - 16 * FINE, HEAD_PX * FINE / 2), clock, INK, font, anchor="rm")
+        return image.reduce(FINE)
+
+    def _draw_background(self) -> Image.Image:
+        image = Image.new("RGB", (self.width, self.height), PAPER)
+        for panel in self.panels:
+            left, top, right, bottom = (round(side) for side in panel.box)
+            part = Image.new("RGB", (right - left, bottom - top), GROUND)
+            pen, offset = ImageDraw.Draw(part), np.array([left, top])
+            if self._shapes is None:
+                self._draw_tracks(pen, panel, offset)
+            else:
+                _draw_road(pen, panel, offset, self._shapes)
+            image.paste(part, (left, top))
+        self._draw_words(ImageDraw.Draw(image))
+        return image
+
+    def _draw_tracks(self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray) -> None:
+        for row in range(self.scene.tracks.ids.size):
+            seen = self.scene.tracks.xy[row, self.scene.tracks.valid[row]]
+            if len(seen) > 1:
+                points = panel.pixels(seen) - offset
+                pen.line([tuple(p) for p in points.tolist()], TRACK, FINE)
+
+    def _draw_words(self, pen: ImageDraw.ImageDraw) -> None:
+        name, middle = self.scene.name, HEAD_PX * FINE / 2
+        said = {
+            "true": "coloured by true behaviour",
+            "predicted": f"coloured by the behaviour that {self.scene.believer} believes in",
+            "confidence": f"coloured by how sure {self.scene.believer} is",
+            "speed": f"coloured by speed, 0 to {self.fastest:.0f} {self.scene.unit}/s",
+            "w": "coloured by |w|, w = L u, relative to the largest now (square root)",
+        }[self.mode]
+        x = 16.0 * FINE
+        pen.text((x, middle), name, INK, _font(17 * FINE, bold=True), anchor="lm")
+        x += pen.textlength(name, _font(17 * FINE, bold=True)) + 14 * FINE
+        pen.text((x, middle), said, MUTED, _font(13 * FINE), anchor="lm")
+        y, x, font = self.height - FOOT_PX * FINE / 2, 16.0 * FINE, _font(13 * FINE)
+        for color, word in self._legend():
+            size = 7 * FINE
+            box = (x, y - size, x + 24 * FINE, y + size)
+            pen.rounded_rectangle(box, 4 * FINE, color, INK, FINE)
+            pen.text((x + 31 * FINE, y), word, INK, font, anchor="lm")
+            x += 31 * FINE + pen.textlength(word, font) + 22 * FINE
+
+    def _legend(self) -> list[tuple[str, str]]:
+        if self.mode in ("true", "predicted"):
+            return [*((COLORS[b], b.value) for b in BEHAVIORS), (UNKNOWN_COLOR, "not known")]
+        ends = {
+            "confidence": ("17 %, a guess", "100 %"),
+            "speed": ("0", f"{self.fastest:.0f} {self.scene.unit}/s and more"),
+            "w": ("0", "the largest"),
+        }[self.mode]
+        words = (ends[0], "", "", "", ends[1])
+        steps = zip(np.linspace(0.0, 1.0, len(words)), words, strict=True)
+        return [*((_ramp(x), word) for x, word in steps), (UNKNOWN_COLOR, "not known")]
+
+    def _present(self, time_s: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+        """Rows, places, headings and speeds of those there, between frames on the straight line."""
+        tracks = self.scene.tracks
+        step = max(int(np.searchsorted(tracks.time_s, time_s + 1e-6)) - 1, 0)
+        after = min(step + 1, tracks.time_s.size - 1)
+        span = float(tracks.time_s[after] - tracks.time_s[step])
+        share = min(max((time_s - float(tracks.time_s[step])) / span, 0.0), 1.0) if span else 0.0
+        rows = np.flatnonzero(tracks.valid[:, step])
+        share_of = np.where(tracks.valid[rows, after], share, 0.0)[:, None]
+        to = np.where(tracks.valid[rows, after, None], tracks.xy[rows, after], 0.0)
+        xy = tracks.xy[rows, step] * (1 - share_of) + to * share_of
+        return rows, xy, tracks.heading[rows, step], tracks.speed[rows, step]
+
+    def _colors(self, rows: IntArray, speed: FloatArray, time_s: float) -> list[str]:
+        scene = self.scene
+        if self.mode == "speed":
+            return [_ramp(v / self.fastest) for v in speed]
+        if self.mode == "w":
+            look = int(np.searchsorted(scene.graph.time_s, time_s + 1e-6)) - 1
+            w = scene.graph.w[:, max(look, 0)]
+            largest = float(np.nan_to_num(w).max(initial=1e-12))
+            return [
+                UNKNOWN_COLOR if np.isnan(v) else _ramp(float(np.sqrt(v / largest)))
+                for v in w[rows]
+            ]
+        if self.mode == "true":
+            behavior = scene.tracks.behavior
+            codes = np.full(rows.size, -1) if behavior is None else behavior[rows]
+            return [UNKNOWN_COLOR if c < 0 else COLORS[BEHAVIORS[c]] for c in codes]
+        look = int(np.searchsorted(scene.beliefs.time_s, time_s + 1e-6)) - 1
+        believed = scene.beliefs.probability[rows, max(look, 0)]
+        known = np.isfinite(believed).all(axis=1)
+        likeliest = np.nan_to_num(believed)
+        if self.mode == "confidence":
+            sure = (likeliest.max(axis=1) - 1 / 6) * 6 / 5
+            return [
+                _ramp(float(v)) if k else UNKNOWN_COLOR for v, k in zip(sure, known, strict=True)
+            ]
+        codes = likeliest.argmax(axis=1)
+        return [
+            COLORS[BEHAVIORS[c]] if k else UNKNOWN_COLOR for c, k in zip(codes, known, strict=True)
+        ]
+
+    def _draw_stops(
+        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, shapes: RoadShapes,
+        time_s: float,
+    ) -> None:  # fmt: skip
+        tracks = self.scene.tracks
+        step = max(int(np.searchsorted(tracks.time_s, time_s + 1e-6)) - 1, 0)
+        for stop in shapes.stops:
+            color = PAINT
+            if 0 <= stop.signal < len(tracks.signals):
+                color = SIGNAL_COLORS[SIGNALS[tracks.signals[stop.signal, step]]]
+            ends = panel.pixels(stop.line) - offset
+            pen.line(_points(ends), color, max(2 * FINE, round(0.6 * panel.scale)))
+
+    def _draw_edges(
+        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
+        xy: FloatArray, time_s: float,
+    ) -> None:  # fmt: skip
+        graph = self.scene.graph
+        look = int(np.searchsorted(graph.time_s, time_s + 1e-6)) - 1
+        place = dict(zip(rows.tolist(), panel.pixels(xy) - offset, strict=True))
+        live = graph.edges[(graph.edges[:, 2] <= look) & (graph.edges[:, 3] > look)]
+        for a, b in live[:, :2].tolist():
+            if a in place and b in place:
+                pen.line([tuple(place[a].tolist()), tuple(place[b].tolist())], EDGE, 1)
+
+    def _draw_paths(
+        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
+        colors: list[str], time_s: float,
+    ) -> None:  # fmt: skip
+        """The likeliest future of everyone, as last predicted."""
+        made = [f for f in self.scene.forecasts if time_s - 2.0 < f.time_s <= time_s + 1e-6]
+        if not made:
+            return
+        forecast = made[-1]
+        likeliest = np.flatnonzero(np.diff(forecast.agent, prepend=-1) != 0)
+        color = dict(zip(rows.tolist(), colors, strict=True))
+        begin = self._present(forecast.time_s)
+        origin = dict(zip(begin[0].tolist(), begin[1], strict=True))
+        for m in likeliest:
+            agent = int(forecast.agent[m])
+            if agent in color and agent in origin:
+                way = np.concatenate([origin[agent][None], forecast.xy[m]])
+                pen.line(_points(panel.pixels(way) - offset), color[agent], 2 * FINE, "curve")
+
+    def _draw_agents(
+        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
+        xy: FloatArray, heading: FloatArray, colors: list[str],
+    ) -> None:  # fmt: skip
+        tracks = self.scene.tracks
+        forward = np.stack([np.cos(heading), np.sin(heading)], axis=1) @ panel.matrix[:, :2].T
+        forward /= panel.scale
+        left = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
+        center = panel.pixels(xy) - offset
+        for i, row in enumerate(rows):
+            small = 5 if KINDS[tracks.kind[row]] == KINDS[PEDESTRIAN] else 6
+            a = forward[i] * max(tracks.length[row] * panel.scale, small * FINE) / 2
+            b = left[i] * max(tracks.width[row] * panel.scale, 4 * FINE) / 2
+            c = center[i]
+            if tracks.kind[row] == PEDESTRIAN:
+                r = max(float(np.hypot(*b)), 2.5 * FINE)
+                pen.ellipse((c[0] - r, c[1] - r, c[0] + r, c[1] + r), colors[i], INK, FINE)
+                continue
+            pen.polygon(_points(c + BODY @ np.stack([a, b])), colors[i], INK, FINE)
+            if np.hypot(*a) > 6 * FINE:
+                pen.polygon(_points(c + GLASS @ np.stack([a, b])), INK)
+
+    def _draw_events(
+        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, time_s: float
+    ) -> None:
+        tracks = self.scene.tracks
+        for event in tracks.events:
+            since = time_s - event.time_s
+            if event.kind is not EventKind.COLLISION or not 0.0 <= since <= EVENT_S:
+                continue
+            row = int(np.searchsorted(tracks.ids, event.agent))
+            step = int(np.searchsorted(tracks.time_s, event.time_s - 1e-6))
+            if row >= tracks.ids.size or tracks.ids[row] != event.agent:
+                continue
+            step = min(step, tracks.time_s.size - 1)
+            if not tracks.valid[row, step]:
+                continue
+            x, y = panel.pixels(tracks.xy[row, step]) - offset
+            r = (12 + 8 * since) * FINE
+            pen.ellipse((x - r, y - r, x + r, y + r), None, GRAVE, 3 * FINE)
+
+
+def write_picture(scene: Scene, path: Path, mode: str, time_s: float | None = None) -> None:
+    """Write a scene at one time as a PNG.
+
+    Args:
+        scene: what to draw.
+        path: the file; it appears whole or not at all.
+        mode: what agents are coloured by.
+        time_s: when, s; None for the moment with most agents.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    if time_s is None:
+        time_s = float(scene.tracks.time_s[scene.tracks.valid.sum(axis=0).argmax()])
+    image = Painter(scene, mode).draw(time_s)
+    with whole_file(path) as partial:
+        image.quantize(256, dither=Image.Dither.NONE).save(partial, "PNG", optimize=True)
+
+
+def _draw_road(
+    pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, shapes: RoadShapes
+) -> None:
+    for color, polygons in (
+        (PAVING, shapes.paving), (ASPHALT, shapes.asphalt), (PAINT, shapes.bars)
+    ):  # fmt: skip
+        for polygon in polygons:
+            pen.polygon(_points(panel.pixels(polygon) - offset), color)
+    thin = max(FINE, round(0.14 * panel.scale))
+    lines = [(PAINT, line) for line in (*shapes.edges, *shapes.dashes)]
+    for color, line in (*lines, *((MIDDLE, line) for line in shapes.middles)):
+        pen.line(_points(panel.pixels(line) - offset), color, thin)
+
+
+def _points(pixels: FloatArray) -> list[tuple[float, float]]:
+    return [(float(x), float(y)) for x, y in pixels]
+
+
+def _ramp(share: float) -> str:
+    return str(to_hex(colormaps["viridis"](min(max(share, 0.0), 1.0))))
+
+
+_fonts: dict[tuple[int, bool], ImageFont.FreeTypeFont] = {}
+
+
+def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The type that comes with matplotlib, so that every machine draws the same."""
+    if (size, bold) not in _fonts:
+        name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+        path = Path(mpl.get_data_path()) / "fonts" / "ttf" / name
+        _fonts[size, bold] = ImageFont.truetype(str(path), size)
+    return _fonts[size, bold]
