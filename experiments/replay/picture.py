@@ -163,7 +163,7 @@ class Painter:
             if self.mode == "w":
                 self._draw_edges(pen, panel, offset, rows, xy, time_s)
             elif self.mode == "predicted":
-                self._draw_paths(pen, panel, offset, rows, colors, time_s)
+                self._draw_paths(pen, panel, offset, rows, xy, colors, time_s)
             self._draw_agents(pen, panel, offset, rows, xy, heading, colors)
             self._draw_events(pen, panel, offset, time_s)
             image.paste(part, (int(offset[0]), int(offset[1])))
@@ -296,21 +296,21 @@ class Painter:
 
     def _draw_paths(
         self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
-        colors: list[str], time_s: float,
+        xy: FloatArray, colors: list[str], time_s: float,
     ) -> None:  # fmt: skip
-        """The likeliest future of everyone, as last predicted."""
+        """The rest of everyone's likeliest future, as last predicted."""
         made = [f for f in self.scene.forecasts if time_s - 2.0 < f.time_s <= time_s + 1e-6]
         if not made:
             return
         forecast = made[-1]
         likeliest = np.flatnonzero(np.diff(forecast.agent, prepend=-1) != 0)
         color = dict(zip(rows.tolist(), colors, strict=True))
-        begin = self._present(forecast.time_s)
-        origin = dict(zip(begin[0].tolist(), begin[1], strict=True))
+        place = dict(zip(rows.tolist(), xy, strict=True))
+        rest = forecast.ahead_s > time_s - forecast.time_s
         for m in likeliest:
             agent = int(forecast.agent[m])
-            if agent in color and agent in origin:
-                way = np.concatenate([origin[agent][None], forecast.xy[m]])
+            if agent in color:
+                way = np.concatenate([place[agent][None], forecast.xy[m, rest]])
                 pen.line(_points(panel.pixels(way) - offset), color[agent], 2 * FINE, "curve")
 
     def _draw_agents(

@@ -168,9 +168,11 @@ function line(ctx, panel, points) {
   ctx.stroke();
 }
 
-function futurePoints(m, from) {
+// The places of a future that are later than so many seconds from its instant on.
+function futurePoints(m, from, since) {
   const points = from ? [[from.x, from.y]] : [];
   for (let h = 0; h < futures.ahead.length; h++) {
+    if (futures.ahead[h] <= since) continue;
     const at = 2 * (m * futures.ahead.length + h);
     points.push([futures.xy[at], futures.xy[at + 1]]);
   }
@@ -180,11 +182,13 @@ function futurePoints(m, from) {
 function drawFutures(ctx, panel, index, color, all) {
   const told = futuresOf(index, player.time);
   if (!told) return;
-  const from = placeOf(index, told.time);
+  // Of everyone, what is left of the likeliest; of one, all from the instant of prediction on.
+  const since = all ? player.time - told.time : 0;
+  const from = all ? player.present.get(index) : placeOf(index, told.time);
   ctx.lineCap = "round"; ctx.lineJoin = "round";
   const shown = all ? told.futures.slice(0, 1) : [...told.futures].reverse();
   for (const m of shown) {
-    const p = futures.probability[m] / 255, points = futurePoints(m, from);
+    const p = futures.probability[m] / 255, points = futurePoints(m, from, since);
     if (!all) {
       ctx.strokeStyle = theme.outline; ctx.globalAlpha = 0.85; ctx.lineWidth = 3.4 + 4 * p;
       line(ctx, panel, points);
