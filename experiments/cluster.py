@@ -32,6 +32,12 @@ def _sees(folder: str) -> bool:
     return Path(folder).is_dir()
 
 
+def _answers(client: Client, ask: Callable[..., Any], *arguments: object) -> dict[str, Any]:
+    """What every worker answers, but for those that die while they are asked."""
+    found = client.run(ask, *arguments, on_error="return")
+    return {worker: said for worker, said in found.items() if not isinstance(said, OSError)}
+
+
 @contextmanager
 def _connected(address: str, folder: Path, engine: str) -> Iterator[Client]:
     """A client of a cluster whose workers can do the work."""
@@ -58,10 +64,10 @@ def _connected(address: str, folder: Path, engine: str) -> Iterator[Client]:
                     "1: start it with --nthreads 1"
                 )
         here = made_with(engine)
-        for worker, there in client.run(made_with, engine).items():
+        for worker, there in _answers(client, made_with, engine).items():
             if there != here:
                 raise InputError(f"cluster {address}: found {there} on {worker}, expected {here}")
-        for worker, seen in client.run(_sees, str(folder)).items():
+        for worker, seen in _answers(client, _sees, str(folder)).items():
             if not seen:
                 raise InputError(
                     f"{folder}: found no such folder on {worker}, expected a shared disk"

@@ -11,8 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -41,30 +40,45 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
-@contextmanager
-def workers_of(pool: str) -> Iterator[list[str]]:
-    """Options of the pool; Dask's workers live as long as the check."""
-    if pool == "loky":
-        yield ["--jobs", "2"]
-        return
-    from distributed import LocalCluster
+class Loky:
+    """Workers are the run's own children."""
 
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-    ) as cluster:
-        yield ["--cluster", cluster.scheduler_address]
+    options: tuple[str, ...] = ("--jobs", "2")
+
+    def __enter__(self) -> Loky:
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        return None
+
+    def workers(self, run: int) -> list[int]:
+        with suppress(psutil.NoSuchProcess):
+            children = psutil.Process(run).children()
+            return [c.pid for c in children if "resource_tracker" not in " ".join(c.cmdline())]
+        return []
 
 
-def workers(pool: str, run: int) -> list[int]:
-    """Processes that make episodes."""
-    with suppress(psutil.NoSuchProcess):
-        parent = psutil.Process(run if pool == "loky" else os.getpid())
-        return [
-            child.pid
-            for child in parent.children(recursive=True)
-            if child.pid != run and "resource_tracker" not in " ".join(child.cmdline())
-        ]
-    return []
+class Dask:
+    """Workers live as long as the check, and are started again when they die.
+
+    Those that are just starting are left alone: Dask gives a place up whose worker dies then.
+    """
+
+    def __enter__(self) -> Dask:
+        from distributed import LocalCluster
+
+        self._cluster = LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+        )
+        self.options = ("--cluster", self._cluster.scheduler_address)
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        self._cluster.close()
+
+    def workers(self, run: int) -> list[int]:
+        processes = [nanny.process for nanny in self._cluster.workers.values()]
+        return [p.pid for p in processes if p is not None and p.status.name == "running"]
 
 
 @pytest.mark.parametrize("pool", ["loky", "dask"])
@@ -74,14 +88,14 @@ def test_whatever_is_killed_the_bytes_are_the_same(pool: str, tmp_path: Path) ->
     rng = random.Random(pool)
     kills = {"run": 0, "worker": 0}
     finished = 0
-    with workers_of(pool) as options:
+    with Loky() if pool == "loky" else Dask() as workers:
         while sum(kills.values()) < KILLS:
             folder = tmp_path / f"data-{finished}"
-            run = subprocess.Popen([*COMMAND, *options, "--out", str(folder)])
+            run = subprocess.Popen([*COMMAND, *workers.options, "--out", str(folder)])
             try:
                 run.wait(rng.uniform(0.3, LATEST_S))
             except subprocess.TimeoutExpired:
-                victims = workers(pool, run.pid)
+                victims = workers.workers(run.pid)
                 if victims and rng.random() < 0.5:
                     with suppress(ProcessLookupError):
                         os.kill(rng.choice(victims), signal.SIGKILL)
@@ -100,6 +114,6 @@ def test_whatever_is_killed_the_bytes_are_the_same(pool: str, tmp_path: Path) ->
                 finished += 1
         folder = tmp_path / f"data-{finished}"
         time.sleep(1.0)  # workers of a run that was killed end by themselves
-        subprocess.run([*COMMAND, *options, "--out", str(folder)], check=True)
+        subprocess.run([*COMMAND, *workers.options, "--out", str(folder)], check=True)
         assert content(folder) == wanted, f"after {kills}"
     print(f"{pool}: {kills}, {finished + 1} datasets")
