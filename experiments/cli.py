@@ -288,15 +288,23 @@ def replay(
         typer.echo(path)
 
 
-@app.command(epilog="example: graphrqi report runs/demo")
+@app.command(epilog="example: graphrqi report runs/demo runs/other --out comparison.html")
 def report(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or files of rows.")
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="The page that compares several.")
+    ] = Path("comparison.html"),
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
 ) -> None:
-    """Draw the page of each run."""
-    from experiments.report import write_report
+    """Make the page of each run; of several, also one that compares them."""
+    from experiments.report import write_comparison, write_report
 
     for run in runs:
-        typer.echo(write_report(run))
+        typer.echo(write_report(run, jobs))
+    if len(runs) > 1:
+        typer.echo(write_comparison(runs, out))
 
 
 @app.command("import", epilog="example: graphrqi import recordings --format ngsim --out data")

@@ -11,13 +11,10 @@ from typing import Any, Final
 
 from experiments.generate import GenerateConfig, generate
 from experiments.prediction import metrics_tree, predict_dataset
-from experiments.report.page import (
-    Table,
-    classification_tables,
-    prediction_tables,
-    write_report,
-)
+from experiments.report.page import printed_tables, write_report
 from experiments.report.run_file import Metrics, RunFile, Score, installed, read_run, write_run
+from experiments.report.tables import Table
+from experiments.tables import write_json
 from experiments.train import train_model
 from graphrqi.methods import save_model
 from sim.dataset import open_dataset
@@ -102,6 +99,7 @@ def run_demo(
         confusion=confusion,
     )
     write_run(out, run, metrics)
+    write_json(rows, out / "prediction.json")
     return metrics
 
 
@@ -158,10 +156,8 @@ def main() -> None:
     out = Path("runs/demo")
     metrics = run_demo(out)
     page = write_report(out)
-    for scenario, table in classification_tables(metrics):
-        _print(f"classification, {scenario}", table)
-    for scenario, table in prediction_tables(metrics):
-        _print(f"prediction, {scenario}", table)
+    for title, table in printed_tables(metrics):
+        _print(f"{title}: {table.title}", table)
     for finding in read_run(out)[0].findings:
         print(f"- {finding}")
     print(f"\n{page}")

@@ -5,6 +5,7 @@ Everything is drawn at twice the size and reduced, which smooths the edges.
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,7 +19,7 @@ from PIL import Image, ImageDraw, ImageFont
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS
 from experiments.replay.scene import Scene
-from sim.atomic import whole_file
+from sim.atomic import write_whole
 from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray
 from sim.road_shapes import RoadShapes, road_shapes
 
@@ -370,8 +371,14 @@ def write_picture(scene: Scene, path: Path, mode: str, time_s: float | None = No
     if time_s is None:
         time_s = float(scene.tracks.time_s[scene.tracks.valid.sum(axis=0).argmax()])
     image = Painter(scene, mode).draw(time_s)
-    with whole_file(path) as partial:
-        image.quantize(256, dither=Image.Dither.NONE).save(partial, "PNG", optimize=True)
+    write_whole(path, png_bytes(image))
+
+
+def png_bytes(image: Image.Image) -> bytes:
+    """An image as a small PNG."""
+    out = io.BytesIO()
+    image.quantize(256, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    return out.getvalue()
 
 
 def _draw_road(

@@ -130,7 +130,8 @@ def gather(
             f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
     if labels is None:
-        beliefs, believer = believe(tracks, load_model(model)), model
+        trained = load_model(model)
+        beliefs, believer = believe(tracks, trained), trained.method.name
     else:
         beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
     forecasts: list[Forecast] = []

@@ -1,5 +1,5 @@
-"""Reports: one self-contained page per run."""
+"""Reports: one self-contained page per run or bench, and one that compares several."""
 
-from experiments.report.page import write_report
+from experiments.report.page import write_comparison, write_report
 
-__all__ = ["write_report"]
+__all__ = ["write_comparison", "write_report"]

@@ -1,216 +1,170 @@
-"""One self-contained page per run: tables with intervals, confusion matrices, one scene drawn."""
+"""Report pages: one for each run or file of rows, and one that compares several."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from behaviors.labels import BEHAVIORS, Style
-from experiments.report.figures import confusion_figure, gradient_figure, map_figure
-from experiments.report.run_file import Metrics, RunFile, Score, read_run
-from graphrqi.features.graph_spectrum import NEIGHBORS, RESET
-from graphrqi.graph import TrafficGraph
-from graphrqi.methods import Model, load_model
-from graphrqi.predict import predict
-from graphrqi.spectrum import SOLVERS
-from graphrqi.stream import BehaviorStream
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.report.cases import look_closer
+from experiments.report.run_file import Metrics
+from experiments.report.sections import LAYOUTS, Section, sections, shown_predictor
+from experiments.report.source import Source, by_kind, read_source, rows_of
+from experiments.report.tables import Table, name_of, pivot, words
+from experiments.tables import Row
 from sim.atomic import write_whole
-from sim.dataset import Dataset, open_dataset
-
-SHOWN_PREDICTOR: Final = "car-following"
-HORIZON_S: Final = 5.0
-
-_HEADINGS: Final = {
-    "weighted_accuracy": "accuracy (A_w)",
-    "majority_weighted_accuracy": "majority class",
-    "balanced_accuracy": "balanced accuracy",
-    "macro_f1": "macro-F1",
-    "style_balanced_accuracy": "style balanced accuracy",
-}
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
-    """One number of a table, in words."""
+class Confusion:
+    """A confusion matrix in per cent of each true behaviour.
 
-    value: str
-    interval: str
-    best: bool
+    Attributes:
+        title: whose answers.
+        rows: true behaviour, how many cases, and the share of each answer, 0 to 100.
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table of a page."""
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
+    title: str
+    rows: tuple[tuple[str, int, tuple[float, ...]], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """One instant of an unseen episode, drawn."""
-
-    scenario: str
-    episode: str
-    time: str
-    predictor: str
-    map: str
-    gradient: str
-    w_aggressive: str
-    w_conservative: str
-
-
-def _table(
-    columns: Mapping[str, str], rows: Mapping[str, Sequence[Score]], smaller_is_better: bool
-) -> Table:
-    """Rows of scores, the best of each column marked."""
-    choose = min if smaller_is_better else max
-    best = [choose(s.value for s in column) for column in zip(*rows.values(), strict=True)]
-    return Table(
-        tuple(columns.values()),
+def confusion_table(matrix: Sequence[Sequence[int]], title: str) -> Confusion:
+    """Rows are true behaviours, columns answers; each row adds to 100 %."""
+    return Confusion(
+        title,
         tuple(
-            (
-                name,
-                tuple(
-                    Cell(
-                        f"{s.value:.3f}",
-                        "" if s.low is None or s.high is None else f"[{s.low:.3f}, {s.high:.3f}]",
-                        s.value == best[i] and "majority" not in list(columns)[i],
-                    )
-                    for i, s in enumerate(scores)
-                ),
-            )
-            for name, scores in rows.items()
+            (str(b), sum(row), tuple(100 * count / max(sum(row), 1) for count in row))
+            for b, row in zip(BEHAVIORS, matrix, strict=True)
         ),
     )
 
 
-def classification_tables(metrics: Metrics) -> list[tuple[str, Table]]:
-    """One table per scenario, methods down, metrics across."""
-    return [
-        (
-            scenario,
-            _table(
-                _HEADINGS,
-                {name: [scores[m] for m in _HEADINGS] for name, scores in methods.items()},
-                smaller_is_better=False,
-            ),
-        )
-        for scenario, methods in metrics.classification.items()
-    ]
-
-
-def prediction_tables(metrics: Metrics) -> list[tuple[str, Table]]:
-    """One table per scenario, predictors down, errors and horizons across."""
-    tables = []
-    for scenario, predictors in metrics.prediction.items():
-        first = next(iter(predictors.values()))
-        keys = [(kind, horizon) for kind, by in first.items() for horizon in by]
-        columns = {f"{k} {h}": f"{k.removesuffix('_m').upper()} {h[:-1]} s" for k, h in keys}
-        rows = {name: [by[k][h] for k, h in keys] for name, by in predictors.items()}
-        tables.append((scenario, _table(columns, rows, smaller_is_better=True)))
-    return tables
-
-
-def draw_scene(dataset: Dataset, model: Model, scenario: str) -> Scene | None:
-    """The fullest instant of the first test episode that has a road, drawn.
+def write_report(path: Path, jobs: int | None = None) -> Path:
+    """Write the page of a run, or of a file of rows.
 
     Args:
-        dataset: labelled.
-        model: the classifier whose beliefs are drawn.
-        scenario: which scenario.
+        path: a run's folder, a folder with files of rows, or one such file.
+        jobs: processes for looking at a run's episodes; None for one per core.
 
     Returns:
-        The scene, or None if the scenario has no test episode with a road.
-    """
-    for entry in dataset.episodes("test", scenario):
-        road = dataset.road(entry)
-        if road is None:
-            continue
-        tracks = dataset.read(entry).tracks
-        steps = round(HORIZON_S / tracks.step_s)
-        last = tracks.time_s.size - steps - 1
-        first = min(round(30.0 / tracks.step_s), last)
-        if last <= 0:
-            continue
-        stop = first + int(tracks.valid[:, first : last + 1].sum(axis=0).argmax())
-        stream = BehaviorStream(model)
-        graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
-        for step in range(stop + 1):
-            frame = tracks.frame(step)
-            posterior = stream.update(frame)
-            graph = graph.observe(frame.ids, frame.xy)
-        prediction = predict(stream.history, posterior, road, HORIZON_S, SHOWN_PREDICTOR)
-        rows = np.searchsorted(tracks.ids, frame.ids)
-        codes = np.full(rows.size, -1, dtype=np.int8)
-        if tracks.behavior is not None:
-            codes = tracks.behavior[rows]
-        spectrum = SOLVERS["eigh"](graph, num_pairs=1, end="largest")
-        w = np.asarray(graph.laplacian @ spectrum.eigenvectors[:, 0])
-        here = np.abs(w)[graph.rows_of(frame.ids)]
-        return Scene(
-            scenario=scenario,
-            episode=entry.id,
-            time=f"{frame.time_s:.1f}",
-            predictor=SHOWN_PREDICTOR,
-            map=map_figure(
-                road, frame, codes, posterior, prediction,
-                tracks.xy[rows, stop + 1 : stop + 1 + steps],
-            ),
-            gradient=gradient_figure(frame, codes, graph, w),
-            w_aggressive=_mean_of(here, codes, Style.AGGRESSIVE),
-            w_conservative=_mean_of(here, codes, Style.CONSERVATIVE),
-        )  # fmt: skip
-    return None
-
-
-def _mean_of(values: Any, codes: Any, style: Style) -> str:
-    chosen = np.isin(codes, [b.code for b in BEHAVIORS if b.style is style])
-    return f"{values[chosen].mean():.3f}" if chosen.any() else "unknown"
-
-
-def write_report(folder: Path) -> Path:
-    """Draw the page of a run from what it left behind.
-
-    Args:
-        folder: a run's folder, with ``run.json`` and ``metrics.json``.
-
-    Returns:
-        The page, ``report.html`` in that folder: self-contained, it loads nothing.
+        The page: ``report.html`` in the folder, or beside the file by its name. It loads nothing;
+        a run's worst cases link to the replays beside it.
 
     Raises:
-        InputError: if a part of the run is missing or broken.
+        InputError: if a part is missing or broken.
+        OSError: if it cannot be written.
     """
-    run, metrics = read_run(folder)
-    dataset = open_dataset(folder / run.dataset)
-    model = load_model(folder / run.model)
-    scenes = [draw_scene(dataset, model, name) for name in metrics.classification]
-    environment = Environment(
-        loader=PackageLoader("experiments.report", "."),
-        autoescape=select_autoescape(["html"]),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
-    page = environment.get_template("page.html").render(
-        run=run,
-        classification=classification_tables(metrics),
-        prediction=prediction_tables(metrics),
-        confusions=_confusions(run),
-        scenes=[scene for scene in scenes if scene is not None],
-    )
-    path = folder / "report.html"
-    write_whole(path, page.encode())
-    return path
-
-
-def _confusions(run: RunFile) -> list[str]:
-    return [
-        confusion_figure(matrix, f"{method}, {scenario}: % of each true behaviour")
-        for scenario, methods in run.confusion.items()
+    source = read_source(path)
+    run = source.run
+    closer = []
+    if run is not None and (path / run.dataset).is_dir() and (path / run.model).is_dir():
+        predicted = source.rows.get("prediction", ())
+        scenarios = list(dict.fromkeys(words(r["scenario"]) for r in source.rows["classification"]))
+        name = shown_predictor(predicted) if predicted else "none"
+        closer = look_closer(path, run.dataset, run.model, scenarios, name, jobs)
+    confusions = [
+        confusion_table(matrix, f"{method}, {scenario}")
+        for scenario, methods in (run.confusion if run else {}).items()
         for method, matrix in methods.items()
     ]
+    out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
+    _write(
+        out, "page.html", source=source, run=run, sections=sections(source.rows),
+        confusions=confusions, behaviors=[str(b) for b in BEHAVIORS], closer=closer,
+        missing=[
+            (layout.title, layout.made_by)
+            for kind, layout in LAYOUTS.items()
+            if kind not in source.rows and layout.made_by
+        ],
+    )  # fmt: skip
+    return out
+
+
+def write_comparison(paths: Sequence[Path], out: Path) -> Path:
+    """Write one page that puts runs beside each other.
+
+    Args:
+        paths: at least two runs or files of rows.
+        out: the HTML file.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: if there are fewer than two, a part is broken, or they have no figure in common.
+        OSError: if it cannot be written.
+    """
+    if len(paths) < 2:
+        raise InputError(f"runs: found {len(paths)}, expected at least 2 to compare")
+    sources = [read_source(path) for path in paths]
+    names = _distinct_names(sources)
+    compared = compare(dict(zip(names, (s.rows for s in sources), strict=True)))
+    if not compared:
+        raise InputError(f"runs: found no kind of figure that {', '.join(names)} have in common")
+    _write(out, "comparison.html", names=names, sources=sources, sections=compared)
+    return out
+
+
+def _distinct_names(sources: Sequence[Source]) -> list[str]:
+    names = [source.name for source in sources]
+    return [
+        name if names.count(name) == 1 else str(source.path)
+        for name, source in zip(names, sources, strict=True)
+    ]
+
+
+def compare(runs: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[Section]:
+    """Sections whose tables have a column for each run.
+
+    Args:
+        runs: the rows of each run by kind, by the run's name.
+
+    Returns:
+        A section for each kind of measurement that at least two runs have.
+    """
+    found = []
+    for kind, layout in LAYOUTS.items():
+        having = [name for name, rows in runs.items() if kind in rows]
+        if len(having) < 2:
+            continue
+        rows: list[Row] = [
+            {**row, "run": name, "figure": name_of(str(row["metric"]))}
+            for name in having
+            for row in runs[name][kind]
+            if not layout.main or row["metric"] in layout.main
+        ]
+        hidden = {"metric", "value", "low", "high", "n", "split", "run", "figure", *layout.group}
+        keys = list(dict.fromkeys(k for r in rows for k in r if k not in hidden))
+        tables: dict[str, list[Row]] = {}
+        for row in rows:
+            values = [words(row.get(k)) for k in layout.group]
+            tables.setdefault(", ".join(v for v in values if v != "none"), []).append(row)
+        made = tuple(
+            pivot(part, title or layout.title, (*keys, "figure"), ("run",))
+            for title, part in tables.items()
+            if len({words(r["run"]) for r in part}) > 1
+        )
+        if made:
+            found.append(Section(kind, layout.title, layout.told, layout.made_by, made, (), ()))
+    return found
+
+
+def _write(out: Path, template: str, **values: Any) -> None:
+    environment = Environment(
+        loader=PackageLoader("experiments.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    write_whole(out, environment.get_template(template).render(values).encode())
+
+
+def printed_tables(metrics: Metrics) -> list[tuple[str, Table]]:
+    """The main tables of a run, for the terminal, each with its section's title."""
+    return [(s.title, table) for s in sections(by_kind(rows_of(metrics))) for table in s.tables]

@@ -66,9 +66,14 @@ def test_the_page_is_self_contained_and_tells_everything(run):
     page = (run / "report.html").read_text()
     assert not re.search(r"(src|href)\s*=\s*[\"'](https?:)?//", page)
     assert "@import" not in page
-    for word in (*METHODS, *PREDICTORS, *SCENARIOS, "macro-F1", "|w|"):
+    for word in (*METHODS, *PREDICTORS, *SCENARIOS, "macro-F1", "|w|", "Where it was most wrong"):
         assert word in page
-    assert page.count("<svg") == 2 + 2 * len(SCENARIOS)
+    assert page.count('class="confusion"') == len(SCENARIOS)
+    links = re.findall(r'href="(replays/[0-9a-f]{16}\.html)#([^"]+)"', page)
+    assert len(links) > 2 * len(SCENARIOS)
+    for name, moment in links:
+        assert (run / name).is_file()
+        assert "t=" in moment
 
 
 def test_the_report_is_made_again_alike(run):

@@ -1,0 +1,259 @@
+"""The parts of a report that rows alone give: tables and charts of each kind of measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from markupsafe import Markup
+
+from behaviors.labels import BEHAVIORS
+from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.tables import Table, name_of, pivot, words
+from experiments.tables import Row
+
+OURS: Final = "graphrqi-predict"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How rows of one kind become tables.
+
+    Attributes:
+        title: of the section.
+        group: keys of which each combination is a table.
+        down: keys that tell a table's lines apart.
+        across: keys that tell its columns apart.
+        main: metrics shown at first; empty for all. The others wait behind a heading.
+        made_by: the command that measures it.
+        told: what a reader has to know of all of it.
+    """
+
+    title: str
+    group: tuple[str, ...]
+    down: tuple[str, ...]
+    across: tuple[str, ...]
+    main: tuple[str, ...]
+    made_by: str
+    told: str
+
+
+LAYOUTS: Final[dict[str, Layout]] = {
+    "classification": Layout(
+        "Who drives how", ("protocol", "scenario"), ("method", "window_s", "variation"),
+        ("metric",),
+        ("weighted_accuracy", "majority_weighted_accuracy", "balanced_accuracy", "macro_f1",
+         "style_balanced_accuracy", "ece", "auc", "ms_per_frame"),
+        "graphrqi bench classification",
+        "Brackets are 95 % intervals over episodes; the majority class stands beside every "
+        "accuracy. Inductive: unseen episodes; transductive: windows of seen episodes too.",
+    ),
+    "real-data": Layout(
+        "Real drivers", ("dataset", "protocol", "classes"), ("method", "fold"), ("metric",),
+        ("weighted_accuracy", "majority_weighted_accuracy", "balanced_accuracy", "macro_f1",
+         "style_balanced_accuracy", "auc", "published_weighted_accuracy"),
+        "graphrqi bench real-data",
+        "Labelled recordings, one video left out at a time; fold all pools the videos.",
+    ),
+    "prediction": Layout(
+        "Where everyone goes next", ("scenario", "behavior"), ("predictor",),
+        ("metric", "horizon_s"), ("ade_m", "fde_m", "miss_rate"), "graphrqi predict",
+        "Drivers of unseen episodes, behaviours as classified, never the truth; 95 % intervals "
+        "over episodes. ADE: mean distance from what happened up to a horizon; FDE: at it.",
+    ),
+    "behaviors": Layout(
+        "Traits shown", ("engine", "scenario"), ("metric",), ("behavior",), (),
+        "graphrqi bench behaviors", "What drivers of each behaviour were seen to do.",
+    ),
+    "spectrum": Layout(
+        "What the eigenvalues cost", ("end", "graph", "kind"), ("solver",), ("metric", "d"),
+        ("cpu_ms",), "graphrqi bench spectrum",
+        "CPU time per step for the same graphs in one process, d vehicles.",
+    ),
+    "loop": Layout(
+        "While it drives", ("engine",), ("stage", "agents"), ("metric",), (),
+        "graphrqi bench loop", "Time of each stage per frame of a running simulation.",
+    ),
+    "generate": Layout(
+        "Making data", (), ("jobs",), ("metric",), (), "graphrqi bench generate",
+        "The cost of generating a dataset.",
+    ),
+    "other": Layout("Other figures", (), (), ("metric",), (), "", ""),
+}  # fmt: skip
+"""By kind of measurement, in the order of a page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A section of a page.
+
+    Attributes:
+        kind: kind of measurement.
+        title: heading.
+        told: what a reader has to know.
+        made_by: the command that measures it.
+        tables: those to see at once.
+        more: those behind a heading.
+        charts: figures.
+    """
+
+    kind: str
+    title: str
+    told: str
+    made_by: str
+    tables: tuple[Table, ...]
+    more: tuple[Table, ...]
+    charts: tuple[Markup, ...]
+
+
+def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
+    """Everything that rows give.
+
+    Args:
+        rows: by kind of measurement.
+
+    Returns:
+        A section for each kind that there is.
+    """
+    found = []
+    for kind, layout in LAYOUTS.items():
+        if kind not in rows:
+            continue
+        tables, more = _tables(rows[kind], layout)
+        charts = tuple(chart for chart in _charts(kind, rows[kind]) if chart)
+        found.append(Section(kind, layout.title, layout.told, layout.made_by, tables, more, charts))
+    return found
+
+
+_FIGURE: Final = frozenset({"metric", "value", "low", "high", "n", "split"})
+
+
+def grouped(rows: Sequence[Row], keys: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
+    """Rows by the values of some keys, in order of appearance."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(words(row.get(k)) for k in keys), []).append(row)
+    return groups
+
+
+def _tables(rows: Sequence[Row], layout: Layout) -> tuple[tuple[Table, ...], tuple[Table, ...]]:
+    """The main tables, and those with everything else."""
+    down = (
+        layout.down
+        or tuple(dict.fromkeys(k for r in rows for k in r if k not in _FIGURE))
+        or ("metric",)
+    )
+    known = {*layout.group, *down, *layout.across, *_FIGURE}
+    rest = tuple(dict.fromkeys(k for r in rows for k in r if k not in known))
+    main: list[Table] = []
+    more: list[Table] = []
+    for values, group in grouped(rows, layout.group).items():
+        title = ", ".join(value for value in values if value != "none") or layout.title
+        first = [r for r in group if _is_main(r, layout)]
+        others = [r for r in group if not _is_main(r, layout)]
+        if first:
+            target = main if _is_first(first[0]) else more
+            target.append(pivot(first, title, (*down, *rest), layout.across))
+        if others:
+            more.append(pivot(others, f"{title}: other figures", (*down, *rest), layout.across))
+    return tuple(main), tuple(more)
+
+
+def _is_main(row: Row, layout: Layout) -> bool:
+    plain = not row.get("variation") or row.get("variation") == "none"
+    return plain and (not layout.main or row["metric"] in layout.main)
+
+
+def _is_first(row: Row) -> bool:
+    """Whether a group is what most readers look for: everyone, on unseen episodes."""
+    behavior = row.get("behavior", "all")
+    return behavior in ("all", *map(str, BEHAVIORS)) and (
+        "predictor" not in row or behavior == "all"
+    )
+
+
+def _charts(kind: str, rows: Sequence[Row]) -> list[Markup]:
+    if kind == "prediction":
+        return _prediction_charts(rows)
+    if kind == "classification":
+        return _early_charts(rows)
+    return _runtime_charts(rows) if kind == "spectrum" else []
+
+
+def line_of(name: str, rows: Sequence[Row], key: str) -> Line:
+    """A line through rows, by one of their keys."""
+    points = [
+        Point(_number(r[key]), _number(r["value"]), _maybe(r.get("low")), _maybe(r.get("high")))
+        for r in rows
+    ]
+    return Line(name, tuple(sorted(points, key=lambda p: p.x)))
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+def _maybe(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _prediction_charts(rows: Sequence[Row]) -> list[Markup]:
+    """Error against horizon: of every predictor, and of one for each behaviour."""
+    charts = []
+    errors = [r for r in rows if r["metric"] == "ade_m"]
+    farthest = max((_number(r["horizon_s"]) for r in errors), default=5.0)
+    x, y = Axis("horizon, s", high=farthest), Axis("ADE, m")
+    for (scenario,), here in grouped(errors, ["scenario"]).items():
+        everyone = grouped([r for r in here if r["behavior"] == "all"], ["predictor"])
+        lines = [line_of(name, part, "horizon_s") for (name,), part in everyone.items()]
+        charts.append(line_chart(f"{scenario}: error against horizon", x, y, lines))
+        shown = shown_predictor(here)
+        each = grouped([r for r in here if r["predictor"] == shown], ["behavior"])
+        lines = [
+            line_of(str(b), each[(str(b),)], "horizon_s") for b in BEHAVIORS if (str(b),) in each
+        ]
+        title = f"{scenario}: error of {shown} against horizon, by true behaviour"
+        charts.append(line_chart(title, x, y, lines))
+    return charts
+
+
+def shown_predictor(rows: Sequence[Row]) -> str:
+    """Whose errors are looked at closely: the project's own predictor, or the last compared."""
+    names = [words(r["predictor"]) for r in rows]
+    return OURS if OURS in names else names[-1]
+
+
+def _early_charts(rows: Sequence[Row]) -> list[Markup]:
+    """How good an answer is after how much watching."""
+    charts = []
+    wanted = [
+        r for r in rows
+        if r["metric"] == "balanced_accuracy" and r.get("window_s") is not None
+        and r["protocol"] == "inductive" and not r.get("variation")
+    ]  # fmt: skip
+    for (scenario,), here in grouped(wanted, ["scenario"]).items():
+        lines = [
+            line_of(name, part, "window_s")
+            for (name,), part in grouped(here, ["method"]).items()
+            if len(part) > 1
+        ]
+        title = f"{scenario}: {name_of('balanced_accuracy')} against seconds watched"
+        charts.append(
+            line_chart(title, Axis("watched, s"), Axis("balanced accuracy", low=0.0), lines)
+        )
+    return charts
+
+
+def _runtime_charts(rows: Sequence[Row]) -> list[Markup]:
+    """CPU time against size, both in powers of ten."""
+    charts = []
+    wanted = [r for r in rows if r["metric"] == "cpu_ms" and r.get("d") is not None]
+    for (end, graph, kind), here in grouped(wanted, ["end", "graph", "kind"]).items():
+        lines = [line_of(name, part, "d") for (name,), part in grouped(here, ["solver"]).items()]
+        title = f"CPU time per step against vehicles: {end} eigenpairs, {graph}, {kind} graph"
+        charts.append(
+            line_chart(title, Axis("vehicles d", log=True), Axis("CPU, ms", log=True), lines)
+        )
+    return charts

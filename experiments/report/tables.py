@@ -1,0 +1,202 @@
+"""Rows as tables for people: a line per thing compared, a column per figure, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from experiments.tables import Row
+
+_FIGURE: Final = frozenset({"metric", "value", "low", "high", "n", "split"})
+
+_NAMES: Final = {
+    "weighted_accuracy": "accuracy (A_w)",
+    "majority_weighted_accuracy": "majority class",
+    "balanced_accuracy": "balanced accuracy",
+    "macro_f1": "macro-F1",
+    "style_balanced_accuracy": "style balanced accuracy",
+    "ece": "calibration error",
+    "ade_m": "ADE, m",
+    "fde_m": "FDE, m",
+    "min_ade_m": "min ADE, m",
+    "min_fde_m": "min FDE, m",
+    "rmse_m": "RMSE, m",
+    "miss_rate": "miss rate",
+    "coverage_90": "in 90 % set",
+    "cpu_ms": "CPU, ms",
+    "ms_per_frame": "ms per frame",
+    "agent_steps_per_s": "agent-steps/s",
+}
+"""How figures are called on a page; others by their own name."""
+
+_LESS: Final = frozenset(
+    {
+        "ade_m", "fde_m", "min_ade_m", "min_fde_m", "rmse_m", "miss_rate", "brier_min_fde_m", "nll",
+        "collisions", "off_road", "ece", "cpu_ms", "wall_ms", "ms_per_frame", "ms_median", "ms_p99",
+        "bytes_per_agent_step",
+    }
+)  # fmt: skip
+"""Figures of which less is better."""
+
+_MORE: Final = frozenset(
+    {
+        "weighted_accuracy", "balanced_accuracy", "macro_f1", "style_balanced_accuracy", "auc",
+        "yield_auc", "agent_steps_per_s", "speedup", "real_time_factor",
+    }
+)  # fmt: skip
+"""Figures of which more is better."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One figure of a table.
+
+    Attributes:
+        value: in words; "" where it was not measured.
+        interval: its 95 % interval in words, "" where there is none.
+        best: whether it is the best of its column.
+    """
+
+    value: str
+    interval: str = ""
+    best: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of a page.
+
+    Attributes:
+        title: what it is about.
+        caption: what all of its figures have in common.
+        corner: what its lines are.
+        columns: headings.
+        rows: each line's name and its cells.
+    """
+
+    title: str
+    caption: str
+    corner: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
+
+
+def name_of(metric: str) -> str:
+    """What a figure is called on a page."""
+    return _NAMES.get(metric, metric.replace("_", " "))
+
+
+def words(value: object) -> str:
+    """A value of a key in words."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "none" if value is None or value == "" else str(value)
+
+
+def number(value: float) -> str:
+    """A figure with three or four digits that mean something.
+
+    Example:
+        >>> [number(x) for x in (0.51249, 12.3456, 1234.5, 0.00012, 3, 0.0)]
+        ['0.512', '12.35', '1234', '0.00012', '3', '0']
+    """
+    if value == 0 or (abs(value) < 1e15 and value == int(value)):
+        return str(int(value))
+    if abs(value) >= 100:
+        return f"{value:.0f}"
+    if abs(value) >= 10:
+        return f"{value:.2f}"
+    return f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.2g}"
+
+
+def pivot(
+    rows: Sequence[Row], title: str, down: Sequence[str], across: Sequence[str], caption: str = ""
+) -> Table:
+    """One table of rows.
+
+    Args:
+        rows: what to show; all other keys are the same in all of them.
+        title: what the table is about.
+        down: keys that tell its lines apart.
+        across: keys that tell its columns apart; may hold ``metric``.
+        caption: what to say above it; how many cases the figures rest on is added.
+
+    Returns:
+        The table. A key that is the same in all lines is not repeated in each.
+    """
+    varying = [k for k in down if len({words(r.get(k)) for r in rows}) > 1] or list(down[:1])
+    lines = list(dict.fromkeys(tuple(_line(k, r) for k in varying) for r in rows))
+    heads = _in_order([tuple(_head(k, r) for k in across) for r in rows])
+    found = {
+        (tuple(_line(k, r) for k in varying), tuple(_head(k, r) for k in across)): r for r in rows
+    }
+    best: dict[tuple[str, ...], float] = {}
+    for head in heads:
+        column = [found[line, head] for line in lines if (line, head) in found]
+        metric = str(column[0]["metric"])
+        fair = [_value(r) for r in column if "majority" not in words(r.get("method"))]
+        if len(fair) > 1 and metric in _LESS | _MORE:
+            best[head] = min(fair) if metric in _LESS else max(fair)
+    body = tuple(
+        (
+            ", ".join(line),
+            tuple(
+                _cell(found[line, head], best.get(head)) if (line, head) in found else Cell("")
+                for head in heads
+            ),
+        )
+        for line in lines
+    )
+    counts = [int(n) for r in rows if isinstance(n := r.get("n"), int)]
+    many = (
+        ""
+        if not counts
+        else f"n = {min(counts)}" + (f" to {max(counts)}" if max(counts) > min(counts) else "")
+    )
+    split = {str(r["split"]) for r in rows if r.get("split")}
+    said = [caption, *(f"split: {s}" for s in sorted(split)), many]
+    return Table(
+        title,
+        "; ".join(part for part in said if part),
+        ", ".join(k.replace("_", " ").removesuffix(" s") for k in varying),
+        tuple(" ".join(part for part in head if part) for head in heads),
+        body,
+    )
+
+
+def _in_order(heads: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Each heading once, by its first part, then the second, as they first appear."""
+    places = [list(dict.fromkeys(part)) for part in zip(*heads, strict=True)]
+    return sorted(
+        set(heads), key=lambda head: [p.index(w) for p, w in zip(places, head, strict=True)]
+    )
+
+
+def _line(key: str, row: Row) -> str:
+    value = row.get(key)
+    return name_of(str(value)) if key == "metric" else words(value)
+
+
+def _head(key: str, row: Row) -> str:
+    value = row.get(key)
+    if key == "metric":
+        return name_of(str(value))
+    if key == "horizon_s":
+        return f"at {words(value)} s"
+    return f"{key} {words(value)}" if key == "d" else words(value)
+
+
+def _value(row: Row) -> float:
+    value = row["value"]
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+def _cell(row: Row, best: float | None) -> Cell:
+    value, low, high = _value(row), row.get("low"), row.get("high")
+    interval = ""
+    if isinstance(low, int | float) and isinstance(high, int | float):
+        interval = f"{number(float(low))} – {number(float(high))}"
+    fair = "majority" not in words(row.get("method"))
+    return Cell(number(value), interval, fair and best is not None and value == best)
