@@ -33,7 +33,8 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,12 @@ MAX_SWEEPS_COLD = 150
 """Factorisations before falling back (our choice)."""
 DENSE_UP_TO = 3000
 """Vehicles up to which the fallback is dense: 9e6 doubles (our choice)."""
+MAX_WORK = 1e9
+"""Multiplications of a factorisation above which none is tried (our choice: a few seconds)."""
+LIVELY_FROM = 600
+"""Vertices from which the part where the vectors are is treated first (measured)."""
+STALE = 1.15
+"""Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
 EXTRA = 8
 """Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
 
@@ -76,9 +83,13 @@ class Found:
 
     Attributes:
         vectors: (d, m) all eigenvectors found, m >= k, without the null space.
+        order: (d,) elimination order to use again, or None to find a new one.
+        fill: entries of the factor to one of the matrix when that order was found.
     """
 
     vectors: Floats
+    order: NDArray[np.int32] | None = None
+    fill: float = 0.0
 
 
 def solve(
@@ -124,33 +135,84 @@ def solve(
         return answer(graph, values[chosen], kept, end, tol, True, "", Found(kept))
     if DENSE_SHARE * num_pairs >= d:
         return _dense(graph, num_pairs, end, tol, nonzero, "")
+    warm = previous if previous is not None and previous.end == end else None
+    found = _track(graph, num_pairs, end, warm, tol, nonzero)
+    if found is None and warm is not None:
+        again = _track(graph, num_pairs, end, None, tol, nonzero)
+        if again is not None:
+            found = replace(again, note="started again without the earlier vectors")
+    if found is None:
+        found = _fall_back(graph, num_pairs, end, tol, nonzero)
+    return found
+
+
+def _track(
+    graph: TrafficGraph,
+    num_pairs: int,
+    end: End,
+    previous: Spectrum | None,
+    tol: float,
+    nonzero: bool,
+) -> Spectrum | None:
+    """Analyse a Laplacian, track its pairs, and put the answer together; None if given up."""
     from graphrqi.spectrum import tracking
 
-    note = ""
-    warm = previous if previous is not None and previous.end == end else None
-    limit = MAX_SWEEPS_COLD if warm is None else MAX_SWEEPS
-    status, values, residuals, vectors, found, departure = tracking.certified_pairs(
-        graph.indptr, graph.indices, graph.values, *_start(graph, warm),
-        num_pairs, end == "smallest", nonzero, tol, limit, DENSE_SHARE, EXTRA,
-    )  # fmt: skip
-    if status == tracking.GAVE_UP and warm is not None:
-        note = "started again without the earlier vectors"
-        status, values, residuals, vectors, found, departure = tracking.certified_pairs(
-            graph.indptr, graph.indices, graph.values, *_start(graph, None),
-            num_pairs, end == "smallest", nonzero, tol, MAX_SWEEPS_COLD, DENSE_SHARE, EXTRA,
-        )  # fmt: skip
-    if status == tracking.LEFT_TO_DENSE:
+    d = graph.ids.size
+    matrix = (graph.indptr, graph.indices, graph.values)
+    start = _start(graph, previous)
+    analysis = tracking.analyse(*matrix, start.order)
+    smallest = end == "smallest"
+    zeros, k = 0, num_pairs
+    if smallest and not nonzero:
+        zeros = min(analysis.components, num_pairs)
+        k = num_pairs - zeros
+    elif smallest or nonzero:
+        k = min(k, d - analysis.components)
+    if DENSE_SHARE * k >= d - analysis.components:
         return _dense(graph, num_pairs, end, tol, nonzero, "")
-    if status == tracking.GAVE_UP:
-        return _fall_back(graph, num_pairs, end, tol, nonzero)
-    if departure > 1e-12:  # Newton's step to the nearest orthonormal block squares it
-        gram = vectors.T @ vectors
-        vectors = 1.5 * vectors - 0.5 * vectors @ gram
-        measured = answer(graph, values, vectors, end, tol, True, note, Found(vectors))
-        if measured.certified:
-            return measured
-        return _fall_back(graph, num_pairs, end, tol, nonzero)
-    return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, note, Found(found))
+    if analysis.work > MAX_WORK:
+        return None
+    null = null_space(graph)[:, :zeros] if zeros else np.empty((d, 0))
+    if k == 0:
+        carried = Found(np.empty((d, 0)))
+        return answer(graph, np.zeros(zeros), null, end, tol, True, "", carried)
+    fill = (analysis.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
+    first_fill = fill if start.order is None else start.fill
+    order = analysis.order if fill <= STALE * first_fill else None
+    scale = max(1.0, float(analysis.diagonal.max()))
+    low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
+    if smallest:
+        low, high = -high, 0.0
+        analysis = analysis._replace(entries=-analysis.entries, diagonal=-analysis.diagonal)
+    warm = start.vectors
+    changed = tracking.changed_rows(
+        start.rows, start.indptr, start.indices, start.values, *matrix, previous is not None
+    )
+    if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
+        warm = tracking.track_lively(*matrix, analysis.order, warm, changed, k, scale, tol, EXTRA)
+    certified, values, residuals, found = tracking.track(
+        *analysis[:-1], smallest, warm, changed, k, scale, tol, low, high,
+        MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA,
+    )  # fmt: skip
+    if not certified:
+        return None
+    gram = found.T @ found
+    values, residuals = values[:k], residuals[:k]
+    if smallest:
+        values = -values
+    if np.abs(gram - np.eye(len(gram))).max() > 1e-12:
+        # Newton's step to the nearest orthonormal block squares the departure
+        found = 1.5 * found - 0.5 * found @ gram
+        residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
+        if residuals.max() > tol * scale:
+            return None
+    vectors = found[:, :k].copy()
+    if zeros:
+        values = np.concatenate([np.zeros(zeros), values])
+        residuals = np.concatenate([np.zeros(zeros), residuals])
+        vectors = np.hstack([null, vectors])
+    carried = Found(found, order, first_fill)
+    return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
 
 
 def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
@@ -166,7 +228,7 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
         equal the last one, a count just before it will do. A rounding error in the count that
         could matter leaves the answer uncertified.
     """
-    from graphrqi.spectrum import factorization
+    from graphrqi.spectrum import factorization, tracking
 
     graph = spectrum.graph
     values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
@@ -175,11 +237,9 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     if not measured.certified or k == 0:
         return measured
     scale = max(1.0, lambda_max_floor(graph))
-    order, label, count = factorization.order_rows(graph.indptr, graph.indices)
-    starts, rows, entries, diagonal, _ = factorization.factor_pattern(
-        graph.indptr, graph.indices, graph.values, order
-    )
-    target = factorization.update_targets(starts, rows)
+    analysis = tracking.analyse(graph.indptr, graph.indices, graph.values)
+    if analysis.work > MAX_WORK:
+        return replace(measured, certified=False)
     away = -1.0 if spectrum.end == "largest" else 1.0
     floor = 1e-13 * scale
     delta = min(tol * scale, max(floor, 1e-2 * abs(values[-1])))
@@ -187,13 +247,13 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     shifts = (values[-1] + away * steps)[None, :]
     above, growth = np.empty((1, 8)), np.empty((1, 8))
     factorization.factor_and_solve(
-        starts, rows, target, entries, diagonal, shifts, 1e-15 * scale, 0,
-        np.empty((rows.size, 8)), np.empty((d, 8)), np.zeros((d, 8)), above, growth,
+        *analysis[1:8], shifts, 1e-15 * scale, 0, np.empty((analysis.rows.size, 8)),
+        np.empty((d, 8)), np.empty((d, 8)), np.zeros((d, 8)), above, growth,
     )  # fmt: skip
     zeros = 0
     if spectrum.end == "smallest":
         has_null = np.abs(vectors.T @ null_space(graph)).max(initial=0.0) > 0.5
-        zeros = 0 if has_null else count
+        zeros = 0 if has_null else analysis.components
     complete = False
     for s, n, g in zip(shifts[0], above[0], growth[0], strict=True):
         error = 4.0 * 2.2e-16 * g
@@ -206,43 +266,48 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
             same = int((values < s).sum()) == d - int(n) - zeros
             beyond = s - error >= values[-1] - delta
         complete = complete or (same and bool(beyond))
-    del label
     return answer(
         graph, values, vectors, spectrum.end, tol, complete, spectrum.note, spectrum.carried
     )
 
 
-def _start(
-    graph: TrafficGraph, previous: Spectrum | None
-) -> tuple[
-    Floats,
-    NDArray[np.int64],
-    NDArray[np.int32],
-    NDArray[np.int32],
-    Floats,
-]:
+class _Start(NamedTuple):
     """What the tracker starts from.
 
-    Args:
-        graph: d vehicles.
-        previous: earlier answer, or None.
-
-    Returns:
-        (d, m) vectors; (d,) row in the earlier graph, empty if the rows are the same; and the
-        earlier Laplacian's row starts, columns and values.
+    Attributes:
+        vectors: (d, m) earlier vectors, by row of the new graph; m may be 0.
+        rows: (d,) row in the earlier graph, -1 for none; empty if the rows are the same.
+        indptr: the earlier Laplacian: row starts,
+        indices: columns,
+        values: and values.
+        order: (d,) its elimination order, None if it will not do,
+        fill: and its fill.
     """
+
+    vectors: Floats
+    rows: NDArray[np.int64]
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    values: Floats
+    order: NDArray[np.int32] | None
+    fill: float
+
+
+def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
+    matrix = (graph.indptr, graph.indices, graph.values)
     if previous is None:
-        return np.empty((graph.ids.size, 0)), _SAME_ROWS, graph.indptr, graph.indices, graph.values
+        return _Start(np.empty((graph.ids.size, 0)), _SAME_ROWS, *matrix, None, 0.0)
     before = previous.graph
     carried = previous.carried
-    vectors = carried.vectors if isinstance(carried, Found) else previous.eigenvectors
-    rows = _SAME_ROWS
+    if not isinstance(carried, Found):
+        carried = Found(previous.eigenvectors)
+    vectors, rows, order = carried.vectors, _SAME_ROWS, carried.order
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
         vectors = carry_rows(previous, graph, vectors)
-        rows = rows_before(before, graph)
+        rows, order = rows_before(before, graph), None
     # one memory layout, writable: for any other the kernel would be compiled anew
     vectors = np.require(vectors, np.float64, ["C", "W"])
-    return vectors, rows, before.indptr, before.indices, before.values
+    return _Start(vectors, rows, before.indptr, before.indices, before.values, order, carried.fill)
 
 
 def rows_before(before: TrafficGraph, graph: TrafficGraph) -> NDArray[np.int64]:

@@ -1,10 +1,9 @@
 """Kernels: L D L^T of a sparse symmetric matrix at eight shifts at once.
 
 The symbolic part orders the graph (reverse Cuthill-McKee, per component), builds the elimination
-tree and the pattern of the factor, and lists where every update of the factorisation lands. The
-numeric part then streams through that list; every number is eight numbers, one per shift, so that
-it runs in vector registers. The signs of the pivots count the eigenvalues below each shift
-(Sylvester's law of inertia).
+tree and the pattern of the factor, by columns and by rows. In the numeric part every number is
+eight numbers, one per shift, so that it runs in vector registers. The signs of the pivots count
+the eigenvalues below each shift (Sylvester's law of inertia).
 
 References:
     Cuthill, McKee (1969), Proc. 24th ACM Conf., 157-172.
@@ -27,6 +26,7 @@ from graphrqi.spectrum.lanes import (
     less,
     load,
     minus,
+    more,
     plus,
     positive,
     spread,
@@ -123,7 +123,7 @@ def order_rows(indptr: Ints, indices: Ints) -> tuple[Ints, Ints, int]:
 @compiled
 def factor_pattern(
     indptr: Ints, indices: Ints, values: Floats, order: Ints
-) -> tuple[Ints, Ints, Floats, Floats, float]:
+) -> tuple[Ints, Ints, Ints, Ints, Ints, Floats, Floats, Ints, int, float]:
     """Pattern of the factor, with the matrix's entries in it.
 
     Args:
@@ -133,95 +133,94 @@ def factor_pattern(
         order: (d,) row at each place.
 
     Returns:
-        (d + 1,) column starts, (f,) rows (places, ascending in each column), (f,) entries of the
-        matrix there (0 where it fills in), (d,) its diagonal, and the number of multiplications
-        a factorisation takes.
+        (d + 1,) column starts and (f,) rows of the factor (places, ascending in each column);
+        (d + 1,) row starts, (f,) columns by row and (f,) where those entries are in the columns;
+        (f,) entries of the matrix (0 where it fills in) and (d,) its diagonal; (d,) connected
+        component of each row, numbered by their first rows, and how many there are; and the
+        number of multiplications a factorisation takes.
     """
     d = order.size
     place = np.empty(d, np.int32)
+    low_starts = np.empty(d + 1, np.int32)
+    low_starts[0] = 0
     for k in range(d):
-        place[order[k]] = k
-    parent = np.empty(d, np.int32)
-    mark = np.empty(d, np.int32)
-    starts = np.zeros(d + 1, np.int32)
+        r = order[k]
+        place[r] = k
+        low_starts[k + 1] = low_starts[k] + indptr[r + 1] - indptr[r]
+    # The lower triangle by rows, columns ascending. The loop does not branch: an entry that is
+    # not below the diagonal is overwritten by the next one.
+    low, low_values = np.empty(indices.size, np.int32), np.empty(indices.size, np.float64)
+    diagonal = np.empty(d, np.float64)
+    low_ends = low_starts.copy()
     for k in range(d):
-        parent[k] = -1
-        mark[k] = k
         r = order[k]
         for p in range(indptr[r], indptr[r + 1]):
             i = place[indices[p]]
-            if i < k:
-                while mark[i] != k:
-                    mark[i] = k
-                    starts[i + 1] += 1
-                    if parent[i] < 0:
-                        parent[i] = k
-                    i = parent[i]
+            t = low_ends[i]
+            low[t], low_values[t] = k, values[p]
+            low_ends[i] = t + (i > k)
+            if i == k:
+                diagonal[k] = values[p]
+    # The columns of every row of the factor, along the elimination tree.
+    parent, mark = np.empty(d, np.int32), np.empty(d, np.int32)
+    starts, row_starts = np.zeros(d + 1, np.int32), np.empty(d + 1, np.int32)
+    columns = np.empty(2 * indices.size, np.int32)
+    filled = 0
+    for k in range(d):
+        parent[k] = -1
+        mark[k] = k
+        row_starts[k] = filled
+        if filled + k > columns.size:
+            longer = np.empty(2 * columns.size + k, np.int32)
+            for p in range(filled):
+                longer[p] = columns[p]
+            columns = longer
+        for p in range(low_starts[k], low_ends[k]):
+            i = low[p]
+            while mark[i] != k:
+                mark[i] = k
+                columns[filled] = i
+                filled += 1
+                starts[i + 1] += 1
+                if parent[i] < 0:
+                    parent[i] = k
+                i = parent[i]
+    row_starts[d] = filled
     work = 0.0
     for k in range(d):
         work += 0.5 * starts[k + 1] * (starts[k + 1] + 3.0)
         starts[k + 1] += starts[k]
-    rows = np.empty(starts[d], np.int32)
-    entries = np.zeros(starts[d], np.float64)
-    diagonal = np.empty(d, np.float64)
-    free = starts.copy()
+    rows, entries = np.empty(filled, np.int32), np.zeros(filled, np.float64)
+    spots, free = np.empty(filled, np.int32), starts.copy()
     for k in range(d):
-        mark[k] = -1
-    for k in range(d):
-        mark[k] = k
-        r = order[k]
-        for p in range(indptr[r], indptr[r + 1]):
-            i = place[indices[p]]
-            if i == k:
-                diagonal[k] = values[p]
-            if i < k:
-                j = i
-                while mark[j] != k:
-                    mark[j] = k
-                    rows[free[j]] = k
-                    free[j] += 1
-                    j = parent[j]
-                entries[free[i] - 1] = values[p]
-    return starts, rows, entries, diagonal, work
-
-
-@compiled
-def update_targets(starts: Ints, rows: Ints) -> Ints:
-    """Where each update of the factorisation lands.
-
-    Args:
-        starts: (d + 1,) column starts of the factor.
-        rows: its rows.
-
-    Returns:
-        For every column, for every pair of its entries p < q in turn, the position of entry
-        (row of q, row of p) in the factor.
-    """
-    d = starts.size - 1
-    total = 0
-    for j in range(d):
-        c = starts[j + 1] - starts[j]
-        total += c * (c - 1) // 2
-    target = np.empty(total, np.int32)
-    t = 0
-    for j in range(d):
-        end = starts[j + 1]
-        for p in range(starts[j], end - 1):
-            m = starts[rows[p]]
-            for q in range(p + 1, end):
-                while rows[m] != rows[q]:
-                    m += 1
-                target[t] = m
-                t += 1
-                m += 1
-    return target
+        for p in range(row_starts[k], row_starts[k + 1]):
+            j = columns[p]
+            spots[p] = free[j]
+            rows[free[j]] = k
+            free[j] += 1
+        for p in range(low_starts[k], low_ends[k]):
+            entries[free[low[p]] - 1] = low_values[p]
+    label = np.empty(d, np.int32)
+    count = 0
+    for k in range(d - 1, -1, -1):  # components: the roots of the elimination forest
+        mark[k] = k if parent[k] < 0 else mark[parent[k]]
+        free[k] = -1
+    for i in range(d):
+        root = mark[place[i]]
+        if free[root] < 0:
+            free[root] = count
+            count += 1
+        label[i] = free[root]
+    return starts, rows, row_starts, columns, spots, entries, diagonal, label, count, work
 
 
 @compiled
 def factor_and_solve(
     starts: Ints,
     rows: Ints,
-    target: Ints,
+    row_starts: Ints,
+    columns: Ints,
+    spots: Ints,
     entries: Floats,
     diagonal: Floats,
     shifts: Floats,
@@ -229,70 +228,75 @@ def factor_and_solve(
     solves: int,
     factor: Floats,
     pivots: Floats,
+    column: Floats,
     x: Floats,
     above: Floats,
     growth: Floats,
 ) -> None:
     """Factorise M - s I for eight shifts s and solve one system with each.
 
+    Column by column: what the earlier columns subtract from one is gathered in a dense column.
+
     Args:
         starts: (d + 1,) column starts of the factor.
         rows: (f,) its rows.
-        target: :func:`update_targets`.
+        row_starts: (d + 1,) its row starts.
+        columns: (f,) its columns, by row.
+        spots: (f,) where those entries are in the columns.
         entries: (f,) the matrix's entries.
         diagonal: (d,) its diagonal.
         shifts: (1, 8).
         tiny: size of the smallest pivot allowed.
         solves: how often each inverse is applied; 0 only counts.
-        factor: (f, 8) room for the factor.
+        factor: (f, 8) room for the factor times its pivots.
         pivots: (d, 8) room for the inverse pivots.
+        column: (d, 8) room for a dense column.
         x: (d, 8) right-hand sides in elimination order; the solutions afterwards.
         above: (1, 8) afterwards the number of eigenvalues above each shift.
         growth: (1, 8) afterwards the largest pivot: times 2.2e-16, the size of the error.
     """
     d = diagonal.size
-    for p in range(entries.size):
-        store(factor, p, spread(entries[p]))
     shift = load(shifts, 0)
     number, size = spread(0.0), spread(0.0)
-    for j in range(d):
-        store(pivots, j, minus(spread(diagonal[j]), shift))
-    t = 0
-    for j in range(d):
-        b = load(pivots, j)
+    for i in range(d):
+        for m in range(starts[i], starts[i + 1]):
+            store(column, rows[m], spread(entries[m]))
+        b = minus(spread(diagonal[i]), shift)
+        xi = load(x, i)
+        for p in range(row_starts[i], row_starts[i + 1]):
+            j, m = columns[p], spots[p]
+            w = load(factor, m)
+            ratio = times(w, load(pivots, j))
+            b = less(b, w, ratio)
+            if solves > 0:
+                xi = less(xi, w, load(x, j))
+            for q in range(m + 1, starts[j + 1]):
+                store(column, rows[q], less(load(column, rows[q]), load(factor, q), ratio))
         if any_below(b, tiny):
+            store(pivots, i, b)
             for q in range(8):
-                if abs(pivots[j, q]) < tiny:
-                    pivots[j, q] = -tiny if pivots[j, q] < 0.0 else tiny
-            b = load(pivots, j)
+                if abs(pivots[i, q]) < tiny:
+                    pivots[i, q] = -tiny if pivots[i, q] < 0.0 else tiny
+            b = load(pivots, i)
         number = plus(number, 1.0, positive(b))
         size = larger(size, b)
         r = inverse(b)
-        store(pivots, j, r)
-        end = starts[j + 1]
-        xj = load(x, j)
-        for p in range(starts[j], end):
-            w = load(factor, p)
-            ratio = times(w, r)
-            store(factor, p, ratio)
-            i = rows[p]
-            store(pivots, i, less(load(pivots, i), ratio, w))
-            if solves > 0:
-                store(x, i, less(load(x, i), ratio, xj))
-            for q in range(p + 1, end):
-                m = target[t]
-                t += 1
-                store(factor, m, less(load(factor, m), load(factor, q), ratio))
+        store(pivots, i, r)
+        for m in range(starts[i], starts[i + 1]):
+            store(factor, m, load(column, rows[m]))
+        if solves > 0:
+            store(x, i, times(xi, r))
     store(above, 0, number)
     store(growth, 0, size)
     for again in range(solves):
         if again:
-            for j in range(d):
-                xj = load(x, j)
-                for p in range(starts[j], starts[j + 1]):
-                    store(x, rows[p], less(load(x, rows[p]), load(factor, p), xj))
+            for i in range(d):
+                xi = load(x, i)
+                for p in range(row_starts[i], row_starts[i + 1]):
+                    xi = less(xi, load(factor, spots[p]), load(x, columns[p]))
+                store(x, i, times(xi, load(pivots, i)))
         for j in range(d - 1, -1, -1):
-            y = times(load(x, j), load(pivots, j))
+            sum_j = spread(0.0)
             for p in range(starts[j], starts[j + 1]):
-                y = less(y, load(factor, p), load(x, rows[p]))
-            store(x, j, y)
+                sum_j = more(sum_j, load(factor, p), load(x, rows[p]))
+            store(x, j, less(load(x, j), sum_j, load(pivots, j)))

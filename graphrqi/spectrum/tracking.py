@@ -7,7 +7,7 @@ the wanted eigenvalues are always the largest of M. See :mod:`graphrqi.spectrum.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from graphrqi.spectrum.factorization import (
     factor_and_solve,
     factor_pattern,
     order_rows,
-    update_targets,
 )
 from graphrqi.spectrum.lanes import less, load, more, plus, spread, store
 
@@ -37,6 +36,12 @@ SPARK = 0.05
 part in those rows, unless it was one of the old matrix already (our choice)."""
 MAX_WARM = 32
 """Vectors to start from that are used (our choice)."""
+NEGLIGIBLE = 1e-9
+"""Size of a vector's entries that do not matter for residuals of 1e-8 (our choice)."""
+AROUND = 6
+"""Edges around a vertex that may have a new vector (our choice; smaller by some 5 an edge)."""
+MAX_LIVELY_SWEEPS = 12
+"""Factorisations of the part before it is left to the whole (our choice)."""
 MAX_POINTS = 400
 CHUNK = 128
 """Rows of eight numbers treated at a time: 8 kB, a quarter of a small first-level cache."""
@@ -47,7 +52,6 @@ THETA, RES, HOME = 0, 1, 2  # rows of `number`: Ritz value, residual, shift it c
 STATUS, AGE, USE = 0, 1, 2  # rows of `mark`
 FREE, CANDIDATE, FOUND, NEW = 0, 1, 2, 3  # values of STATUS
 COUNT, IDLE = -1, -2  # values of `lane` that are no vector
-TRACKED, LEFT_TO_DENSE, GAVE_UP = 0, 1, 2  # what came of it
 
 
 @compiled
@@ -644,7 +648,9 @@ def track(
     order: Ints,
     starts: Ints,
     rows: Ints,
-    target: Ints,
+    row_starts: Ints,
+    columns: Ints,
+    spots: Ints,
     entries: Floats,
     diagonal: Floats,
     label: Ints,
@@ -666,7 +672,9 @@ def track(
         order: (d,) row at each place of the elimination order.
         starts: (d + 1,) column starts of the factor.
         rows: its rows.
-        target: where its updates land.
+        row_starts: (d + 1,) row starts of the factor.
+        columns: its columns, by row.
+        spots: where those are by column.
         entries: M in the factor's pattern.
         diagonal: (d,) of M.
         label: (d,) component of each row (not place).
@@ -763,8 +771,8 @@ def track(
                         for j in range(start, min(start + CHUNK, d)):
                             x[j, q] = pool[lane[q], j] if lane[q] >= 0 else 0.0
             factor_and_solve(
-                starts, rows, target, entries, diagonal, shifts, 1e-15 * scale,
-                2 if solving > 0 else 0, factor, pivots, x, counts, growth,
+                starts, rows, row_starts, columns, spots, entries, diagonal, shifts,
+                1e-15 * scale, 2 if solving > 0 else 0, factor, pivots, ax, x, counts, growth,
             )  # fmt: skip
             sweeps += 1
             n_points = add_points(
@@ -828,121 +836,201 @@ def track(
 
 
 @compiled
-def departure_from_orthonormal(x: Floats) -> float:
-    """Return the largest entry of x^T x - I for a (d, m) block."""
-    d, m = x.shape
-    g = np.empty((m, m), np.float64)
-    for a in range(m):
-        for b in range(m):
-            g[a, b] = -1.0 if a == b else 0.0
-    for j in range(d):
-        for a in range(m):
-            v = x[j, a]
-            for b in range(a + 1):
-                g[a, b] += v * x[j, b]
-    largest = 0.0
-    for a in range(m):
-        for b in range(a + 1):
-            largest = max(largest, abs(g[a, b]))
-    return largest
-
-
-@compiled
-def certified_pairs(
+def lively_part(
     indptr: Ints,
     indices: Ints,
     values: Floats,
-    warm: Floats,
-    old_row: NDArray[np.int64],
-    old_indptr: Ints,
-    old_indices: Ints,
-    old_values: Floats,
-    num_pairs: int,
-    smallest: bool,
-    nonzero: bool,
-    tol: float,
-    max_sweeps: int,
-    share: int,
-    extra: int,
-) -> tuple[int, Floats, Floats, Floats, Floats, float]:
-    """Analyse a Laplacian, track its pairs, and put the answer together.
+    order: Ints,
+    vectors: Floats,
+    k: int,
+    changed: Bools,
+    most: int,
+) -> tuple[Ints, Ints, Ints, Floats]:
+    """Rows in which eigenvectors of the largest eigenvalues are not negligible, probably.
+
+    Those of vertices of high degree are localised there. These are the rows that matter in the
+    earlier vectors, and those around changed rows that may have one now: the largest eigenvalue
+    of a vertex i and its neighbours is about degree_i + sum_j 1 / (lambda - degree_j), which is
+    compared with that of the vertices that have one.
 
     Args:
         indptr: (d + 1,) the Laplacian in CSR: row starts,
         indices: columns,
-        values: and values, every diagonal entry stored.
-        warm: (d, m) vectors to start from; m may be 0.
-        old_row: (d,) row in the Laplacian they belong to, or -1; empty if the rows are the same.
-        old_indptr: that Laplacian in CSR: row starts,
-        old_indices: columns,
-        old_values: and values.
-        num_pairs: pairs wanted.
-        smallest: from the smallest end.
-        nonzero: leave out the null space.
-        tol: residuals up to tol * max(1, lambda_max) count as converged.
-        max_sweeps: factorisations to give up after.
-        share: one in so many pairs wanted is left to a dense solution.
-        extra: pairs beyond the k-th, found because they equal it, that are kept.
+        values: and values.
+        order: (d,) row at each place of the elimination order.
+        vectors: (d, m) earlier eigenvectors.
+        k: how many of them matter.
+        changed: (d,) rows that are not as they were.
+        most: give up if there are more rows.
 
     Returns:
-        TRACKED, LEFT_TO_DENSE or GAVE_UP; if tracked, the (k,) eigenvalues in the order of the end,
-        (k,) residuals, (d, k) vectors, (d, m) vectors to start from next time, and the largest
-        departure of those from orthonormality.
+        (n,) rows in elimination order, none if given up; and the matrix of these rows and columns:
+        row starts, columns and values.
     """
     d = indptr.size - 1
-    order, label, components = order_rows(indptr, indices)
-    zeros = 0
-    k = num_pairs
-    if smallest and not nonzero:
-        zeros = min(components, num_pairs)
-        k = num_pairs - zeros
-    elif smallest or nonzero:
-        k = min(k, d - components)
-    none, nothing = np.empty(0, np.float64), np.empty((0, 0), np.float64)
-    if share * k >= d - components:
-        return LEFT_TO_DENSE, none, none, nothing, nothing, 0.0
-    pairs = zeros + k
-    out, out_residuals = np.empty(pairs, np.float64), np.empty(pairs, np.float64)
-    vectors = np.empty((d, pairs), np.float64)
-    if zeros > 0:  # the null space: the indicators of the components
-        size = np.empty(components, np.float64)
-        for c in range(components):
-            size[c] = 0.0
+    degree, queue = np.empty(d, np.float64), np.empty(d, np.int32)
+    steps = np.empty(d, np.int32)
+    for i in range(d):
+        for p in range(indptr[i], indptr[i + 1]):
+            if indices[p] == i:
+                degree[i] = values[p]
+        steps[i] = -1
+    n = 0
+    for i in range(d):
+        largest = 0.0
+        for c in range(k):
+            largest = max(largest, abs(vectors[i, c]))
+        if largest > NEGLIGIBLE:
+            steps[i] = 1
+            queue[n] = i
+            n += 1
+    peak = np.empty(k, np.int32)
+    for c in range(k):
+        peak[c] = 0
         for i in range(d):
-            size[label[i]] += 1.0
-            for c in range(zeros):
-                vectors[i, c] = 0.0
-        for i in range(d):
-            if label[i] < zeros:
-                vectors[i, label[i]] = 1.0 / math.sqrt(size[label[i]])
-        for c in range(zeros):
-            out[c] = out_residuals[c] = 0.0
-        if k == 0:
-            return TRACKED, out, out_residuals, vectors, vectors[:, :0].copy(), 0.0
-    starts, rows, entries, diagonal, _ = factor_pattern(indptr, indices, values, order)
-    target = update_targets(starts, rows)
-    scale = 1.0
-    for j in range(d):
-        scale = max(scale, diagonal[j])
-    low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
-    if smallest:
-        low, high = -high, 0.0
-        for j in range(d):
-            diagonal[j] = -diagonal[j]
-        for p in range(entries.size):
-            entries[p] = -entries[p]
-    changed = changed_rows(
-        old_row, old_indptr, old_indices, old_values, indptr, indices, values, warm.shape[1] > 0
+            if abs(vectors[i, c]) > abs(vectors[peak[c], c]):
+                peak[c] = i
+    level, least = math.inf, math.inf
+    for c in range(k):
+        level = min(level, degree[peak[c]] + 1.0)
+    for again in range(2):
+        for t in range(k if again == 0 else d):
+            i = peak[t] if again == 0 else t
+            if again and (not changed[i] or degree[i] + 1.0 < 0.5 * level):
+                continue
+            value = degree[i]
+            for p in range(indptr[i], indptr[i + 1]):
+                if indices[p] != i:
+                    value += values[p] * values[p] / max(level - degree[indices[p]], 1.0)
+            if again == 0:
+                least = min(least, value)
+            elif value >= least:
+                if steps[i] < 0:
+                    queue[n] = i
+                    n += 1
+                steps[i] = max(steps[i], AROUND)
+    head = 0
+    while head < n and n <= most:
+        i = queue[head]
+        head += 1
+        if steps[i] == 0:
+            continue
+        for p in range(indptr[i], indptr[i + 1]):
+            j = indices[p]
+            if steps[j] < 0:
+                steps[j] = steps[i] - 1
+                queue[n] = j
+                n += 1
+    if n > most:
+        n = 0
+    lively, place = np.empty(n, np.int32), queue
+    room = n = 0
+    for t in range(d):
+        i = order[t]
+        place[i] = -1
+        if steps[i] >= 0 and n < lively.size:
+            lively[n] = i
+            place[i] = n
+            n += 1
+            room += indptr[i + 1] - indptr[i]
+    starts, columns = np.empty(n + 1, np.int32), np.empty(room, np.int32)
+    entries = np.empty(room, np.float64)
+    m = 0
+    for t in range(n):
+        starts[t] = m
+        for p in range(indptr[lively[t]], indptr[lively[t] + 1]):
+            j = place[indices[p]]
+            if j >= 0:
+                columns[m], entries[m] = j, values[p]
+                m += 1
+    starts[n] = m
+    return lively, starts, columns[:m].copy(), entries[:m].copy()
+
+
+class Analysis(NamedTuple):
+    """A matrix prepared for factorisation.
+
+    Attributes:
+        order: (d,) row at each place of the elimination order; then as of
+            :func:`factor_pattern`.
+    """
+
+    order: Ints
+    starts: Ints
+    rows: Ints
+    row_starts: Ints
+    columns: Ints
+    spots: Ints
+    entries: Floats
+    diagonal: Floats
+    label: Ints
+    components: int
+    work: float
+
+
+def analyse(indptr: Ints, indices: Ints, values: Floats, order: Ints | None = None) -> Analysis:
+    """Prepare a sparse symmetric matrix for factorisations.
+
+    Args:
+        indptr: (d + 1,) the matrix in CSR, every diagonal entry stored: row starts,
+        indices: columns,
+        values: and values; all read-only.
+        order: (d,) elimination order; a new one if not given.
+
+    Returns:
+        Its pattern.
+    """
+    if order is None:
+        order, _, _ = order_rows(indptr, indices)
+    return Analysis(order, *factor_pattern(indptr, indices, values, order))
+
+
+def track_lively(
+    indptr: Ints,
+    indices: Ints,
+    values: Floats,
+    order: Ints,
+    warm: Floats,
+    changed: Bools,
+    k: int,
+    scale: float,
+    tol: float,
+    extra: int,
+) -> Floats:
+    """Better vectors to start from: those of the part of the matrix where they are.
+
+    Args:
+        indptr: (d + 1,) the Laplacian in CSR: row starts,
+        indices: columns,
+        values: and values.
+        order: (d,) row at each place of the elimination order.
+        warm: (d, m) vectors to start from.
+        changed: (d,) rows that are not as they were.
+        k: wanted pairs.
+        scale: lower bound on the norm.
+        tol: residuals up to tol * scale will count as converged.
+        extra: pairs beyond the k-th that are kept.
+
+    Returns:
+        (d, m) the part's eigenvectors, 0 in the other rows; ``warm`` if they were not found.
+    """
+    d = order.size
+    lively, part_indptr, part_indices, part_values = lively_part(
+        indptr, indices, values, order, warm, k, changed, d // 2
     )
-    certified, theta, residuals, found = track(
-        order, starts, rows, target, entries, diagonal, label, components, smallest,
-        warm, changed, k, scale, tol, low, high, max_sweeps, extra,
+    n = lively.size
+    if n < 8 * k:
+        return warm
+    for array in (part_indptr, part_indices, part_values):
+        array.setflags(write=False)  # one type for the kernels
+    in_order = np.arange(n, dtype=np.int32)
+    part = analyse(part_indptr, part_indices, part_values, in_order)
+    certified, _, _, vectors = track(
+        *part[:-1], False, np.ascontiguousarray(warm[lively]), changed[lively], k, scale,
+        0.5 * tol, -1.0, 2.0 * scale + 1.0, MAX_LIVELY_SWEEPS, extra,
     )  # fmt: skip
     if not certified:
-        return GAVE_UP, none, none, nothing, nothing, 0.0
-    for c in range(k):
-        out[zeros + c] = -theta[c] if smallest else theta[c]
-        out_residuals[zeros + c] = residuals[c]
-        for i in range(d):
-            vectors[i, zeros + c] = found[i, c]
-    return TRACKED, out, out_residuals, vectors, found, departure_from_orthonormal(found)
+        return warm
+    better = np.zeros((d, vectors.shape[1]))
+    better[lively] = vectors
+    return better

@@ -147,12 +147,13 @@ def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
         cell_grid.nearest_neighbors,
         cell_grid.join,
         factorization.order_rows,
+        factorization.factor_pattern,
         factorization.factor_and_solve,
-        tracking.certified_pairs,
+        tracking.changed_rows,
         tracking.track,
     ):
         assert len(kernel.signatures) <= 1, kernel  # type: ignore[attr-defined]
-    assert len(tracking.certified_pairs.signatures) == 1  # type: ignore[attr-defined]
+    assert len(tracking.track.signatures) == 1  # type: ignore[attr-defined]
 
 
 def test_same_call_same_answer_to_the_bit() -> None:
@@ -257,23 +258,21 @@ def test_the_printed_update_is_wrong_and_says_so() -> None:
 
 def test_factorisation_counts_and_solves() -> None:
     from graphrqi.spectrum import factorization as f
+    from graphrqi.spectrum.tracking import analyse
 
     rng = np.random.default_rng(6)
     for graph in graph_sequence("crossing", "accumulated", 70, 5, skip=10):
-        order, _, _ = f.order_rows(graph.indptr, graph.indices)
-        starts, rows, entries, diagonal, _ = f.factor_pattern(
-            graph.indptr, graph.indices, graph.values, order
-        )
+        analysis = analyse(graph.indptr, graph.indices, graph.values)
         matrix = graph.laplacian.toarray()
         shifts = rng.random((1, 8)) * 12.0
         x = rng.normal(size=(70, 8))
         solution, above, growth = x.copy(), np.empty((1, 8)), np.empty((1, 8))
         f.factor_and_solve(
-            starts, rows, f.update_targets(starts, rows), entries, diagonal, shifts, 1e-15, 1,
-            np.empty((rows.size, 8)), np.empty((70, 8)), solution, above, growth,
+            *analysis[1:8], shifts, 1e-15, 1, np.empty((analysis.rows.size, 8)),
+            np.empty((70, 8)), np.empty((70, 8)), solution, above, growth,
         )  # fmt: skip
         values = np.linalg.eigvalsh(matrix)
-        permuted = matrix[np.ix_(order, order)]
+        permuted = matrix[np.ix_(analysis.order, analysis.order)]
         for q, shift in enumerate(shifts[0]):
             assert above[0, q] == (values > shift).sum()
             residual = (permuted - shift * np.eye(70)) @ solution[:, q] - x[:, q]
