@@ -77,8 +77,12 @@ class Dask:
         self._cluster.close()
 
     def workers(self, run: int) -> list[int]:
-        processes = [nanny.process for nanny in self._cluster.workers.values()]
-        return [p.pid for p in processes if p is not None and p.status.name == "running"]
+        registered = set(self._cluster.scheduler.workers)
+        return [
+            nanny.process.pid
+            for nanny in self._cluster.workers.values()
+            if nanny.process is not None and nanny.worker_address in registered
+        ]
 
 
 @pytest.mark.parametrize("pool", ["loky", "dask"])
