@@ -286,7 +286,7 @@ async function start() {
     state: () => ({ time: data.begin + player.time, playing: player.playing, mode: player.mode, selected: player.selected, layers: { ...player.layers } }),
     agents: () => view.panels.flatMap((panel) => [...everyone(player.time)].map(([index, place]) => {
       const [x, y] = toScreen(panel, place.x, place.y);
-      return { index, name: data.agents[index].name, x, y, color: colorOf(index, place), truth: data.agents[index].truth, likely: mostLikely(beliefOf(index, player.time)) };
+      return { index, name: data.agents[index].name, x, y, at: [place.x, place.y], color: colorOf(index, place), truth: data.agents[index].truth, likely: mostLikely(beliefOf(index, player.time)) };
     }).filter(({ x, y }) => x >= panel.left && x <= panel.left + panel.width && y >= panel.top && y <= panel.top + panel.height)),
   };
   document.body.dataset.ready = "yes";
