@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -142,7 +143,7 @@ def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
                 for nonzero in (False, True):
                     previous = SOLVERS[name](graph, 4, "smallest", previous, nonzero=nonzero)
                     previous = SOLVERS[name](again, 4, "smallest", previous, nonzero=nonzero)
-    for kernel in (
+    kernels: tuple[Any, ...] = (
         cell_grid.cell_grid,
         cell_grid.nearest_neighbors,
         cell_grid.join,
@@ -151,8 +152,9 @@ def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
         factorization.factor_and_solve,
         tracking.changed_rows,
         tracking.track,
-    ):
-        assert len(kernel.signatures) <= 1, kernel  # type: ignore[attr-defined]
+    )
+    for kernel in kernels:
+        assert len(kernel.signatures) <= 1, kernel
     assert len(tracking.track.signatures) == 1  # type: ignore[attr-defined]
 
 

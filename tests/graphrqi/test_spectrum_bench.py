@@ -16,6 +16,7 @@ from experiments.runtime import (
     run_spectrum_bench,
     spectrum_table,
     traffic_positions,
+    why_not,
 )
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
@@ -26,6 +27,7 @@ def test_rows_table_and_plot(tmp_path: Path) -> None:
         (25, 40), 4, ("largest",), ("road",), ("instantaneous",), steps=3, budget_s=0.2
     )
     keys = ["solver", "d", "graph", "kind", "end", "metric", "value", "low", "high", "n"]
+    keys.append("reason")
     assert all(list(row) == keys for row in rows)
     json.dumps(rows, allow_nan=False)
     measured = {(row["solver"], row["metric"]) for row in rows}
@@ -41,6 +43,19 @@ def test_rows_table_and_plot(tmp_path: Path) -> None:
     assert len(spectrum_table(rows)) >= len(SOLVERS)
     plot_spectrum(rows, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+def test_what_would_take_too_long_is_skipped_and_says_why() -> None:
+    rows = run_spectrum_bench(
+        (25, 1100), 4, ("largest",), ("road",), ("instantaneous",), steps=1,
+        solvers=("graphrqi", "svd"),
+    )  # fmt: skip
+    skipped = [row for row in rows if row["reason"] is not None]
+    assert [(row["solver"], row["d"], row["value"]) for row in skipped] == [("svd", 1100, None)]
+    assert {line["1100 (ms)"] for line in spectrum_table(rows) if line["solver"] == "svd"} == {
+        "skipped"
+    }
+    assert why_not("arpack", 1000, [(100, 2.0), (400, 4.0)]) is None
 
 
 def test_missed_pairs_counts_multiplicity() -> None:
