@@ -263,9 +263,9 @@ def _closer(scenario: str, looks: Sequence[Look]) -> Closer:
     means = [np.array([k.w[style] for k in looks]) for style in (0, 1)]
     return Closer(
         scenario=scenario,
-        told=f"{len(looks)} unseen episodes, {int(drivers.sum())} drivers",
+        told=f"{len(looks)} unseen episode{'s' * (len(looks) > 1)}, {int(drivers.sum())} drivers",
         charts=tuple(chart for chart in charts if chart),
-        traits=_trait_table(scenario, np.sum([k.shown for k in looks], axis=0), drivers),
+        traits=_trait_table(np.sum([k.shown for k in looks], axis=0), drivers),
         cases=tuple(chosen),
         pictures=(_address(first.pictures[0]), _address(first.pictures[1])),
         href=first.href,
@@ -326,7 +326,7 @@ def _reliability_chart(
     )  # fmt: skip
 
 
-def _trait_table(scenario: str, shown: IntArray, drivers: IntArray) -> Table | None:
+def _trait_table(shown: IntArray, drivers: IntArray) -> Table | None:
     """Share of each behaviour's drivers that showed each trait enough."""
     seen = np.flatnonzero(shown.sum(axis=0))
     if not seen.size:
@@ -347,7 +347,7 @@ def _trait_table(scenario: str, shown: IntArray, drivers: IntArray) -> Table | N
         for t in seen
     )
     return Table(
-        scenario,
+        "Traits shown",
         "Drivers of each true behaviour that showed a trait enough for it to be characteristic. "
         "Bold: the behaviour to which the paper's trait table gives it.",
         "trait",

@@ -46,8 +46,9 @@ LAYOUTS: Final[dict[str, Layout]] = {
         ("weighted_accuracy", "majority_weighted_accuracy", "balanced_accuracy", "macro_f1",
          "style_balanced_accuracy", "ece", "auc", "ms_per_frame"),
         "graphrqi bench classification",
-        "Brackets are 95 % intervals over episodes; the majority class stands beside every "
-        "accuracy. Inductive: unseen episodes; transductive: windows of seen episodes too.",
+        "Below each figure its 95 % interval over episodes, if there are several; beside every "
+        "accuracy that of the majority class. Inductive: unseen episodes; transductive: windows "
+        "of seen episodes too.",
     ),
     "real-data": Layout(
         "Real drivers", ("dataset", "protocol", "classes"), ("method", "fold"), ("metric",),

@@ -184,8 +184,8 @@ def test_every_control_has_a_name_and_can_be_reached_by_keyboard(open_page):
     page = open_page()
     unnamed = page.evaluate(
         """() => [...document.querySelectorAll("button, input, select, canvas[tabindex], summary")]
-          .filter((e) => e.checkVisibility() && !(e.getAttribute("aria-label") || e.textContent.trim()
-            || [...(e.labels || [])].some((l) => l.textContent.trim())))
+          .filter((e) => e.checkVisibility() && !(e.getAttribute("aria-label")
+            || e.textContent.trim() || [...(e.labels || [])].some((l) => l.textContent.trim())))
           .map((e) => e.outerHTML)"""
     )
     assert unnamed == []

@@ -1,0 +1,266 @@
+"""What a replay gathers, packs, films and refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from behaviors.colors import COLORS, rgb
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.classification import LABELS
+from experiments.prediction_file import predictions_file, predictions_table
+from experiments.replay import write_replay
+from experiments.replay.beliefs import read_beliefs
+from experiments.replay.forecasts import read_forecasts
+from experiments.replay.graph_watch import watch_graph
+from experiments.replay.packing import differences
+from experiments.replay.page import write_page
+from experiments.replay.picture import Painter, lay_out, write_picture
+from experiments.replay.scene import chosen_entry, gather
+from experiments.replay.video import write_video
+from graphrqi.features.graph_spectrum import NEIGHBORS, RESET
+from graphrqi.graph import TrafficGraph
+from graphrqi.predict.prediction import Prediction
+from graphrqi.spectrum import SOLVERS
+from sim.dataset import open_dataset, write_manifest, write_recording
+from sim.schema import EpisodeMeta
+
+
+@pytest.fixture(scope="module")
+def scene(make_scene):
+    return make_scene()
+
+
+@pytest.fixture(scope="module")
+def dataset(scene, tmp_path_factory):
+    """The scene's tracks as a recording with and one without a road."""
+    out = tmp_path_factory.mktemp("replay") / "data"
+    named = dataclasses.replace(scene.tracks, names=tuple(f"v{i}" for i in scene.tracks.ids))
+    entries = [
+        write_recording(
+            out, EpisodeMeta(scenario=name, engine=engine, options={"recording": name}), named, road
+        )
+        for name, engine, road in (
+            ("mapped", "argo", scene.road.source),
+            ("pixels", "traf", None),
+        )
+    ]
+    write_manifest(out, {}, entries)
+    return out
+
+
+def entry_of(dataset, name):
+    return chosen_entry(open_dataset(dataset), name)
+
+
+def labels_file(path, dataset, name):
+    """A labels file that is sure of one behaviour more at each look."""
+    entry = entry_of(dataset, name)
+    tracks = open_dataset(dataset).read(entry).tracks
+    rows = [
+        {
+            "agent": agent, "time_s": float(time_s), "behavior": "timid", "episode": entry.id,
+            **{f"p_{b.value}": float(b is BEHAVIORS[5]) for b in BEHAVIORS},
+        }
+        for agent in tracks.names[:3]
+        for time_s in tracks.time_s[10:]
+    ]  # fmt: skip
+    pq.write_table(pa.Table.from_pylist(rows, schema=LABELS), path)
+    return entry, tracks
+
+
+def test_labels_are_read_where_they_speak_and_nowhere_else(dataset, tmp_path):
+    entry, tracks = labels_file(tmp_path / "labels.parquet", dataset, "mapped")
+    beliefs = read_beliefs(tmp_path / "labels.parquet", entry.id, tracks)
+    known = np.isfinite(beliefs.probability).all(axis=2)
+    assert known[:3, 2:].all()
+    assert not known[3:].any()
+    assert not known[:, :2].any()
+    assert beliefs.at(5.0).most_likely.tolist() == [5, 5, 5]
+
+
+def test_labels_of_another_episode_are_refused_by_name(dataset, tmp_path):
+    entry, tracks = labels_file(tmp_path / "labels.parquet", dataset, "mapped")
+    with pytest.raises(InputError, match=r"labels\.parquet: found no row of episode"):
+        read_beliefs(tmp_path / "labels.parquet", "f" * 16, tracks)
+    (tmp_path / "broken.parquet").write_bytes(b"PAR1 nothing")
+    with pytest.raises(InputError, match=r"broken\.parquet: found no readable table"):
+        read_beliefs(tmp_path / "broken.parquet", entry.id, tracks)
+    pq.write_table(pa.table({"agent": ["v2"]}), tmp_path / "few.parquet")
+    with pytest.raises(InputError, match="found no column time_s"):
+        read_beliefs(tmp_path / "few.parquet", entry.id, tracks)
+
+
+def test_predictions_come_back_from_their_file(dataset, tmp_path):
+    entry = entry_of(dataset, "mapped")
+    tracks = open_dataset(dataset).read(entry).tracks
+    history = tracks.window(60, 50)
+    n = history.ids.size
+    xy = np.random.default_rng(0).normal(size=(n, 3, 50, 2))
+    prediction = Prediction(
+        history.ids, np.arange(1, 51) / 10, xy, np.tile([0.2, 0.79, 0.01], (n, 1))
+    )
+    with predictions_file(tmp_path / "p.parquet") as file:
+        file.write_table(predictions_table(prediction, history, "one", entry.id, 5.0))
+    name, found = read_forecasts(tmp_path / "p.parquet", entry.id, tracks)
+    assert name == "one"
+    assert len(found) == 1
+    assert found[0].time_s == pytest.approx(history.time_s[-1])
+    assert found[0].probability[:2] == pytest.approx([0.79, 0.2])
+    assert found[0].agent.size == 2 * n
+    assert found[0].xy[0, -1] == pytest.approx(xy[0, 1, -1])
+    assert found[0].xy[1, 0] == pytest.approx(xy[0, 0, 4])
+    with pytest.raises(InputError, match="found no predictor 'other', expected one of one"):
+        read_forecasts(tmp_path / "p.parquet", entry.id, tracks, "other")
+
+
+def test_the_graph_is_the_papers(scene):
+    watched = watch_graph(scene.tracks)
+    look = 7
+    graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
+    for step in range(int(np.searchsorted(scene.tracks.time_s, watched.time_s[look])) + 1):
+        rows = np.flatnonzero(scene.tracks.valid[:, step])
+        graph = graph.observe(scene.tracks.ids[rows], scene.tracks.xy[rows, step])
+    live = watched.edges[(watched.edges[:, 2] <= look) & (watched.edges[:, 3] > look), :2]
+    expected = np.searchsorted(scene.tracks.ids, graph.edges)
+    assert {frozenset(e) for e in live.tolist()} == {frozenset(e) for e in expected.tolist()}
+    spectrum = SOLVERS["eigh"](graph, num_pairs=1, end="largest")
+    w = np.abs(np.asarray(graph.laplacian @ spectrum.eigenvectors[:, 0]))
+    assert watched.w[np.searchsorted(scene.tracks.ids, graph.ids), look] == pytest.approx(
+        w, abs=1e-5
+    )
+
+
+def test_data_on_the_page_cannot_end_its_script(scene, tmp_path):
+    write_page(scene, tmp_path / "page.html", "true")
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("</script>") == 2
+    assert "<img" not in page
+    data = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
+    assert json.loads(data.group(1))["agents"][0]["name"] == scene.tracks.names[0]
+    assert not re.search(r"(src|href)\s*=\s*[\"']?(https?:)?//", page)
+
+
+def test_the_page_of_an_hour_of_traffic_in_a_minute_stays_small(make_scene, tmp_path):
+    write_page(make_scene(agents=200, seconds=60.0), tmp_path / "page.html", "true")
+    assert (tmp_path / "page.html").stat().st_size < 8 * 2**20
+
+
+def test_steps_that_are_differenced_add_up_again():
+    values = np.array([5.0, 5.02, 4.96, -3.0, -3.01])
+    first, steps = differences(values, np.array([0, 3]), 0.01)
+    again = np.concatenate([first[0] + np.cumsum(steps[:3]), first[1] + np.cumsum(steps[3:])])
+    assert again * 0.01 == pytest.approx(values)
+
+
+def test_recordings_without_a_road_say_so_and_pixels_stay_pixels(dataset, tmp_path):
+    labels_file(tmp_path / "labels.parquet", dataset, "pixels")
+    opened = open_dataset(dataset)
+    scene = gather(
+        opened, entry_of(dataset, "pixels"), model="none", labels=tmp_path / "labels.parquet",
+        predictor="constant-velocity",
+    )  # fmt: skip
+    assert scene.unit == "px"
+    assert scene.name == "pixels"
+    assert scene.forecasts
+    said = " ".join(scene.notes)
+    assert "no road is known" in said
+    assert "pixels" in said
+    write_page(scene, tmp_path / "page.html", "predicted")
+    assert '"road":null' in (tmp_path / "page.html").read_text()
+
+
+def test_an_episode_is_found_by_its_beginning_or_refused(dataset):
+    opened = open_dataset(dataset)
+    first = opened.manifest.episodes[0]
+    assert chosen_entry(opened, first.id[:6]) == first
+    assert chosen_entry(opened, None) == first
+    with pytest.raises(InputError, match="--episode: found 0 episodes that begin with 'zz'"):
+        chosen_entry(opened, "zz")
+
+
+@pytest.mark.parametrize("mode", ["true", "predicted"])
+def test_the_picture_has_everyone_in_their_colour(scene, mode, tmp_path):
+    write_picture(scene, tmp_path / "p.png", mode, 8.0)
+    image = np.asarray(Image.open(tmp_path / "p.png").convert("RGB")).astype(int)
+    assert image.shape == (720, 1280, 3)
+    step = int(np.searchsorted(scene.tracks.time_s, 8.0 - 1e-6))
+    panels = Painter(scene, mode).panels
+    found = 0
+    for row in np.flatnonzero(scene.tracks.valid[:, step]):
+        code = int(scene.tracks.behavior[row]) + (mode == "predicted")
+        wanted = np.array(rgb(COLORS[BEHAVIORS[code % len(BEHAVIORS)]]))
+        for panel in panels:
+            x, y = panel.pixels(scene.tracks.xy[row, step]) / 2
+            left, top, right, bottom = (side / 2 for side in panel.box)
+            if not (left + 9 < x < right - 9 and top < y < bottom):
+                continue
+            patch = image[round(y) - 1 : round(y) + 2, round(x) - 5 : round(x)].reshape(-1, 3)
+            assert (np.abs(patch - wanted).max(axis=1) < 30).mean() > 0.6
+            found += 1
+    assert found >= 7
+
+
+def test_a_long_road_is_folded_and_one_that_goes_north_is_turned():
+    rows = lay_out((0.0, 0.0, 800.0, 12.0), 1280, 720)
+    assert len(rows) > 1
+    turned = lay_out((0.0, 0.0, 12.0, 800.0), 1280, 720)
+    assert len(turned) == len(rows)
+    south, north = turned[0].pixels(np.array([[6.0, 10.0], [6.0, 20.0]]))
+    assert north[0] > south[0]
+    assert north[1] == pytest.approx(south[1])
+
+
+def test_a_gif_has_every_frame(scene, tmp_path):
+    count = write_video(scene, tmp_path / "v.gif", "true", 4.0, 5.0, quiet=True)
+    with Image.open(tmp_path / "v.gif") as film:
+        assert film.n_frames == count == 11
+        assert film.info["duration"] == 100
+
+
+def test_an_mp4_plays_for_as_long_as_it_should(scene, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    write_video(scene, tmp_path / "v.mp4", "predicted", 4.0, 5.0, quiet=True)
+    frames, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "v.mp4"))
+    assert frames == 21
+    assert seconds == pytest.approx(1.05, abs=0.1)
+
+
+def test_what_is_asked_for_wrongly_is_refused_before_any_work(tmp_path):
+    out = tmp_path / "replay.html"
+    for options, said in (
+        ({"video": tmp_path / "v.avi"}, r"--video: found 'v\.avi'"),
+        ({"picture": tmp_path / "p.jpg"}, r"--picture: found 'p\.jpg'"),
+        ({"color": "sped"}, "unknown color 'sped': did you mean 'speed'"),
+        ({"predictor": "oracel"}, "did you mean 'oracle'"),
+        ({"video": tmp_path / "nowhere" / "v.gif"}, "found no folder"),
+    ):
+        with pytest.raises(InputError, match=said):
+            write_replay(tmp_path / "no-data", out, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_ffmpeg_the_extra_is_named(scene, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"graphrqi\[video\]"):
+        write_video(scene, tmp_path / "v.mp4", "true", 4.0, 5.0, quiet=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_page_picture_and_film(dataset, tmp_path):
+    labels_file(tmp_path / "labels.parquet", dataset, "mapped")
+    written = write_replay(
+        dataset, tmp_path / "r.html", episode="mapped", labels=tmp_path / "labels.parquet",
+        predictor="constant-velocity", picture=tmp_path / "p.png", video=tmp_path / "v.gif",
+        begin_s=4.0, end_s=4.5, quiet=True,
+    )  # fmt: skip
+    assert [path.name for path in written] == ["r.html", "v.gif", "p.png"]
+    assert all(path.stat().st_size > 5000 for path in written)

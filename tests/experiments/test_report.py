@@ -1,0 +1,165 @@
+"""Reports of rows: tables, charts, comparisons, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.report import write_comparison, write_report
+from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.source import KINDS, kind_of, read_source
+from experiments.report.tables import pivot
+
+HOSTILE = '</td><script>document.title = "x"</script>'
+
+
+def rows_of(kind, shift=0.0):
+    """A few rows such as each bench writes."""
+    figure = {"value": 0.5 + shift, "low": 0.4 + shift, "high": 0.6 + shift, "n": 12}
+    if kind == "spectrum":
+        keys = [
+            {"solver": s, "d": d, "graph": "road", "kind": "accumulated", "end": "largest",
+             "metric": m}
+            for s in ("graphrqi", "eigh") for d in (25, 100, 400)
+            for m in ("cpu_ms", "residual_max")
+        ]  # fmt: skip
+    elif kind == "prediction":
+        keys = [
+            {"scenario": "straight_road", "predictor": p, "horizon_s": h, "behavior": b,
+             "split": "test", "metric": m}
+            for p in ("constant-velocity", "graphrqi-predict") for h in (1.0, 3.0, 5.0)
+            for b in ("all", *map(str, BEHAVIORS)) for m in ("ade_m", "fde_m", "nll")
+        ]  # fmt: skip
+    elif kind == "classification":
+        keys = [
+            {"protocol": "inductive", "scenario": "straight_road", "method": method,
+             "window_s": w, "variation": v, "metric": m}
+            for method in ("majority", "graphrqi-plus", HOSTILE) for w in (3.0, 10.0)
+            for v in ("", "noise") for m in ("weighted_accuracy", "balanced_accuracy")
+        ]  # fmt: skip
+    elif kind == "real-data":
+        keys = [{"dataset": "traf", "protocol": "leave-one-video-out", "method": "graphrqi",
+                 "classes": 6, "fold": f, "metric": "auc"} for f in ("one", "all")]  # fmt: skip
+    elif kind == "loop":
+        keys = [{"engine": "sumo", "stage": s, "agents": 50, "metric": "ms_median"}
+                for s in ("classify", "predict")]  # fmt: skip
+    elif kind == "generate":
+        keys = [{"jobs": j, "metric": "agent_steps_per_s"} for j in (1, 2)]
+    elif kind == "behaviors":
+        keys = [{"engine": "sumo", "scenario": "straight_road", "behavior": str(b),
+                 "metric": "red_run_share"} for b in BEHAVIORS]  # fmt: skip
+    else:
+        keys = [{"thing": "a", "metric": "size"}]
+    return [{**key, **figure} for key in keys]
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    for kind in KINDS:
+        (folder / f"{kind}.json").write_text(json.dumps(rows_of(kind)))
+    return folder
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_row_is_told_and_shown(kind, study):
+    assert {kind_of(row) for row in rows_of(kind)} == {kind}
+    page = write_report(study / f"{kind}.json")
+    assert page == study / f"{kind}.html"
+    text = page.read_text()
+    assert "0.500" in text
+    assert "0.400 – 0.600" in text
+    assert text.count("<table") >= 1
+
+
+def test_a_study_is_one_page_with_every_section_and_says_what_is_missing(study, tmp_path):
+    text = write_report(study).read_text()
+    for kind in KINDS:
+        assert f'<h2 id="{kind}">' in text
+    assert "Not measured here" not in text
+    (tmp_path / "loop.json").write_text(json.dumps(rows_of("loop")))
+    alone = write_report(tmp_path).read_text()
+    assert "Not measured here" in alone
+    assert "graphrqi bench spectrum" in alone
+
+
+def test_charts_of_early_answers_horizons_and_runtime_are_there(study):
+    text = write_report(study).read_text()
+    for title in ("against seconds watched", "by true behaviour", "CPU time per step"):
+        assert title in text
+    assert 'class="band"' in text
+
+
+def test_strings_from_files_stay_text(study):
+    text = write_report(study / "classification.json").read_text()
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+
+
+def test_a_logarithmic_axis_puts_powers_of_ten_evenly():
+    line = Line("one", tuple(Point(10.0**k, 10.0**k) for k in range(1, 4)))
+    chart = line_chart("t", Axis("x", log=True), Axis("y", log=True), [line])
+    xs = [float(part.split('"')[1]) for part in chart.split("<circle")[1:]]
+    assert xs[1] - xs[0] == pytest.approx(xs[2] - xs[1], abs=0.11)
+
+
+def test_the_best_of_a_column_is_marked_but_never_the_majority():
+    rows = [
+        {"method": name, "metric": "weighted_accuracy", "value": value, "low": None, "high": None}
+        for name, value in (("majority", 0.9), ("ours", 0.6), ("theirs", 0.5))
+    ]
+    table = pivot(rows, "t", ["method"], ["metric"])
+    assert [cells[0].best for _, cells in table.rows] == [False, True, False]
+
+
+def test_runs_are_compared_column_by_column(study, tmp_path):
+    (tmp_path / "later.json").write_text(json.dumps(rows_of("classification", shift=0.1)))
+    page = write_comparison(
+        [study / "classification.json", tmp_path / "later.json"], tmp_path / "c.html"
+    )
+    text = page.read_text()
+    assert '<th scope="col">classification</th><th scope="col">later</th>' in text
+    assert "0.500" in text
+    assert "0.600" in text
+    (tmp_path / "loop.json").write_text(json.dumps(rows_of("loop")))
+    with pytest.raises(InputError, match="in common"):
+        write_comparison([tmp_path / "loop.json", tmp_path / "later.json"], tmp_path / "d.html")
+    with pytest.raises(InputError, match="found 1, expected at least 2"):
+        write_comparison([tmp_path / "loop.json"], tmp_path / "d.html")
+    assert not (tmp_path / "d.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("{", "found no JSON"),
+        ("{}", "found dict, expected a list of rows"),
+        ('[{"value": 1}]', "row 0: found no metric"),
+        ('[{"metric": "m", "value": "much"}]', "row 0: value: found 'much'"),
+        ('[{"metric": "m", "value": 1, "more": {}}]', "row 0: found a nested value"),
+    ],
+)
+def test_what_is_no_file_of_rows_is_refused_by_name(content, said, tmp_path):
+    (tmp_path / "rows.json").write_text(content)
+    with pytest.raises(InputError, match=r"rows\.json: ") as error:
+        read_source(tmp_path / "rows.json")
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_report_can_be_read_in_a_browser(browser, contrasts, study, scheme, width):
+    path = write_report(study)
+    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    wrong, requests = [], []
+    page.on("console", lambda message: wrong.append(message.text))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(path.as_uri())
+    assert [found for found in contrasts(page) if found[0] < 4.5] == []
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
+    assert wrong == []
+    assert [url for url in requests if not url.startswith("data:")] == [path.as_uri()]
