@@ -25,6 +25,7 @@ from graphrqi.predict.bases import KNOT_S, KNOTS, Known, known, to_own_frame, un
 from graphrqi.predict.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.drivers import DriverTable, default_table, table_to_json
 from graphrqi.predict.learned import FuturesModel, save_network
+from graphrqi.predict.mapless import known_unmapped
 from graphrqi.predict.scene import LEARNED_S, make_scene
 from graphrqi.predict.training import Examples, train_lstm, train_perceptron
 from sim.atomic import write_whole
@@ -38,8 +39,11 @@ CALIBRATE_EVERY_S: Final = 3.0
 EXAMPLES_EVERY_S: Final = 1.0
 """Time between instants that networks are trained on, s (our choice)."""
 
-UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
+UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.3
 """Shares of training instants with no belief and with another driver's (our choice)."""
+
+ALONE_SHARE: Final = 0.3
+"""Share of training instants in which the network without a map sees no neighbours (ours)."""
 
 
 def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:
@@ -125,8 +129,8 @@ def calibrate_drivers(
 
 def examples_of(
     folder: Path, entry: EpisodeEntry, model: str, every_s: float, seed: int
-) -> tuple[Examples, Examples]:
-    """What a learned predictor is trained on, from one episode: with and without labels.
+) -> tuple[Examples, Examples, Examples]:
+    """What learned predictors are trained on, from one episode: with labels, without, without map.
 
     Beliefs are the classifier's own; a share `UNKNOWN_SHARE` of instants has none and a share
     `SHUFFLED_SHARE` those of other drivers, so that the network learns how far to trust them.
@@ -138,7 +142,7 @@ def examples_of(
     rng = np.random.default_rng((seed, entry.seed))
     table = default_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
-    informed, label_free = [], []
+    informed, label_free, mapless = [], [], []
     for stop, posterior in beliefs(tracks, load_model(model), stops).items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         scene = make_scene(history, road, LEARNED_S)
@@ -161,7 +165,9 @@ def examples_of(
         own = to_own_frame(scene, truth)
         informed.append(_examples(known(scene, probability, table), own, counts))
         label_free.append(_examples(unlabelled(scene), own, counts))
-    return Examples.join(informed), Examples.join(label_free)
+        sees = bool(rng.random() >= ALONE_SHARE)
+        mapless.append(_examples(known_unmapped(history, sees), own, counts))
+    return Examples.join(informed), Examples.join(label_free), Examples.join(mapless)
 
 
 def _examples(data: Known, truth: FloatArray, counts: BoolArray) -> Examples:
@@ -206,7 +212,7 @@ def train_predictors(
     """
     dataset = open_dataset(source)
     load_model(model)
-    parts: dict[Split, tuple[Examples, Examples]] = {}
+    parts: dict[Split, tuple[Examples, ...]] = {}
     splits: tuple[Split, ...] = ("train", "validation")
     for split in splits:
         entries = dataset.episodes(split)
@@ -215,30 +221,37 @@ def train_predictors(
         arguments = [(source, entry, model, every_s, seed) for entry in entries]
         found = []
         with Progress(f"predictors: observing {split} episodes", len(entries), quiet) as progress:
-            for pair in in_parallel(examples_of, arguments, jobs):
-                found.append(pair)
+            for one in in_parallel(examples_of, arguments, jobs):
+                found.append(one)
                 progress.advance()
-        parts[split] = Examples.join([p[0] for p in found]), Examples.join([p[1] for p in found])
+        parts[split] = tuple(Examples.join(list(same)) for same in zip(*found, strict=True))
     card: dict[str, Any] = {
         "data": dict(dataset.manifest.configuration), "split": "train", "epochs": epochs,
         "examples": len(parts["train"][0].inputs), "seed": seed,
     }  # fmt: skip
-    with Progress("predictors: training epochs", 2 * epochs, quiet) as progress:
+    train, train_free, train_mapless = parts["train"]
+    check, check_free, check_mapless = parts["validation"]
+    with Progress("predictors: training epochs", 4 * epochs, quiet) as progress:
 
         def tell(epoch: int, ade_m: float) -> None:
             progress.advance()
 
-        (train, train_free), (check, check_free) = parts["train"], parts["validation"]
         network = train_perceptron(train, check, epochs=epochs, seed=seed, tell=tell)
         rival = train_lstm(train_free, check_free, epochs=epochs, seed=seed, tell=tell)
+        plain = train_perceptron(train_free, check_free, epochs=epochs, seed=seed, tell=tell)
+        blind = train_perceptron(train_mapless, check_mapless, epochs=epochs, seed=seed, tell=tell)
     scores = {
         "graphrqi-predict": guess_ade_m(network, check),
         "lstm": guess_ade_m(rival, check_free),
+        "mlp": guess_ade_m(plain, check_free),
+        "mapless": guess_ade_m(blind, check_mapless),
     }
     out.mkdir(parents=True, exist_ok=True)
     for name, save in (
         ("graphrqi-predict", functools.partial(save_network, network)),
         ("lstm", rival.save),
+        ("mlp", functools.partial(save_network, plain)),
+        ("mapless", functools.partial(save_network, blind)),
     ):
         save(out / f"{name}.safetensors", card | {"validation_ade_m": round(scores[name], 4)})
     return scores

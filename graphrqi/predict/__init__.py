@@ -61,8 +61,8 @@ def predict(
         history: tracks whose last column is the present.
         posterior: beliefs about the drivers; agents it does not name count as unknown.
         road: where it happens; None where there is no map: then lanes are inferred from the
-            traffic and all predictors but ``constant-velocity`` come down to the drivers' own past
-            (`graphrqi.predict.unmapped`).
+            traffic and all predictors but ``constant-velocity`` come down to one
+            (`graphrqi.predict.mapless`).
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
 
@@ -72,8 +72,8 @@ def predict(
     Raises:
         InputError: if the predictor is unknown, the horizon too short or the history empty.
     """
+    from graphrqi.predict.mapless import predict_unmapped
     from graphrqi.predict.scene import LEARNED_S, check_horizon, make_scene
-    from graphrqi.predict.unmapped import predict_unmapped
 
     function = get_predictor(predictor)
     check_horizon(horizon_s)

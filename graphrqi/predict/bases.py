@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from graphrqi.predict.constant import by_inertia
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.features import features
-from graphrqi.predict.kernel import CHANGE_S
 from graphrqi.predict.manners import believed
-from graphrqi.predict.paths import PathTable
-from graphrqi.predict.rollout import LaneTable, Rollout, places, roll, steady
+from graphrqi.predict.rollout import Rollout, beside, places, roll, steady
 from graphrqi.predict.route import candidates, path_probability
 from graphrqi.predict.scene import STEP_S, Scene
 
@@ -57,16 +55,6 @@ def to_own_frame(scene: Scene, xy: FloatArray) -> FloatArray:
     gone = xy - scene.xy.reshape(-1, *extra, 2)
     forward = gone[..., 0] * cos + gone[..., 1] * sin
     return np.stack([forward, gone[..., 1] * cos - gone[..., 0] * sin], axis=-1)
-
-
-def from_own_frame(scene: Scene, own: FloatArray) -> FloatArray:
-    """The inverse of `to_own_frame`."""
-    extra = (1,) * (own.ndim - 2)
-    cos = np.cos(scene.heading).reshape(-1, *extra)
-    sin = np.sin(scene.heading).reshape(-1, *extra)
-    east = own[..., 0] * cos - own[..., 1] * sin
-    north = own[..., 0] * sin + own[..., 1] * cos
-    return np.stack([east, north], axis=-1) + scene.xy.reshape(-1, *extra, 2)
 
 
 def at_knots(xy: FloatArray) -> FloatArray:
@@ -138,7 +126,7 @@ def unlabelled(scene: Scene) -> Known:
         The same features of road, past, neighbours, signals and pedestrians as `known` has.
     """
     choice, real = candidates(scene)
-    table = PathTable.of(scene.road)
+    table = scene.paths
     likely = np.where(real, table.probability[choice], 0.0)
     order = np.argsort(-likely, axis=1, kind="stable")
     row = np.arange(len(choice))
@@ -166,23 +154,9 @@ def _beside(scene: Scene, main: FloatArray, drive: Callable[[Scene], Rollout]) -
         main: (n, KNOTS, 2) the rollout there, m: taken where there is no such lane.
         drive: drives a scene on.
     """
-    table = LaneTable.of(scene.road)
-    lane = np.maximum(scene.lane, 0)
-    turn = PathTable.of(scene.road).turn[scene.path]
     found = []
-    for side, sign in ((0, 1.0), (1, -1.0)):
-        to = np.maximum(table.beside[side, lane], 0)
-        way = table.way[to, turn]
-        way = np.where(way >= 0, way, table.way[to].max(axis=1))
-        there = scene.on_path & (table.beside[side, lane] >= 0) & (way >= 0)
-        apart = sign * table.apart[side, lane]
-        moving = dataclasses.replace(
-            scene,
-            lane=np.where(there, to, scene.lane),
-            path=np.where(there, way, scene.path),
-            offset=np.where(there, scene.offset - apart, scene.offset),
-            sideways=np.where(there, apart / CHANGE_S, scene.sideways),
-        )
+    for side in (1, -1):
+        moving, there = beside(scene, side)
         moved = to_own_frame(scene, at_knots(places(moving, drive(moving))))
         found.append(np.where(there[:, None, None], moved, main))
     return found

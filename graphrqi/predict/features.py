@@ -14,9 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.paths import PathTable
 from graphrqi.predict.scene import CLOSED, CLOSING, Scene
-from sim.lane_graph import LaneGraph
 from sim.observables import LaneTraffic
 
 FloatArray = NDArray[np.float64]
@@ -72,7 +70,7 @@ class Neighbor:
 
 def neighbors(scene: Scene) -> list[Neighbor]:
     """Leader, its leader, follower, and those ahead and behind on the left and on the right."""
-    seen, graph = scene.seen, LaneGraph.of(scene.road)
+    seen, graph = scene.seen, scene.graph
     n = scene.ids.size
     nobody = np.full(n, -1)
     leader = seen.leader
@@ -116,7 +114,7 @@ def own_past(scene: Scene) -> FloatArray:
 
 def gates_ahead(scene: Scene) -> FloatArray:
     """(n, GATES (1 + 2 len(AHEAD_S))) nearness and states to come of the next gates on the path."""
-    paths = PathTable.of(scene.road)
+    paths = scene.paths
     front = scene.s + scene.history.length / 2
     room = paths.gate_x[scene.path] - front[:, None]
     room = np.where(scene.on_path[:, None] & (room > -1.0), room, np.inf)
@@ -137,7 +135,7 @@ def gates_ahead(scene: Scene) -> FloatArray:
 
 def way_ahead(scene: Scene) -> FloatArray:
     """(n, 6) nearness and size of the next lower limit, and which way the path turns."""
-    paths = PathTable.of(scene.road)
+    paths = scene.paths
     limit, start = paths.limit[scene.path], paths.start[scene.path]
     lower = (limit < limit[:, :1] - 0.1) & np.isfinite(start)
     first = lower.argmax(axis=1)
@@ -152,7 +150,7 @@ def way_ahead(scene: Scene) -> FloatArray:
 
 def own_state(scene: Scene) -> FloatArray:
     """(n, 13) speed, acceleration, limit, place on the lane, lanes beside, wishes seen so far."""
-    graph = LaneGraph.of(scene.road)
+    graph = scene.graph
     seen = scene.seen
     lane = np.maximum(scene.lane, 0)
     limit = np.where(scene.on_path, graph.limit[lane], 0.0)

@@ -49,6 +49,9 @@ CHANGE_S = 3.0
 CHANGE_ROOM_M = 20.0
 """Nobody begins to change lanes so close to a junction, m (our choice)."""
 
+UNSEEN = 1e3
+"""An acceleration below minus this stands for none seen."""
+
 WARY_M = 30.0
 """Neighbours are kept away from within this distance, m (our choice: 2 s in town)."""
 
@@ -79,7 +82,7 @@ def _idm(speed: float, wish: float, gap: float, leader_speed: float, driver: Any
 
 @numba.njit(cache=True, fastmath=True)
 def roll(
-    path: Any, s: Any, v: Any, residual: Any, half_length: Any, driver: Any, changing: Any,
+    path: Any, s: Any, v: Any, seen_accel: Any, half_length: Any, driver: Any, changing: Any,
     wary: Any, feared: Any, offset: Any, pace: Any, moving: Any, ignores: Any, closed: Any,
     path_lane: Any, path_start: Any, path_limit: Any, path_turn: Any, gate_x: Any, gate_row: Any,
     beside: Any, apart: Any, way: Any, lane_length: Any, step_s: float, steps: int, decay_s: float,
@@ -91,7 +94,7 @@ def roll(
         path: (n,) path of each driver, row of the tables below.
         s: (n,) distance along it, m.
         v: (n,) speed, m/s.
-        residual: (n,) observed minus modelled acceleration at present, m/s2.
+        seen_accel: (n,) acceleration seen at present, m/s2; at most -1000: as modelled.
         half_length: (n,) m.
         driver: (n, 5) speed factor, time headway s, standstill gap m, acceleration and
             deceleration m/s2.
@@ -117,7 +120,7 @@ def roll(
         lane_length: (L,) m.
         step_s: s.
         steps: how many.
-        decay_s: time in which the residual falls to 1/e, s.
+        decay_s: time in which what is seen beyond the model falls to 1/e, s; 0: at once.
         given_lane: (n, steps) lanes where the others are taken to be, or (0, 0): they move
             together.
         given_s: (n, steps) distance along those lanes, m.
@@ -133,9 +136,11 @@ def roll(
     out_v, out_gone = np.empty((n, steps)), np.empty((n, steps))
     on, x, now_v, side = path.copy(), s.copy(), v.copy(), offset.copy()
     back, gone, at = pace.copy(), np.zeros(n), np.zeros(n, np.int64)
-    ready = np.zeros(n, np.int64)
+    residual, ready = np.zeros(n), np.zeros(n, np.int64)
     other_lane, other_s, other_v = np.full(n, -1), s.copy(), v.copy()
-    head, after = np.empty(lanes, np.int64), np.empty(n, np.int64)
+    order, drivers = np.empty(n, np.int64), 0
+    first, last = np.empty(lanes, np.int64), np.empty(lanes, np.int64)  # places in the order
+    rank = np.zeros(n, np.int64)
     most, gates = path_lane.shape[1], gate_x.shape[1]
     alone = given_s.size > 0
     every = max(1, round(DECIDE_S / step_s))
@@ -143,8 +148,10 @@ def roll(
     for i in range(n):
         if abs(offset[i]) > 0.5:
             ready[i] = int(CHANGE_S / step_s)
+        if moving[i]:
+            order[drivers] = i
+            drivers += 1
     for h in range(steps):
-        head[:] = -1
         for i in range(n):
             if not moving[i]:
                 continue
@@ -158,10 +165,28 @@ def roll(
             else:
                 other_lane[i], other_s[i] = path_lane[q, k], x[i] - path_start[q, k]
                 other_v[i] = now_v[i]
-            lane = other_lane[i]
-            after[i] = head[lane]
-            head[lane] = i
-        fade = math.exp(-h * step_s / decay_s)
+        for j in range(1, drivers):  # by lane, then place; nearly in order since the last step
+            i = order[j]
+            lane, place_s = other_lane[i], other_s[i]
+            g = j - 1
+            while g >= 0:
+                o = order[g]
+                if other_lane[o] < lane or (
+                    other_lane[o] == lane
+                    and (other_s[o] < place_s or (other_s[o] == place_s and o > i))
+                ):
+                    break
+                order[g + 1] = o
+                g -= 1
+            order[g + 1] = i
+        first[:], last[:] = 0, -1
+        for j in range(drivers):
+            lane = other_lane[order[j]]
+            if last[lane] < 0:
+                first[lane] = j
+            last[lane] = j
+            rank[order[j]] = j
+        fade = math.exp(-h * step_s / decay_s) if decay_s > 0.0 else 0.0
         for i in range(n):
             if not moving[i]:
                 out_s[i, h], out_side[i, h], out_v[i, h], out_gone[i, h] = x[i], side[i], v[i], 0.0
@@ -188,13 +213,19 @@ def roll(
                         room = max(begin - here, 0.0)
                         wish = min(wish, math.sqrt(slower * slower + 2 * decel * room))
                 if leader < 0:
-                    other = head[ahead_lane]
-                    while other >= 0:
-                        if other != i:
-                            ahead = begin + other_s[other] - here
-                            if (ahead > 0.0 or (ahead == 0.0 and other < i)) and ahead < best:
-                                best, leader = ahead, other
-                        other = after[other]
+                    begin_at = first[ahead_lane]
+                    if ahead_lane == other_lane[i]:  # nobody far behind oneself is ahead
+                        begin_at = rank[i]
+                        while begin_at > first[ahead_lane] and (
+                            begin + other_s[order[begin_at - 1]] >= here
+                        ):
+                            begin_at -= 1
+                    for g in range(begin_at, last[ahead_lane] + 1):
+                        other = order[g]
+                        ahead = begin + other_s[other] - here
+                        if other != i and (ahead > 0.0 or (ahead == 0.0 and other < i)):
+                            best, leader = ahead, other
+                            break
             if may_change and h % every == 0 and h >= ready[i] and speed > 1.0:
                 along = here - path_start[q, k]
                 to = -1
@@ -208,23 +239,24 @@ def roll(
                     if left < CHANGE_ROOM_M and path_lane[q, min(k + 1, most - 1)] >= 0:
                         continue
                     front, rear, front_far, rear_far = -1, -1, 1e9, 1e9
-                    other = head[target]
-                    while other >= 0:
-                        if other != i:
-                            ahead = other_s[other] - along
-                            if ahead >= 0.0 and ahead < front_far:
-                                front_far, front = ahead, other
-                            elif ahead < 0.0 and -ahead < rear_far:
-                                rear_far, rear = -ahead, other
-                        other = after[other]
+                    for g in range(first[target], last[target] + 1):
+                        other = order[g]
+                        if other == i:
+                            continue
+                        ahead = other_s[other] - along
+                        if ahead >= 0.0:
+                            front_far, front = ahead, other
+                            break
+                        rear_far, rear = -ahead, other
                     follower, follower_far = -1, 1e9
-                    other = head[lane]
-                    while other >= 0:
-                        if other != i:
-                            behind = along - other_s[other]
-                            if behind > 0.0 and behind < follower_far:
-                                follower_far, follower = behind, other
-                        other = after[other]
+                    for g in range(first[lane], last[lane] + 1):
+                        other = order[g]
+                        if other == i:
+                            continue
+                        behind = along - other_s[other]
+                        if behind <= 0.0:
+                            break
+                        follower_far, follower = behind, other
                     front_gap = front_far
                     if front >= 0:
                         front_gap -= half_length[i] + half_length[front]
@@ -305,7 +337,11 @@ def roll(
                 if need > (decel if state == 1 else HARD_DECEL) and speed > 1.0:
                     continue
                 target_v = min(target_v, _safe_speed(room, 0.0, headway, decel))
-            change = max((target_v - speed) / step_s, -HARD_DECEL) + residual[i] * fade
+            change = max((target_v - speed) / step_s, -HARD_DECEL)
+            if h == 0 and decay_s > 0.0 and seen_accel[i] > -UNSEEN:
+                modelled = (max(0.0, speed + change * step_s) - speed) / step_s
+                residual[i] = seen_accel[i] - modelled
+            change += residual[i] * fade
             faster = max(0.0, speed + change * step_s)
             step = 0.5 * (speed + faster) * step_s
             x[i] = here + step
@@ -362,4 +398,32 @@ def place(
                 segment_start[g, 1] + along * segment_direction[g, 1]
                 + side[i, h] * segment_direction[g, 0]
             )  # fmt: skip
+    return out
+
+
+@numba.njit(cache=True, fastmath=True)
+def every_place(own: Any, matrix: Any, start: Any, speed: Any, cos: Any, sin: Any, now: Any) -> Any:
+    """(n, K, H, 2) places of knots (n, K, J, 2) in the drivers' frames.
+
+    Args:
+        own: knots ahead and to the left, m.
+        matrix: (H, J) weight of each knot at each step.
+        start: (H,) weight of the present speed.
+        speed: (n,) m/s.
+        cos: (n,) of the headings.
+        sin: (n,) of the headings.
+        now: (n, 2) present places, m.
+    """
+    n, modes, knots, _ = own.shape
+    steps = start.size
+    out = np.empty((n, modes, steps, 2))
+    for i in range(n):
+        for k in range(modes):
+            for h in range(steps):
+                ahead, left = speed[i] * start[h], 0.0
+                for j in range(knots):
+                    ahead += matrix[h, j] * own[i, k, j, 0]
+                    left += matrix[h, j] * own[i, k, j, 1]
+                out[i, k, h, 0] = now[i, 0] + ahead * cos[i] - left * sin[i]
+                out[i, k, h, 1] = now[i, 1] + ahead * sin[i] + left * cos[i]
     return out

@@ -31,12 +31,13 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
-from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known, from_own_frame, known
+from graphrqi.predict import kernel
+from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known, known, unlabelled
 from graphrqi.predict.drivers import default_table
 from graphrqi.predict.following import shuffled_posterior, true_behavior
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene import STEP_S, Scene
-from sim.frames import PEDESTRIAN
+from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]
 
@@ -49,8 +50,8 @@ PER_MODE: Final = len(BASES) + 3 * KNOTS + 1
 LEAST_SPREAD_M: Final = 0.05
 """Spreads are no smaller, m (our choice: lane centres are not known better)."""
 
-WEIGHTS: Final = "graphrqi-predict.safetensors"
-"""The trained network that ships beside this module."""
+WEIGHTS, MLP_WEIGHTS = "graphrqi-predict.safetensors", "mlp.safetensors"
+"""The trained networks that ship beside this module."""
 
 SCHEMA_VERSION: Final = 1
 
@@ -109,30 +110,30 @@ class Perceptron:
     Attributes:
         mean: (F,) of the training inputs.
         scale: (F,) their standard deviations.
-        weights: one (in, out) matrix per layer.
-        biases: one (out,) vector per layer.
+        weights: one (in, out) float32 matrix per layer.
+        biases: one (out,) float32 vector per layer.
         spread_scale: see `decode`.
     """
 
     mean: FloatArray
     scale: FloatArray
-    weights: tuple[FloatArray, ...]
-    biases: tuple[FloatArray, ...]
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
     spread_scale: float
 
     def __call__(self, data: Known) -> Futures:
         """The futures of every row."""
-        hidden = np.clip((data.inputs - self.mean) / self.scale, -8.0, 8.0)
+        hidden = np.clip((data.inputs - self.mean) / self.scale, -8.0, 8.0).astype(np.float32)
         last = len(self.weights) - 1
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             hidden = hidden @ weight + bias
             if i < last:
-                hidden = hidden / (1.0 + np.exp(-hidden))  # SiLU
-        return decode(hidden, data.bases, self.spread_scale)
+                hidden /= 1.0 + np.exp(np.minimum(-hidden, 80.0))  # SiLU; exp overflows beyond
+        return decode(hidden.astype(np.float64), data.bases, self.spread_scale)
 
-    def arrays(self) -> dict[str, FloatArray]:
+    def arrays(self) -> dict[str, NDArray[np.floating]]:
         """Everything that is saved, by name."""
-        found = {"mean": self.mean, "scale": self.scale}
+        found: dict[str, NDArray[np.floating]] = {"mean": self.mean, "scale": self.scale}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             found |= {f"weight_{i}": weight, f"bias_{i}": bias}
         return found
@@ -164,10 +165,10 @@ def load_network(path: Path) -> Perceptron:
                     f"expected {SCHEMA_VERSION}"
                 )
             layers = sum(name.startswith("weight_") for name in file.keys())  # noqa: SIM118
-            arrays = {k: file.get_tensor(k).astype(np.float64) for k in file.keys()}  # noqa: SIM118
+            arrays = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
             return Perceptron(
-                arrays["mean"],
-                arrays["scale"],
+                arrays["mean"].astype(np.float64),
+                arrays["scale"].astype(np.float64),
                 tuple(arrays[f"weight_{i}"] for i in range(layers)),
                 tuple(arrays[f"bias_{i}"] for i in range(layers)),
                 float(about["spread_scale"]),
@@ -179,9 +180,9 @@ def load_network(path: Path) -> Perceptron:
 
 
 @functools.cache
-def default_network() -> Perceptron:
-    """The network that ships in the package."""
-    with resources.as_file(resources.files("graphrqi.predict").joinpath(WEIGHTS)) as path:
+def shipped_network(name: str) -> Perceptron:
+    """A network that ships in the package, by the name of its file."""
+    with resources.as_file(resources.files("graphrqi.predict").joinpath(name)) as path:
         return load_network(path)
 
 
@@ -196,23 +197,43 @@ class FuturesModel(Protocol):
 def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
     """Believed rollouts corrected by the shipped network: the best predictor here."""
     data = known(scene, posterior.of(scene.ids), default_table())
-    return to_prediction(scene, default_network()(data))
+    return to_prediction(scene, shipped_network(WEIGHTS)(data))
+
+
+def mlp(scene: Scene, posterior: Posterior) -> Prediction:
+    """A perceptron with the inputs, data and budget of the label-free ``lstm``: its measure."""
+    return to_prediction(scene, shipped_network(MLP_WEIGHTS)(unlabelled(scene)))
 
 
 def to_prediction(scene: Scene, futures: Futures) -> Prediction:
+    """A scene's futures at the knots as places at every step; see `spread_out`."""
+    return spread_out(scene.history, futures, scene.steps)
+
+
+def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
     """Futures at the knots, in each driver's frame, as places at every step.
 
     Between knots places lie on a cubic spline that starts at the present speed; after the last
     knot they go straight on. Pedestrians walk on as they do.
+
+    Args:
+        history: tracks whose last column is the present, everyone seen there.
+        futures: theirs.
+        steps: how many, `STEP_S` apart.
     """
-    matrix, start = _spline(scene.steps)
-    own = matrix @ futures.own
-    own[..., 0] += scene.speed[:, None, None] * start
-    xy = from_own_frame(scene, own)
-    walks = scene.history.kind == PEDESTRIAN
-    xy[walks] = scene.straight_on()[walks][:, None]
+    matrix, start = _spline(steps)
+    heading, speed, now = history.heading[:, -1], history.speed[:, -1], history.xy[:, -1]
+    xy = kernel.every_place(
+        np.ascontiguousarray(futures.own), matrix, start, speed, np.cos(heading), np.sin(heading),
+        now,
+    )  # fmt: skip
+    time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
+    walks = np.flatnonzero(history.kind == PEDESTRIAN)
+    facing = np.stack([np.cos(heading[walks]), np.sin(heading[walks])], axis=1)
+    on = now[walks, None] + (speed[walks, None] * time_s)[..., None] * facing[:, None]
+    xy[walks] = on[:, None]
     spread = futures.spread @ np.abs(matrix).T
-    return Prediction(scene.ids, scene.time_s, xy, futures.probability, spread)
+    return Prediction(history.ids, time_s, xy, futures.probability, spread)
 
 
 @functools.cache

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Style
 from graphrqi.predict.drivers import RUNS_RED, YIELDS, DriverTable
-from graphrqi.predict.paths import PathTable
 from graphrqi.predict.scene import Scene
-from sim.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -83,8 +81,8 @@ def average(scene: Scene, table: DriverTable) -> Manners:
 
 def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
     """(n, R) gates that each driver more likely runs than respects, under (n, 6) beliefs."""
-    groups = PathTable.of(scene.road).groups
-    crossings = groups + LaneGraph.of(scene.road).cross_lane.size
+    groups = scene.paths.groups
+    crossings = groups + scene.graph.cross_lane.size
     ignores = np.zeros((scene.ids.size, scene.closed.shape[0]), dtype=np.bool_)
     ignores[:, :groups] = (probability @ RUNS_RED > 0.5)[:, None]
     ignores[:, groups:crossings] = (probability @ YIELDS < 0.5)[:, None]

@@ -53,6 +53,10 @@ class PathTable:
         foe_gate: (F,) yielding place that each conflict belongs to.
         foe_lane: (F,) lane of those who have priority there.
         foe_s: (F,) distance along that lane at which the ways cross, m.
+        beside: (2, L) lanes to the left and to the right of each, -1: none.
+        apart: (2, L) how far apart the two centres are, m.
+        way: (L, D) likeliest path from each lane that turns each way, -1: none.
+        likeliest: (L,) likeliest path from each lane, 0 where there is none.
     """
 
     lane: IntArray
@@ -69,6 +73,10 @@ class PathTable:
     foe_gate: IntArray
     foe_lane: IntArray
     foe_s: FloatArray
+    beside: IntArray
+    apart: FloatArray
+    way: IntArray
+    likeliest: IntArray
 
     @staticmethod
     @functools.lru_cache(maxsize=32)
@@ -135,6 +143,12 @@ def _build(road: Road) -> PathTable:
     for q, some in enumerate(gates):
         for g, (at, row) in enumerate(some):
             gate_x[q, g], gate_row[q, g] = at, row
+    beside = np.stack([graph.left, graph.right])
+    way, likeliest = np.full((lanes, len(DIRECTIONS)), -1), np.zeros(lanes, np.int64)
+    order = np.argsort(probability, kind="stable")  # the likeliest is written last
+    origin = np.repeat(np.arange(lanes), count)[order]
+    way[origin, turn[order]] = order
+    likeliest[origin] = order
     return PathTable(
         lane=lane_table,
         start=start,
@@ -150,6 +164,10 @@ def _build(road: Road) -> PathTable:
         foe_gate=np.array([f[0] for f in foes], dtype=np.int64),
         foe_lane=np.array([f[1] for f in foes], dtype=np.int64),
         foe_s=np.array([f[2] for f in foes], dtype=np.float64),
+        beside=beside,
+        apart=(graph.width[None] + graph.width[np.maximum(beside, 0)]) / 2,
+        way=way,
+        likeliest=likeliest,
     )
 
 

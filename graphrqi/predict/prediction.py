@@ -72,6 +72,8 @@ class Prediction:
     def until(self, horizon_s: float) -> Prediction:
         """The same futures up to a horizon, s."""
         keep = self.time_s <= horizon_s + 1e-6
+        if keep.all():
+            return self
         spread = None if self.spread is None else self.spread[:, :, keep]
         return Prediction(
             self.ids, self.time_s[keep], self.xy[:, :, keep], self.probability, spread

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from graphrqi.predict import kernel
 from graphrqi.predict.manners import Manners
-from graphrqi.predict.paths import PathTable
 from graphrqi.predict.scene import RETURN_MPS, STEP_S, Scene
-from sim.lane_graph import DIRECTIONS, LaneGraph
-from sim.road import Road
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 _NO_LANES = np.empty((0, 0), dtype=np.int64)
 _NO_NUMBERS = np.empty((0, 0))
@@ -41,39 +39,13 @@ class Rollout:
     gone: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LaneTable:
-    """What the rollout needs of a road beside its paths.
-
-    Attributes:
-        beside: (2, L) lanes to the left and to the right, -1: none.
-        apart: (2, L) how far apart the two centres are, m.
-        way: (L, D) likeliest path from each lane that turns each way, -1: none.
-    """
-
-    beside: IntArray
-    apart: FloatArray
-    way: IntArray
-
-    @staticmethod
-    @functools.lru_cache(maxsize=32)
-    def of(road: Road) -> LaneTable:
-        """The table of a road, built on first use and kept."""
-        graph, paths = LaneGraph.of(road), PathTable.of(road)
-        beside = np.stack([graph.left, graph.right])
-        apart = (graph.width[None] + graph.width[np.maximum(beside, 0)]) / 2
-        way = np.full((graph.length.size, len(DIRECTIONS)), -1)
-        order = np.argsort(paths.probability, kind="stable")  # the likeliest is written last
-        way[np.repeat(np.arange(paths.first.size), paths.count)[order], paths.turn[order]] = order
-        return LaneTable(beside, apart, way)
-
-
 def roll(
     scene: Scene,
     manners: Manners,
     decay_s: float = 2.0,
     others: Rollout | None = None,
     steps: int | None = None,
+    planned: int | None = None,
 ) -> Rollout:
     """Drive the scene's drivers on along their paths.
 
@@ -83,15 +55,12 @@ def roll(
         decay_s: time in which what a driver does beyond the model falls to 1/e, s; 0: at once.
         others: where everyone else is taken to be; by default all move together.
         steps: how many; the scene's by default.
+        planned: the row of one who drives by its manners alone, whatever it does at present.
 
     Returns:
         The drivers' future.
     """
-    paths, graph, table = (
-        PathTable.of(scene.road),
-        LaneGraph.of(scene.road),
-        LaneTable.of(scene.road),
-    )
+    paths, graph = scene.paths, scene.graph
     half_length = np.ascontiguousarray(scene.history.length) / 2
     speed = np.maximum(scene.speed, 0.0)
     pace = np.maximum(np.abs(scene.sideways), RETURN_MPS)
@@ -99,40 +68,77 @@ def roll(
     if others is not None:
         given = (others.lane, others.s, others.v)
 
-    def run(residual: FloatArray, steps: int, decay: float) -> Rollout:
-        return Rollout(
-            *kernel.roll(
-                scene.path, scene.s, speed, residual, half_length, manners.following,
-                manners.changing, manners.wary, manners.feared, scene.offset, pace, scene.on_path,
-                manners.ignores, scene.closed, paths.lane, paths.start, paths.limit, paths.turn,
-                paths.gate_x, paths.gate_row, table.beside, table.apart, table.way, graph.length,
-                STEP_S, steps, decay, *given,
-            )
-        )  # fmt: skip
-
-    residual = np.zeros(speed.size)
-    if decay_s > 0:
-        first = run(residual, 1, 1.0).v[:, 0]
-        residual = np.where(scene.on_path, scene.accel - (first - speed) / STEP_S, 0.0)
-    return run(residual, steps or scene.steps, max(decay_s, 1e-3))
+    accel = scene.accel
+    if planned is not None:
+        accel = np.where(np.arange(accel.size) == planned, -2.0 * kernel.UNSEEN, accel)
+    return Rollout(
+        *kernel.roll(
+            scene.path, scene.s, speed, accel, half_length, manners.following, manners.changing,
+            manners.wary, manners.feared, scene.offset, pace, scene.on_path, manners.ignores,
+            scene.closed, paths.lane, paths.start, paths.limit, paths.turn, paths.gate_x,
+            paths.gate_row, paths.beside, paths.apart, paths.way, graph.length, STEP_S,
+            steps or scene.steps, decay_s, *given,
+        )
+    )  # fmt: skip
 
 
 def places(scene: Scene, rollout: Rollout) -> FloatArray:
     """(n, H, 2) places of a rollout, m; agents on no path go straight on."""
-    graph = LaneGraph.of(scene.road)
-    out = scene.straight_on()
-    on = scene.on_path
-    out[on] = kernel.place(
-        rollout.lane[on], rollout.s[on], rollout.side[on], graph.segment_start,
-        graph.segment_direction, graph.segment_at, graph.segment_first, graph.segment_last,
+    graph, on = scene.graph, scene.on_path
+    out = kernel.place(
+        rollout.lane, rollout.s, rollout.side, graph.segment_start, graph.segment_direction,
+        graph.segment_at, graph.segment_first, graph.segment_last,
     )  # fmt: skip
-    return out
+    if not on.all():
+        out[~on] = scene.straight_on(~on)
+    return np.asarray(out)
 
 
 def steady(scene: Scene) -> Rollout:
     """Everyone along its path at its present speed, returning to its lane's centre."""
-    paths = PathTable.of(scene.road)
+    paths = scene.paths
     gone = scene.speed[:, None] * scene.time_s[None]
     lane, s = kernel.along_path(scene.path, scene.s[:, None] + gone, paths.lane, paths.start)
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
     return Rollout(lane, s, scene.offsets(), speed, gone)
+
+
+def beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:
+    """Everyone on its way to the lane beside, where there is one.
+
+    Args:
+        scene: the present.
+        side: 1: to the left, -1: to the right.
+        other_ways: whether a lane counts that leads elsewhere than the path does.
+
+    Returns:
+        The scene, and (n,) who has such a lane; the others are left where they are.
+    """
+    table, which = scene.paths, 0 if side > 0 else 1
+    lane = np.maximum(scene.lane, 0)
+    to = np.maximum(table.beside[which, lane], 0)
+    way = table.way[to, table.turn[scene.path]]
+    if other_ways:
+        way = np.where(way >= 0, way, table.way[to].max(axis=1))
+    there = scene.on_path & (table.beside[which, lane] >= 0) & (way >= 0)
+    apart = side * table.apart[which, lane]
+    moving = dataclasses.replace(
+        scene,
+        lane=np.where(there, to, scene.lane),
+        path=np.where(there, way, scene.path),
+        offset=np.where(there, scene.offset - apart, scene.offset),
+        sideways=np.where(there, apart / kernel.CHANGE_S, scene.sideways),
+    )
+    return moving, there
+
+
+def centre_ahead(scene: Scene, row: int) -> FloatArray:
+    """(H, 2) the centre line of one driver's path from here on, every metre for 60 m."""
+    paths, graph = scene.paths, scene.graph
+    x = scene.s[row] + np.arange(60.0)[None]
+    lane, s = kernel.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)
+    line = kernel.place(
+        lane, s, np.zeros_like(s), graph.segment_start, graph.segment_direction,
+        graph.segment_at, graph.segment_first, graph.segment_last,
+    )  # fmt: skip
+    return np.asarray(line[0])

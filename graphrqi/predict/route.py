@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.manners import Manners
-from graphrqi.predict.paths import PathTable
 from graphrqi.predict.rollout import roll
 from graphrqi.predict.scene import STEP_S, Scene
 
@@ -31,7 +30,7 @@ LARGEST_EVIDENCE: Final = 6.0
 
 def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:
     """(n, C) paths that each driver may take, and (n, C) which of those entries are real."""
-    paths = PathTable.of(scene.road)
+    paths = scene.paths
     lane = np.maximum(scene.lane, 0)
     count = np.where(scene.on_path, paths.count[lane], 1)
     most = int(count.max(initial=1))
@@ -51,7 +50,7 @@ def path_probability(scene: Scene, manners: Manners) -> tuple[IntArray, FloatArr
     Returns:
         (n, C) paths and (n, C) their probabilities; rows sum to 1.
     """
-    paths = PathTable.of(scene.road)
+    paths = scene.paths
     choice, real = candidates(scene)
     weight = np.where(real, np.log(paths.probability[choice]), -np.inf)
     if choice.shape[1] > 1:

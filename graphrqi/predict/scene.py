@@ -78,6 +78,8 @@ class Scene:
     Attributes:
         history: what was seen; its last column is the present.
         road: where.
+        graph: its lanes.
+        paths: its paths.
         steps: how many steps of `STEP_S` are predicted.
         on_path: (n,) whether the agent drives along a lane.
         lane: (n,) lane of each, -1 off the road.
@@ -95,6 +97,8 @@ class Scene:
 
     history: Tracks
     road: Road
+    graph: LaneGraph
+    paths: PathTable
     steps: int
     on_path: BoolArray
     lane: IntArray
@@ -139,11 +143,12 @@ class Scene:
         left = np.maximum(np.abs(self.offset)[:, None] - pace[:, None] * self.time_s[None], 0.0)
         return np.asarray(np.sign(self.offset)[:, None] * left)
 
-    def straight_on(self) -> FloatArray:
-        """(n, H, 2) everyone at constant velocity, m."""
-        facing = np.stack([np.cos(self.heading), np.sin(self.heading)], axis=1)
-        travelled = self.speed[:, None] * self.time_s[None]
-        return np.asarray(self.xy[:, None] + travelled[..., None] * facing[:, None])
+    def straight_on(self, who: BoolArray | slice = slice(None)) -> FloatArray:
+        """(n, H, 2) everyone, or some, at constant velocity, m."""
+        heading = self.heading[who]
+        facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        travelled = self.speed[who, None] * self.time_s[None]
+        return np.asarray(self.xy[who, None] + travelled[..., None] * facing[:, None])
 
     def predicted(self, xy: FloatArray, probability: FloatArray | None = None) -> Prediction:
         """A `Prediction` of these agents; ``xy`` (n, H, 2) for one future or (n, K, H, 2)."""
@@ -203,10 +208,12 @@ def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
         lane, offset = _changing(graph, lane, offset, sideways)
     on_path = lane >= 0
     free, least, seen = _wishes(history, road)
-    path = _likely_path(paths, lane)
+    path = np.where(on_path, paths.likeliest[np.maximum(lane, 0)], 0)
     return Scene(
         history=history,
         road=road,
+        graph=graph,
+        paths=paths,
         steps=steps,
         on_path=on_path,
         lane=lane,
@@ -215,7 +222,7 @@ def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
         sideways=sideways,
         accel=_acceleration(history),
         path=path,
-        closed=_gates(history, road, lane, s, path, steps),
+        closed=_gates(history, road, graph, paths, lane, s, path, steps),
         free_factor=free,
         least_factor=least,
         seen=seen,
@@ -296,14 +303,6 @@ def _changing(
     return changed, moved
 
 
-def _likely_path(paths: PathTable, lane: IntArray) -> IntArray:
-    best = np.zeros(paths.first.size, dtype=np.int64)
-    for i, (first, count) in enumerate(zip(paths.first, paths.count, strict=True)):
-        if count:
-            best[i] = first + int(paths.probability[first : first + count].argmax())
-    return np.where(lane >= 0, best[np.maximum(lane, 0)], 0)
-
-
 def _yields_ahead(
     paths: PathTable,
     lane: IntArray,
@@ -348,10 +347,10 @@ def _yields_ahead(
 
 
 def _gates(
-    history: Tracks, road: Road, lane: IntArray, s: FloatArray, path: IntArray, steps: int
-) -> NDArray[np.int8]:
+    history: Tracks, road: Road, graph: LaneGraph, paths: PathTable, lane: IntArray, s: FloatArray,
+    path: IntArray, steps: int,
+) -> NDArray[np.int8]:  # fmt: skip
     """(R, steps + 1) states to come of signals, of crossings and of yielding places."""
-    graph, paths = LaneGraph.of(road), PathTable.of(road)
     signals = _signals_ahead(history, road, steps)
     crossings = _crossings_ahead(history, road, graph, steps)
     yields = _yields_ahead(paths, lane, s, path, history, signals, graph.signal, steps)

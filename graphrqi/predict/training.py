@@ -218,8 +218,8 @@ def train_perceptron(
     network = Perceptron(
         mean,
         scale,
-        tuple(m.weight.detach().numpy().T.astype(np.float64) for m in linears),
-        tuple(m.bias.detach().numpy().astype(np.float64) for m in linears),
+        tuple(np.ascontiguousarray(m.weight.detach().numpy().T) for m in linears),
+        tuple(m.bias.detach().numpy() for m in linears),
         1.0,
     )
     futures = network(Known(validation.inputs.astype(np.float64), validation.bases.astype(float)))

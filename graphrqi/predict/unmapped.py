@@ -1,4 +1,4 @@
-"""What can be foreseen of a recording that comes without a map.
+"""What the drivers' own past foretells of a recording that comes without a map.
 
 Lanes are inferred from the traffic: the leader is whoever drives ahead in the same direction
 within a lane's half width of one's own line. Everyone's acceleration fades, and who follows
@@ -9,12 +9,12 @@ all that is used.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene import STEP_S
 from sim.frames import PEDESTRIAN, Tracks
@@ -48,86 +48,85 @@ FAN_PROBABILITY: Final = (0.4, 0.18, 0.18, 0.1, 0.08, 0.06)
 """How likely each is (our choice)."""
 
 
-def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Prediction:
-    """What a predictor foresees without a map.
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """How n agents move, and behind whom.
 
-    Args:
-        history: tracks whose last column is the present.
-        horizon_s: how far ahead, s.
-        predictor: ``constant-velocity`` keeps its meaning; every other one becomes `own_past`.
-
-    Returns:
-        Futures of the agents present now.
-
-    Raises:
-        InputError: if the history is empty.
+    Attributes:
+        speed: (n,) m/s.
+        accel: (n,) m/s2; 0 for pedestrians.
+        leader: (n,) row of the leader, -1: none, or none that can be trusted.
+        gap: (n,) bumper to bumper, m; +inf without leader.
+        fade_s: time in which accelerations fall to 1/e, s.
     """
-    if history.time_s.size == 0:
-        raise InputError("history: found no frame, expected at least 1")
-    present = history.window(history.time_s.size, history.time_s.size)
-    time_s = np.arange(1, round(horizon_s / STEP_S) + 1, dtype=np.float64) * STEP_S
-    function = steady_motion if predictor == "constant-velocity" else own_past
-    return function(present, time_s)
+
+    speed: FloatArray
+    accel: FloatArray
+    leader: IntArray
+    gap: FloatArray
+    fade_s: float
+
+    @classmethod
+    def of(cls, history: Tracks, believable: bool) -> Motion:
+        """The present's; leaders count only where gaps are believable."""
+        speed, accel = _fitted(history)
+        walks = history.kind == PEDESTRIAN
+        leader, gap = inferred_leaders(history)
+        trusted = (leader >= 0) & ~walks & believable
+        return cls(
+            speed=speed,
+            accel=np.where(walks, 0.0, accel),
+            leader=np.where(trusted, leader, -1),
+            gap=np.where(trusted, gap, np.inf),
+            fade_s=FADE_S if believable else FADE_ALONE_S,
+        )
+
+    def steady(self) -> Motion:
+        """The same speeds, kept."""
+        alone = np.full(self.leader.size, -1)
+        return replace(self, accel=np.zeros_like(self.accel), leader=alone)
 
 
-def steady_motion(history: Tracks, time_s: FloatArray) -> Prediction:
-    """Everyone keeps its present speed and heading."""
-    speed, facing = history.speed[:, -1], _facing(history)
-    xy = history.xy[:, None, -1] + (speed[:, None] * time_s)[..., None] * facing[:, None]
-    return Prediction(history.ids, time_s, xy[:, None], np.ones((history.ids.size, 1)))
-
-
-def own_past(history: Tracks, time_s: FloatArray) -> Prediction:
-    """Six futures from the drivers' own past and, where gaps are plausible, their leaders.
+def fan(history: Tracks, motion: Motion, steps: int) -> Prediction:
+    """Six futures straight on, the likeliest first, the others slower and faster.
 
     Args:
         history: tracks whose last column is the present, everyone seen there.
-        time_s: (H,) seconds from the present.
+        motion: theirs.
+        steps: how many, `STEP_S` apart.
 
     Returns:
-        Futures along each agent's present heading, the likeliest first; pedestrians walk on.
+        Futures along each agent's present heading; pedestrians walk on.
     """
-    speed, accel = _fitted(history)
-    walks = history.kind == PEDESTRIAN
-    accel = np.where(walks, 0.0, accel)
-    leader, gap = inferred_leaders(history)
-    believable = plausible(history)
-    fade_s = FADE_S if believable else FADE_ALONE_S
-    trusted = (leader >= 0) & ~walks & believable
-    target = np.where(trusted, speed[np.maximum(leader, 0)] if leader.size else speed, speed)
-    close = np.where(trusted, np.clip(1.0 - gap / (AHEAD_S * np.maximum(speed, 3.0)), 0, 1), 0.0)
-    futures = []
-    for extra in FAN_MPS2:
-        lasting = (accel + np.where(walks, 0.0, extra)) * fade_s
-        travelled = _travelled(speed, lasting, fade_s, (target - speed) * close, time_s)
-        futures.append(travelled)
-    ahead = np.stack(futures, axis=1)
-    xy = history.xy[:, None, None, -1] + ahead[..., None] * _facing(history)[:, None, None]
+    time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
+    drives = (history.kind != PEDESTRIAN).astype(np.float64)
+    ahead = np.stack([travelled(motion, time_s, extra * drives) for extra in FAN_MPS2], axis=1)
+    facing = np.stack([np.cos(history.heading[:, -1]), np.sin(history.heading[:, -1])], axis=1)
+    xy = history.xy[:, None, None, -1] + ahead[..., None] * facing[:, None, None]
     probability = np.tile(FAN_PROBABILITY, (history.ids.size, 1))
     return Prediction(history.ids, time_s, xy, probability)
 
 
-def _travelled(
-    speed: FloatArray,
-    lasting: FloatArray,
-    fade_s: float,
-    catching: FloatArray,
-    time_s: FloatArray,
-) -> FloatArray:
-    """(n, H) way gone when speed gains ``lasting`` and ``catching`` gradually; nobody reverses."""
-    fine = np.arange(1, round(float(time_s[-1]) / 0.1) + 1) * 0.1
-    gained = lasting[:, None] * (1 - np.exp(-fine / fade_s))
-    gained = gained + catching[:, None] * (1 - np.exp(-fine / FOLLOW_S))
+def travelled(motion: Motion, time_s: FloatArray, extra: FloatArray | float = 0.0) -> FloatArray:
+    """(n, H) way gone at each time, m.
+
+    Everyone's acceleration, and what is added to it, fades; who follows somebody gradually takes
+    on its speed. Nobody reverses.
+    """
+    speed, leader = motion.speed, motion.leader
+    follows = leader >= 0
+    target = np.where(follows, speed[leader], speed) if speed.size else speed
+    reach = AHEAD_S * np.maximum(speed, 3.0)
+    close = np.where(follows, np.clip(1.0 - motion.gap / reach, 0.0, 1.0), 0.0)
+    lasting = (motion.accel + extra) * motion.fade_s
+    fine = np.arange(1, round(float(time_s[-1]) / STEP_S) + 1) * STEP_S
+    gained = lasting[:, None] * (1 - np.exp(-fine / motion.fade_s))
+    gained = gained + ((target - speed) * close)[:, None] * (1 - np.exp(-fine / FOLLOW_S))
     now = np.maximum(speed[:, None] + gained, 0.0)
     before = np.concatenate([np.maximum(speed, 0.0)[:, None], now[:, :-1]], axis=1)
-    way = np.cumsum((now + before) * 0.05, axis=1)
-    at = np.minimum(np.round(time_s / 0.1).astype(np.int64) - 1, fine.size - 1)
+    way = np.cumsum((now + before) * (STEP_S / 2), axis=1)
+    at = np.minimum(np.round(time_s / STEP_S).astype(np.int64) - 1, fine.size - 1)
     return np.asarray(way[:, at])
-
-
-def _facing(history: Tracks) -> FloatArray:
-    heading = history.heading[:, -1]
-    return np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
 def _fitted(history: Tracks) -> tuple[FloatArray, FloatArray]:

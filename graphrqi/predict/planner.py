@@ -1,0 +1,211 @@
+"""Drives one vehicle among others by rolling out what they are believed to do.
+
+Each manoeuvre (keep the lane, or move to one beside, at one of a few wished speeds) is rolled out
+jointly with everybody else, who follow, change lanes and mind signals as they are believed to drive
+and react to it. The manoeuvre that gets farthest at least risk is begun; half a second later one
+looks again. Risk is how soon one would collide with somebody ahead, behind or across if both kept
+their speeds (time to collision), summed over the next seconds; and what comes without a reason in
+the traffic, as often as those around are believed to do it: a leader that stops, a neighbour that
+cuts in.
+
+References:
+    Hayward (1972), "Near-miss determination through use of a scale of danger", HRR 384 (time to
+    collision).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS
+from behaviors.profiles import PROFILES
+from graphrqi.predict.drivers import DriverTable
+from graphrqi.predict.manners import Manners, believed
+from graphrqi.predict.rollout import Rollout, beside, centre_ahead, places, roll
+from graphrqi.predict.scene import STEP_S, Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+WISHES: Final = ((0.0, 1.0), (0.5, 1.0), (1.0, 0.8), (1.0, 1.4), (1.0, 2.2))
+"""Wished speeds, as shares of the limit, and time headways, s, that are tried (our choice)."""
+
+EGO_FOLLOWING: Final = (2.0, 2.5, 4.0)
+"""The planned vehicle's own standstill gap m, acceleration and deceleration m/s2 (our choice: an
+attentive average driver)."""
+
+NEAR_S: Final = 3.0
+"""Times to collision below this count as risk, the more the shorter (our choice: twice what is
+called a near miss)."""
+
+EVERY: Final = 2
+"""Risk is looked at in every so many steps."""
+
+MARGIN_M: Final = 0.3
+"""Who passes this near to the side is in the way (our choice)."""
+
+RISK_WEIGHT, OVERLAP_WEIGHT, CHANGE_WEIGHT, SURPRISE_WEIGHT = 1.5, 20.0, 0.05, 1.0
+"""What a second at no time to collision, a second of overlap, a lane change and an expected near
+miss cost against the way gone, as a share of what the limit allows (our choice on other seeds than
+are reported)."""
+
+CUT_IN_GAP_M: Final = (2.0, 15.0)
+"""Who is cut in front of is this far behind (our choice: nearer is a collision, farther none)."""
+
+CUT_IN_SIDE_M: Final = (1.5, 5.0)
+"""... and this far aside: a lane."""
+
+CUT_IN_SEVERITY: Final = 0.2
+"""How much of a near miss a cut-in is even at equal speeds (our choice)."""
+
+CALM_HEADWAY_S: Final = 2.5
+"""A leader that stops without a reason is no danger from this headway on, s (our choice: a second
+to react, and braking as hard as the leader)."""
+
+CUTS_IN: Final = np.array([PROFILES[b].cut_in_rate_per_min / 60.0 for b in BEHAVIORS])
+STOPS: Final = np.array([PROFILES[b].stop_rate_per_min / 60.0 for b in BEHAVIORS])
+"""(6,) how often drivers of each behaviour cut in and stop without a reason, 1/s."""
+
+ACT_S: Final = 0.5
+"""Time until the next look, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What to do until the next look.
+
+    Attributes:
+        accel: m/s2.
+        centre: (H, 2) the centre line to steer along, from here on, m.
+        side: 0: in the same lane, 1: one to the left, -1: one to the right.
+    """
+
+    accel: float
+    centre: FloatArray
+    side: int
+
+
+def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) -> Plan:
+    """Choose what one vehicle does next.
+
+    Args:
+        scene: the present, the planned vehicle on the path that it is to take.
+        ego: its row.
+        probability: (n, 6) beliefs about who drives how.
+        table: drivers' numbers.
+
+    Returns:
+        The best manoeuvre's beginning.
+    """
+    manners = believed(scene, probability, table)
+    best, chosen = -np.inf, None
+    for side in (0, 1, -1):
+        moved = _moved(scene, ego, side)
+        if moved is None:
+            continue
+        for wish, headway_s in WISHES:
+            driven = _driving(manners, ego, wish, headway_s)
+            rollout = roll(moved, driven, table.decay_s, planned=ego)
+            worth = _worth(moved, rollout, ego, probability) - CHANGE_WEIGHT * abs(side)
+            if worth > best:
+                best, chosen = worth, (side, moved, rollout)
+    assert chosen is not None
+    side, moved, rollout = chosen
+    speed = float(max(scene.speed[ego], 0.0))
+    accel = (rollout.v[ego, round(ACT_S / STEP_S) - 1] - speed) / ACT_S
+    return Plan(float(accel), centre_ahead(moved, ego), side)
+
+
+def _moved(scene: Scene, ego: int, side: int) -> Scene | None:
+    """The scene with the planned vehicle on its way to a lane beside; None if there is none."""
+    if side == 0:
+        return scene
+    other, there = beside(scene, side, other_ways=False)
+    if not there[ego]:
+        return None
+    one = np.arange(scene.ids.size) == ego
+    changed = {
+        name: np.where(one, getattr(other, name), getattr(scene, name))
+        for name in ("lane", "path", "offset", "sideways")
+    }
+    return dataclasses.replace(scene, **changed)
+
+
+def _driving(manners: Manners, ego: int, wish: float, headway_s: float) -> Manners:
+    """The manners with the planned vehicle's own: it wants that speed and keeps its lane."""
+    following, changing = manners.following.copy(), manners.changing.copy()
+    following[ego] = (max(wish, 1e-3), headway_s, *EGO_FOLLOWING)
+    changing[ego, 1] = 1e9  # never
+    ignores = manners.ignores.copy()
+    ignores[ego] = False
+    return dataclasses.replace(manners, following=following, changing=changing, ignores=ignores)
+
+
+def _worth(scene: Scene, rollout: Rollout, ego: int, probability: FloatArray) -> float:
+    """Way gone as a share of what the limit allows, less what the risk on it costs."""
+    limit = max(float(scene.seen.limit[ego]), 1.0) if np.isfinite(scene.seen.limit[ego]) else 10.0
+    progress = float(rollout.gone[ego, -1]) / (limit * scene.steps * STEP_S)
+    near = np.hypot(*(scene.xy - scene.xy[ego]).T) < 100.0
+    near[ego] = True
+    rows = np.flatnonzero(near)
+    me = int(np.searchsorted(rows, ego))
+    xy = places(scene, rollout)[rows, EVERY - 1 :: EVERY]
+    risk, overlap, surprise = risks(xy, scene, rows, me, probability[rows])
+    span = EVERY * STEP_S
+    cost = RISK_WEIGHT * risk + OVERLAP_WEIGHT * overlap + SURPRISE_WEIGHT * surprise
+    return progress - cost * span
+
+
+def risks(
+    xy: FloatArray, scene: Scene, rows: IntArray, me: int, probability: FloatArray
+) -> tuple[float, float, float]:
+    """How dangerous a joint future is for one agent.
+
+    Args:
+        xy: (m, H, 2) places of some agents, `EVERY` steps apart, m.
+        scene: the present.
+        rows: (m,) who they are.
+        me: whose danger, index into them.
+        probability: (m, 6) beliefs about how they drive.
+
+    Returns:
+        Nearness of collision summed over steps, the number of steps with an overlap, and near
+        misses to be expected from stops and cut-ins without a reason, 1/s summed over steps.
+    """
+    span = EVERY * STEP_S
+    before = np.concatenate([scene.xy[rows][:, None], xy[:, :-1]], axis=1)
+    velocity = (xy - before) / span
+    facing = np.stack([np.cos(scene.heading[rows]), np.sin(scene.heading[rows])], axis=1)
+    moving = np.hypot(velocity[me, :, 0], velocity[me, :, 1])[:, None]
+    forward = np.where(moving > 0.5, velocity[me] / np.maximum(moving, 1e-6), facing[me])
+    apart = xy - xy[me]
+    along = (apart * forward).sum(axis=2)
+    across = forward[:, 0] * apart[..., 1] - forward[:, 1] * apart[..., 0]
+    turned = np.abs(facing @ facing[me])[:, None]
+    long, wide = scene.history.length[rows], scene.history.width[rows]
+    half_long = (long * turned[:, 0] + wide * (1 - turned[:, 0]) + long[me])[:, None] / 2
+    half_wide = (wide * turned[:, 0] + long * (1 - turned[:, 0]) + wide[me])[:, None] / 2
+    gap = np.abs(along) - half_long
+    closing = -np.sign(along) * ((velocity - velocity[me]) * forward).sum(axis=2)
+    in_way = np.abs(across) < half_wide + MARGIN_M
+    in_way[me] = False
+    overlap = in_way & (gap < 0.0)
+    time = np.where(closing > 0.1, np.maximum(gap, 0.0) / np.maximum(closing, 0.1), np.inf)
+    near = np.clip(1.0 - time / NEAR_S, 0.0, 1.0) ** 2
+    danger = np.where(in_way, near, 0.0).max(axis=0, initial=0.0)
+    ahead = (along > 0.0) & (facing @ facing[me] > 0.5)[:, None]
+    headway = np.maximum(gap, 0.0) / np.maximum(moving[:, 0], 1.0)
+    follows = in_way & ahead & (moving[:, 0] > 1.0)
+    tight = np.where(follows, np.clip(1.0 - headway / CALM_HEADWAY_S, 0.0, 1.0) ** 2, 0.0)
+    aside = (np.abs(across) > CUT_IN_SIDE_M[0]) & (np.abs(across) < CUT_IN_SIDE_M[1])
+    offered = ahead & aside & (gap > CUT_IN_GAP_M[0]) & (gap < CUT_IN_GAP_M[1])
+    cut = np.where(offered, CUT_IN_SEVERITY + near, 0.0)
+    surprise = (
+        tight * (probability @ STOPS)[:, None] + cut * (probability @ CUTS_IN)[:, None]
+    ).sum()
+    return float(danger.sum()), float(overlap.any(axis=0).sum()), float(surprise)
