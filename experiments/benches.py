@@ -54,6 +54,12 @@ def _prediction(quick: bool) -> list[Row]:
     return run_prediction_bench(quick)
 
 
+def _navigation(quick: bool) -> list[Row]:
+    from experiments.navigation import run_navigation_bench
+
+    return run_navigation_bench(quick)
+
+
 def _loop(quick: bool) -> list[Row]:
     from experiments.loop_bench import run_loop_bench
 
@@ -68,6 +74,7 @@ BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
     "classification": _classification,
     "real-data": _real_data,
     "prediction": _prediction,
+    "navigation": _navigation,
     "loop": _loop,
 }
 """Every bench; each takes whether to be quick and returns flat rows."""

@@ -484,6 +484,7 @@ for _name, _what in {
     "behaviors": "Measure which behaviour shows which trait, in every scenario.",
     "highway": "Measure the highway-env engine's speed beside the stock road's.",
     "prediction": "Measure every predictor's errors on unseen episodes.",
+    "navigation": "Drive among others, told and not told who drives how.",
     "loop": "Time classifying and predicting while a simulation runs, stage by stage.",
     "generate": "Measure the cost of generating data.",
 }.items():
