@@ -40,6 +40,16 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
+def children(process: int) -> list[psutil.Process]:
+    with suppress(psutil.NoSuchProcess):
+        return [
+            child
+            for child in psutil.Process(process).children()
+            if "resource_tracker" not in " ".join(child.cmdline())
+        ]
+    return []
+
+
 class Loky:
     """Workers are the run's own children."""
 
@@ -52,37 +62,38 @@ class Loky:
         return None
 
     def workers(self, run: int) -> list[int]:
-        with suppress(psutil.NoSuchProcess):
-            children = psutil.Process(run).children()
-            return [c.pid for c in children if "resource_tracker" not in " ".join(c.cmdline())]
-        return []
+        return [child.pid for child in children(run)]
 
 
 class Dask:
-    """Workers live as long as the check, and are started again when they die.
+    """Workers of Dask's own commands, which start them again when they die.
 
     Those that are just starting are left alone: Dask gives a place up whose worker dies then.
     """
 
-    def __enter__(self) -> Dask:
-        from distributed import LocalCluster
+    ADDRESS = "tcp://127.0.0.1:18786"
+    STARTED_S = 6.0
+    options: tuple[str, ...] = ("--cluster", ADDRESS)
 
-        self._cluster = LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-        )
-        self.options = ("--cluster", self._cluster.scheduler_address)
+    def __enter__(self) -> Dask:
+        dask = str(Path(sys.executable).parent / "dask")
+        scheduler = [dask, "scheduler", "--host", "127.0.0.1", "--port", "18786", "--no-dashboard"]
+        worker = [dask, "worker", self.ADDRESS, "--nthreads", "1", "--nworkers", "2"]
+        self._processes = [
+            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            for command in (scheduler, [*worker, "--no-dashboard"])
+        ]
         return self
 
     def __exit__(self, *ended: object) -> None:
-        self._cluster.close()
+        for process in reversed(self._processes):
+            process.terminate()
+            process.wait()
 
     def workers(self, run: int) -> list[int]:
-        registered = set(self._cluster.scheduler.workers)
-        return [
-            nanny.process.pid
-            for nanny in self._cluster.workers.values()
-            if nanny.process is not None and nanny.worker_address in registered
-        ]
+        now = time.time()
+        there = children(self._processes[1].pid)
+        return [child.pid for child in there if now - child.create_time() > self.STARTED_S]
 
 
 @pytest.mark.parametrize("pool", ["loky", "dask"])
