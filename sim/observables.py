@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sim import lane_search
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal, Tracks
 from sim.lane_graph import LaneGraph, project
 from sim.road import Road
@@ -96,14 +97,12 @@ class LaneTraffic:
         key: (m,) instant times number of lanes plus lane, of the sorted vehicles.
         s: (m,) their distance along the lane, m.
         row: (m,) their row among those given.
-        start: one more than any key, for the end of a search.
     """
 
     graph: LaneGraph
     key: IntArray
     s: FloatArray
     row: IntArray
-    start: int
 
     @classmethod
     def of(cls, graph: LaneGraph, instant: IntArray, lane: IntArray, s: FloatArray) -> LaneTraffic:
@@ -111,21 +110,7 @@ class LaneTraffic:
         keep = np.flatnonzero(lane >= 0)
         key = instant[keep] * graph.length.size + lane[keep]
         order = np.lexsort((s[keep], key))
-        top = int(instant.max(initial=0) + 1) * graph.length.size
-        return cls(graph, key[order], s[keep][order], keep[order], top)
-
-    def _search(self, key: IntArray, s: FloatArray, side: str) -> IntArray:
-        """Where (key, s) belongs among the sorted vehicles."""
-        low = np.searchsorted(self.key, key, side="left")
-        high = np.searchsorted(self.key, key, side="right")
-        while True:
-            open_ = low < high
-            if not open_.any():
-                return low
-            middle = np.minimum((low + high) // 2, max(self.s.size - 1, 0))
-            before = self.s[middle] <= s if side == "right" else self.s[middle] < s
-            low = np.where(open_ & before, middle + 1, low)
-            high = np.where(open_ & ~before, middle, high)
+        return cls(graph, key[order], s[keep][order], keep[order])
 
     def ahead(
         self, instant: IntArray, lane: IntArray, s: FloatArray
@@ -151,37 +136,11 @@ class LaneTraffic:
     def _chain(
         self, instant: IntArray, lane: IntArray, s: FloatArray, *, forward: bool
     ) -> tuple[IntArray, FloatArray]:
-        lanes = self.graph.length.size
-        found = np.full(lane.shape, -1, dtype=np.int64)
-        distance = np.full(lane.shape, np.inf)
-        if not self.row.size:
-            return found, distance
-        now, travelled, place = lane.copy(), np.zeros(lane.shape), s.astype(np.float64)
-        for _ in range(MAX_LANES_AHEAD):
-            ask = np.flatnonzero((found < 0) & (now >= 0) & (travelled <= LOOK_AHEAD_M))
-            if not ask.size:
-                break
-            key = instant[ask] * lanes + now[ask]
-            at = self._search(key, place[ask], "right" if forward else "left")
-            at = at if forward else at - 1
-            inside = np.clip(at, 0, self.row.size - 1)
-            hit = (at == inside) & (self.key[inside] == key)
-            rows, where = ask[hit], inside[hit]
-            found[rows] = self.row[where]
-            distance[rows] = travelled[rows] + np.abs(self.s[where] - np.maximum(place[rows], 0.0))
-            miss = ask[~hit]
-            here = now[miss]
-            if forward:
-                travelled[miss] += self.graph.length[here] - np.maximum(place[miss], 0.0)
-                now[miss] = self.graph.ahead[here]
-                place[miss] = -1e-9  # whoever stands at the very start counts
-            else:
-                travelled[miss] += place[miss]
-                now[miss] = self.graph.behind[here]
-                place[miss] = np.where(now[miss] >= 0, self.graph.length[now[miss]], 0.0)
-        far = distance > LOOK_AHEAD_M
-        found[far], distance[far] = -1, np.inf
-        return found, distance
+        onward = self.graph.ahead if forward else self.graph.behind
+        return lane_search.nearest(
+            self.key, self.s, self.row, self.graph.length, onward, instant, lane,
+            s.astype(np.float64), forward, MAX_LANES_AHEAD, LOOK_AHEAD_M,
+        )  # fmt: skip
 
 
 def observe(traffic: Frame | Tracks, road: Road) -> Observables:
@@ -339,32 +298,14 @@ def _observe(
     followed = followed[np.argsort(-gap[followed], kind="stable")]  # the nearest is written last
     follower[leader[followed]] = followed
 
-    stop_distance, signal = np.full(m, np.inf), np.full(m, Signal.OFF.code, dtype=np.int8)
-    crossing, crossing_distance = np.full(m, -1), np.full(m, np.inf)
-    front = place.s + length / 2
-    now, travelled = np.where(forward, lane, -1), -front
-    for hop in range(MAX_LANES_AHEAD):
-        ask = np.flatnonzero((now >= 0) & (travelled <= LOOK_AHEAD_M))
-        if not ask.size:
-            break
-        here = now[ask]
-        first = np.isinf(stop_distance[ask]) & graph.internal[here]
-        if hop == 0:
-            stop_distance[ask[first]] = travelled[ask[first]]
-        else:
-            entered = ask[first]
-            stop_distance[entered] = travelled[entered]
-            group = graph.signal[now[entered]]
-            lit = (group >= 0) & (group < signals.shape[0])
-            signal[entered[lit]] = signals[group[lit], instant[entered[lit]]]
-        for z in range(graph.cross_lane.size):
-            at = ask[here == graph.cross_lane[z]]
-            to = travelled[at] + graph.cross_s[z]
-            ahead_of = travelled[at] + graph.cross_exit_s[z] > 0
-            better = ahead_of & (to < crossing_distance[at])
-            crossing[at[better]], crossing_distance[at[better]] = graph.cross_id[z], to[better]
-        travelled[ask] += graph.length[here]
-        now[ask] = graph.ahead[here]
+    signal = np.full(m, Signal.OFF.code, dtype=np.int8)
+    stop_distance, group, crossing, crossing_distance = lane_search.stops_ahead(
+        np.where(forward, lane, -1), place.s + length / 2, graph.length, graph.ahead,
+        graph.internal, graph.signal, graph.cross_lane, graph.cross_id, graph.cross_s,
+        graph.cross_exit_s, MAX_LANES_AHEAD, LOOK_AHEAD_M,
+    )  # fmt: skip
+    lit = np.flatnonzero((group >= 0) & (group < signals.shape[0]))
+    signal[lit] = signals[group[lit], instant[lit]]
 
     occupied, waiting = crossing_people(road, instant[walking], xy[walking], instants)
     meets = crossing >= 0

@@ -1,0 +1,118 @@
+"""Searches along lanes, compiled: who is ahead or behind, which stop lines and crossings come.
+
+`sim.observables` says what they mean; here they are loops over plain arrays.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True)
+def nearest(
+    key: Any, at: Any, row: Any, lane_length: Any, onward: Any, instant: Any, lane: Any, s: Any,
+    forward: bool, most_lanes: int, look_ahead: float,
+) -> tuple[Any, Any]:  # fmt: skip
+    """The first vehicle strictly ahead of (or behind) each place, along the lane and beyond.
+
+    Args:
+        key: (m,) instant times number of lanes plus lane, of vehicles sorted by it and by ``at``.
+        at: (m,) their distance along the lane, m.
+        row: (m,) their row.
+        lane_length: (L,) m.
+        onward: (L,) the lane after (or before) each, -1: none.
+        instant: (q,) of each question.
+        lane: (q,) asked about, -1: none.
+        s: (q,) distance along it, m.
+        forward: whether to look ahead.
+        most_lanes: how many lanes are looked at.
+        look_ahead: m.
+
+    Returns:
+        (q,) rows or -1, and (q,) distances between centres, m, or +inf.
+    """
+    lanes, m = lane_length.size, key.size
+    found, distance = np.full(lane.size, -1, np.int64), np.full(lane.size, np.inf)
+    for q in range(lane.size):
+        now, travelled, place = lane[q], 0.0, s[q]
+        for _ in range(most_lanes):
+            if now < 0 or travelled > look_ahead:
+                break
+            wanted = instant[q] * lanes + now
+            low, high = 0, m
+            while low < high:
+                middle = (low + high) // 2
+                before = key[middle] < wanted or (
+                    key[middle] == wanted
+                    and (at[middle] < place or (forward and at[middle] == place))
+                )
+                if before:
+                    low = middle + 1
+                else:
+                    high = middle
+            j = low if forward else low - 1
+            if 0 <= j < m and key[j] == wanted:
+                far = travelled + abs(at[j] - max(place, 0.0))
+                if far <= look_ahead:
+                    found[q], distance[q] = row[j], far
+                break
+            if forward:
+                travelled += lane_length[now] - max(place, 0.0)
+                now, place = onward[now], -1e-9  # whoever stands at the very start counts
+            else:
+                travelled += place
+                now = onward[now]
+                place = lane_length[now] if now >= 0 else 0.0
+    return found, distance
+
+
+@numba.njit(cache=True)
+def stops_ahead(
+    lane: Any, front: Any, lane_length: Any, ahead: Any, internal: Any, signal: Any,
+    cross_lane: Any, cross_id: Any, cross_s: Any, cross_exit_s: Any, most_lanes: int,
+    look_ahead: float,
+) -> tuple[Any, Any, Any, Any]:  # fmt: skip
+    """The next junction entry and the next crossing of each vehicle.
+
+    Args:
+        lane: (n,) -1: none.
+        front: (n,) distance of the front bumper along it, m.
+        lane_length: (L,) m.
+        ahead: (L,) the lane after each, -1: none.
+        internal: (L,) whether the lane crosses a junction.
+        signal: (L,) group that guards entering it, -1: none.
+        cross_lane: (Z,) lane of each place where a lane and a crossing meet.
+        cross_id: (Z,) the crossing.
+        cross_s: (Z,) distance along the lane of its near edge, m.
+        cross_exit_s: (Z,) and of its far edge, m.
+        most_lanes: how many lanes are looked at.
+        look_ahead: m.
+
+    Returns:
+        (n,) each: distance to the junction entry, m, negative inside one, +inf if none; its signal
+        group or -1; the crossing or -1; distance to its near edge, m, or +inf.
+    """
+    n = lane.size
+    stop, group = np.full(n, np.inf), np.full(n, -1, np.int64)
+    crossing, to_crossing = np.full(n, -1, np.int64), np.full(n, np.inf)
+    for i in range(n):
+        now, travelled = lane[i], -front[i]
+        for hop in range(most_lanes):
+            if now < 0 or travelled > look_ahead:
+                break
+            if internal[now] and stop[i] == np.inf:
+                stop[i] = travelled
+                if hop > 0:
+                    group[i] = signal[now]
+            for z in range(cross_lane.size):
+                if cross_lane[z] != now or travelled + cross_exit_s[z] <= 0.0:
+                    continue
+                to = travelled + cross_s[z]
+                if to < to_crossing[i]:
+                    crossing[i], to_crossing[i] = cross_id[z], to
+            travelled += lane_length[now]
+            now = ahead[now]
+    return stop, group, crossing, to_crossing
