@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from graphrqi.predict.constant import by_inertia
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.features import features
-from graphrqi.predict.manners import believed
+from graphrqi.predict.manners import Manners, believed
 from graphrqi.predict.rollout import Rollout, beside, places, roll, steady
 from graphrqi.predict.route import candidates, path_probability
 from graphrqi.predict.scene import STEP_S, Scene
@@ -29,6 +29,10 @@ KNOT_S: Final = 0.5
 
 KNOTS: Final = 10
 """How many: up to 5 s."""
+
+COARSE_S, COARSE_STEPS = 0.25, 20
+"""Step of the rollouts that networks correct, s, and how many: two to a knot (our choice: finer
+ones take longer and are corrected to the same)."""
 
 BASES: Final = ("likeliest way", "second way", "lane to the left", "lane to the right", "inertia")
 """What each base is."""
@@ -57,9 +61,9 @@ def to_own_frame(scene: Scene, xy: FloatArray) -> FloatArray:
     return np.stack([forward, gone[..., 1] * cos - gone[..., 0] * sin], axis=-1)
 
 
-def at_knots(xy: FloatArray) -> FloatArray:
+def at_knots(xy: FloatArray, step_s: float = STEP_S) -> FloatArray:
     """Places at every step as places at the knots; the last place stands in for missing ones."""
-    every = round(KNOT_S / STEP_S)
+    every = round(KNOT_S / step_s)
     columns = np.minimum(np.arange(1, KNOTS + 1) * every - 1, xy.shape[-2] - 1)
     return np.asarray(xy[..., columns, :])
 
@@ -80,20 +84,23 @@ def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
     order = np.argsort(-likely, axis=1, kind="stable")
     row = np.arange(len(choice))
     first = scene.with_path(choice[row, order[:, 0]])
-    rollout = roll(first, manners, table.decay_s)
-    main = to_own_frame(scene, at_knots(places(first, rollout)))
+
+    def drive(scene: Scene, manners: Manners = manners, others: Rollout | None = None) -> Rollout:
+        return roll(scene, manners, table.decay_s, others, COARSE_STEPS, COARSE_S)
+
+    rollout = drive(first)
+    main = _seen(scene, first, rollout)
     bases = [main]
     second_likely = np.zeros(row.size)
     if choice.shape[1] > 1:
         second = scene.with_path(choice[row, order[:, 1]])
         second_likely = likely[row, order[:, 1]]
-        other = roll(second, manners, table.decay_s)
-        bases.append(to_own_frame(scene, at_knots(places(second, other))))
+        bases.append(_seen(scene, second, drive(second)))
         bases[1] = np.where((second_likely > 1e-3)[:, None, None], bases[1], main)
     else:
         bases.append(main)
     kept = dataclasses.replace(manners, changing=np.empty((0, manners.changing.shape[1])))
-    bases += _beside(first, main, lambda moving: roll(moving, kept, table.decay_s, rollout))
+    bases += _beside(first, main, lambda moving: drive(moving, kept, rollout))
     inertia = by_inertia(scene)
     bases.append(to_own_frame(scene, at_knots(inertia)))
     stack = np.stack(bases, axis=1)
@@ -106,7 +113,7 @@ def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
             relative.reshape(row.size, 3 * KNOTS * 2) / 10.0,
             np.stack([likely[row, order[:, 0]], second_likely], axis=1),
             probability,
-            _by_behavior(first, rollout, table),
+            _by_behavior(first, rollout, table, drive),
         ],
         axis=1,
     )
@@ -133,7 +140,7 @@ def unlabelled(scene: Scene) -> Known:
     first, second = (
         scene.with_path(choice[row, order[:, rank]]) for rank in (0, min(1, choice.shape[1] - 1))
     )
-    bases = [to_own_frame(scene, at_knots(places(s, steady(s)))) for s in (first, second)]
+    bases = [_seen(scene, s, steady(s)) for s in (first, second)]
     bases += _beside(first, bases[0], steady)
     bases.append(to_own_frame(scene, at_knots(by_inertia(scene))))
     stack = np.stack(bases, axis=1)
@@ -157,19 +164,26 @@ def _beside(scene: Scene, main: FloatArray, drive: Callable[[Scene], Rollout]) -
     found = []
     for side in (1, -1):
         moving, there = beside(scene, side)
-        moved = to_own_frame(scene, at_knots(places(moving, drive(moving))))
+        moved = _seen(scene, moving, drive(moving))
         found.append(np.where(there[:, None, None], moved, main))
     return found
 
 
-def _by_behavior(scene: Scene, others: Rollout, table: DriverTable) -> FloatArray:
+def _seen(scene: Scene, driven: Scene, rollout: Rollout) -> FloatArray:
+    """(n, KNOTS, 2) a rollout's places at the knots, in the drivers' frames, m."""
+    return to_own_frame(scene, at_knots(places(driven, rollout), rollout.step_s))
+
+
+def _by_behavior(
+    scene: Scene, others: Rollout, table: DriverTable, drive: Callable[..., Rollout]
+) -> FloatArray:
     """(n, 12) how far each behaviour would go in half and all of the time, beyond the expected."""
-    half = scene.steps // 2
+    half = COARSE_STEPS // 2 - 1
     parts = []
     for code in range(len(table.behavior)):
         probability = np.zeros((scene.ids.size, len(table.behavior)))
         probability[:, code] = 1.0
-        result = roll(scene, believed(scene, probability, table), table.decay_s, others)
+        result = drive(scene, believed(scene, probability, table), others)
         ahead = np.where(scene.on_path[:, None], result.gone - others.gone, 0.0)
         parts += [ahead[:, half] / 5.0, ahead[:, -1] / 10.0]
     return np.stack(parts, axis=1)

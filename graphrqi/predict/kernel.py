@@ -85,8 +85,8 @@ def roll(
     path: Any, s: Any, v: Any, seen_accel: Any, half_length: Any, driver: Any, changing: Any,
     wary: Any, feared: Any, offset: Any, pace: Any, moving: Any, ignores: Any, closed: Any,
     path_lane: Any, path_start: Any, path_limit: Any, path_turn: Any, gate_x: Any, gate_row: Any,
-    beside: Any, apart: Any, way: Any, lane_length: Any, step_s: float, steps: int, decay_s: float,
-    given_lane: Any, given_s: Any, given_v: Any,
+    beside: Any, apart: Any, way: Any, lane_length: Any, step_s: float, shown: float, steps: int,
+    decay_s: float, given_lane: Any, given_s: Any, given_v: Any,
 ) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
     """Drive everyone on.
 
@@ -119,6 +119,7 @@ def roll(
         way: (L, D) path from each lane that turns each way, -1: none.
         lane_length: (L,) m.
         step_s: s.
+        shown: columns of ``closed`` per step.
         steps: how many.
         decay_s: time in which what is seen beyond the model falls to 1/e, s; 0: at once.
         given_lane: (n, steps) lanes where the others are taken to be, or (0, 0): they move
@@ -187,6 +188,7 @@ def roll(
             last[lane] = j
             rank[order[j]] = j
         fade = math.exp(-h * step_s / decay_s) if decay_s > 0.0 else 0.0
+        column = int(h * shown + 0.5)
         for i in range(n):
             if not moving[i]:
                 out_s[i, h], out_side[i, h], out_v[i, h], out_gone[i, h] = x[i], side[i], v[i], 0.0
@@ -330,7 +332,7 @@ def roll(
                 row = gate_row[q, g]
                 if room < -1.0 or ignores[i, row]:
                     continue
-                state = closed[row, h]
+                state = closed[row, column]
                 if state == 0 or (state == 3 and room < SIGHT_M):
                     continue
                 need = speed * speed / (2.0 * max(room, 0.1))

@@ -30,6 +30,7 @@ class Rollout:
         side: (n, H) distance to the left of its centre line, m.
         v: (n, H) speed, m/s.
         gone: (n, H) way gone since the present, m.
+        step_s: time between steps, s.
     """
 
     lane: IntArray
@@ -37,6 +38,7 @@ class Rollout:
     side: FloatArray
     v: FloatArray
     gone: FloatArray
+    step_s: float = STEP_S
 
 
 def roll(
@@ -45,6 +47,7 @@ def roll(
     decay_s: float = 2.0,
     others: Rollout | None = None,
     steps: int | None = None,
+    step_s: float = STEP_S,
     planned: int | None = None,
 ) -> Rollout:
     """Drive the scene's drivers on along their paths.
@@ -53,8 +56,10 @@ def roll(
         scene: the present.
         manners: how each drives.
         decay_s: time in which what a driver does beyond the model falls to 1/e, s; 0: at once.
-        others: where everyone else is taken to be; by default all move together.
-        steps: how many; the scene's by default.
+        others: where everyone else is taken to be, at the same steps; by default all move
+            together.
+        steps: how many; by default up to the scene's horizon.
+        step_s: time between them, s.
         planned: the row of one who drives by its manners alone, whatever it does at present.
 
     Returns:
@@ -76,9 +81,10 @@ def roll(
             scene.path, scene.s, speed, accel, half_length, manners.following, manners.changing,
             manners.wary, manners.feared, scene.offset, pace, scene.on_path, manners.ignores,
             scene.closed, paths.lane, paths.start, paths.limit, paths.turn, paths.gate_x,
-            paths.gate_row, paths.beside, paths.apart, paths.way, graph.length, STEP_S,
-            steps or scene.steps, decay_s, *given,
-        )
+            paths.gate_row, paths.beside, paths.apart, paths.way, graph.length, step_s,
+            step_s / STEP_S, steps or round(scene.steps * STEP_S / step_s), decay_s, *given,
+        ),
+        step_s,
     )  # fmt: skip
 
 
@@ -90,7 +96,8 @@ def places(scene: Scene, rollout: Rollout) -> FloatArray:
         graph.segment_at, graph.segment_first, graph.segment_last,
     )  # fmt: skip
     if not on.all():
-        out[~on] = scene.straight_on(~on)
+        time_s = np.arange(1, out.shape[1] + 1) * rollout.step_s
+        out[~on] = scene.straight_on(~on, time_s)
     return np.asarray(out)
 
 

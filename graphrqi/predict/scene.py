@@ -143,11 +143,13 @@ class Scene:
         left = np.maximum(np.abs(self.offset)[:, None] - pace[:, None] * self.time_s[None], 0.0)
         return np.asarray(np.sign(self.offset)[:, None] * left)
 
-    def straight_on(self, who: BoolArray | slice = slice(None)) -> FloatArray:
-        """(n, H, 2) everyone, or some, at constant velocity, m."""
+    def straight_on(
+        self, who: BoolArray | slice = slice(None), time_s: FloatArray | None = None
+    ) -> FloatArray:
+        """(n, H, 2) everyone, or some, at constant velocity, at the predicted or other times, m."""
         heading = self.heading[who]
         facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        travelled = self.speed[who, None] * self.time_s[None]
+        travelled = self.speed[who, None] * (self.time_s if time_s is None else time_s)
         return np.asarray(self.xy[who, None] + travelled[..., None] * facing[:, None])
 
     def predicted(self, xy: FloatArray, probability: FloatArray | None = None) -> Prediction:
