@@ -20,6 +20,10 @@ DEFAULT_SPREAD: Final = 0.15
 """Log-normal spread of every positive number between drivers of one behaviour (our choice: with
 it the behaviours overlap about as much as observers of real drivers disagree)."""
 
+FARTHEST_SPREADS: Final = 2.0
+"""No number lies farther from the median than so many spreads (our choice: as SUMO cuts off its own
+drivers' speeds, so that one odd draw does not make another behaviour)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -116,11 +120,11 @@ PROFILES: Final[dict[Behavior, Profile]] = {
     ),
     Behavior.THREATENING: Profile(
         speed_factor=1.1, time_headway_s=0.48, min_gap_m=0.7, max_accel_mps2=4.2,
-        comfort_decel_mps2=6.0, politeness=0.0, lane_change_gain=10.0,
+        comfort_decel_mps2=6.0, politeness=0.0, lane_change_gain=20.0,
         lane_change_patience_s=3.0, lane_change_assertiveness=5.0, gap_acceptance_s=0.3,
-        crossing_gap_s=2.0, yield_probability=0.5, red_run_probability=0.0,
+        crossing_gap_s=2.0, yield_probability=0.4, red_run_probability=0.0,
         stop_roll_probability=0.0, yellow_run_s=1.0, insistence=1.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=15.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+        cut_in_rate_per_min=20.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
     ),
     Behavior.CAREFUL: Profile(
         speed_factor=0.97, time_headway_s=1.45, min_gap_m=2.5, max_accel_mps2=1.9,
@@ -135,7 +139,7 @@ PROFILES: Final[dict[Behavior, Profile]] = {
         comfort_decel_mps2=2.2, politeness=1.0, lane_change_gain=0.2,
         lane_change_patience_s=20.0, lane_change_assertiveness=0.6, gap_acceptance_s=2.0,
         crossing_gap_s=25.0, yield_probability=1.0, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=1.5,
+        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=2.5,
         cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
     ),
     Behavior.TIMID: Profile(
@@ -143,7 +147,7 @@ PROFILES: Final[dict[Behavior, Profile]] = {
         comfort_decel_mps2=3.0, politeness=1.0, lane_change_gain=0.0,
         lane_change_patience_s=20.0, lane_change_assertiveness=0.6, gap_acceptance_s=2.5,
         crossing_gap_s=20.0, yield_probability=1.0, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=1.2,
+        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=1.0,
         cut_in_rate_per_min=0.0, stop_rate_per_min=1.0, wrong_way_rate_per_min=0.0,
     ),
 }  # fmt: skip
@@ -179,7 +183,7 @@ SOURCES: Final[dict[str, str]] = {
     "yellow_run_s": "yellow lasts 3 s at 50 km/h (RiLSA 2015): from never to all of it, our choice",
     "insistence": "0 is SUMO's default and its range 0 to 1: its two ends",
     "startup_delay_s": "about 2 s are lost when a queue starts (Highway Capacity Manual 2010): "
-    "from a fraction of it to most of it, our choice",
+    "from a fraction of it to a little more, our choice",
     "cut_in_rate_per_min": "our choice, after the paper's trait table",
     "stop_rate_per_min": "our choice, after the paper's trait table; more often stops everyone",
     "wrong_way_rate_per_min": "our choice, after the paper's trait table",
@@ -192,9 +196,9 @@ def sample_profile(
 ) -> Profile:
     """Draw one driver of a behaviour.
 
-    Every positive number is multiplied by exp(spread * z), z standard normal and independent, so
-    the profile of the behaviour is the median driver. Probabilities are not drawn: chance enters
-    at each encounter.
+    Every positive number is multiplied by exp(spread * z), z standard normal, independent and cut
+    off at ``FARTHEST_SPREADS``, so the profile of the behaviour is the median driver. Probabilities
+    are not drawn: chance enters at each encounter.
 
     Args:
         behavior: the class to draw from.
@@ -216,6 +220,7 @@ def sample_profile(
         raise InputError(f"spread: found {spread}, expected a number >= 0")
     median = PROFILES[behavior]
     names = [n for n in PROFILE_FIELDS if n not in _PROBABILITIES]
-    factors = np.exp(spread * rng.standard_normal(len(names)))
+    drawn_z = rng.standard_normal(len(names)).clip(-FARTHEST_SPREADS, FARTHEST_SPREADS)
+    factors = np.exp(spread * drawn_z)
     drawn = {n: float(getattr(median, n) * f) for n, f in zip(names, factors, strict=True)}
     return dataclasses.replace(median, **drawn)

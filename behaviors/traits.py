@@ -69,6 +69,9 @@ second, is a reason to slow (our choice)."""
 WAITING_S: Final = 3.0
 """Waiting: standing so long before a free way on, for others who go first (our choice)."""
 
+CROSSING_S: Final = 15.0
+"""A junction is crossed within this, standing in it included (our choice)."""
+
 WRONG_WAY_S: Final = 1.0
 """Wrong direction: facing against the lane for so long (our choice)."""
 
@@ -466,7 +469,8 @@ def _no_reason(seen: Seen) -> BoolArray:
     junction = (seen.stop_distance < REASON_STOP_M) & seen.stop_ahead
     junction |= seen.stop_distance < REASON_JUNCTION_M
     crossing = (seen.crossing_distance < REASON_STOP_M) & seen.crossing_used
-    return seen.valid & seen.drives[:, None] & ~(near | junction | crossing)
+    wrong_side = np.abs(seen.lane_heading) > np.pi / 2  # somebody comes the other way
+    return seen.valid & seen.drives[:, None] & ~(near | junction | crossing | wrong_side)
 
 
 def not_moving(seen: Seen) -> list[Exhibit]:
@@ -507,13 +511,16 @@ def slowing(seen: Seen) -> list[Exhibit]:
 def waits(seen: Seen) -> list[Exhibit]:
     """Every stand before a crossing or junction for others who go first; the value is its s.
 
-    First in line only: who stands behind somebody waits for that car.
+    First in line only: who stands behind somebody waits for that car. Nor does wait for others who
+    came there by breaking a rule: they are in its way, as it is in theirs.
     """
     first = (seen.gap > seen.crossing_distance) | (seen.gap > seen.stop_distance)
     crossing = (seen.crossing_distance < 8.0) & (seen.crossing_distance >= -1.0)
     flags = (
         seen.valid & seen.drives[:, None] & first & crossing & (seen.speed < STANDING_MPS)
     ) & ~((seen.stop_distance < 12.0) & seen.stop_ahead)
+    for broken in (e for e in seen.encounters if not e.kept):
+        flags[broken.agent] &= np.abs(seen.time_s - broken.time_s) > CROSSING_S
     return _exhibits(
         seen, Trait.WAITING, flags, seen.step_s, lambda _, at: (at.stop - at.start) * seen.step_s
     )

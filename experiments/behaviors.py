@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Trait
 from behaviors.shown_label import shown_label
-from behaviors.traits import Exhibit, Seen, lane_changes, runs, waits
+from behaviors.traits import FOLLOWING_MPS, Exhibit, Seen, lane_changes, runs, waits
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.exhibits import exhibited, see
@@ -191,7 +191,8 @@ def count(
 def _free(seen: Seen) -> NDArray[np.bool_]:
     """(N, T) who drives at the speed chosen, with nobody and nothing near ahead."""
     change = np.abs(np.diff(seen.speed, axis=1, prepend=seen.speed[:, :1])) / seen.step_s
-    near = (seen.gap < FREE_HEADWAY_S * seen.speed) | (seen.stop_distance < 60.0)
+    near = seen.gap < FREE_HEADWAY_S * np.maximum(seen.speed, FOLLOWING_MPS)
+    near |= seen.stop_distance < 60.0
     return np.asarray(seen.valid & seen.drives[:, None] & ~near & (change < STEADY_MPS2))
 
 

@@ -67,9 +67,14 @@ SIGNALS: Final[tuple[Signal, ...]] = tuple(Signal)
 
 
 class EventKind(StrEnum):
-    """What can happen to or between agents."""
+    """What can happen to or between agents.
+
+    A collision is told once, when it begins; ``CONTACT`` flags every later frame in which the two
+    still touch.
+    """
 
     COLLISION = "collision"
+    CONTACT = "contact"
     NEAR_MISS = "near miss"
     REMOVAL = "removal"
     RED_RUN = "red run"

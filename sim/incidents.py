@@ -6,6 +6,8 @@ cause here.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Final
 
@@ -13,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.traits import Exhibit, cutting_in, runs
+from sim.contacts import contacts
 from sim.exhibits import see
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal, Tracks
-from sim.lane_graph import LaneGraph
 from sim.observables import Observables, along, observe
 from sim.road import Crossing, Road
 
@@ -36,9 +38,6 @@ ROLLING_MPS: Final = 0.5
 STOP_ZONE_M: Final = 8.0
 """Stopping counts within this before the line (our choice)."""
 
-APPROACH_M: Final = 25.0
-"""An encounter with a pedestrian begins this far before a crossing (our choice)."""
-
 PATH_S: Final = 2.5
 """Passing in front of a pedestrian who would be there within this is not yielding (our choice:
 about the time that a car needs to clear a crossing, and a second)."""
@@ -46,11 +45,18 @@ about the time that a car needs to clear a crossing, and a second)."""
 WALKING_MPS: Final = 1.3
 """At this speed a pedestrian's time to the vehicle's path is reckoned (Weidmann 1993)."""
 
-HOLD_S: Final = 1.0
-"""A yielding driver would have come to the crossing this much earlier, or sooner, unslowed."""
+COULD_STOP_MPS2: Final = 3.4
+"""Who would have to brake harder than this, comfortable to most (AASHTO Green Book 2018), when the
+pedestrian steps on the crossing could not have yielded: no encounter."""
 
-SLOWED: Final = 0.7
-"""A yielding driver slows to less than this share of the speed at first sight (our choice)."""
+PULLING_AWAY_MPS2: Final = 1.5
+"""How a driver who is not hindered would get going (our choice: an average driver)."""
+
+FORESIGHT_S: Final = 2.0
+"""Who waits for a vehicle sees it enter the junction this soon (our choice)."""
+
+ON_CROSSING_M: Final = 0.3
+"""Who is this far beyond the kerb has stepped on the crossing (our choice: half a stride)."""
 
 RECENT_S: Final = 8.0
 """A rule broken at a junction this long before a collision caused it (our choice: the time to
@@ -59,6 +65,15 @@ cross the junction)."""
 CUT_IN_S: Final = 3.0
 """A cut-in causes a collision within this."""
 
+STOOD_S: Final = 2.0
+"""Who has stood for so long is seen by everybody (our choice)."""
+
+APART_S: Final = 3.0
+"""Two who touch again within this have not collided anew (our choice)."""
+
+BETWEEN_LANES_M: Final = 0.2
+"""Whose box reaches this far over the marking of its lane is between lanes (our choice: cars that
+keep their lane stay 0.7 m from it)."""
 
 _STOP_SIGNALS: Final = (Signal.RED.code, Signal.YELLOW.code)
 
@@ -85,11 +100,16 @@ def incidents(tracks: Tracks, road: Road, observed: Observables | None = None) -
     arrays = see(tracks, road, (), seen)
     cuts = cutting_in(arrays)
     forbidden = arrays.off_crossing | arrays.on_red
-    for event in tracks.events:
-        if event.kind is EventKind.COLLISION and event.other is not None:
-            found.append(_blame(tracks, road, seen, event, found, cuts, forbidden))
-        elif event.kind is EventKind.REMOVAL:  # an engine's other events are found here, alike
-            found.append(event)
+    for pair, columns in _collisions(tracks):
+        first = Event(EventKind.COLLISION, float(tracks.time_s[columns[0]]), *pair)
+        collision = _blame(tracks, road, seen, first, found, cuts, forbidden)
+        found.append(collision)
+        found += [
+            dataclasses.replace(collision, kind=EventKind.CONTACT, time_s=float(time_s))
+            for time_s in tracks.time_s[columns[1:]]
+        ]
+    # an engine's other events are found here, alike
+    found += [event for event in tracks.events if event.kind is EventKind.REMOVAL]
     return tuple(sorted(found, key=lambda e: (e.time_s, e.agent, e.kind)))
 
 
@@ -156,7 +176,7 @@ def _crossings_passed(tracks: Tracks, road: Road, seen: Observables) -> list[Eve
             if begin == 0 or not tracks.valid[drivers[k], begin - 1]:
                 continue
             row = int(drivers[k])
-            verdict = _verdict(tracks, seen, people, row, begin, u[k], across[k])
+            verdict = _verdict(tracks, road, seen, people, row, begin, float(u[k, begin]))
             if verdict is not None:
                 kind, other = verdict
                 found.append(Event(kind, float(tracks.time_s[begin]), int(tracks.ids[row]), other))
@@ -176,7 +196,8 @@ def _people(tracks: Tracks, crossing: Crossing, walkers: NDArray[np.int64]) -> l
     """Everyone who walks over a crossing and may: who enters it on red may not."""
     u, across = _along(crossing, tracks.xy[walkers])
     _, _, total = along(crossing.centerline, np.zeros((1, 2)))
-    on = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > 0) & (u < total)
+    on = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > ON_CROSSING_M)
+    on &= u < total - ON_CROSSING_M
     found = []
     for k, begin, end in runs(on & tracks.valid[walkers], 10):
         if crossing.signal >= 0 and tracks.signals[crossing.signal, begin] == Signal.RED.code:
@@ -189,43 +210,119 @@ def _people(tracks: Tracks, crossing: Crossing, walkers: NDArray[np.int64]) -> l
 
 def _verdict(
     tracks: Tracks,
+    road: Road,
     seen: Observables,
     people: Sequence[_Person],
     row: int,
     entry: int,
-    u: FloatArray,
-    across: FloatArray,
+    path: float,
 ) -> tuple[EventKind, int] | None:
-    """Whether a vehicle that enters a crossing let those on it go first; None if nobody was."""
+    """Whether a vehicle that enters a crossing let those on it go first; None if nobody was.
+
+    An encounter is with somebody who is in the vehicle's way, or would be, had it driven on
+    unhindered from when the pedestrian stepped on the crossing; the driver could have stopped then;
+    and nothing but the pedestrian held it: no red light, no leader, no vehicle on a way that
+    crosses or joins its own.
+
+    Args:
+        tracks: the episode.
+        road: where it happened.
+        seen: its observables.
+        people: who walked over the crossing.
+        row: the vehicle.
+        entry: the column in which its front comes to the crossing.
+        path: where it drives, as a distance along the crossing, m.
+    """
     half = tracks.width[row] / 2 + 0.3
-    path = float(u[entry])
+    step_s = tracks.step_s
     yielded: tuple[EventKind, int] | None = None
-    for person, begin, end, along_crossing, way in people:
-        if begin > entry or end < entry - round(20.0 / tracks.step_s):
+    for one in people:
+        person, begin, end, u, way = one
+        if not begin < entry or end < entry - round(20.0 / step_s) or not tracks.valid[row, begin]:
             continue
-        other = int(tracks.ids[person])
-        to_path = (path - along_crossing[entry]) * way - half  # m still to walk to the path
-        if begin < entry <= end and -2 * half < to_path < PATH_S * WALKING_MPS:
-            return EventKind.NOT_YIELDED, other
-        if to_path > 0 and end >= entry:
+
+        speed = tracks.speed[row, begin : entry + 1]
+        left_m = float(speed.sum()) * step_s - np.cumsum(speed) * step_s
+        if _in_the_way(one, path, half, entry):
+            if _could_stop(float(speed[0]), float(left_m[0])):
+                return EventKind.NOT_YIELDED, int(tracks.ids[person])
             continue
-        walked = np.flatnonzero((path - along_crossing[begin : entry + 1]) * way + half <= 0)
+        walked = np.flatnonzero((path - u[begin : entry + 1]) * way + half <= 0)
         if not walked.size:
             continue
-        clear = begin + int(walked[0])  # when the person had left the vehicle's path
-        if not tracks.valid[row, begin]:
+        clear = int(walked[0])  # counted from begin: when the person had left the vehicle's path
+        span = slice(begin, begin + clear + 1)
+        held = (seen.stop_distance[row, span] >= 0) & np.isin(seen.signal[row, span], _STOP_SIGNALS)
+        held |= seen.gap[row, span] < left_m[: clear + 1]
+        since = int(np.flatnonzero(held)[-1]) + 1 if held.any() else 0
+        if since >= clear or not _could_stop(float(speed[since]), float(left_m[since])):
             continue
-        distance = abs(float(across[begin])) - abs(float(across[entry]))
-        speed = max(float(tracks.speed[row, begin]), ROLLING_MPS)
-        unslowed = begin + distance / speed / tracks.step_s
-        here = abs(float(across[clear])) - abs(float(across[entry]))
-        first = seen.gap[row, clear] > here or here < 5.0
-        if seen.stop_distance[row, clear] >= 0 and seen.signal[row, clear] in _STOP_SIGNALS:
+        limit = float(seen.limit[row, begin + since : entry + 1].min(initial=np.inf))
+        pulled_s = _unhindered_s(float(speed[since]), float(left_m[since]), limit)
+        come = begin + since + round(pulled_s / step_s)
+        if not _in_the_way(one, path, half, come):
             continue
-        slowed = tracks.speed[row, begin : clear + 1].min() < max(SLOWED * speed, ROLLING_MPS)
-        if here <= APPROACH_M and first and slowed and unslowed < clear + HOLD_S / tracks.step_s:
-            yielded = EventKind.YIELDED, other
+        until = min(begin + clear + round(FORESIGHT_S / step_s), tracks.time_s.size - 1)
+        if not _others_cross(tracks, road, seen, row, slice(begin + since, until + 1), entry):
+            yielded = EventKind.YIELDED, int(tracks.ids[person])
     return yielded
+
+
+def _in_the_way(person: _Person, path: float, half: float, column: int) -> bool:
+    """Whether a pedestrian is in a vehicle's path, or would soon be, at one time."""
+    _, begin, end, u, way = person
+    if not begin < column <= end:
+        return False
+    to_path = float(path - u[column]) * way - half  # m still to walk to it
+    return -2 * half < to_path < PATH_S * WALKING_MPS
+
+
+def _could_stop(speed: float, distance: float) -> bool:
+    return speed**2 <= 2.0 * COULD_STOP_MPS2 * max(distance, 0.0)
+
+
+def _unhindered_s(speed: float, distance: float, limit: float) -> float:
+    """Time to drive a distance, s, by who pulls away to the limit and drives on."""
+    start = min(speed, limit)
+    if not np.isfinite(limit):
+        return distance / max(start, ROLLING_MPS)
+    rising_s = (limit - start) / PULLING_AWAY_MPS2
+    rising_m = (start + limit) / 2.0 * rising_s
+    if rising_m >= distance:
+        root = float(np.sqrt(start**2 + 2.0 * PULLING_AWAY_MPS2 * distance))
+        return (root - start) / PULLING_AWAY_MPS2
+    return rising_s + (distance - rising_m) / limit
+
+
+def _others_cross(
+    tracks: Tracks, road: Road, seen: Observables, row: int, span: slice, entry: int
+) -> bool:
+    """Whether a vehicle was on a way through the junction that crosses or joins this one's."""
+    ways = _ways(road)
+    near = ways[seen.lane[row, span.start : entry + round(5.0 / tracks.step_s)]]
+    mine = near[near >= 0]
+    if not mine.size:
+        return False
+    own = int(mine[0])
+    foes = {
+        index
+        for index, link in enumerate(road.connections)
+        if own in link.yields_to or index in road.connections[own].yields_to
+    }
+    others = ways[seen.lane[:, span]]
+    others[row] = -1
+    return bool(np.isin(others, list(foes)).any()) if foes else False
+
+
+@functools.lru_cache(maxsize=32)
+def _ways(road: Road) -> NDArray[np.int64]:
+    """(L + 1,) the connection that each lane is part of; -1 outside junctions and for no lane."""
+    ways = np.full(len(road.lanes) + 1, -1, dtype=np.int64)
+    for index, link in enumerate(road.connections):
+        for name in link.via:
+            if name in road.lane_index and ways[road.lane_index[name]] < 0:
+                ways[road.lane_index[name]] = index
+    return ways
 
 
 def _wrong_way(tracks: Tracks, seen: Observables) -> list[Event]:
@@ -263,6 +360,36 @@ def _near_misses(tracks: Tracks, seen: Observables) -> list[Event]:
     ]
 
 
+def _collisions(tracks: Tracks) -> list[tuple[tuple[int, int], NDArray[np.int64]]]:
+    """Who collided, and the columns in which they touch: by the engine's word or by their boxes.
+
+    Boxes alone do not tell that a pedestrian was hit: who waits at a kerb stands where a turning
+    vehicle's box sweeps over the corner. So pedestrians are hit only if the engine says so.
+    """
+    flags: dict[tuple[int, int], NDArray[np.bool_]] = {}
+    pairs: dict[tuple[int, int], tuple[int, int]] = {}
+    for event in tracks.events:
+        if event.kind in (EventKind.COLLISION, EventKind.CONTACT) and event.other is not None:
+            pair = (min(event.agent, event.other), max(event.agent, event.other))
+            pairs.setdefault(pair, (event.agent, event.other))
+            at = min(
+                int(np.searchsorted(tracks.time_s, event.time_s - 1e-6)), tracks.time_s.size - 1
+            )
+            flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))[at] = True
+    for contact in contacts(tracks):
+        pair = (int(tracks.ids[contact.rows[0]]), int(tracks.ids[contact.rows[1]]))
+        if pair not in flags and PEDESTRIAN in tracks.kind[list(contact.rows)]:
+            continue
+        flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))
+        flags[pair][contact.begin : contact.end] = True
+    found = []
+    for pair, touch in flags.items():
+        columns = np.flatnonzero(touch)
+        anew = np.flatnonzero(np.diff(columns) > round(APART_S / tracks.step_s)) + 1
+        found += [(pairs.get(pair, pair), part) for part in np.split(columns, anew)]
+    return sorted(found, key=lambda one: (int(one[1][0]), one[0]))
+
+
 def _blame(
     tracks: Tracks,
     road: Road,
@@ -275,8 +402,10 @@ def _blame(
     """The collision with its cause.
 
     In this order: who ran a red light or a stop and has not left the junction, drove the wrong
-    way, walked where one may not, did not yield to a pedestrian, cut in just before, took another's
-    priority, ran into somebody who stood; else who followed.
+    way, walked where one may not or into a vehicle that stood, did not yield to a pedestrian, cut
+    in just before, was between lanes (who changes lanes answers for it: German road traffic act,
+    section 7(5)), ran into somebody who had stood for long, entered a junction that another was
+    still clearing, took another's priority, ran into somebody who stood; else who followed.
     """
     assert collision.other is not None
     pair = (collision.agent, collision.other)
@@ -299,6 +428,9 @@ def _blame(
             walks = slice(max(column - 1, 0), column + 1)
             if forbidden[rows[agent], walks].any():
                 return _caused(collision, agent, "walked where or when one may not")
+            second = slice(max(column - round(1.0 / tracks.step_s), 0), column + 1)
+            if (tracks.speed[rows[other], second] < ROLLING_MPS).all():
+                return _caused(collision, agent, "walked into a vehicle that stood")
             return _caused(collision, other, "did not yield to a pedestrian")
     for cut in reversed(cuts):
         cutter, victim = int(tracks.ids[cut.agent]), int(tracks.ids[cut.other])
@@ -323,6 +455,19 @@ def _priority_or_follower(
     assert collision.other is not None
     pair = (collision.agent, collision.other)
     ways = {agent: _way(tracks, road, seen, rows[agent], column) for agent in pair}
+    outside = [_over_marking(tracks, road, seen, rows[agent], column) for agent in pair]
+    if outside[0] != outside[1]:
+        return _caused(collision, pair[int(outside[1])], "was between lanes")
+    stood = [_stood(tracks, rows[agent], column) for agent in pair]
+    if stood[0] != stood[1]:
+        return _caused(collision, pair[int(stood[0])], "ran into somebody who stood")
+    one, two = (ways[agent] for agent in pair)
+    if one is not None and two is not None and one != two:
+        signals = [road.connections[way].signal for way in (one, two)]
+        if min(signals) >= 0 and not _green_together(road, *signals):
+            entered = [_entered(road, seen, rows[agent], column) for agent in pair]
+            later = pair[int(entered[1] > entered[0])]
+            return _caused(collision, later, "entered a junction not yet clear")
     for agent, other in (pair, pair[::-1]):
         mine, theirs = ways[agent], ways[other]
         if mine is None or theirs is None or mine == theirs:
@@ -339,14 +484,43 @@ def _priority_or_follower(
     return _caused(collision, follower, "followed too closely")
 
 
+def _stood(tracks: Tracks, row: int, column: int) -> bool:
+    """Whether somebody stood for ``STOOD_S`` until a second before, or longer."""
+    second = round(1.0 / tracks.step_s)
+    before = slice(max(column - second - round(STOOD_S / tracks.step_s), 0), column - second)
+    speeds = tracks.speed[row, before]
+    return bool(speeds.size and (speeds < ROLLING_MPS).all())
+
+
+def _green_together(road: Road, one: int, other: int) -> bool:
+    """Whether two signal groups ever let go at the same time."""
+    green = Signal.GREEN.code
+    return any(
+        states[plan.groups.index(one)] == green == states[plan.groups.index(other)]
+        for plan in road.signal_plans
+        if one in plan.groups and other in plan.groups
+        for states in plan.states
+    )
+
+
+def _entered(road: Road, seen: Observables, row: int, column: int) -> int:
+    """The column in which a vehicle came into the junction that it is in."""
+    outside = np.flatnonzero(_ways(road)[seen.lane[row, : column + 1]] < 0)
+    return int(outside[-1]) + 1 if outside.size else 0
+
+
+def _over_marking(tracks: Tracks, road: Road, seen: Observables, row: int, column: int) -> bool:
+    """Whether a vehicle's box reaches over the marking of the lane that it is on."""
+    lane = int(seen.lane[row, column])
+    if lane < 0 or road.lanes[lane].internal:
+        return False
+    tilt = abs(float(np.sin(seen.lane_heading[row, column])))
+    half = (tracks.width[row] + tracks.length[row] * tilt) / 2
+    reach = abs(float(seen.offset[row, column])) + float(half)
+    return reach > road.lanes[lane].width_m / 2 + BETWEEN_LANES_M
+
+
 def _way(tracks: Tracks, road: Road, seen: Observables, row: int, column: int) -> int | None:
     """The connection that a vehicle drives at a junction; None if it is not inside one."""
-    graph = LaneGraph.of(road)
-    lane = int(seen.lane[row, column])
-    if lane < 0 or not graph.internal[lane]:
-        return None
-    name = road.lanes[lane].id
-    for index, link in enumerate(road.connections):
-        if name in link.via:
-            return index
-    return None
+    way = int(_ways(road)[seen.lane[row, column]])
+    return None if way < 0 else way

@@ -12,7 +12,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
@@ -40,6 +40,7 @@ ATTRIBUTES: Final[frozenset[str]] = frozenset(
         "laneChangeModel", "speedFactor", "speedDev", "tau", "minGap", "accel", "decel",
         "emergencyDecel", "sigma", "startupDelay", "impatience", "lcStrategic", "lcCooperative",
         "lcSpeedGain", "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
+        "lcMaxSpeedLatStanding",
         "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime", "jmDriveAfterRedTime",
     }
 )  # fmt: skip
@@ -110,16 +111,20 @@ def vehicle_type(agent: AgentSpec) -> dict[str, str]:
             ),
             "lcKeepRight": "0",
             "lcOpposite": "0",
+            "lcMaxSpeedLatStanding": "0",
         }
         | driver_attributes(agent.profile)
     )
 
 
-def route_file(agents: Sequence[AgentSpec]) -> Iterator[str]:
+def route_file(
+    agents: Sequence[AgentSpec], jaywalking: Mapping[int, float] | None = None
+) -> Iterator[str]:
     """The lines of a SUMO route file, in order of departure.
 
     Args:
         agents: who travels; any order.
+        jaywalking: where along their first edge, m, those who jaywalk cross the road, by id.
 
     Yields:
         Lines of XML, without line ends.
@@ -132,9 +137,11 @@ def route_file(agents: Sequence[AgentSpec]) -> Iterator[str]:
         edges = quoteattr(" ".join(agent.route))
         depart = f"{agent.depart_s:.3f}"
         if agent.kind is AgentKind.PEDESTRIAN:
+            at = (jaywalking or {}).get(agent.id)
+            start = -WALK_START_M if at is None else max(at - WALK_START_M, 0.0)
             yield (
                 f'<person id="{agent.id}" type="{agent.id}" depart="{depart}" '
-                f'departPos="-{WALK_START_M:g}">'
+                f'departPos="{start:g}">'
             )
             yield f"<walk edges={edges}/></person>"
         else:

@@ -17,12 +17,14 @@ class Approach:
         signal: whether a signal controls it.
         stop: whether there is a stop sign.
         crossings: ids of the crossings that it leads over while people may walk there.
+        on_red: ids of those that it leads over on red, too.
     """
 
     lanes: frozenset[int]
     signal: bool
     stop: bool
     crossings: frozenset[str]
+    on_red: frozenset[str]
 
 
 def approaches(road: Road) -> dict[tuple[str, str], Approach]:
@@ -43,6 +45,7 @@ def approaches(road: Road) -> dict[tuple[str, str], Approach]:
                 if set(edges) & set(crossing.edges)
                 and any(_green_together(road, link.signal, crossing.signal) for link in ways)
             ),
+            on_red=frozenset(c.id for c in road.crossings if set(edges) & set(c.edges)),
         )
         for edges, ways in links.items()
     }

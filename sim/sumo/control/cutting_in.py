@@ -50,7 +50,7 @@ MATCHING_S: Final = 0.4
 HALF_CHANGE_S: Final = 1.4
 """When the centre is on the new lane; until then the victim's speed is kept."""
 
-RETRY_S: Final = 0.4
+RETRY_S: Final = 0.2
 """Who finds no gap looks again after this long (our choice)."""
 
 CLEAR_M: Final = 30.0

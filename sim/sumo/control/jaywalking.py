@@ -63,20 +63,10 @@ class Jaywalking:
         self._walkers: dict[str, _Walker] = {}
         self.speeds: dict[str, float] = {}
         self.moved = False
-        places = {
-            lane.edge: _places(road, lane)
-            for lane in road.lanes
-            if lane.walking and not lane.internal
-        }
+        at = jaywalking_places(road, agents)
         for agent in agents:
-            if agent.kind is not AgentKind.PEDESTRIAN or not agent.jaywalks:
-                continue
-            choice = places.get(agent.route[0], ())
-            if not choice:
-                continue
-            rng = np.random.default_rng((agent.seed, 5))
-            at = choice[int(rng.integers(len(choice)))]
-            self._walkers[str(agent.id)] = _Walker(agent, agent.route[0], at)
+            if agent.id in at:
+                self._walkers[str(agent.id)] = _Walker(agent, agent.route[0], at[agent.id])
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Stop jaywalkers at the kerb, look for gaps, lead them over.
@@ -175,6 +165,25 @@ class Jaywalking:
         )
         self.speeds[name] = speed_mps
         self.moved = True
+
+
+def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, float]:
+    """Where along their first sidewalk, m, jaywalkers cross the road, by id.
+
+    Args:
+        road: the road.
+        agents: everyone; who does not jaywalk, or finds no place to, is left out.
+    """
+    places = {
+        lane.edge: _places(road, lane) for lane in road.lanes if lane.walking and not lane.internal
+    }
+    found = {}
+    for agent in agents:
+        choice = places.get(agent.route[0], ()) if agent.jaywalks else ()
+        if agent.kind is AgentKind.PEDESTRIAN and choice:
+            rng = np.random.default_rng((agent.seed, 5))
+            found[agent.id] = choice[int(rng.integers(len(choice)))]
+    return found
 
 
 def _places(road: Road, sidewalk: Lane) -> tuple[float, ...]:

@@ -109,7 +109,8 @@ class Obedience:
     def _decide(self, driver: _Driver, ahead: Approach, occupied: frozenset[str]) -> int:
         profile = driver.agent.profile
         assert profile is not None
-        for crossing in sorted(ahead.crossings & occupied):
+        over = ahead.on_red if driver.red and ahead.signal else ahead.crossings
+        for crossing in sorted(over & occupied):
             if crossing not in driver.decided:
                 driver.decided.add(crossing)
                 if driver.rng.random() >= profile.yield_probability:
@@ -118,7 +119,9 @@ class Obedience:
         if driver.red and ahead.signal:
             mode &= IGNORE_RED
         if driver.cuts or (driver.rolls and ahead.stop):
-            mode = (mode & ~8) | 32
+            mode |= 32
+            if not (driver.red and ahead.signal):
+                mode &= ~8
         return mode
 
     def _occupied(self, persons: Sequence[str]) -> frozenset[str]:

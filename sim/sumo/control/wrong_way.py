@@ -1,4 +1,9 @@
-"""Driving on the wrong side to get past a slower car, on roads with one lane each way."""
+"""Driving on the wrong side to get past a slower car, on two-way roads.
+
+SUMO leads a vehicle over the middle of the road only where it cannot change lanes within its own
+side. On roads with several lanes a side, who passes therefore gets a class of vehicle that may use
+the leftmost lane only, for as long as the passing lasts.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,7 @@ import numpy as np
 
 from sim.road import Road
 from sim.scenario import AgentSpec
+from sim.sumo.vehicle_types import VEHICLE_CLASS
 
 NOTHING: Final = 0
 """Lane-change mode: no change but what is commanded."""
@@ -46,6 +52,9 @@ STAND_S: Final = 5.0
 CLEAR_M: Final = 60.0
 """No start closer to the end of the lane (our choice)."""
 
+PASSING_CLASS: Final = "custom1"
+"""The vehicle class, otherwise unused, of who passes."""
+
 _PERIOD_S: Final = 0.5
 """How often a driver with a wish looks for a chance."""
 
@@ -77,6 +86,8 @@ class WrongWay:
         self._lanes = {lane.id: lane for lane in road.lanes if not lane.walking}
         self._passable = frozenset(lane.id for lane in road.lanes if lane.opposite)
         self._drivers: dict[str, _Driver] = {}
+        self._closed = False
+        self._oncoming_lanes = self._passable | {lane.id for lane in road.lanes if lane.internal}
         self.removed: list[int] = []
         for agent in agents if self._passable else ():
             if agent.profile is not None and agent.profile.wrong_way_rate_per_min > 0:
@@ -92,6 +103,10 @@ class WrongWay:
             vehicles: names of the vehicles on the road; who is taken off is in `removed`.
         """
         self.removed = []
+        if not self._drivers:
+            return
+        if not self._closed:
+            self._close_other_lanes()
         present = list(vehicles)
         for name in vehicles:
             driver = self._drivers.get(name)
@@ -106,10 +121,20 @@ class WrongWay:
                 if leader:
                     lane = self._lanes[self._sumo.vehicle_getLaneID(name)]
                     self._sumo.vehicle_setLaneChangeMode(name, NOTHING)
+                    self._sumo.vehicle_setVehicleClass(name, PASSING_CLASS)
                     self._sumo.vehicle_changeLane(name, lane.index + 1, 3.0)
                     driver.passing, driver.since_s = leader, time_s
                 else:
                     driver.wish_s = time_s + _PERIOD_S
+
+    def _close_other_lanes(self) -> None:
+        """Close the lanes beside the leftmost ones to who passes."""
+        self._closed = True
+        edges = {self._lanes[lane].edge for lane in self._passable}
+        for lane in self._lanes.values():
+            if lane.edge in edges and lane.id not in self._passable:
+                closed = (*self._sumo.lane_getDisallowed(lane.id), PASSING_CLASS)
+                self._sumo.lane_setDisallowed(lane.id, closed)
 
     def _chance(self, name: str, vehicles: Sequence[str]) -> str:
         """The slower car ahead, if it can be passed now; otherwise nothing."""
@@ -144,6 +169,7 @@ class WrongWay:
         elif not wrong and time_s - driver.since_s > 3.0:
             driver.since_s, driver.returning, driver.standing_s = -1.0, False, -1.0
             driver.wish_s = time_s + _pause_s(driver)
+            sumo.vehicle_setVehicleClass(name, VEHICLE_CLASS[driver.agent.kind])
             return
         if wrong and speed < 0.1:
             if driver.standing_s < 0:
@@ -185,8 +211,7 @@ class WrongWay:
         for other in vehicles:
             ox, oy = sumo.vehicle_getPosition(other)
             ahead = (ox - x) * east + (oy - y) * north
-            aside = abs((oy - y) * east - (ox - x) * north)
-            if ahead <= 0 or aside > 8.0:
+            if ahead <= 0 or sumo.vehicle_getLaneID(other) not in self._oncoming_lanes:
                 continue
             o_east, o_north = _direction(sumo.vehicle_getAngle(other))
             if o_east * east + o_north * north > -0.5 or self._on_wrong_side(other):
