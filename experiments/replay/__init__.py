@@ -46,8 +46,8 @@ def write_replay(
         predictor: a key of ``PREDICTORS``, or "none".
         color: what agents are coloured by at first, one of ``MODES``; None for the truth where it
             is known.
-        begin_s: when the page opens, a film begins, or a picture was taken, s; None for the
-            beginning (of a picture: the fullest moment).
+        begin_s: when the page opens, a film begins, or a picture was taken, s; None for: when
+            the road has filled to half, the beginning, the fullest moment.
         end_s: when a film ends, s; None for the end.
         video: also film it into this file, .mp4 or .gif.
         picture: also draw it into this file, .png.

@@ -27,7 +27,7 @@ from experiments.replay.packing import differences, pack, quantum
 from experiments.replay.scene import Scene
 from sim.atomic import write_whole
 from sim.formats import FORMATS
-from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray
+from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray, Tracks
 from sim.road_shapes import road_shapes
 
 SCRIPTS: Final = (
@@ -67,7 +67,7 @@ def write_page(scene: Scene, out: Path, mode: str, begin_s: float | None = None)
         scene: what to show.
         out: the HTML file; it appears whole or not at all.
         mode: one of ``MODES``, what agents are coloured by at first.
-        begin_s: the time at which the page opens, s; None for the beginning.
+        begin_s: the time at which the page opens, s; None for when the road has filled to half.
 
     Raises:
         OSError: if it cannot be written.
@@ -133,7 +133,7 @@ def _data(scene: Scene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
         "notes": list(scene.notes),
         "unit": scene.unit,
         "begin": begin_s,
-        "open": {"mode": mode, "at": begin_s if begin_at_s is None else begin_at_s},
+        "open": {"mode": mode, "at": _half_full(tracks) if begin_at_s is None else begin_at_s},
         "behaviors": [
             {"name": b.value, "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
         ],
@@ -169,6 +169,12 @@ def _data(scene: Scene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
         "index": index,
         "packed": packed,
     }
+
+
+def _half_full(tracks: Tracks) -> float:
+    """When for the first time half as many are there as ever are at once, s."""
+    present = tracks.valid.sum(axis=0)
+    return float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
 
 
 def _row(ids: IntArray, agent: int) -> int:

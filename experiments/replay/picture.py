@@ -114,7 +114,7 @@ def shown_extent(scene: Scene) -> tuple[float, float, float, float]:
         low, high, margin = np.array([x0, y0]), np.array([x1, y1]), 7.0
         sides = np.sort(high - low)
         if sides[1] <= LONG * sides[0]:
-            near, far = np.quantile(places, [0.14, 0.86], axis=0)
+            near, far = np.quantile(places, [0.2, 0.8], axis=0)
             half = max(45.0, float((far - near).max()) / 2)
             middle = (near + far) / 2
             low, high = np.maximum(low, middle - half), np.minimum(high, middle + half)

@@ -13,7 +13,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.report.cases import look_closer
 from experiments.report.run_file import Metrics
-from experiments.report.sections import LAYOUTS, Section, sections, shown_predictor
+from experiments.report.sections import LAYOUTS, Section, is_first, sections, shown_predictor
 from experiments.report.source import Source, by_kind, read_source, rows_of
 from experiments.report.tables import Table, name_of, pivot, words
 from experiments.tables import Row
@@ -132,25 +132,25 @@ def compare(runs: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[Section]:
         having = [name for name, rows in runs.items() if kind in rows]
         if len(having) < 2:
             continue
-        rows: list[Row] = [
-            {**row, "run": name, "figure": name_of(str(row["metric"]))}
-            for name in having
-            for row in runs[name][kind]
-            if not layout.main or row["metric"] in layout.main
-        ]
-        hidden = {"metric", "value", "low", "high", "n", "split", "run", "figure", *layout.group}
-        keys = list(dict.fromkeys(k for r in rows for k in r if k not in hidden))
-        tables: dict[str, list[Row]] = {}
-        for row in rows:
-            values = [words(row.get(k)) for k in layout.group]
-            tables.setdefault(", ".join(v for v in values if v != "none"), []).append(row)
-        made = tuple(
-            pivot(part, title or layout.title, (*keys, "figure"), ("run",))
-            for title, part in tables.items()
-            if len({words(r["run"]) for r in part}) > 1
-        )
-        if made:
-            found.append(Section(kind, layout.title, layout.told, layout.made_by, made, (), ()))
+        tables: dict[tuple[str, str], list[Row]] = {}
+        for name in having:
+            for row in runs[name][kind]:
+                values = [words(row.get(k)) for k in layout.group]
+                title = ", ".join(v for v in values if v != "none") or layout.title
+                tables.setdefault((title, str(row["metric"])), []).append({**row, "run": name})
+        across = (*(k for k in layout.across if k != "metric"), "run")
+        hidden = {"metric", "value", "low", "high", "n", "split", *layout.group, *across}
+        main: list[Table] = []
+        more: list[Table] = []
+        for (title, metric), part in tables.items():
+            if len({words(r["run"]) for r in part}) < 2:
+                continue
+            down = [k for k in dict.fromkeys(k for r in part for k in r) if k not in hidden]
+            first = is_first(part[0]) and (not layout.main or metric in layout.main)
+            table = pivot(part, f"{title}: {name_of(metric)}", down or ["metric"], across)
+            (main if first else more).append(table)
+        if main or more:
+            found.append(Section(kind, layout.title, layout.told, "", tuple(main), tuple(more), ()))
     return found
 
 

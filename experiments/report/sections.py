@@ -154,7 +154,7 @@ def _tables(rows: Sequence[Row], layout: Layout) -> tuple[tuple[Table, ...], tup
         first = [r for r in group if _is_main(r, layout)]
         others = [r for r in group if not _is_main(r, layout)]
         if first:
-            target = main if _is_first(first[0]) else more
+            target = main if is_first(first[0]) else more
             target.append(pivot(first, title, (*down, *rest), layout.across))
         if others:
             more.append(pivot(others, f"{title}: other figures", (*down, *rest), layout.across))
@@ -166,7 +166,7 @@ def _is_main(row: Row, layout: Layout) -> bool:
     return plain and (not layout.main or row["metric"] in layout.main)
 
 
-def _is_first(row: Row) -> bool:
+def is_first(row: Row) -> bool:
     """Whether a group is what most readers look for: everyone, on unseen episodes."""
     behavior = row.get("behavior", "all")
     return behavior in ("all", *map(str, BEHAVIORS)) and (

@@ -1,4 +1,4 @@
-"""What a report is made from: a run's folder, or the rows that a bench wrote.
+"""What a report is made from: a run's folder, a trained model's, or the rows that a bench wrote.
 
 Every number of a report is a flat row: the keys that say what was measured, then ``metric``,
 ``value``, ``low``, ``high`` and ``n``. Which keys there are tells what kind of measurement it is.
@@ -15,6 +15,8 @@ from typing import Any, Final, cast
 from behaviors.errors import InputError
 from experiments.report.run_file import Metrics, RunFile, read_run
 from experiments.tables import Row
+from experiments.windows import OBSERVED_S
+from graphrqi.methods import load_model
 
 MAX_BYTES: Final = 2**28
 """Largest file of rows that is read (our choice)."""
@@ -31,7 +33,7 @@ KINDS: Final[dict[str, frozenset[str]]] = {
 }
 """Kinds of measurements by the keys that all of their rows have; the first that fits."""
 
-_NOT_ROWS: Final = frozenset({"run.json", "metrics.json"})
+_NOT_ROWS: Final = frozenset({"run.json", "metrics.json", "model.json"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +45,14 @@ class Source:
         name: what it is called.
         run: how a run was made and where its parts are; None for rows alone.
         rows: every number, by kind of measurement.
+        protocol: how the numbers were obtained, in words; "" where that is not told.
     """
 
     path: Path
     name: str
     run: RunFile | None
     rows: Mapping[str, tuple[Row, ...]]
+    protocol: str = ""
 
 
 def kind_of(row: Row) -> str:
@@ -65,7 +69,8 @@ def read_source(path: Path) -> Source:
     """Read a run's folder or a file of rows.
 
     Args:
-        path: a folder with ``run.json``, a folder with files of rows, or one such file.
+        path: a folder with ``run.json``, a model's folder, a folder with files of rows, or one
+            such file.
 
     Returns:
         The source.
@@ -81,11 +86,32 @@ def read_source(path: Path) -> Source:
         rows = [row for file in files for row in read_rows(file)]
         known = {kind_of(row) for row in rows}
         rows += [row for row in rows_of(metrics) if kind_of(row) not in known]
-        return Source(path, run.name, run, by_kind(rows))
+        return Source(path, run.name, run, by_kind(rows), run.protocol)
+    if (path / "model.json").is_file():
+        return _read_model(path)
     if not files:
         raise InputError(f"{path / 'run.json'}: found no file, expected a run or files of rows")
     rows = [row for file in files for row in read_rows(file)]
     return Source(path, path.resolve().name, None, by_kind(rows))
+
+
+def _read_model(path: Path) -> Source:
+    """The scores in a model's card."""
+    model = load_model(path)
+    scores = model.card.get("scores", {})
+    rows: list[Row] = [
+        {
+            "protocol": "inductive", "scenario": scenario, "method": model.method.name,
+            "window_s": OBSERVED_S, "variation": "", "metric": metric,
+            **{k: None if v != v else v for k, v in score.items()},  # NaN: no interval
+        }
+        for scenario, metrics in scores.items()
+        for metric, score in metrics.items()
+    ]  # fmt: skip
+    if not rows:
+        raise InputError(f"{path / 'model.json'}: found no scores in its card, expected some")
+    protocol = str(model.card.get("protocol", ""))
+    return Source(path, path.resolve().name, None, by_kind(rows), protocol)
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -133,7 +159,7 @@ def rows_of(metrics: Metrics) -> list[Row]:
     for scenario, methods in metrics.classification.items():
         for method, scores in methods.items():
             keys = {"protocol": "inductive", "scenario": scenario, "method": method,
-                    "window_s": 10.0, "variation": ""}  # fmt: skip
+                    "window_s": OBSERVED_S, "variation": ""}  # fmt: skip
             rows += [{**keys, "metric": m, **score.model_dump()} for m, score in scores.items()]
     for scenario, predictors in metrics.prediction.items():
         for predictor, kinds in predictors.items():

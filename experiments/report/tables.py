@@ -136,7 +136,7 @@ def pivot(
         column = [found[line, head] for line in lines if (line, head) in found]
         metric = str(column[0]["metric"])
         fair = [_value(r) for r in column if "majority" not in words(r.get("method"))]
-        if len(fair) > 1 and metric in _LESS | _MORE:
+        if "metric" in across and len(fair) > 1 and metric in _LESS | _MORE:
             best[head] = min(fair) if metric in _LESS else max(fair)
     body = tuple(
         (

@@ -9,7 +9,7 @@ import pytest
 
 from behaviors.errors import InputError
 from experiments.demo import METHODS, PREDICTORS, SCENARIOS, run_demo
-from experiments.report import write_report
+from experiments.report import write_comparison, write_report
 from experiments.report.run_file import read_run
 from graphrqi.methods import load_model
 
@@ -80,6 +80,12 @@ def test_the_report_is_made_again_alike(run):
     before = (run / "report.html").read_bytes()
     write_report(run)
     assert (run / "report.html").read_bytes() == before
+
+
+def test_a_models_folder_and_a_run_beside_it_are_told_too(run, tmp_path):
+    assert "never trained on" in write_report(run / "model").read_text()
+    page = write_comparison([run, run / "model"], tmp_path / "c.html").read_text()
+    assert '<th scope="col">tiny</th><th scope="col">model</th>' in page
 
 
 def test_a_broken_run_is_refused_by_name(run, tmp_path):

@@ -122,6 +122,7 @@ def test_runs_are_compared_column_by_column(study, tmp_path):
     )
     text = page.read_text()
     assert '<th scope="col">classification</th><th scope="col">later</th>' in text
+    assert "best" not in text.split("<body>")[1]
     assert "0.500" in text
     assert "0.600" in text
     (tmp_path / "loop.json").write_text(json.dumps(rows_of("loop")))

@@ -22,7 +22,7 @@ function busyBox() {
     return [sorted[Math.floor(low * (sorted.length - 1))], sorted[Math.floor(high * (sorted.length - 1))]];
   };
   if (!data.road) return view.box;
-  const [x0, x1] = middle(places.x, 0.14, 0.86), [y0, y1] = middle(places.y, 0.14, 0.86);
+  const [x0, x1] = middle(places.x, 0.2, 0.8), [y0, y1] = middle(places.y, 0.2, 0.8);
   const cx = (x0 + x1) / 2, cy = (y0 + y1) / 2, half = Math.max(45, (x1 - x0) / 2, (y1 - y0) / 2);
   return [Math.max(view.box[0], cx - half), Math.max(view.box[1], cy - half), Math.min(view.box[2], cx + half), Math.min(view.box[3], cy + half)];
 }
