@@ -258,7 +258,12 @@ def replay(
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     predictor: Annotated[
-        str, typer.Option(metavar="NAME", help="See graphrqi list; none for no predictions.")
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="See graphrqi list; none for no predictions.",
+            autocompletion=_names_of("predictor"),
+        ),
     ] = "graphrqi-predict",
     color: Annotated[
         str | None,
@@ -297,12 +302,13 @@ def report(
         Path, typer.Option(metavar="FILE", help="The page that compares several.")
     ] = Path("comparison.html"),
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Make the page of each run; of several, also one that compares them."""
     from experiments.report import write_comparison, write_report
 
     for run in runs:
-        typer.echo(write_report(run, jobs))
+        typer.echo(write_report(run, jobs, quiet))
     if len(runs) > 1:
         typer.echo(write_comparison(runs, out))
 
@@ -471,6 +477,25 @@ def bench_classification(
     show_table(run_classification_bench(quick, data, out, jobs=jobs), json)
 
 
+@bench.command("prediction", epilog="example: graphrqi bench prediction --quick --plot yield.png")
+def bench_prediction(
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw a driver foreseen to let somebody cross, and one not."
+        ),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Measure every predictor's errors on unseen episodes."""
+    from experiments.prediction_bench import run_prediction_bench
+    from experiments.tables import show_table
+
+    show_table(run_prediction_bench(quick, jobs=jobs, picture=plot), json)
+
+
 def _add_bench(name: str, what: str) -> None:
     @bench.command(name, help=what, epilog=f"example: graphrqi bench {name} --quick")
     def measure(quick: Quick = False, json: Json = None) -> None:
@@ -483,7 +508,6 @@ def _add_bench(name: str, what: str) -> None:
 for _name, _what in {
     "behaviors": "Measure which behaviour shows which trait, in every scenario.",
     "highway": "Measure the highway-env engine's speed beside the stock road's.",
-    "prediction": "Measure every predictor's errors on unseen episodes.",
     "navigation": "Drive among others, told and not told who drives how.",
     "loop": "Time classifying and predicting while a simulation runs, stage by stage.",
     "generate": "Measure the cost of generating data.",

@@ -76,7 +76,7 @@ def write_replay(
         dataset = open_dataset(folder)
         scene = gather(
             dataset, chosen_entry(dataset, episode), model=model, labels=labels,
-            predictions=predictions, predictor=predictor,
+            predictions=predictions, predictor=predictor, quiet=quiet,
         )  # fmt: skip
     mode = color or default_mode(scene)
     write_page(scene, out, mode, begin_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,6 +23,10 @@ from sim.frames import FloatArray, IntArray, Tracks
 
 EVERY_S: Final = 0.5
 """Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""
+
+MAX_LOOKS: Final = 3_000_000
+"""Most agents times looks that are kept; of longer recordings there are fewer looks (our choice: a
+page of some megabytes)."""
 
 MAX_ROWS: Final = 10**8
 """Most rows of a labels file that are read (our choice)."""
@@ -51,18 +56,31 @@ class Beliefs:
         return Posterior(self.ids[known], now[known].astype(np.float64))
 
 
-def sampled(tracks: Tracks, every_s: float = EVERY_S) -> IntArray:
-    """Indices of the frames at which something that changes slowly is looked at.
+def looks(tracks: Tracks) -> IntArray:
+    """Indices of the frames at which beliefs and the graph are looked at: every half a second.
 
     Args:
-        tracks: an episode.
-        every_s: time between them, s.
+        tracks: an episode; of one with very many agents for very long, looks are farther apart.
 
     Returns:
         (S,) ascending; the first is 0.
     """
     if not tracks.time_s.size:
         return np.empty(0, dtype=np.int64)
+    wanted = tracks.ids.size * float(tracks.time_s[-1] - tracks.time_s[0]) / EVERY_S
+    return sampled(tracks, EVERY_S * max(1, math.ceil(wanted / MAX_LOOKS)))
+
+
+def sampled(tracks: Tracks, every_s: float) -> IntArray:
+    """Indices of the first frame in every interval of so many seconds.
+
+    Args:
+        tracks: an episode with a frame at least.
+        every_s: length of the intervals, s.
+
+    Returns:
+        (S,) ascending; the first is 0.
+    """
     slot = np.floor((tracks.time_s - tracks.time_s[0]) / every_s + 1e-6)
     return np.flatnonzero(np.diff(slot, prepend=-1.0) > 0)
 
@@ -77,7 +95,7 @@ def believe(tracks: Tracks, model: Model) -> Beliefs:
     Returns:
         Its beliefs every half a second.
     """
-    steps = sampled(tracks)
+    steps = looks(tracks)
     probability = _nothing(tracks, steps)
     column = {int(step): i for i, step in enumerate(steps)}
     stream = BehaviorStream(model)
@@ -115,7 +133,7 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
         raise InputError(
             f"{path}: found agent {stranger!r}, expected one of the {len(names)} of {episode}"
         )
-    steps = sampled(tracks)
+    steps = looks(tracks)
     times = tracks.time_s[steps]
     time_s = table["time_s"].to_numpy()
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.replay.beliefs import sampled
+from experiments.replay.beliefs import looks
 from graphrqi.features.graph_spectrum import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
@@ -42,7 +42,7 @@ def watch_graph(tracks: Tracks) -> WatchedGraph:
     Returns:
         The graph as looked at every half a second.
     """
-    steps = sampled(tracks)
+    steps = looks(tracks)
     column = {int(step): i for i, step in enumerate(steps)}
     many = tracks.ids.size
     w = np.full((many, steps.size), np.nan)

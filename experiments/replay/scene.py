@@ -10,6 +10,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.traits import Exhibit
+from experiments.progress import Progress
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_watch import WatchedGraph, watch_graph
@@ -101,6 +102,7 @@ def gather(
     labels: Path | None = None,
     predictions: Path | None = None,
     predictor: str = "graphrqi-predict",
+    quiet: bool = True,
 ) -> Scene:
     """Read an episode, and classify and predict in it what no file says.
 
@@ -110,7 +112,8 @@ def gather(
         model: the classifier, a shipped one's name or a folder; not used where labels are given.
         labels: a labels file, as ``graphrqi classify`` writes it.
         predictions: a predictions file, as ``graphrqi predict`` writes it.
-        predictor: a key of ``PREDICTORS`` or "none"; of a file with several, the one to show.
+        predictor: a key of ``PREDICTORS`` or "none"; not used where predictions are given.
+        quiet: whether to show no progress.
 
     Returns:
         The scene.
@@ -129,16 +132,21 @@ def gather(
         raise InputError(
             f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
-    if labels is None:
-        trained = load_model(model)
-        beliefs, believer = believe(tracks, trained), trained.method.name
-    else:
-        beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
     forecasts: list[Forecast] = []
-    if predictions is not None:
-        predictor, forecasts = read_forecasts(predictions, entry.id, tracks)
-    elif predictor != "none":
-        forecasts = forecast(tracks, beliefs, road, predictor)
+    with Progress("looking at the episode", 3, quiet) as progress:
+        if labels is None:
+            trained = load_model(model)
+            beliefs, believer = believe(tracks, trained), trained.method.name
+        else:
+            beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
+        progress.advance()
+        if predictions is not None:
+            predictor, forecasts = read_forecasts(predictions, entry.id, tracks)
+        elif predictor != "none":
+            forecasts = forecast(tracks, beliefs, road, predictor)
+        progress.advance()
+        graph = watch_graph(tracks)
+        progress.advance()
     unit = FORMATS[entry.engine].unit if entry.engine in FORMATS else "m"
     stride = _stride(tracks)
     return Scene(
@@ -150,7 +158,7 @@ def gather(
         exhibits=episode.exhibits,
         beliefs=beliefs,
         believer=believer,
-        graph=watch_graph(tracks),
+        graph=graph,
         forecasts=tuple(forecasts),
         predictor=predictor if forecasts else "",
         notes=_notes(episode, road, unit, stride),

@@ -20,6 +20,7 @@ from behaviors.labels import BEHAVIORS, TRAITS, Style
 from behaviors.shown_label import characteristic_traits
 from experiments.metrics import balanced_accuracy, bootstrap, confusion, reliability
 from experiments.parallel import in_parallel
+from experiments.progress import Progress
 from experiments.replay.page import write_page
 from experiments.replay.picture import Painter, png_bytes
 from experiments.replay.scene import Scene, gather
@@ -110,7 +111,7 @@ class Closer:
 
 def look_closer(
     folder: Path, dataset: str, model: str, scenarios: Sequence[str], predictor: str,
-    jobs: int | None = None,
+    jobs: int | None = None, quiet: bool = True,
 ) -> list[Closer]:  # fmt: skip
     """Look at a run's unseen episodes and write their replays.
 
@@ -121,21 +122,23 @@ def look_closer(
         scenarios: which.
         predictor: whose predictions are looked at.
         jobs: processes; None for one per core.
+        quiet: whether to show no progress.
 
     Returns:
         One entry per scenario that has unseen episodes.
     """
     opened = open_dataset(folder / dataset)
     (folder / "replays").mkdir(exist_ok=True)
-    found = []
-    for scenario in scenarios:
-        entries = opened.episodes("test", scenario)[:EPISODES]
-        if not entries:
-            continue
-        arguments = [(folder, dataset, model, entry, predictor) for entry in entries]
-        looks = list(in_parallel(look_at, arguments, jobs))
-        found.append(_closer(scenario, looks))
-    return found
+    chosen = {name: opened.episodes("test", name)[:EPISODES] for name in scenarios}
+    arguments = [
+        (folder, dataset, model, entry, predictor) for part in chosen.values() for entry in part
+    ]
+    found: dict[str, list[Look]] = {}
+    with Progress("looking at episodes", len(arguments), quiet) as progress:
+        for given, look in zip(arguments, in_parallel(look_at, arguments, jobs), strict=True):
+            found.setdefault(given[3].scenario, []).append(look)
+            progress.advance()
+    return [_closer(scenario, found[scenario]) for scenario in scenarios if scenario in found]
 
 
 def look_at(folder: Path, dataset: str, model: str, entry: EpisodeEntry, predictor: str) -> Look:

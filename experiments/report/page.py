@@ -44,12 +44,13 @@ def confusion_table(matrix: Sequence[Sequence[int]], title: str) -> Confusion:
     )
 
 
-def write_report(path: Path, jobs: int | None = None) -> Path:
+def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Path:
     """Write the page of a run, or of a file of rows.
 
     Args:
         path: a run's folder, a folder with files of rows, or one such file.
         jobs: processes for looking at a run's episodes; None for one per core.
+        quiet: whether to show no progress.
 
     Returns:
         The page: ``report.html`` in the folder, or beside the file by its name. It loads nothing;
@@ -66,7 +67,7 @@ def write_report(path: Path, jobs: int | None = None) -> Path:
         predicted = source.rows.get("prediction", ())
         scenarios = list(dict.fromkeys(words(r["scenario"]) for r in source.rows["classification"]))
         name = shown_predictor(predicted) if predicted else "none"
-        closer = look_closer(path, run.dataset, run.model, scenarios, name, jobs)
+        closer = look_closer(path, run.dataset, run.model, scenarios, name, jobs, quiet)
     confusions = [
         confusion_table(matrix, f"{method}, {scenario}")
         for scenario, methods in (run.confusion if run else {}).items()

@@ -10,7 +10,7 @@ import pytest
 from behaviors.labels import BEHAVIORS, Behavior, Trait
 from behaviors.profiles import PROFILES
 from behaviors.traits import Exhibit
-from experiments.replay.beliefs import Beliefs, sampled
+from experiments.replay.beliefs import Beliefs, looks, sampled
 from experiments.replay.forecasts import Forecast
 from experiments.replay.graph_watch import watch_graph
 from experiments.replay.scene import Scene
@@ -61,8 +61,8 @@ def make_scene():
             behavior=truth,
             events=(Event(EventKind.COLLISION, 5.0, int(ids[0]), int(ids[1]), HOSTILE),),
         )
-        looks = sampled(tracks)
-        probability = np.full((agents, looks.size, len(BEHAVIORS)), 0.06, dtype=np.float32)
+        seen = looks(tracks)
+        probability = np.full((agents, seen.size, len(BEHAVIORS)), 0.06, dtype=np.float32)
         probability[np.arange(agents), :, (truth + 1) % len(BEHAVIORS)] = 0.7
         probability[:, :2] = np.nan
         ahead = np.arange(1, 11) * 0.5
@@ -98,7 +98,7 @@ def make_scene():
             tracks=tracks,
             agents=specs,
             exhibits=(Exhibit(Trait.CUTTING_IN, int(ids[0]), 3.0, 6.0, 1.0),),
-            beliefs=Beliefs(ids, time_s[looks], probability),
+            beliefs=Beliefs(ids, time_s[seen], probability),
             believer="a model",
             graph=watch_graph(tracks),
             forecasts=tuple(forecasts),

@@ -229,7 +229,7 @@ function labelFutures(ctx, panel, told, from) {
     if (Math.hypot(x - x0, y - y0) < 24) continue;      // it stands
     if (taken.some(([a, b]) => Math.abs(a - x) < 34 && Math.abs(b - y) < 17)) continue;
     taken.push([x, y]);
-    tag(ctx, x + 8, y - 9, `${Math.round(100 * p)} %`);
+    tag(ctx, x + 6, y - 18, `${Math.round(100 * p)} %`);
   }
 }
 
@@ -242,7 +242,7 @@ function tag(ctx, x, y, text) {
   ctx.fillText(text, x + 4.5, y + 0.5);
 }
 
-// A cross in a ring where somebody collided or nearly did, for two seconds.
+// A cross or a triangle in a ring where somebody collided or nearly did, for two seconds.
 function drawEvents(ctx, panel) {
   for (const event of data.events) {
     const since = player.time - event.time;
@@ -253,7 +253,10 @@ function drawEvents(ctx, panel) {
     ctx.globalAlpha = 1 - Math.max(0, since) / 2.2;
     ctx.strokeStyle = theme.grave; ctx.lineWidth = 2.4;
     ctx.beginPath(); ctx.arc(x, y, 12 + 6 * Math.max(0, since), 0, 2 * Math.PI); ctx.stroke();
-    if (event.kind === data.grave[0]) {
+    if (event.kind !== data.grave[0]) {
+      ctx.lineWidth = 1.8;
+      ctx.beginPath(); ctx.moveTo(x, y - 7); ctx.lineTo(x + 6, y + 4.5); ctx.lineTo(x - 6, y + 4.5); ctx.closePath(); ctx.stroke();
+    } else {
       ctx.beginPath(); ctx.moveTo(x - 6, y - 6); ctx.lineTo(x + 6, y + 6); ctx.moveTo(x + 6, y - 6); ctx.lineTo(x - 6, y + 6); ctx.stroke();
     }
     ctx.globalAlpha = 1;
