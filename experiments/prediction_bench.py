@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
+from experiments import yielding
 from experiments.generate import GenerateConfig, generate
 from experiments.parallel import in_parallel
 from experiments.prediction import (
@@ -23,6 +24,7 @@ from experiments.prediction import (
     summarize,
 )
 from experiments.tables import Row
+from experiments.yield_picture import Case, clearest, draw_cases
 from experiments.yielding import Asked, ask, score_chances
 from graphrqi.methods import load_model
 from graphrqi.predict import PREDICTORS
@@ -54,6 +56,7 @@ def run_prediction_bench(
     predictors: Sequence[str] | None = None,
     model: str = DEFAULT_MODEL,
     jobs: int | None = None,
+    picture: Path | None = None,
 ) -> list[Row]:
     """Predict on fresh episodes of both scenarios with a classifier's beliefs.
 
@@ -62,12 +65,14 @@ def run_prediction_bench(
         predictors: keys of ``PREDICTORS``; all by default.
         model: the classifier whose beliefs are used.
         jobs: processes; None for one per core.
+        picture: where to draw a driver foreseen to yield and one foreseen not to; None: nowhere.
 
     Returns:
         Flat rows ``scenario predictor horizon_s behavior split metric value low high n``.
     """
     names = list(PREDICTORS if predictors is None else predictors)
     rows: list[Row] = []
+    cases: list[Case] = []
     with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
         folder = Path(scratch) / "data"
         config = GenerateConfig(
@@ -84,6 +89,9 @@ def run_prediction_bench(
             found = list(in_parallel(bench_episode, arguments, jobs))
             rows += summarize([errors for errors, _ in found], scenario, "unseen")
             rows += score_chances([asked for _, asked in found], scenario, "unseen")
+            cases += [case for _, asked in found for case in asked.cases]
+    if picture is not None and cases:
+        draw_cases(clearest(cases), picture)
     return [*rows, rollout_time()]
 
 
@@ -93,10 +101,10 @@ def bench_episode(
     """Errors and yielding chances of predictors in one episode."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
-    posteriors = beliefs(
-        tracks, load_model(model), list(instants(tracks, max(HORIZONS_S), EVERY_S))
-    )
-    errors = evaluate(tracks, posteriors, road, predictors)
+    scored = set(instants(tracks, max(HORIZONS_S), EVERY_S))
+    stops = scored | set(instants(tracks, max(HORIZONS_S), yielding.EVERY_S))
+    posteriors = beliefs(tracks, load_model(model), sorted(stops))
+    errors = evaluate(tracks, {s: posteriors[s] for s in sorted(scored)}, road, predictors)
     asked = Asked({}, np.empty(0)) if road is None else ask(tracks, road, posteriors, predictors)
     return errors, asked
 

@@ -16,13 +16,12 @@ import numpy as np
 
 from experiments.metrics import RESAMPLES
 from experiments.prediction import HISTORY_S, future
+from experiments.yield_picture import Case, clearest
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
-from graphrqi.predict.paths import PathTable
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene import LEARNED_S, OPEN, STEP_S, Scene, make_scene
 from sim.frames import FloatArray, IntArray, Tracks
-from sim.lane_graph import LaneGraph
 from sim.road import Road
 
 BEFORE_S: Final = (1.5, 2.5)
@@ -37,6 +36,12 @@ LEAST_SPEED_MPS: Final = 2.0
 ENTERED_M: Final = 1.0
 """So far into the crossing counts as having entered it (our choice)."""
 
+EVERY_S: Final = 0.5
+"""How often encounters are looked for, s, so that hardly any is missed."""
+
+DRAWN: Final = "graphrqi-predict"
+"""Whose predictions are drawn."""
+
 VAGUE_M: Final = 1.5
 """Spread taken for predictors that give none, m (our choice)."""
 
@@ -49,16 +54,18 @@ class Encounters:
         row: (m,) rows of the scene.
         room: (m,) front bumper to the crossing's near edge, m.
         yielded: (m,) whether they let the pedestrian go first.
+        went: (m, H, 2) where they went, every half second, m.
     """
 
     row: IntArray
     room: FloatArray
     yielded: FloatArray
+    went: FloatArray
 
 
 def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
     """Rows of the drivers about two seconds before an occupied crossing, and the room left, m."""
-    graph, paths = LaneGraph.of(scene.road), PathTable.of(scene.road)
+    graph, paths = scene.graph, scene.paths
     zones = graph.cross_lane.size
     row, room = [], []
     soon = scene.closed[:, : round(BEFORE_S[1] / STEP_S) + 1]
@@ -135,7 +142,8 @@ def encounters(
         row, room, truth = row[new], room[new], truth[new]
         met |= {int(i) for i in history.ids[row]}
         gone = travelled(truth, scene.xy[row])
-        yield scene, posterior, Encounters(row, room, (gone < room + ENTERED_M).astype(np.float64))
+        yielded = (gone < room + ENTERED_M).astype(np.float64)
+        yield scene, posterior, Encounters(row, room, yielded, truth)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,10 +153,12 @@ class Asked:
     Attributes:
         chance: (m,) chance of yielding by predictor.
         happened: (m,) 1 where the driver yielded.
+        cases: the clearest two by the default predictor, to be drawn.
     """
 
     chance: Mapping[str, FloatArray]
     happened: FloatArray
+    cases: tuple[Case, ...] = ()
 
 
 def ask(
@@ -167,14 +177,25 @@ def ask(
     """
     chance: dict[str, list[FloatArray]] = {name: [] for name in predictors}
     happened: list[FloatArray] = []
+    cases: list[Case] = []
     for scene, posterior, met in encounters(tracks, road, posteriors):
         happened.append(met.yielded)
         for name in predictors:
             prediction = get_predictor(name)(scene, posterior)
-            chance[name].append(yield_chance(prediction, scene, met.row, met.room))
+            told = yield_chance(prediction, scene, met.row, met.room)
+            chance[name].append(told)
+            if name == DRAWN:
+                cases += [
+                    Case.of(scene, prediction, int(i), float(p), bool(y > 0.5), went, name)
+                    for i, p, y, went in zip(met.row, told, met.yielded, met.went, strict=True)
+                ]
     if not happened:
         return Asked({name: np.empty(0) for name in predictors}, np.empty(0))
-    return Asked({n: np.concatenate(c) for n, c in chance.items()}, np.concatenate(happened))
+    return Asked(
+        {n: np.concatenate(c) for n, c in chance.items()},
+        np.concatenate(happened),
+        tuple(clearest(cases)),
+    )
 
 
 def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[dict[str, Any]]:

@@ -39,6 +39,10 @@ EGO_FOLLOWING: Final = (2.0, 2.5, 4.0)
 """The planned vehicle's own standstill gap m, acceleration and deceleration m/s2 (our choice: an
 attentive average driver)."""
 
+STOP_MARGIN_M: Final = 1.5
+"""The planned vehicle is driven as if it were this much longer at either end, so that it stops
+before lines, not on them (our choice)."""
+
 NEAR_S: Final = 3.0
 """Times to collision below this count as risk, the more the shorter (our choice: twice what is
 called a near miss)."""
@@ -103,6 +107,9 @@ def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) ->
         The best manoeuvre's beginning.
     """
     manners = believed(scene, probability, table)
+    length = scene.history.length.copy()
+    length[ego] += 2.0 * STOP_MARGIN_M
+    scene = dataclasses.replace(scene, history=dataclasses.replace(scene.history, length=length))
     best, chosen = -np.inf, None
     for side in (0, 1, -1):
         moved = _moved(scene, ego, side)

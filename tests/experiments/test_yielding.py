@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS
+from experiments.yield_picture import clearest, draw_cases
 from experiments.yielding import Asked, approaching, ask, auc, brier, score_chances, travelled
 from graphrqi.posterior import Posterior
 from graphrqi.predict.scene import make_scene
@@ -82,3 +83,20 @@ def test_rows_need_both_outcomes():
     rows = score_chances([both], "somewhere", "test")
     assert {r["metric"]: r["value"] for r in rows}["yield_auc"] == 1.0
     assert score_chances([Asked({"a": np.ones(2)}, np.ones(2))], "somewhere", "test") == []
+
+
+def test_the_clearest_cases_are_drawn(road, tmp_path):
+    asked = [
+        ask(
+            episode(road, brakes=brakes), road, dict.fromkeys(range(55, 65), NOBODY),
+            ["graphrqi-predict"],
+        )
+        for brakes in (True, False)
+    ]  # fmt: skip
+    cases = clearest([case for one in asked for case in one.cases])
+    assert [case.yielded for case in cases] == [True, False]
+    assert cases[0].futures.shape[0] == 6
+    assert cases[0].walks.tolist() == [False, True]
+    draw_cases(cases, tmp_path / "yield.png")
+    assert (tmp_path / "yield.png").read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in tmp_path.iterdir()] == ["yield.png"]
