@@ -32,7 +32,7 @@ HORIZON_S: Final = 5.0
 PREDICT_EVERY_S: Final = 1.0
 """Time between predictions, s (our choice: each is scored, none is drawn)."""
 
-COMPARED: Final = ("constant-velocity", "car-following")
+COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 """The predictors that a run compares."""
 
 SHOWN_EVERY_S: Final = 0.2
@@ -45,6 +45,14 @@ class _Believed:
 
     truth: dict[int, int]
     latest: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def accuracy(self) -> float | None:
+        """Share of the drivers classified so far whose latest belief is right."""
+        if not self.latest:
+            return None
+        right = sum(self.truth[agent] == code for agent, code in self.latest.items())
+        return right / len(self.latest)
 
     def rows(self) -> list[Row]:
         """How often the latest belief is right."""
@@ -73,6 +81,12 @@ class _Predicted:
 
     waiting: deque[tuple[float, str, Prediction]] = field(default_factory=deque)
     errors: dict[str, list[float]] = field(default_factory=lambda: {n: [] for n in COMPARED})
+
+    @property
+    def error_m(self) -> float | None:
+        """Mean error so far of the last compared predictor, m."""
+        errors = self.errors[COMPARED[-1]]
+        return sum(errors) / len(errors) if errors else None
 
     def predict(self, history: Tracks, posterior: Posterior, road: Road) -> None:
         """Predict with every compared predictor; scored when the time has come."""
@@ -103,6 +117,25 @@ class _Predicted:
             }
             for name, errors in self.errors.items()
         ]
+
+
+def live_line(
+    name: str, time_s: float, duration_s: float, agents: int, factor: float,
+    accuracy: float | None, error_m: float | None, ms_per_frame: float,
+) -> str:  # fmt: skip
+    """What is shown while a scenario runs.
+
+    Example:
+        >>> live_line("straight_road", 12.0, 300.0, 41, 9.0, 0.8125, 2.5, 6.25)
+        'straight_road: 12.0 of 300 s, 41 agents, 9x real time, 81 % right, 2.50 m off at 5 s, 6.2 ms a frame'
+    """  # noqa: E501  the line is as long as it is
+    said = [f"{name}: {time_s:.1f} of {duration_s:g} s", f"{agents} agents"]
+    said.append(f"{factor:.0f}x real time")
+    if accuracy is not None:
+        said.append(f"{accuracy:.0%}".replace("%", " %") + " right")
+    if error_m is not None:
+        said.append(f"{error_m:.2f} m off at {HORIZON_S:g} s")
+    return ", ".join([*said, f"{ms_per_frame:.1f} ms a frame"])
 
 
 @contextmanager
@@ -149,11 +182,11 @@ def run_scenario(
     stream = _stream(model)
     started = time.monotonic()
     next_prediction_s = PREDICT_EVERY_S
-    simulated_s = 0.0
+    simulated_s, spent_s, count = 0.0, 0.0, 0
     frames = get_engine(config.engine)(scenario, agents, config.seed)
     with _live(quiet) as show:
         for frame in summary.watch(frames, scenario.step_s):
-            simulated_s = frame.time_s
+            simulated_s, begun = frame.time_s, time.monotonic()
             if stream is not None:
                 posterior = stream.update(frame)
                 for agent, code in zip(posterior.ids, posterior.most_likely, strict=True):
@@ -164,11 +197,15 @@ def run_scenario(
                     next_prediction_s += PREDICT_EVERY_S
                     predicted.predict(stream.history, posterior, scenario.road)
             factor = simulated_s / max(time.monotonic() - started, 1e-9)
+            spent_s, count = spent_s + time.monotonic() - begun, count + 1
             show(
-                f"{scenario.name}: {frame.time_s:.1f} of {scenario.duration_s:g} s, "
-                f"{len(frame)} agents, {factor:.0f}x real time"
-            )
+                live_line(
+                    scenario.name, frame.time_s, scenario.duration_s, len(frame), factor,
+                    believed.accuracy, predicted.error_m, 1e3 * spent_s / count,
+                )
+            )  # fmt: skip
     factor = simulated_s / max(time.monotonic() - started, 1e-9)
+    cost: list[Row] = [{"what": "ms a frame", "value": 1e3 * spent_s / max(count, 1)}]
     mean_speed = summary.distance_m / summary.driving_s if summary.driving_s else None
     return [
         {"what": "scenario", "value": scenario.name},
@@ -179,6 +216,7 @@ def run_scenario(
         {"what": "collisions", "value": summary.events[EventKind.COLLISION]},
         *(believed.rows() if stream is not None else []),
         *(predicted.rows() if predict else []),
+        *cost,
     ]
 
 
