@@ -258,13 +258,14 @@ def replay(
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     predictor: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
-            help="See graphrqi list; none for no predictions.",
+            help="See graphrqi list; none for no predictions [default: graphrqi-predict, or the "
+            "first in --predictions].",
             autocompletion=_names_of("predictor"),
         ),
-    ] = "graphrqi-predict",
+    ] = None,
     color: Annotated[
         str | None,
         typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),

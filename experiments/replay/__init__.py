@@ -24,7 +24,7 @@ def write_replay(
     format: str | None = None,
     net: Path | None = None,
     model: str = "graphrqi-plus",
-    predictor: str = "graphrqi-predict",
+    predictor: str | None = None,
     color: str | None = None,
     begin_s: float | None = None,
     end_s: float | None = None,
@@ -43,7 +43,8 @@ def write_replay(
         format: format of a recording; None to tell it from the content.
         net: the SUMO net that a recording was made on.
         model: a shipped model's name or a folder.
-        predictor: a key of ``PREDICTORS``, or "none".
+        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
+            or for the first in ``predictions``.
         color: what agents are coloured by at first, one of ``MODES``; None for the truth where it
             is known.
         begin_s: when the page opens, a film begins, or a picture was taken, s; None for: when
@@ -62,7 +63,7 @@ def write_replay(
     """
     if color is not None:
         lookup({mode: mode for mode in MODES}, color, "color")
-    if predictor != "none":
+    if predictor is not None and predictor != "none":
         get_predictor(predictor)
     wanted = [path for path in (out, video, picture) if path is not None]
     for path in wanted:

@@ -28,6 +28,8 @@ SHOWN_EVERY_S: Final = 0.1
 MAX_PLACES: Final = 1_000_000
 """Most places of agents in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
 
+DEFAULT_PREDICTOR: Final = "graphrqi-predict"
+
 MAX_AGENTS: Final = 2**15
 """Most agents that are shown (our choice; a page numbers them in 16 bits)."""
 
@@ -101,7 +103,7 @@ def gather(
     model: str,
     labels: Path | None = None,
     predictions: Path | None = None,
-    predictor: str = "graphrqi-predict",
+    predictor: str | None = None,
     quiet: bool = True,
 ) -> Scene:
     """Read an episode, and classify and predict in it what no file says.
@@ -112,7 +114,8 @@ def gather(
         model: the classifier, a shipped one's name or a folder; not used where labels are given.
         labels: a labels file, as ``graphrqi classify`` writes it.
         predictions: a predictions file, as ``graphrqi predict`` writes it.
-        predictor: a key of ``PREDICTORS`` or "none"; not used where predictions are given.
+        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
+            or for the first in ``predictions``.
         quiet: whether to show no progress.
 
     Returns:
@@ -133,6 +136,7 @@ def gather(
             f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
     forecasts: list[Forecast] = []
+    shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
@@ -141,9 +145,10 @@ def gather(
             beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
         progress.advance()
         if predictions is not None:
-            predictor, forecasts = read_forecasts(predictions, entry.id, tracks)
+            shown, forecasts = read_forecasts(predictions, entry.id, tracks, predictor)
         elif predictor != "none":
-            forecasts = forecast(tracks, beliefs, road, predictor)
+            shown = predictor or DEFAULT_PREDICTOR
+            forecasts = forecast(tracks, beliefs, road, shown)
         progress.advance()
         graph = watch_graph(tracks)
         progress.advance()
@@ -160,7 +165,7 @@ def gather(
         believer=believer,
         graph=graph,
         forecasts=tuple(forecasts),
-        predictor=predictor if forecasts else "",
+        predictor=shown if forecasts else "",
         notes=_notes(episode, road, unit, stride),
     )
 

@@ -229,6 +229,20 @@ def test_text_can_be_read_and_nothing_overflows(open_page, contrasts, scheme, si
     assert [found for found in contrasts(page) if found[0] < 4.5] == []
 
 
+def test_the_timeline_leads_to_moments_and_agents(open_page):
+    page = open_page()
+    strip = page.locator("#timeline").bounding_box()
+    left, right = strip["x"] + 240, strip["x"] + strip["width"] - 6
+    page.mouse.click(left + 0.75 * (right - left), strip["y"] + strip["height"] - 8)
+    assert state(page)["time"] == pytest.approx(15.0, abs=0.2)
+    middle_of_trait = left + 4.5 / 19.9 * (right - left)
+    page.mouse.move(middle_of_trait, strip["y"] + 22)
+    assert "cutting in front" in page.locator("#tip").inner_text()
+    page.mouse.click(middle_of_trait, strip["y"] + 22)
+    assert state(page)["selected"] == 0
+    assert state(page)["time"] == pytest.approx(3.0, abs=0.05)
+
+
 def test_a_link_opens_at_a_moment_with_an_agent(open_page):
     page = open_page(link="#t=12.5&agent=car-8&mode=speed")
     assert state(page)["time"] == pytest.approx(12.5)
