@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,7 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors.errors import InputError
-from experiments.runtime import errors_against_lapack, graph_sequence, run_spectrum_study
+from experiments.runtime import (
+    errors_against_lapack,
+    graph_sequence,
+    run_spectrum_study,
+    traffic_positions,
+)
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, certify, exact, full_spectrum, topology
 from graphrqi.spectrum.contract import End, Spectrum, null_space
@@ -80,6 +85,21 @@ def test_sequences_stay_right(name: str, kind: str, end: End) -> None:
         previous = SOLVERS[name](graph, 8, end, previous, nonzero=end == "smallest")
         assert previous.certified
         assert errors_against_lapack(previous, 8, end == "smallest").max() < 1e-8
+
+
+@pytest.mark.parametrize("layout", ["road", "crossing"])
+@pytest.mark.parametrize("kind", ["instantaneous", "accumulated"])
+def test_graphs_large_enough_for_a_part_to_be_treated_first(layout: str, kind: str) -> None:
+    previous: Spectrum | None = None
+    rng = np.random.default_rng(3)
+    graph = TrafficGraph.empty(kind=cast(Any, kind))
+    for step, xy in enumerate(traffic_positions(layout, 900, 14)):
+        seen = np.flatnonzero(rng.random(900) < 0.995) if step % 5 == 4 else np.arange(900)
+        graph = graph.observe(seen, xy[seen])
+        previous = SOLVERS["graphrqi"](graph, 8, previous=previous)
+        assert previous.certified
+        if step % 4 == 3:
+            assert errors_against_lapack(previous, 8, False).max() < 1e-8
 
 
 def test_two_thousand_hostile_graphs() -> None:
