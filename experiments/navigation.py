@@ -21,7 +21,8 @@ from experiments.tables import Row
 from graphrqi.predict.drivers import default_table
 from graphrqi.predict.planner import ACT_S, Plan, plan
 from graphrqi.predict.scene import make_scene
-from graphrqi.stream import DEFAULT_MODEL, BehaviorStream, load_stream
+from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, load_stream
+from sim.buffer import FrameBuffer
 from sim.frames import FloatArray, Frame, IntArray, Tracks
 from sim.observables import observe
 from sim.road import Road
@@ -60,6 +61,10 @@ of lengths: a lane change takes some 3 s)."""
 MOST_ACCEL_MPS2: Final = 6.0
 """The ego vehicle's accelerator and brake reach this, m/s2."""
 
+EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 5.0, 0.4, 1.0
+"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (our
+choice: a good deal harder than comfort)."""
+
 METRICS: Final = (
     "near_misses", "near_misses_ahead", "near_misses_behind", "env_near_misses", "collisions",
     "red_runs", "mean_speed_mps", "arrived", "time_to_goal_s", "label_accuracy",
@@ -68,23 +73,32 @@ METRICS: Final = (
 
 
 class Watcher:
-    """Sees every frame of an environment, and remembers and classifies what it saw.
+    """Sees every frame of an environment, and remembers and, if asked to, classifies what it saw.
 
     Environments call it as their classifier; their observation of beliefs stays uniform, since the
     planner asks the stream itself, when it plans.
+
+    Args:
+        model: the classifier; None: nobody is classified.
     """
 
-    def __init__(self, model: str) -> None:
+    def __init__(self, model: str | None) -> None:
         self.model = model
-        self.stream: BehaviorStream = load_stream(model)
+        self._begin()
+
+    def _begin(self) -> None:
+        self.stream = None if self.model is None else load_stream(self.model)
+        self.buffer = FrameBuffer(HISTORY_STEPS)
         self.frames: list[Frame] = []
 
     def __call__(self, frame: Frame) -> Watcher:
         """Take the next frame; one from before the last begins a new episode."""
         if self.frames and frame.time_s <= self.frames[-1].time_s:
-            self.stream, self.frames = load_stream(self.model), []
-        self.stream.push(frame)
+            self._begin()
         self.frames.append(frame)
+        self.buffer.push(frame)
+        if self.stream is not None:
+            self.stream.push(frame)
         return self
 
     def of(self, ids: IntArray) -> FloatArray:
@@ -109,6 +123,23 @@ def steering(plan: Plan, xy: FloatArray, heading: float, speed: float, length: f
     return math.atan(2.0 * math.tan(slip))
 
 
+def safe_accel(frame: Frame, road: Road, me: int) -> float:
+    """The most at which one can still stop behind the leader, if that one brakes to a stop, m/s2.
+
+    The emergency brake of every arm: what others are believed to do may be wrong. The safe speed is
+    Krauss's; see `graphrqi.predict.kernel`.
+    """
+    seen = observe(frame, road)
+    leader, speed = int(seen.leader[me]), float(frame.speed[me])
+    if leader < 0:
+        return math.inf
+    room = max(float(seen.gap[me]) - EMERGENCY_GAP_M, 0.0)
+    reach = EMERGENCY_DECEL_MPS2 * EMERGENCY_S
+    ahead = float(frame.speed[leader])
+    safe = -reach + math.sqrt(reach**2 + ahead**2 + 2.0 * EMERGENCY_DECEL_MPS2 * room)
+    return (safe - speed) / EMERGENCY_S
+
+
 def drive(
     scenario: str, arm: str, seed: int, model: str = DEFAULT_MODEL,
     changes: Mapping[str, float] | None = None,
@@ -129,7 +160,7 @@ def drive(
 
     import scenarios  # noqa: F401  registers the environments
 
-    watcher = Watcher(model)
+    watcher = Watcher(model if arm == "classified" else None)
     limits = {"type": "ContinuousAction", "acceleration_range": [-MOST_ACCEL_MPS2, MOST_ACCEL_MPS2]}
     config: dict[str, Any] = {
         "seed": seed, "observation": "posterior", "classifier": watcher, "observed": 1,
@@ -156,7 +187,7 @@ def drive(
         if time_s >= next_s - 1e-6 and row.size:
             beliefs, hits = _beliefs(arm, watcher, frame, truth)
             right += hits
-            current = _look(watcher.stream.history, road, ego_id, beliefs) or current
+            current = _look(watcher.buffer.tracks(), road, ego_id, beliefs) or current
             next_s = time_s + ACT_S
         action = np.zeros(2, dtype=np.float32)
         if current is not None and row.size:
@@ -165,7 +196,8 @@ def drive(
                 current, frame.xy[me], float(frame.heading[me]), float(frame.speed[me]),
                 float(frame.length[me]),
             )  # fmt: skip
-            action[0] = current.accel / MOST_ACCEL_MPS2
+            accel = min(current.accel, safe_accel(frame, road, me))
+            action[0] = accel / MOST_ACCEL_MPS2
             action[1] = -turn / (math.pi / 4)  # highway-env's y points to the right
         _, _, ended, cut, info = env.step(np.clip(action, -1.0, 1.0))
         time_s = info["time_s"]
@@ -211,6 +243,7 @@ def _beliefs(
             if int(agent) in truth:
                 told[i] = np.eye(len(BEHAVIORS))[truth[int(agent)]]
         return told, []
+    assert watcher.stream is not None
     posterior = watcher.stream.posterior()
     hits = [
         float(code == truth[int(agent)])

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections import deque
 
+import numpy as np
+
 from behaviors.errors import InputError
-from sim.frames import Frame, Tracks
+from sim.frames import Event, Frame, Tracks
 
 
 class FrameBuffer:
     """Keeps the last frames; memory does not grow with time.
+
+    What was seen stands in tables of agents by times, twice as wide as what is kept: a frame is
+    written into the next column, and only at the right end everything moves back to the left.
 
     Args:
         steps: how many frames to keep.
@@ -18,7 +23,15 @@ class FrameBuffer:
     def __init__(self, steps: int) -> None:
         if steps < 1:
             raise InputError(f"steps: found {steps}, expected at least 1")
-        self._frames: deque[Frame] = deque(maxlen=steps)
+        self._steps, self._end, self._count = steps, 0, 0
+        self._last: Frame | None = None
+        self._ids = np.empty(0, dtype=np.int64)
+        self._table = np.empty((0, 2 * steps, 4))  # x, y, heading, speed
+        self._valid = np.empty((0, 2 * steps), dtype=bool)
+        self._fixed = np.empty((0, 3))  # kind, length, width
+        self._time_s = np.empty(2 * steps)
+        self._signals = np.empty((0, 2 * steps), dtype=np.int8)
+        self._events: deque[tuple[Event, ...]] = deque(maxlen=steps)
 
     def push(self, frame: Frame) -> None:
         """Add the next frame.
@@ -26,21 +39,88 @@ class FrameBuffer:
         Raises:
             InputError: if its time is not after the last one's.
         """
-        if self._frames and frame.time_s <= self._frames[-1].time_s:
+        if self._last is None:
+            self._signals = np.empty((frame.signals.size, 2 * self._steps), dtype=np.int8)
+        elif frame.time_s <= self._last.time_s:
             raise InputError(
-                f"frame.time_s: found {frame.time_s}, expected later than {self._frames[-1].time_s}"
+                f"frame.time_s: found {frame.time_s}, expected later than {self._last.time_s}"
             )
-        self._frames.append(frame)
+        if self._end == 2 * self._steps:
+            self._move_back()
+        row = np.searchsorted(self._ids, frame.ids)
+        inside = np.minimum(row, self._ids.size - 1)
+        if not self._ids.size or (self._ids[inside] != frame.ids).any():
+            self._add(frame.ids)
+            row = np.searchsorted(self._ids, frame.ids)
+        column = self._end
+        self._valid[:, column] = False
+        self._valid[row, column] = True
+        now = self._table[:, column]
+        now[row, :2], now[row, 2], now[row, 3] = frame.xy, frame.heading, frame.speed
+        self._fixed[row] = np.stack([frame.kind, frame.length, frame.width], axis=1)
+        self._time_s[column] = frame.time_s
+        self._signals[:, column] = frame.signals
+        self._events.append(frame.events)
+        self._last = frame
+        self._end, self._count = self._end + 1, min(self._count + 1, self._steps)
+
+    def _move_back(self) -> None:
+        """Move the columns kept to the left end, and forget who is in none of them."""
+        kept = slice(self._end - self._steps + 1, self._end)
+        some = self._valid[:, kept].any(axis=1)
+        for name in ("_table", "_valid"):
+            old = getattr(self, name)[some]
+            old[:, : self._steps - 1] = old[:, kept].copy()
+            setattr(self, name, old)
+        self._ids, self._fixed = self._ids[some], self._fixed[some]
+        for values in (self._time_s, self._signals):
+            values[..., : self._steps - 1] = values[..., kept].copy()
+        self._end = self._steps - 1
+
+    def _add(self, ids: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
+        """Make rows for agents not seen before."""
+        every = np.union1d(self._ids, ids)
+        row = np.searchsorted(every, self._ids)
+        for name in ("_table", "_valid", "_fixed"):
+            old = getattr(self, name)
+            new = np.zeros((every.size, *old.shape[1:]), dtype=old.dtype)
+            new[row] = old
+            setattr(self, name, new)
+        self._ids = every
 
     def __len__(self) -> int:
         """How many frames are kept now."""
-        return len(self._frames)
+        return self._count
 
     @property
     def last(self) -> Frame:
-        """The newest frame."""
-        return self._frames[-1]
+        """The newest frame.
+
+        Raises:
+            InputError: if there is none yet.
+        """
+        if self._last is None:
+            raise InputError("frames: found none, expected at least one")
+        return self._last
 
     def tracks(self) -> Tracks:
         """What is remembered of the agents that are present now; the last column is the present."""
-        return Tracks.from_frames(self._frames).window(len(self._frames), len(self._frames))
+        kept = slice(self._end - self._count, self._end)
+        row = np.flatnonzero(self._valid[:, self._end - 1]) if self._count else np.empty(0, int)
+        valid = self._valid[row, kept]
+        seen = np.where(valid[..., None], self._table[row, kept], np.nan)
+        ids, fixed = self._ids[row], self._fixed[row]
+        return Tracks(
+            ids=ids,
+            names=tuple(map(str, ids.tolist())),
+            kind=fixed[:, 0].astype(np.int8),
+            length=fixed[:, 1],
+            width=fixed[:, 2],
+            time_s=self._time_s[kept].copy(),
+            xy=seen[..., :2],
+            heading=seen[..., 2],
+            speed=seen[..., 3],
+            valid=valid,
+            signals=self._signals[:, kept].copy(),
+            events=tuple(e for events in self._events for e in events),
+        )
