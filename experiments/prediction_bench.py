@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
 from experiments import yielding
 from experiments.generate import GenerateConfig, generate
+from experiments.metrics import bootstrap
 from experiments.parallel import in_parallel
 from experiments.prediction import (
     EVERY_S,
     HORIZONS_S,
+    MEASURES,
     Errors,
     beliefs,
     evaluate,
@@ -34,7 +37,7 @@ from graphrqi.predict.scene import make_scene
 from graphrqi.stream import DEFAULT_MODEL
 from scenarios import get_scenario
 from sim.dataset import open_dataset
-from sim.frames import Frame, Tracks
+from sim.frames import FloatArray, Frame, Tracks
 from sim.schema import EpisodeEntry
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
@@ -49,6 +52,51 @@ QUICK_DURATION_S: Final = 40.0
 
 AGENTS, REPEATS = 100, 40
 """Size of the timed scene, and how often it is rolled out."""
+
+
+MAPLESS: Final = ("constant-velocity", "graphrqi-predict")
+"""What is compared without a map, where all but the first are one."""
+
+MOST_SHIFT_S: Final = 4.0
+"""By so much at most each vehicle's clock is put wrong, as in some recordings in circulation, s."""
+
+RATIOS: Final = (
+    ("graphrqi-predict", "ade_m", "constant-velocity"),
+    ("graphrqi-predict", "ade_m", "car-following-blind"),
+    ("graphrqi-predict", "ade_m", "lstm"),
+    ("graphrqi-predict", "ade_m", "graphrqi-predict-unlabelled"),
+    ("graphrqi-predict", "rmse_m", "constant-velocity"),
+    ("graphrqi-predict", "collisions", "constant-velocity"),
+    ("graphrqi-predict-shuffled", "ade_m", "graphrqi-predict-unlabelled"),
+    ("shuffled", "ade_m", "car-following-blind"),
+    ("car-following-wary", "ade_m", "car-following"),
+    ("lstm", "ade_m", "mlp"),
+)
+"""Whose figure is divided by whose, at the longest horizon."""
+
+GAINS: Final = (
+    ("graphrqi-predict-unlabelled", "graphrqi-predict", "graphrqi-predict-oracle"),
+    ("car-following-blind", "car-following", "oracle"),
+)
+"""Told nothing, told what the classifier believes, told the truth: how much of what the truth gains
+the classifier's labels gain."""
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """What one episode contributes.
+
+    Attributes:
+        errors: with its road.
+        mapless: without its road.
+        shifted: without its road, every vehicle's clock wrong.
+        asked: of yielding.
+    """
+
+    errors: Mapping[str, Errors]
+    mapless: Mapping[str, Errors]
+    shifted: Mapping[str, Errors]
+    asked: Asked
 
 
 def run_prediction_bench(
@@ -87,9 +135,15 @@ def run_prediction_bench(
             entries = dataset.episodes(None, scenario)
             arguments = [(folder, entry, names, model) for entry in entries]
             found = list(in_parallel(bench_episode, arguments, jobs))
-            rows += summarize([errors for errors, _ in found], scenario, "unseen")
-            rows += score_chances([asked for _, asked in found], scenario, "unseen")
-            cases += [case for _, asked in found for case in asked.cases]
+            for split, episodes in (
+                ("unseen", [one.errors for one in found]),
+                ("unseen, no map", [one.mapless for one in found]),
+                ("unseen, no map, clocks shifted", [one.shifted for one in found]),
+            ):
+                rows += summarize(episodes, scenario, split)
+                rows += compare(episodes, scenario, split)
+            rows += score_chances([one.asked for one in found], scenario, "unseen")
+            cases += [case for one in found for case in one.asked.cases]
     if picture is not None and cases:
         draw_cases(clearest(cases), picture)
     return [*rows, rollout_time()]
@@ -97,16 +151,107 @@ def run_prediction_bench(
 
 def bench_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], model: str
-) -> tuple[Mapping[str, Errors], Asked]:
+) -> EpisodeResult:
     """Errors and yielding chances of predictors in one episode."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
-    scored = set(instants(tracks, max(HORIZONS_S), EVERY_S))
-    stops = scored | set(instants(tracks, max(HORIZONS_S), yielding.EVERY_S))
+    scored = sorted(instants(tracks, max(HORIZONS_S), EVERY_S))
+    stops = {*scored, *instants(tracks, max(HORIZONS_S), yielding.EVERY_S)}
     posteriors = beliefs(tracks, load_model(model), sorted(stops))
-    errors = evaluate(tracks, {s: posteriors[s] for s in sorted(scored)}, road, predictors)
-    asked = Asked({}, np.empty(0)) if road is None else ask(tracks, road, posteriors, predictors)
-    return errors, asked
+    moments = {stop: posteriors[stop] for stop in scored}
+    late = shifted_in_time(tracks, entry.seed)
+    return EpisodeResult(
+        errors=evaluate(tracks, moments, road, predictors),
+        mapless=evaluate(tracks, moments, None, MAPLESS),
+        shifted=evaluate(late, moments, None, MAPLESS),
+        asked=Asked({}, np.empty(0)) if road is None else ask(tracks, road, posteriors, predictors),
+    )
+
+
+def shifted_in_time(tracks: Tracks, seed: int) -> Tracks:
+    """The same tracks, each agent's clock off by its own time of up to `MOST_SHIFT_S`."""
+    most = round(MOST_SHIFT_S / tracks.step_s)
+    rng = np.random.default_rng(seed)
+    late = rng.integers(-most, most + 1, tracks.ids.size)
+    column = np.arange(tracks.time_s.size)[None] - late[:, None]
+    inside = (column >= 0) & (column < tracks.time_s.size)
+    row, at = np.arange(tracks.ids.size)[:, None], np.clip(column, 0, tracks.time_s.size - 1)
+    return replace(
+        tracks,
+        xy=tracks.xy[row, at],
+        heading=tracks.heading[row, at],
+        speed=tracks.speed[row, at],
+        valid=tracks.valid[row, at] & inside,
+    )
+
+
+def compare(
+    episodes: Sequence[Mapping[str, Errors]], scenario: str, split: str
+) -> list[dict[str, Any]]:
+    """Ratios of predictors' figures, with intervals over episodes.
+
+    Args:
+        episodes: errors by predictor.
+        scenario: its name, for the rows.
+        split: which part of the data, for the rows.
+
+    Returns:
+        Rows whose metric is ``METRIC_over_PREDICTOR``, ``min_ade_m_over_ade_m`` or
+        ``label_gain_share``, of those predictors that were run.
+    """
+    rows: list[dict[str, Any]] = []
+
+    def total(name: str, metric: str) -> FloatArray:
+        return np.array([e[name].total[0, -1, MEASURES.index(metric)] for e in episodes])
+
+    def add(name: str, metric: str, statistic: Statistic, sums: list[FloatArray]) -> None:
+        value, low, high = bootstrap(statistic, np.stack(sums, axis=1))
+        if not np.isfinite(value):
+            return
+        count = int(sum(e[name].count[0] for e in episodes))
+        ends = {"low": low, "high": high} if np.isfinite(low) else {"low": None, "high": None}
+        rows.append(
+            {
+                "scenario": scenario, "predictor": name, "horizon_s": max(HORIZONS_S),
+                "behavior": "all", "split": split, "metric": metric, "value": value, **ends,
+                "n": count,
+            }
+        )  # fmt: skip
+
+    there = set(episodes[0]) if episodes else set()
+    for name, metric, other in RATIOS:
+        if {name, other} <= there:
+            ratio = _root_ratio if metric == "rmse_m" else _ratio
+            sums = [total(name, metric), total(other, metric)]
+            add(name, f"{metric}_over_{other}", ratio, sums)
+    for name in sorted(there):
+        if name in LEARNED:
+            sums = [total(name, "min_ade_m"), total(name, "ade_m")]
+            add(name, "min_ade_m_over_ade_m", _ratio, sums)
+    for blind, told, truth in GAINS:
+        if {blind, told, truth} <= there:
+            add(told, "label_gain_share", _share, [total(n, "ade_m") for n in (blind, told, truth)])
+    return rows
+
+
+Statistic: TypeAlias = Callable[[FloatArray], FloatArray]
+
+LEARNED: Final = ("graphrqi-predict", "lstm", "mlp")
+"""Those whose futures are made to cover what may happen."""
+
+
+def _ratio(sums: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(sums[..., 0] / sums[..., 1])
+
+
+def _root_ratio(sums: FloatArray) -> FloatArray:
+    return np.sqrt(_ratio(sums))
+
+
+def _share(sums: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((sums[..., 0] - sums[..., 1]) / (sums[..., 0] - sums[..., 2]))
 
 
 def busy_road(agents: int = AGENTS) -> Tracks:

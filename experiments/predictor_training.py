@@ -36,7 +36,7 @@ from sim.schema import EpisodeEntry, Split
 CALIBRATE_EVERY_S: Final = 3.0
 """Time between scenes used for calibration, s (our choice)."""
 
-EXAMPLES_EVERY_S: Final = 1.0
+EXAMPLES_EVERY_S: Final = 1.5
 """Time between instants that networks are trained on, s (our choice)."""
 
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.3
