@@ -58,12 +58,12 @@ LOOK_AHEAD_M, LOOK_AHEAD_S = 8.0, 1.2
 """The steering looks at the centre line this far ahead (Coulter 1992's pure pursuit; our choice
 of lengths: a lane change takes some 3 s)."""
 
-MOST_ACCEL_MPS2: Final = 6.0
+MOST_ACCEL_MPS2: Final = 8.0
 """The ego vehicle's accelerator and brake reach this, m/s2."""
 
-EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 5.0, 0.4, 1.0
+EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
 """The emergency brake counts on this deceleration, brakes within this time and leaves this gap (our
-choice: a good deal harder than comfort)."""
+choice: as hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
 
 METRICS: Final = (
     "near_misses", "near_misses_ahead", "near_misses_behind", "env_near_misses", "collisions",
