@@ -301,10 +301,11 @@ def _measure(
         rows.append(_row(key, "certified_share", certified[name] / n, n))
         if eigh_ms is not None:
             rows.append(_row(key, "ratio_to_eigh", eigh_ms / float(np.median(cpu[name])), n))
-        call = partial(active[name], sequence[-1], pairs, end, last[name], tol, nonzero)
-        memory = _peak_memory_mb(call)
-        if memory is not None:
-            rows.append(_row(key, "peak_memory_mb", memory, 1))
+        if float(np.median(cpu[name])) <= 1e3 * STEP_BUDGET_S:
+            call = partial(active[name], sequence[-1], pairs, end, last[name], tol, nonzero)
+            memory = _peak_memory_mb(call)
+            if memory is not None:
+                rows.append(_row(key, "peak_memory_mb", memory, 1))
     return rows
 
 

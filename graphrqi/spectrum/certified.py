@@ -2,8 +2,12 @@
 
 Rayleigh-quotient iterations for the k wanted pairs that share their factorisations:
 
-1. Reverse Cuthill-McKee order, elimination tree, pattern (almost no fill on traffic graphs).
-2. Rayleigh-Ritz in the span of the earlier eigenvectors, carried over by vehicle id.
+1. Reverse Cuthill-McKee order (kept from step to step while it serves), elimination tree, pattern
+   (almost no fill on traffic graphs).
+2. Rayleigh-Ritz in the span of the earlier eigenvectors, carried over by vehicle id. In a large
+   graph the eigenvectors of the largest eigenvalues live around a few vehicles of high degree:
+   all of this is done first for the part of the matrix where they are, which gives vectors that
+   the whole matrix only has to confirm. What that part misses, steps 3 to 5 find.
 3. One kernel factorises L - s I at eight shifts s at once: the Rayleigh quotients of the
    unconverged vectors, and places where something has to be counted. Each factorisation is
    applied twice to its vector, and a Rayleigh-Ritz step in the span of the eight results, outside

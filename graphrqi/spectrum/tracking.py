@@ -45,6 +45,9 @@ MAX_LIVELY_SWEEPS = 12
 MAX_POINTS = 400
 CHUNK = 128
 """Rows of eight numbers treated at a time: 8 kB, a quarter of a small first-level cache."""
+ZONE = 4.0
+"""How far down an interval wanted eigenvalues are looked for: so many times the share they would
+fill, were all evenly spread (our choice)."""
 SPARE = 24
 """Vectors kept beyond twice the wanted number (our choice: three factorisations' worth)."""
 
@@ -458,6 +461,7 @@ def choose_lanes(
     used = 0
     beyond = wanted
     holder = -1
+    open_top = open_bottom = middle = 0.0
     for i in range(n_clear - 1):
         top, bottom = points[0, clear[i]], points[0, clear[i + 1]]
         n, n_below = above[clear[i]], above[clear[i + 1]]
@@ -470,6 +474,11 @@ def choose_lanes(
         for b in range(slots):
             if mark[STATUS, b] == FOUND:
                 missing -= bottom < number[THETA, b] < top
+        half = 0.5 * (top + bottom)
+        # Of n_below - n eigenvalues in between, those wanted are at the top.
+        if not deflate and clear[i] > 0 and points[0, clear[i + 1]] > low:
+            part = min(1.0, ZONE * missing / max(n_below - n, 1))
+            bottom = top - part * (top - bottom)
         unmet = missing
         for _ in range(missing):  # candidates inside; next vectors that were aimed here
             best = -1
@@ -492,6 +501,8 @@ def choose_lanes(
             if used < 8:
                 shifts[0, used], lane[used] = number[THETA, best], best
                 used += 1
+        if unmet > 0 and open_bottom == open_top:
+            open_top, open_bottom, middle = top, bottom, half
         for r in range(unmet):
             if used == 8:
                 break
@@ -538,6 +549,21 @@ def choose_lanes(
                     shifts[0, used], lane[used] = shift, best
                     used += 1
             solving = used
+        elif open_top > open_bottom:  # what is missing is sooner found from several places
+            free = 8 - used if deflate else 7 - used
+            for r in range(free):
+                best = new_vector(mark)
+                if best >= 0:
+                    shift = open_bottom + (open_top - open_bottom) * (r + 0.5) / free
+                    if deflate and open_top == 0.0:
+                        shift = open_bottom * math.exp(-0.6 * (r + 1))
+                    number[THETA, best], number[RES, best], mark[USE, best] = shift, math.inf, 1
+                    shifts[0, used], lane[used] = shift, best
+                    used += 1
+            solving = used
+            if not deflate and used < 8:  # should it be far down: halve the interval at least
+                shifts[0, used], lane[used] = middle, COUNT
+                used += 1
         unit = min(scale, 100.0 * abs(last)) if deflate else scale
         margin = max(doubt, 1e-4 * unit)
         while used < 8 and margin >= doubt and margin >= 1e-9 * unit:
@@ -697,7 +723,7 @@ def track(
         low: below all eigenvalues.
         high: above all eigenvalues that count; 0 with ``deflate``.
         max_sweeps: factorisations to give up after.
-        extra: pairs found beyond the k-th that are answered too.
+        extra: pairs found beyond the k-th that are answered too where they equal it.
 
     Returns:
         Whether none of the k was missed, (m,) eigenvalues of M, descending, (m,) residuals and (d,
@@ -825,7 +851,6 @@ def track(
         found += mark[STATUS, b] == FOUND
     found = min(found, k + extra)
     values, residuals = np.empty(found, np.float64), np.empty(found, np.float64)
-    answer = np.empty((d, found), np.float64)
     for c in range(found):
         best = -1
         for b in range(slots):
@@ -836,10 +861,14 @@ def track(
         mark[STATUS, best] = FREE
         values[c], residuals[c] = number[THETA, best], number[RES, best]
         clear[c] = best
+    kept = min(found, k)
+    while kept < found and values[kept] >= values[k - 1] - 1e-6 * scale:
+        kept += 1
+    answer = np.empty((d, kept), np.float64)
     for j in range(d):
-        for c in range(found):
+        for c in range(kept):
             answer[order[j], c] = pool[clear[c], j]
-    return certified, values, residuals, answer
+    return certified, values[:kept].copy(), residuals[:kept].copy(), answer
 
 
 @compiled
