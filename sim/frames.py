@@ -128,6 +128,20 @@ def _empty_signals() -> CodeArray:
     return np.empty(0, dtype=np.int8)
 
 
+_FRAME_ARRAYS: Final[tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]] = (
+    ("ids", np.dtype(np.int64), ()),
+    ("xy", np.dtype(np.float64), (2,)),
+    ("heading", np.dtype(np.float64), ()),
+    ("speed", np.dtype(np.float64), ()),
+    ("length", np.dtype(np.float64), ()),
+    ("width", np.dtype(np.float64), ()),
+    ("kind", np.dtype(np.int8), ()),
+    ("signals", np.dtype(np.int8), ()),
+)
+"""Array fields of a frame, types and shapes after the first axis; all but signals are as long as
+``ids``. Checked by hand, because a frame is made at every step of a simulation."""
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """Every road-agent at one instant, in ascending order of id.
@@ -158,20 +172,21 @@ class Frame:
 
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
-        n = np.shape(self.ids)[0] if np.ndim(self.ids) == 1 else None
-        _check_and_freeze(
-            self,
-            {
-                "ids": (np.int64, (None,)),
-                "xy": (np.float64, (n, 2)),
-                "heading": (np.float64, (n,)),
-                "speed": (np.float64, (n,)),
-                "length": (np.float64, (n,)),
-                "width": (np.float64, (n,)),
-                "kind": (np.int8, (n,)),
-                "signals": (np.int8, (None,)),
-            },
-        )
+        n: int | None = None
+        for name, dtype, tail in _FRAME_ARRAYS:
+            array = getattr(self, name)
+            if type(array) is not np.ndarray or array.dtype is not dtype:
+                array = np.asarray(array, dtype=dtype)
+            size = None if name == "signals" else n
+            if (
+                array.ndim != 1 + len(tail)
+                or array.shape[1:] != tail
+                or (size is not None and array.shape[0] != size)
+            ):
+                expected = ("any" if size is None else size, *tail)
+                raise InputError(f"Frame.{name}: found shape {array.shape}, expected {expected}")
+            n = array.shape[0] if n is None else n
+            object.__setattr__(self, name, _frozen(array) if array.flags.writeable else array)
 
     def __len__(self) -> int:
         """How many agents there are."""

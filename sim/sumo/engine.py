@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame, IntArray
+from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame
 from sim.net import signal_code
 from sim.road import Road
 from sim.scenario import AgentSpec, Scenario
+from sim.sumo.boxes import draw
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
 from sim.sumo.vehicle_types import route_file
@@ -54,17 +55,8 @@ takes 2.5 s (observed: 1 to 13 s, mostly 2 to 5; Toledo and Zohar 2007, Transpor
 Record 1999)."""
 
 
-AXLE_SHARE: Final = 0.8
-"""The rear axle is this share of the length behind the front bumper (our choice: as in most
-cars)."""
-
 TURN_MARGIN_M: Final = 6.0
 """A car is still straightening up this far after a turn (our choice: a car's length and more)."""
-
-TURNING, KEEPING = 0.8, 0.25
-"""A front bumper moves aside by at most this share of its way ahead, where the road turns and
-elsewhere (our choice: about 40 degrees, the full lock of ordinary cars, and 14 degrees, a hasty
-change of lanes); SUMO's cars slide sideways beyond it while they crawl or stand."""
 
 
 class SumoError(InputError):
@@ -248,9 +240,12 @@ def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Ite
                         sumo.simulation_step(0.0)
                         now_s = ((index - 1) * substeps + part) * step_ms / 1000
                         reader.watch(now_s)
-                        controls.step(now_s)
+                        controls.step(now_s, *reader.present())
                         reader.note_removed(controls.removed, now_s)
-                    frame = reader.read(index * scenario.step_s, controls.walking_speeds)
+                    left = bool(controls.removed) or controls.moved
+                    frame = reader.read(
+                        index * scenario.step_s, controls.walking_speeds, fresh=not left
+                    )
                 except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                     raise SumoError(
                         f"sumo: stopped at {index * scenario.step_s:g} s: "
@@ -265,8 +260,8 @@ def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Ite
                 _SIMULATION.close()
 
 
-def _turns(road: Road) -> tuple[FloatArray, FloatArray]:
-    """South-west and north-east corners of the box in which the road's ways turn, m."""
+def _turns(road: Road) -> FloatArray:
+    """(2, 2) south-west and north-east corners of the box in which the road's ways turn, m."""
     lines = [
         road.lanes[road.lane_index[name]].centerline
         for link in road.connections
@@ -274,9 +269,9 @@ def _turns(road: Road) -> tuple[FloatArray, FloatArray]:
         for name in link.via
     ]
     if not lines:
-        return np.full(2, np.inf), np.full(2, -np.inf)
+        return np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
     points = np.concatenate(lines)
-    return points.min(axis=0) - TURN_MARGIN_M, points.max(axis=0) + TURN_MARGIN_M
+    return np.stack([points.min(axis=0) - TURN_MARGIN_M, points.max(axis=0) + TURN_MARGIN_M])
 
 
 class _Reader:
@@ -296,13 +291,13 @@ class _Reader:
         self._width = np.array([a.width_m for a in agents])
         self._kind = np.array([a.kind.code for a in agents], dtype=np.int8)
         self._walks = np.array([a.kind is AgentKind.PEDESTRIAN for a in agents], dtype=bool)
-        self._reach = AXLE_SHARE * self._length
-        self._axle = np.full((len(agents), 2), np.nan)
-        self._front = np.full((len(agents), 2), np.nan)
+        self._before = np.full((len(agents), 4), np.nan)
+        self._new = np.ones(len(agents), dtype=bool)  # whose angle is asked for
         self._turns = _turns(road)
         self._walk = any(a.kind is AgentKind.PEDESTRIAN for a in agents)
         self._touching: set[tuple[int, int]] = set()
         self._events: list[Event] = []
+        self._present: tuple[Sequence[str], Sequence[str]] = ((), ())
 
     def watch(self, time_s: float) -> None:
         """Note what happened in the last simulation step."""
@@ -315,6 +310,12 @@ class _Reader:
             self._events.append(Event(kind, time_s, *pair))
         self._touching = touching
 
+    def present(self) -> tuple[Sequence[str], Sequence[str]]:
+        """Names of the vehicles and of the pedestrians on the road now."""
+        vehicles = self._sumo.vehicle_getIDList()
+        self._present = (vehicles, self._sumo.person_getIDList() if self._walk else ())
+        return self._present
+
     def note_removed(self, agents: Sequence[int], time_s: float) -> None:
         """Note who was taken off the road."""
         for agent in agents:
@@ -322,16 +323,18 @@ class _Reader:
                 Event(EventKind.REMOVAL, time_s, agent, rule="stood on the wrong side")
             )
 
-    def read(self, time_s: float, walking_speeds: Mapping[str, float]) -> Frame:
+    def read(
+        self, time_s: float, walking_speeds: Mapping[str, float], fresh: bool = False
+    ) -> Frame:
         """The state now, with the events since the last reading.
 
         Args:
             time_s: simulated time, s.
             walking_speeds: speeds, m/s, of pedestrians whose speed SUMO does not know.
+            fresh: whether nobody came or went since `present` was asked.
         """
         sumo = self._sumo
-        vehicles = sumo.vehicle_getIDList()
-        persons = sumo.person_getIDList() if self._walk else ()
+        vehicles, persons = self._present if fresh else self.present()
         n = len(vehicles) + len(persons)
         front = np.fromiter(
             chain(
@@ -341,11 +344,6 @@ class _Reader:
             np.float64,
             2 * n,
         ).reshape(n, 2)
-        angle = np.fromiter(
-            chain(map(sumo.vehicle_getAngle, vehicles), map(sumo.person_getAngle, persons)),
-            np.float64,
-            n,
-        )
         speed = np.fromiter(
             chain(map(sumo.vehicle_getSpeed, vehicles), map(sumo.person_getSpeed, persons)),
             np.float64,
@@ -355,12 +353,17 @@ class _Reader:
             for row, name in enumerate(persons, len(vehicles)):
                 speed[row] = walking_speeds.get(name, speed[row])
         rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
+        angle = np.zeros(n)
+        for i in np.flatnonzero(self._new[rows]).tolist():
+            name = vehicles[i] if i < len(vehicles) else persons[i - len(vehicles)]
+            get = sumo.vehicle_getAngle if i < len(vehicles) else sumo.person_getAngle
+            angle[i] = get(name)
         order = rows.argsort()
         rows = rows[order]
-        length = self._length[rows]
-        forward = self._forward(rows, front[order], np.radians(90.0 - angle[order]))
-        heading = np.arctan2(forward[:, 1], forward[:, 0])
-        xy = front[order] - 0.5 * length[:, None] * forward
+        self._new[rows] = self._walks[rows]
+        xy, heading = draw(
+            rows, front[order], angle[order], self._length, self._walks, self._turns, self._before
+        )
         events, self._events = tuple(self._events), []
         return Frame(
             time_s=time_s,
@@ -368,39 +371,12 @@ class _Reader:
             xy=xy,
             heading=heading,
             speed=speed[order],
-            length=length,
+            length=self._length[rows],
             width=self._width[rows],
             kind=self._kind[rows],
             signals=self._signals(),
             events=events,
         )
-
-    def _forward(self, rows: IntArray, front: FloatArray, told: FloatArray) -> FloatArray:
-        """(n, 2) unit vectors along the boxes: the rear axle is drawn after the front bumper.
-
-        SUMO's own angle is right in lanes and turns, but it tilts a car that changes lanes by up to
-        60 degrees when it crawls, and leaves it so when it stops.
-
-        Args:
-            rows: (n,) who.
-            front: (n, 2) centre of the front bumper, m.
-            told: (n,) SUMO's heading, rad; where somebody new faces.
-        """
-        before, axle = self._front[rows], self._axle[rows]
-        old = (before - axle) / self._reach[rows][:, None]  # unit vectors
-        left = np.stack([-old[:, 1], old[:, 0]], axis=1)
-        ahead, aside = ((front - before) * old).sum(axis=1), ((front - before) * left).sum(axis=1)
-        south_west, north_east = self._turns
-        turning = ((front > south_west) & (front < north_east)).all(axis=1)
-        most = np.where(turning, TURNING, KEEPING) * np.maximum(ahead, 0.0)
-        slid = aside - np.clip(aside, -most, most)
-        apart = front - axle - slid[:, None] * left
-        forward = apart / np.maximum(np.hypot(apart[:, 0], apart[:, 1]), 1e-9)[:, None]
-        new = np.isnan(axle[:, 0]) | self._walks[rows]
-        forward[new, 0], forward[new, 1] = np.cos(told[new]), np.sin(told[new])
-        self._front[rows] = front
-        self._axle[rows] = front - self._reach[rows][:, None] * forward
-        return forward
 
     def _signals(self) -> NDArray[np.int8]:
         codes = np.zeros(self._groups, dtype=np.int8)

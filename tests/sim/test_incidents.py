@@ -96,8 +96,8 @@ def crossing_scene(straight, driver):
 
 def test_driving_in_front_of_a_pedestrian_is_not_yielding(straight):
     y = lane_xy(straight, "east_in_2")[0, 1]
-    # the walker is on the crossing from 1.9 s on and reaches the middle lane's path after 4.6 s
-    tracks = crossing_scene(straight, line((363.0, y), (10.0, 0.0)))
+    # the walker is on the crossing from 2.1 s on and reaches the middle lane's path after 4.6 s
+    tracks = crossing_scene(straight, line((356.0, y), (10.0, 0.0)))
     found = [e for e in incidents(tracks, straight) if e.kind is EventKind.NOT_YIELDED]
     assert [(e.agent, e.other) for e in found] == [(0, 1)]
 
@@ -106,7 +106,7 @@ def test_slowing_until_the_pedestrian_has_passed_is_yielding(straight):
     y = lane_xy(straight, "east_in_2")[0, 1]
     t = np.arange(200) * STEP_S
     speed = np.where(t < 2.5, 10.0, np.where(t < 8.0, 0.0, 8.0))
-    x = 365.0 + np.cumsum(speed) * STEP_S
+    x = 355.0 + np.cumsum(speed) * STEP_S
     tracks = crossing_scene(straight, np.stack([x, np.full(200, y)], axis=1))
     found = [
         e
@@ -135,7 +135,7 @@ def test_the_wrong_way_is_measured(straight):
 
 def test_a_near_miss_is_told_once(straight):
     y = lane_xy(straight, "east_in_2")[0, 1]
-    fast, slow = line((100.0, y), (15.0, 0.0), 30), line((130.0, y), (5.0, 0.0), 30)
+    fast, slow = line((100.0, y), (15.0, 0.0), 24), line((130.0, y), (5.0, 0.0), 24)
     events = incidents(tracks_of(straight, [fast, slow]), straight)
     assert [(e.kind, e.agent, e.other) for e in events] == [(EventKind.NEAR_MISS, 0, 1)]
 
@@ -199,3 +199,73 @@ def test_events_make_rule_traits_and_ids_are_agents(four_way):
     events = incidents(tracks, four_way)
     found = exhibited(tracks, four_way, events)
     assert [e.agent for e in found if e.trait == "not following rules"] == [0]
+
+
+def collisions(road, paths, **more):
+    tracks = tracks_of(road, paths, **more)
+    return [
+        e for e in incidents(tracks, road) if e.kind in {EventKind.COLLISION, EventKind.CONTACT}
+    ]
+
+
+def test_a_collision_is_told_once_and_flagged_for_as_long_as_they_touch(straight):
+    y = lane_xy(straight, "east_in_2")[0, 1]
+    fast, slow = line((100.0, y), (10.0, 0.0), 60), line((110.0, y), (5.0, 0.0), 60)
+    events = collisions(straight, [fast, slow])
+    assert [e.kind for e in events].count(EventKind.COLLISION) == 1
+    assert {(e.agent, e.other, e.rule) for e in events} == {(0, 1, "followed too closely")}
+    touch = np.abs(fast[:, 0] - slow[:, 0]) < 4.5 - 0.1
+    assert [e.time_s for e in events] == pytest.approx((np.flatnonzero(touch) + 1) * STEP_S)
+
+
+def test_who_stands_between_lanes_is_at_fault(straight):
+    y = lane_xy(straight, "east_in_2")[0, 1]
+    between = np.tile([(150.0, y + 1.4)], (60, 1))
+    driver = line((125.0, y), (10.0, 0.0), 60)
+    events = collisions(straight, [between, driver])
+    assert {(e.agent, e.other, e.rule) for e in events} == {(0, 1, "was between lanes")}
+
+
+def test_running_into_who_has_stood_for_long(straight):
+    y = lane_xy(straight, "east_in_2")[0, 1]
+    stands = np.tile([(150.0, y)], (60, 1))
+    driver = line((110.0, y), (10.0, 0.0), 60)
+    events = collisions(straight, [stands, driver])
+    assert {(e.agent, e.other) for e in events} == {(1, 0)}
+
+
+def test_pedestrians_near_a_box_are_hit_only_if_the_engine_says_so(straight):
+    y = lane_xy(straight, "east_in_2")[0, 1]
+    driver = line((125.0, y), (10.0, 0.0), 60)
+    walker = np.tile([(150.0, y + 0.5)], (60, 1))
+    people = {1: AgentKind.PEDESTRIAN}
+    assert collisions(straight, [driver, walker], kinds=people) == []
+    told = (Event(EventKind.COLLISION, 2.5, 0, 1),)
+    assert len(collisions(straight, [driver, walker], kinds=people, events=told)) > 2
+
+
+def yields_of(straight, driver, walker, others=()):
+    paths = [driver, walker, *others]
+    tracks = tracks_of(straight, paths, kinds={1: AgentKind.PEDESTRIAN})
+    wanted = {EventKind.YIELDED, EventKind.NOT_YIELDED}
+    return [e.kind for e in incidents(tracks, straight) if e.kind in wanted and e.agent == 0]
+
+
+def test_who_could_not_have_stopped_did_not_meet_the_pedestrian(straight):
+    y = lane_xy(straight, "east_in_2")[0, 1]
+    # the walker steps on the crossing after 2.1 s; then 12 m are too few to stop from 10 m/s
+    walker = line((400.0, -12.0), (0.0, 1.3))
+    assert yields_of(straight, line((363.0, y), (10.0, 0.0)), walker) == []
+    assert yields_of(straight, line((356.0, y), (10.0, 0.0)), walker) == [EventKind.NOT_YIELDED]
+
+
+def test_who_is_held_by_a_leader_does_not_yield(straight):
+    y = lane_xy(straight, "east_in_2")[0, 1]
+    t = np.arange(200) * STEP_S
+    speed = np.where(t < 2.5, 10.0, np.where(t < 8.0, 0.0, 8.0))
+    x = 355.0 + np.cumsum(speed) * STEP_S
+    walker = line((400.0, -12.0), (0.0, 1.3))
+    driver = np.stack([x, np.full(200, y)], axis=1)
+    assert yields_of(straight, driver, walker) == [EventKind.YIELDED]
+    leader = driver + np.array([5.5, 0.0])  # stands before the crossing, too
+    assert yields_of(straight, driver, walker, [leader]) == []

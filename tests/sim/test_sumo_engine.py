@@ -153,6 +153,28 @@ def test_who_stands_on_the_wrong_side_is_taken_off_and_the_others_drive_on():
     assert removal.agent not in after.ids
 
 
+def test_the_wrong_side_is_used_on_wide_roads_too():
+    scenario = get_scenario("straight_road")(
+        two_way=True, lanes=2, crossing=False, mix="reckless=.4,timid=.6", flow=700.0,
+        duration_s=240.0,
+    )  # fmt: skip
+    tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 1), 1))
+    seen = observe(tracks, scenario.road)
+    wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
+    assert float(tracks.speed[wrong].sum()) * 0.1 > 50.0
+
+
+def test_cars_neither_slide_nor_spin_on_the_spot():
+    scenario = short(duration_s=120.0)
+    tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
+    drives = tracks.kind != PEDESTRIAN
+    turned = np.abs(np.diff(tracks.heading[drives], axis=1))
+    moved = np.hypot(*np.moveaxis(np.diff(tracks.xy[drives], axis=1), 2, 0))
+    assert np.nanmax(turned) < 0.2
+    assert np.nanmax(turned[moved < 0.01], initial=0.0) < 0.01
+    assert np.nanmax(np.abs(tracks.heading[drives])) < 0.5
+
+
 def test_jaywalkers_cross_away_from_any_crossing_and_the_simulation_closes():
     scenario = short(
         flow=300.0, pedestrians_per_h=400.0, jaywalk_share=1.0, crossing=False, duration_s=300.0

@@ -37,18 +37,18 @@ class Controls:
         self._wrong_way = WrongWay(sumo, road, agents)
         self._jaywalking = Jaywalking(sumo, road, agents, step_s)
 
-    def step(self, time_s: float) -> None:
+    def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Act after a simulation step.
 
         Args:
             time_s: simulated time, s.
+            vehicles: names of the vehicles on the road.
+            persons: names of the pedestrians on the road.
         """
         self._step += 1
-        vehicles = self._sumo.vehicle_getIDList()
-        persons = self._sumo.person_getIDList()
         self._jaywalking.step(time_s, vehicles, persons)
         if self._step % self._every == 0:
-            self._obedience.step(vehicles, persons)
+            self._obedience.step(time_s, vehicles, persons)
             self._stopping.step(time_s, vehicles)
         elif self._step % self._every == 1:
             self._cutting_in.step(time_s, vehicles)

@@ -149,6 +149,7 @@ class Jaywalking:
         walker.walked_m += walker.agent.speed_mps * self._step_s
         (x, y), (ax, ay) = walker.begin, walker.aim
         if walker.walked_m >= math.hypot(ax - x, ay - y):
+            self.moved = True
             while self._sumo.person_getRemainingStages(name) > 1:
                 self._sumo.person_removeStage(name, 1)
             self._sumo.person_removeStage(name, 0)

@@ -1,0 +1,76 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sim.contacts import Contact, contacts
+from sim.frames import PEDESTRIAN, Tracks
+
+
+def scene(xy, heading=None, **changes):
+    """Boxes of 4 m by 2 m at (N, T, 2) places."""
+    xy = np.asarray(xy, dtype=float)
+    n, t = xy.shape[:2]
+    tracks = Tracks(
+        ids=np.arange(n),
+        names=tuple(map(str, range(n))),
+        kind=np.zeros(n),
+        length=np.full(n, 4.0),
+        width=np.full(n, 2.0),
+        time_s=np.arange(1, t + 1) * 0.1,
+        xy=xy,
+        heading=np.zeros((n, t)) if heading is None else np.asarray(heading, dtype=float),
+        speed=np.zeros((n, t)),
+        valid=np.ones((n, t), dtype=bool),
+        signals=np.zeros((0, t)),
+    )
+    return dataclasses.replace(tracks, **changes)
+
+
+@pytest.mark.parametrize(
+    ("xy", "heading", "touch"),
+    [
+        ((3.8, 0.0), 0.0, True),
+        ((3.95, 0.0), 0.0, False),
+        ((0.0, 1.8), 0.0, True),
+        ((0.0, 2.1), 0.0, False),
+        ((0.0, 2.5), np.pi / 2, True),  # across: half its length reaches over
+        ((3.3, 0.0), np.pi / 2, False),
+        ((3.4, 2.6), np.pi / 4, False),  # boxes about the boxes meet, the boxes do not
+        ((2.5, 1.5), np.pi / 4, True),
+    ],
+)
+def test_two_boxes(xy, heading, touch):
+    tracks = scene([[(0.0, 0.0)], [xy]], [[0.0], [heading]])
+    assert contacts(tracks) == ((Contact((0, 1), 0, 1),) if touch else ())
+
+
+def test_every_stretch_is_told_and_only_of_those_seen():
+    away, there = (50.0, 0.0), (2.0, 0.0)
+    xy = [[(0.0, 0.0)] * 6, [away, there, there, away, there, there], [there] * 6]
+    tracks = scene(xy)
+    valid = tracks.valid.copy()
+    valid[2] = False
+    valid[1, 5] = False
+    found = contacts(dataclasses.replace(tracks, valid=valid))
+    assert found == (Contact((0, 1), 1, 3), Contact((0, 1), 4, 5))
+
+
+def test_pedestrians_may_touch_each_other():
+    tracks = scene([[(0.0, 0.0)], [(0.1, 0.0)]], kind=np.full(2, PEDESTRIAN))
+    assert contacts(tracks) == ()
+
+
+def test_as_many_as_by_looking_at_every_pair():
+    rng = np.random.default_rng(0)
+    n, t = 30, 20
+    tracks = scene(rng.uniform(0, 40, (n, t, 2)), rng.uniform(-3, 3, (n, t)))
+    found = {(*c.rows, k) for c in contacts(tracks) for k in range(c.begin, c.end)}
+    alone = {
+        (i, j, k)
+        for i in range(n)
+        for j in range(i + 1, n)
+        for k in range(t)
+        if contacts(scene(tracks.xy[[i, j]][:, [k]], tracks.heading[[i, j]][:, [k]]))
+    }
+    assert found == alone
