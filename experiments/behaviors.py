@@ -6,6 +6,7 @@ come from drawing drivers anew (bootstrap).
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -33,6 +34,10 @@ STEADY_MPS2: Final = 0.3
 LONGEST_STAND_S: Final = 180.0
 """Standing longer is standing for good."""
 
+CLEARING_S: Final = 300.0
+"""So long after the demand ends every vehicle should have left; episodes are driven on for it.
+Pedestrians may still walk: half a straight road takes them longer."""
+
 RESAMPLES: Final = 1000
 
 QUICK: Final = {"seeds": 2, "duration_s": 120.0}
@@ -49,6 +54,7 @@ METRICS: Final[tuple[tuple[str, str, str], ...]] = (
     ("wait_per_encounter_s", "wait_s", "waits"),
     ("wrong_way_m", "wrong_way_m", "drivers"),
     ("collisions_caused", "collisions", ""),
+    ("pedestrians_hit", "pedestrians_hit", ""),
     ("halted_share", "halted", "drivers"),
     ("label_agreement", "agrees", "drivers"),
 )
@@ -57,9 +63,13 @@ METRICS: Final[tuple[tuple[str, str, str], ...]] = (
 COUNTS: Final[tuple[str, ...]] = (
     "drivers", "km", "red_faced", "red_runs", "crossing_encounters", "yields", "headway",
     "lane_changes", "cut_ins", "free_s", "over_limit_s", "unprovoked_stops", "waits", "wait_s",
-    "wrong_way_m", "collisions", "halted", "agrees",
+    "wrong_way_m", "collisions", "pedestrians_hit", "halted", "agrees",
 )  # fmt: skip
 """What is counted for every driver; ``headway`` is the driver's median, NaN without any."""
+
+
+NOT_WAITED_FOR: Final = (EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED)
+"""Encounters in which somebody did not wait, though a rule says so: waits of 0 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +82,8 @@ class DriverCounts:
         jaywalks: how often pedestrians jaywalked.
         walkers: how many pedestrians there were.
         teleports: how many agents jumped.
+        left_behind: how many vehicles were still there when all should have left.
+        longest_stand_s: how long somebody stood at most, s.
     """
 
     behavior: NDArray[np.int8]
@@ -79,6 +91,8 @@ class DriverCounts:
     jaywalks: int
     walkers: int
     teleports: int
+    left_behind: int
+    longest_stand_s: float
 
     @classmethod
     def joined(cls, parts: Sequence[DriverCounts]) -> DriverCounts:
@@ -89,6 +103,8 @@ class DriverCounts:
             jaywalks=sum(p.jaywalks for p in parts),
             walkers=sum(p.walkers for p in parts),
             teleports=sum(p.teleports for p in parts),
+            left_behind=sum(p.left_behind for p in parts),
+            longest_stand_s=max(p.longest_stand_s for p in parts),
         )
 
 
@@ -100,7 +116,7 @@ def count_episode(
     Args:
         scenario: a key of ``SCENARIOS``.
         seed: of the population and the engine.
-        duration_s: s.
+        duration_s: for how long agents set out, s; the episode lasts ``CLEARING_S`` longer.
         engine: a key of ``ENGINES``.
 
     Returns:
@@ -108,6 +124,7 @@ def count_episode(
     """
     made = get_scenario(scenario)(duration_s=duration_s)
     agents = sample_agents(made, seed)
+    made = dataclasses.replace(made, duration_s=duration_s + CLEARING_S)
     tracks = Tracks.from_frames(
         get_engine(engine)(made, agents, seed), {a.id: a.behavior for a in agents}
     )
@@ -149,9 +166,11 @@ def count(
     for exhibit in waits(seen):
         table["waits"][exhibit.agent] += 1.0
         table["wait_s"][exhibit.agent] += exhibit.value
-    standing = seen.valid & (seen.speed < 0.1)
-    for i, _, _ in runs(standing, round(LONGEST_STAND_S / seen.step_s)):
-        table["halted"][i] = 1.0
+    stands = list(runs(seen.valid & seen.drives[:, None] & (seen.speed < 0.1)))
+    longest_s = max((end - begin for _, begin, end in stands), default=0) * seen.step_s
+    for i, begin, end in stands:
+        if (end - begin) * seen.step_s > LONGEST_STAND_S:
+            table["halted"][i] = 1.0
     for event in events:
         i = row[event.agent]
         if event.kind is EventKind.RED_RUN:
@@ -162,8 +181,11 @@ def count(
         elif event.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED):
             table["crossing_encounters"][i] += 1.0
             table["yields"][i] += event.kind is EventKind.YIELDED
-        elif event.kind is EventKind.COLLISION:
-            table["collisions"][i] += 1.0
+        elif event.kind is EventKind.COLLISION and event.other is not None:
+            walks = not seen.drives[row[event.other]]
+            table["pedestrians_hit" if walks else "collisions"][i] += 1.0
+        if event.kind in NOT_WAITED_FOR:
+            table["waits"][i] += 1.0
     shown: dict[int, list[Exhibit]] = {i: [] for i in row.values()}
     for exhibit in exhibits:
         i = row[exhibit.agent]
@@ -185,6 +207,8 @@ def count(
         jaywalks=sum(e.trait is Trait.JAYWALKING for e in exhibits),
         walkers=int((~seen.drives).sum()),
         teleports=int((np.nan_to_num(jump) > 60.0 * seen.step_s).sum()),
+        left_behind=int((tracks.valid[:, -1] & seen.drives).sum()),
+        longest_stand_s=float(longest_s),
     )
 
 
@@ -242,14 +266,14 @@ def rows_of(
                 n = len(mine)
                 value = float(top.sum())
             found.append(_row(engine, scenario, behavior.value, metric, value, low, high, n))
-    walkers = counts.walkers
-    share = counts.jaywalks
-    found.append(
-        _row(engine, scenario, "pedestrian", "jaywalks", float(share), None, None, walkers)
-    )
-    found.append(
-        _row(engine, scenario, "all", "teleports", float(counts.teleports), None, None, len(mine))
-    )
+    everyone = len(counts.behavior) + counts.walkers
+    for who, metric, total, n in (
+        ("pedestrian", "jaywalks", counts.jaywalks, counts.walkers),
+        ("all", "teleports", counts.teleports, everyone),
+        ("all", "left_behind", counts.left_behind, everyone),
+        ("all", "longest_stand_s", counts.longest_stand_s, len(counts.behavior)),
+    ):
+        found.append(_row(engine, scenario, who, metric, float(total), None, None, n))
     return found
 
 
@@ -294,7 +318,8 @@ def run_behaviors_bench(
         quick: two seeds of two minutes, to see that it works.
 
     Returns:
-        Rows with the keys ``engine scenario behavior metric value low high n``.
+        Rows with the keys ``engine scenario behavior metric value low high n``; of several
+        scenarios also those of all together, as scenario ``all``.
     """
     names = list(SCENARIOS) if scenarios is None else [get_scenario(n).name for n in scenarios]
     if quick:
@@ -311,4 +336,6 @@ def run_behaviors_bench(
     for name in names:
         parts = [c for task, c in zip(tasks, counted, strict=True) if task[0] == name]
         found += rows_of(DriverCounts.joined(parts), engine, name)
+    if len(names) > 1:
+        found += rows_of(DriverCounts.joined(counted), engine, "all")
     return found

@@ -18,6 +18,8 @@ def test_rows_are_tidy_and_say_what_the_drivers_did():
     value = {(r["behavior"], r["metric"]): r["value"] for r in rows}
     assert value["timid", "headway_median_s"] > 2 * value["threatening", "headway_median_s"]
     assert value["all", "teleports"] == 0
+    assert value["all", "left_behind"] == 0
+    assert 0.0 < value["all", "longest_stand_s"] < 180.0
     for row in rows:
         if row["low"] is not None:
             assert row["low"] <= row["value"] <= row["high"]
@@ -28,7 +30,7 @@ def test_ratios_are_sums_over_drivers():
     counts[:, COUNTS.index("km")] = [1.0, 3.0]
     counts[:, COUNTS.index("lane_changes")] = [4.0, 0.0]
     counts[:, COUNTS.index("headway")] = [np.nan, 2.0]
-    made = DriverCounts(np.array([0, 0], dtype=np.int8), counts, 1, 5, 0)
+    made = DriverCounts(np.array([0, 0], dtype=np.int8), counts, 1, 5, 0, 0, 30.0)
     value = {(r["behavior"], r["metric"]): r for r in rows_of(made, "sumo", "x")}
     assert value["impatient", "lane_changes_per_km"]["value"] == 1.0
     assert value["impatient", "headway_median_s"]["n"] == 1
