@@ -38,6 +38,9 @@ SCRIPTS: Final = (
 POSITION_QUANTUM: Final = 0.01
 """Places are kept to this, m or pixels (our choice: a twentieth of a pixel on a screen)."""
 
+FUTURE_QUANTUM: Final = 0.1
+"""Places of futures are kept to this, m or pixels (our choice: they are not known so well)."""
+
 TURN: Final = 4096
 """Headings are kept as this many parts of a circle (our choice: 0.09 degrees)."""
 
@@ -269,16 +272,17 @@ def _graph(scene: Scene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def _forecasts(scene: Scene, arrays: dict[str, NDArray[Any]], unit: float) -> dict[str, Any]:
-    """Futures, each as steps between its places."""
+    """Futures, each as its first place and how the steps between its places change."""
     if not scene.forecasts:
         return {"ahead": []}
     origin = scene.tracks.xy[scene.tracks.valid].min(axis=0)
     xy = np.concatenate([f.xy for f in scene.forecasts]) - origin
     steps = np.diff(xy, axis=1)
-    coarse = max(quantum(steps, 0.05), unit)
+    coarse = max(quantum(2.0 * steps, FUTURE_QUANTUM), unit)
     whole = np.rint(xy / coarse).astype(np.int64)
     arrays["futureFirst"] = whole[:, 0].astype("i4").ravel()
-    arrays["futureSteps"] = np.diff(whole, axis=1).astype("i2").ravel()
+    changes = np.diff(np.diff(whole, axis=1), axis=1, prepend=0)
+    arrays["futureChanges"] = changes.astype("i2").ravel()
     arrays["futureAgent"] = np.concatenate([f.agent for f in scene.forecasts]).astype("u2")
     likely = np.concatenate([f.probability for f in scene.forecasts])
     arrays["futureProbability"] = np.rint(likely * 255.0).astype("u1")

@@ -103,6 +103,18 @@ def test_what_is_packed_is_unpacked(open_page, scene):
         assert shown[row] == pytest.approx(scene.tracks.xy[row, step], abs=0.02)
 
 
+def test_futures_are_unpacked_too(open_page, scene):
+    page = open_page()
+    page.evaluate("replay.seek(7.0)")
+    for row in (0, 3):
+        shown = page.evaluate(f"replay.futures({row})")
+        made = next(f for f in scene.forecasts if f.time_s == pytest.approx(shown[0]["time"]))
+        mine = np.flatnonzero(made.agent == row)
+        assert [f["probability"] for f in shown] == pytest.approx([0.75, 0.25], abs=0.01)
+        for future, m in zip(shown, mine, strict=True):
+            assert np.abs(np.array(future["places"]) - made.xy[m]).max() < 0.06
+
+
 def test_a_click_selects_and_a_hostile_name_stays_text(open_page, scene):
     page = open_page()
     page.evaluate("replay.seek(5.0)")

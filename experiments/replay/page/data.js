@@ -50,11 +50,12 @@ function readFutures(arrays) {
   const many = arrays.futureAgent.length;
   const xy = new Float64Array(many * ahead * 2);
   for (let m = 0; m < many; m++) {
-    let x = arrays.futureFirst[2 * m], y = arrays.futureFirst[2 * m + 1];
+    let x = arrays.futureFirst[2 * m], y = arrays.futureFirst[2 * m + 1], dx = 0, dy = 0;
     for (let h = 0; h < ahead; h++) {
       if (h) {
-        x += arrays.futureSteps[2 * (m * (ahead - 1) + h - 1)];
-        y += arrays.futureSteps[2 * (m * (ahead - 1) + h - 1) + 1];
+        dx += arrays.futureChanges[2 * (m * (ahead - 1) + h - 1)];
+        dy += arrays.futureChanges[2 * (m * (ahead - 1) + h - 1) + 1];
+        x += dx; y += dy;
       }
       xy[2 * (m * ahead + h)] = data.origin[0] + x * data.futureQuantum;
       xy[2 * (m * ahead + h) + 1] = data.origin[1] + y * data.futureQuantum;

@@ -283,6 +283,10 @@ async function start() {
   // For scripts that drive the page.
   window.replay = {
     seek: (time) => seek(time - data.begin), select, setMode, setLayer, play,
+    futures: (index) => {
+      const told = futuresOf(index, player.time);
+      return told && told.futures.map((m) => ({ time: data.begin + told.time, probability: futures.probability[m] / 255, places: futurePoints(m, null, 0) }));
+    },
     state: () => ({ time: data.begin + player.time, playing: player.playing, mode: player.mode, selected: player.selected, layers: { ...player.layers } }),
     agents: () => view.panels.flatMap((panel) => [...everyone(player.time)].map(([index, place]) => {
       const [x, y] = toScreen(panel, place.x, place.y);
