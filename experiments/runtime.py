@@ -204,6 +204,7 @@ def run_spectrum_bench(
     Raises:
         InputError: for an unknown name.
     """
+    import scipy.linalg  # noqa: F401  # only libraries that are loaded can be limited to a thread
     from threadpoolctl import threadpool_limits
 
     everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": dsyevr}
