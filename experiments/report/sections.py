@@ -80,6 +80,16 @@ LAYOUTS: Final[dict[str, Layout]] = {
         "Making data", (), ("jobs",), ("metric",), (), "graphrqi bench generate",
         "The cost of generating a dataset.",
     ),
+    "navigation": Layout(
+        "Driving among others", ("environment",), ("arm",), ("metric",), (),
+        "graphrqi bench navigation",
+        "Means per episode of an ego vehicle that knows nothing, beliefs or the truth of others; "
+        "differences are paired by seed.",
+    ),
+    "highway": Layout(
+        "The highway-env engine", (), ("cars", "road"), ("metric",), (),
+        "graphrqi bench highway", "Its speed beside that of the stock road.",
+    ),
     "other": Layout("Other figures", (), (), ("metric",), (), "", ""),
 }  # fmt: skip
 """By kind of measurement, in the order of a page."""

@@ -29,6 +29,8 @@ KINDS: Final[dict[str, frozenset[str]]] = {
     "loop": frozenset({"stage", "agents"}),
     "generate": frozenset({"jobs"}),
     "behaviors": frozenset({"engine", "scenario", "behavior"}),
+    "navigation": frozenset({"environment", "arm"}),
+    "highway": frozenset({"road", "cars"}),
     "other": frozenset(),
 }
 """Kinds of measurements by the keys that all of their rows have; the first that fits."""

@@ -183,7 +183,7 @@ def _head(key: str, row: Row) -> str:
     if key == "metric":
         return name_of(str(value))
     if key == "horizon_s":
-        return f"at {words(value)} s"
+        return "" if value is None else f"at {words(value)} s"
     return f"{key} {words(value)}" if key == "d" else words(value)
 
 

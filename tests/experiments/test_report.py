@@ -48,6 +48,10 @@ def rows_of(kind, shift=0.0):
                 for s in ("classify", "predict")]  # fmt: skip
     elif kind == "generate":
         keys = [{"jobs": j, "metric": "agent_steps_per_s"} for j in (1, 2)]
+    elif kind == "navigation":
+        keys = [{"environment": "straight", "arm": a, "metric": "ttc"} for a in ("blind", "told")]
+    elif kind == "highway":
+        keys = [{"road": r, "cars": 50, "metric": "frames_per_cpu_s"} for r in ("stock", "fast")]
     elif kind == "behaviors":
         keys = [{"engine": "sumo", "scenario": "straight_road", "behavior": str(b),
                  "metric": "red_run_share"} for b in BEHAVIORS]  # fmt: skip
