@@ -97,10 +97,11 @@ def incidents(tracks: Tracks, road: Road, observed: Observables | None = None) -
         *_wrong_way(tracks, seen),
         *_near_misses(tracks, seen),
     ]
-    arrays = see(tracks, road, (), seen)
-    cuts = cutting_in(arrays)
-    forbidden = arrays.off_crossing | arrays.on_red
-    for pair, columns in _collisions(tracks):
+    collisions = _collisions(tracks)
+    if collisions:
+        arrays = see(tracks, road, (), seen)
+        cuts, forbidden = cutting_in(arrays), arrays.off_crossing | arrays.on_red
+    for pair, columns in collisions:
         first = Event(EventKind.COLLISION, float(tracks.time_s[columns[0]]), *pair)
         collision = _blame(tracks, road, seen, first, found, cuts, forbidden)
         found.append(collision)
@@ -157,45 +158,55 @@ def _stood_at_red(tracks: Tracks, seen: Observables, row: int, column: int) -> b
 def _crossings_passed(tracks: Tracks, road: Road, seen: Observables) -> list[Event]:
     """Pedestrians let go first or not, at every passing of a crossing that they have a right to."""
     walkers = np.flatnonzero(tracks.kind == PEDESTRIAN)
-    drivers = np.flatnonzero(tracks.kind != PEDESTRIAN)
-    if not walkers.size or not drivers.size:
+    if not walkers.size:
         return []
     found = []
-    forward = np.stack([np.cos(tracks.heading), np.sin(tracks.heading)], axis=2)
-    front = tracks.xy + 0.5 * tracks.length[:, None, None] * forward
+    row, column = np.nonzero(tracks.valid & (tracks.kind != PEDESTRIAN)[:, None])
+    facing = tracks.heading[row, column]
+    forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
+    front = tracks.xy[row, column] + 0.5 * tracks.length[row, None] * forward
     for crossing in road.crossings:
         if crossing.signal < 0 and not crossing.priority:
             continue
         people = _people(tracks, crossing, walkers)
         if not people:
             continue
-        u, across = _along(crossing, front[drivers])
-        _, _, total = along(crossing.centerline, np.zeros((1, 2)))
+        near = _near(crossing, front)
+        u, across, total = along(crossing.centerline, front[near])
         inside = (np.abs(across) <= crossing.width_m / 2) & (u >= 0) & (u <= total)
-        for k, begin, _ in runs(inside & tracks.valid[drivers]):
-            if begin == 0 or not tracks.valid[drivers[k], begin - 1]:
+        on = np.zeros(tracks.valid.shape, dtype=bool)
+        on[row[near[inside]], column[near[inside]]] = True
+        comers = np.flatnonzero(on.any(axis=1))
+        for k, begin, _ in runs(on[comers]):
+            agent = int(comers[k])
+            if begin == 0 or not tracks.valid[agent, begin - 1]:
                 continue
-            row = int(drivers[k])
-            verdict = _verdict(tracks, road, seen, people, row, begin, float(u[k, begin]))
+            here = (row[near] == agent) & (column[near] == begin)
+            verdict = _verdict(tracks, road, seen, people, agent, begin, float(u[here][0]))
             if verdict is not None:
                 kind, other = verdict
-                found.append(Event(kind, float(tracks.time_s[begin]), int(tracks.ids[row]), other))
+                time_s = float(tracks.time_s[begin])
+                found.append(Event(kind, time_s, int(tracks.ids[agent]), other))
     return found
+
+
+def _near(crossing: Crossing, xy: FloatArray) -> NDArray[np.int64]:
+    """(k,) which of some places are near a crossing: on it at most, and few others."""
+    reach = crossing.width_m
+    low, high = crossing.centerline.min(axis=0) - reach, crossing.centerline.max(axis=0) + reach
+    return np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
 
 
 _Person = tuple[int, int, int, FloatArray, float]
 """Row, first and last column on a crossing, distance along it at all times, and direction."""
 
 
-def _along(crossing: Crossing, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    u, across, _ = along(crossing.centerline, np.nan_to_num(xy, nan=1e6).reshape(-1, 2))
-    return u.reshape(xy.shape[:-1]), across.reshape(xy.shape[:-1])
-
-
 def _people(tracks: Tracks, crossing: Crossing, walkers: NDArray[np.int64]) -> list[_Person]:
     """Everyone who walks over a crossing and may: who enters it on red may not."""
-    u, across = _along(crossing, tracks.xy[walkers])
-    _, _, total = along(crossing.centerline, np.zeros((1, 2)))
+    shape = (walkers.size, tracks.time_s.size)
+    u, across = np.full(shape, np.nan), np.full(shape, np.nan)
+    seen = np.nonzero(tracks.valid[walkers])
+    u[seen], across[seen], total = along(crossing.centerline, tracks.xy[walkers][seen])
     on = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > ON_CROSSING_M)
     on &= u < total - ON_CROSSING_M
     found = []

@@ -12,6 +12,41 @@ import numpy as np
 
 
 @numba.njit(cache=True)
+def fit(
+    xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any
+) -> tuple[Any, Any, Any]:
+    """The straight piece of lane that fits each place and heading best.
+
+    Args:
+        xy: (n, 2) m.
+        heading: (n,) rad.
+        start: (G, 2) where each piece begins, m.
+        direction: (G, 2) unit vectors.
+        length: (G,) m.
+        turn_cost_m: (G,) what facing across a piece costs, m; the other way costs twice as much.
+
+    Returns:
+        (n,) piece, distance along it, m, from 0 to its length, and signed distance to its left, m.
+    """
+    n = len(xy)
+    best, at, left = np.zeros(n, np.int64), np.full(n, np.nan), np.full(n, np.nan)
+    for i in range(n):
+        east, north = np.cos(heading[i]), np.sin(heading[i])
+        least = np.inf
+        for g in range(length.size):
+            dx, dy = xy[i, 0] - start[g, 0], xy[i, 1] - start[g, 1]
+            ux, uy = direction[g, 0], direction[g, 1]
+            along = dx * ux + dy * uy
+            across = ux * dy - uy * dx
+            clipped = min(max(along, 0.0), length[g])
+            cost = np.hypot(across, along - clipped)
+            cost += turn_cost_m[g] * (1.0 - (east * ux + north * uy))
+            if cost < least:
+                least, best[i], at[i], left[i] = cost, g, clipped, across
+    return best, at, left
+
+
+@numba.njit(cache=True)
 def nearest(
     key: Any, at: Any, row: Any, lane_length: Any, onward: Any, instant: Any, lane: Any, s: Any,
     forward: bool, most_lanes: int, look_ahead: float,

@@ -184,8 +184,10 @@ class Road:
         return float(x0), float(y0), float(x1), float(y1)
 
     @cached_property
-    def _drivable_segments(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
-        """Start, unit direction, length, lane and start distance of each drivable segment."""
+    def _drivable_segments(
+        self,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
+        """Start, unit direction, length, lane, start distance and turn cost of each segment."""
         start, direction, length, lane, at = [], [], [], [], []
         for i, one in enumerate(self.lanes):
             if one.walking:
@@ -206,6 +208,8 @@ class Road:
             np.concatenate(length),
             np.concatenate(lane),
             np.concatenate(at),
+            # our choice: a lane is some 3 m wide
+            np.where([self.lanes[i].internal for i in np.concatenate(lane)], 4.0, 0.7),
         )
 
     def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
@@ -222,17 +226,12 @@ class Road:
         Returns:
             Lane index, distance along it and signed offset of each point.
         """
-        start, direction, length, lane, at = self._drivable_segments
-        internal = np.array([self.lanes[i].internal for i in range(len(self.lanes))])[lane]
-        turn_cost_m = np.where(internal, 4.0, 0.7)  # our choice: a lane is some 3 m wide
-        relative = xy[:, None, :] - start[None]
-        along = (relative * direction[None]).sum(axis=2)
-        clipped = np.clip(along, 0.0, length[None])
-        across = direction[None, :, 0] * relative[..., 1] - direction[None, :, 1] * relative[..., 0]
-        distance = np.hypot(across, along - clipped)
-        facing = np.cos(heading[:, None] - np.arctan2(direction[:, 1], direction[:, 0])[None])
-        best = np.argmin(distance + turn_cost_m[None] * (1.0 - facing), axis=1)
-        row = np.arange(len(xy))
-        return LanePosition(
-            lane=lane[best], s=at[best] + clipped[row, best], offset=across[row, best]
-        )
+        from sim.lane_search import fit  # compiled: only who asks pays for loading it
+
+        start, direction, length, lane, at, turn_cost_m = self._drivable_segments
+        best, along, across = fit(
+            np.ascontiguousarray(xy, dtype=np.float64),
+            np.ascontiguousarray(heading, dtype=np.float64),
+            start, direction, length, turn_cost_m,
+        )  # fmt: skip
+        return LanePosition(lane=lane[best], s=at[best] + along, offset=across)
