@@ -219,6 +219,9 @@ def run_spectrum_bench(
             for solver in chosen.values():
                 first = solver(start[0], 4, end, None, tol, end == "smallest")
                 solver(start[1], 4, end, first, tol, end == "smallest")
+        previous: Spectrum | None = None
+        for graph in graph_sequence("road", "accumulated", 700, 3):  # what large graphs need
+            previous = SOLVERS["graphrqi"](graph, pairs, "largest", previous)
         for layout in graphs:
             for kind in kinds:
                 for end in ends:
