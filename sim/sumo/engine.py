@@ -189,7 +189,13 @@ def _start(
     """Start the simulation; returns libsumo's C module and where the log is."""
     routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
     lines = route_file(agents, jaywalking_places(scenario.road, agents))
-    routes.write_text("\n".join(lines), encoding="utf-8")
+    try:
+        routes.write_text("\n".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise SumoError(
+            f"sumo: {routes}: found no way to write it ({error.strerror}), expected room for the "
+            "routes: free some, or set TMPDIR to another folder"
+        ) from None
     arguments = [
         "--net-file", str(scenario.road.source),
         "--route-files", str(routes),

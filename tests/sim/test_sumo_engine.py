@@ -232,6 +232,30 @@ def test_a_broken_net_is_one_line_with_the_reason(tmp_path):
     assert len(drive(scenario)) == 50
 
 
+def test_no_room_for_the_routes_is_one_line_and_leaves_nothing(tmp_path):
+    code = (
+        "import resource, signal, sys, tempfile\n"
+        "from behaviors.errors import InputError; from scenarios import get_scenario\n"
+        "from sim.scenario import sample_agents; from sim.sumo.engine import run\n"
+        f"tempfile.tempdir = {str(tmp_path)!r}\n"
+        "s = get_scenario('straight_road')(duration_s=60.0)\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))\n"
+        "try:\n"
+        "    next(run(s, sample_agents(s, 0), 0))\n"
+        "except InputError as error:\n"
+        "    print(error)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)\n"
+        "print(sum(1 for _ in run(s, sample_agents(s, 0), 0)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    error, frames = done.stdout.splitlines()
+    assert error.startswith(f"sumo: {tmp_path}")
+    assert "expected room for the routes" in error
+    assert frames == "600"
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_route_that_cannot_be_driven_is_refused():
     scenario = short(duration_s=5.0)
     with pytest.raises(SumoError, match="sumo: "):
