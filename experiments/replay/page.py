@@ -16,14 +16,13 @@ from typing import Any, Final
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib import colormaps
-from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS, TRAITS
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.replay.packing import differences, pack, quantum
+from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import Scene
 from sim.atomic import write_whole
 from sim.formats import FORMATS
@@ -54,8 +53,8 @@ RAMP_STOPS: Final = 17
 
 
 def ramp() -> list[str]:
-    """The colours of numbers, low to high: viridis, made with colour-blind people in mind."""
-    return [to_hex(colormaps["viridis"](x)) for x in np.linspace(0.0, 1.0, RAMP_STOPS)]
+    """The colours of numbers, low to high; the page mixes those between."""
+    return [ramp_color(share) for share in np.linspace(0.0, 1.0, RAMP_STOPS)]
 
 
 def default_mode(scene: Scene) -> str:

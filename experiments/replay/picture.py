@@ -12,12 +12,11 @@ from typing import Final
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.colors import to_hex
 from PIL import Image, ImageDraw, ImageFont
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS
+from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import Scene
 from sim.atomic import write_whole
 from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray
@@ -80,7 +79,7 @@ def lay_out(extent: tuple[float, float, float, float], width: int, height: int) 
 
     Example:
         >>> [len(lay_out((0, 0, size, 12), 1280, 720)) for size in (12, 800)]
-        [1, 4]
+        [1, 6]
     """
     x0, y0, x1, y1 = extent
     turned = y1 - y0 > LONG * (x1 - x0)
@@ -225,7 +224,7 @@ class Painter:
         }[self.mode]
         words = (ends[0], "", "", "", ends[1])
         steps = zip(np.linspace(0.0, 1.0, len(words)), words, strict=True)
-        return [*((_ramp(x), word) for x, word in steps), (UNKNOWN_COLOR, "not known")]
+        return [*((ramp_color(x), word) for x, word in steps), (UNKNOWN_COLOR, "not known")]
 
     def _present(self, time_s: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
         """Rows, places, headings and speeds of those there, between frames on the straight line."""
@@ -243,13 +242,13 @@ class Painter:
     def _colors(self, rows: IntArray, speed: FloatArray, time_s: float) -> list[str]:
         scene = self.scene
         if self.mode == "speed":
-            return [_ramp(v / self.fastest) for v in speed]
+            return [ramp_color(v / self.fastest) for v in speed]
         if self.mode == "w":
             look = int(np.searchsorted(scene.graph.time_s, time_s + 1e-6)) - 1
             w = scene.graph.w[:, max(look, 0)]
             largest = float(np.nan_to_num(w).max(initial=1e-12))
             return [
-                UNKNOWN_COLOR if np.isnan(v) else _ramp(float(np.sqrt(v / largest)))
+                UNKNOWN_COLOR if np.isnan(v) else ramp_color(float(np.sqrt(v / largest)))
                 for v in w[rows]
             ]
         if self.mode == "true":
@@ -263,7 +262,8 @@ class Painter:
         if self.mode == "confidence":
             sure = (likeliest.max(axis=1) - 1 / 6) * 6 / 5
             return [
-                _ramp(float(v)) if k else UNKNOWN_COLOR for v, k in zip(sure, known, strict=True)
+                ramp_color(float(v)) if k else UNKNOWN_COLOR
+                for v, k in zip(sure, known, strict=True)
             ]
         codes = likeliest.argmax(axis=1)
         return [
@@ -397,10 +397,6 @@ def _draw_road(
 
 def _points(pixels: FloatArray) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in pixels]
-
-
-def _ramp(share: float) -> str:
-    return str(to_hex(colormaps["viridis"](min(max(share, 0.0), 1.0))))
 
 
 _fonts: dict[tuple[int, bool], ImageFont.FreeTypeFont] = {}
