@@ -209,6 +209,27 @@ def test_a_named_classifier_is_made_anew_for_every_episode(monkeypatch):
     assert all(np.all(np.diff(stream.times) > 0) for stream in made)
 
 
+def test_a_picture_is_made_without_a_word(capfd, monkeypatch):
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    env = make("graphrqi/StraightRoad-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().std() > 5.0
+    env.close()
+    assert capfd.readouterr().err == ""
+
+
+def test_the_shipped_classifier_tells_what_it_believes():
+    config = {**QUICK, "observation": "posterior", "warmup_s": 15.0, "flow": "dense"}
+    env = gymnasium.make("graphrqi/StraightRoad-v0", config=config)
+    env.reset(seed=0)
+    seen = [env.step(1)[0]["agents"] for _ in range(15)]
+    beliefs = np.concatenate([r[(r[:, 0] == 1) & (r[:, 9] == 0), 10:] for r in seen])
+    assert beliefs.shape[0] > 15
+    np.testing.assert_allclose(beliefs.sum(axis=1), 1.0, rtol=1e-5)
+    assert beliefs.min() >= 0.0
+    assert beliefs.max() > 2.0 / len(BEHAVIORS)  # it knows more than nothing
+
+
 def test_the_graph_joins_each_to_its_nearest():
     env = make(
         "graphrqi/StraightRoad-v0", observation="graph", flow="dense", observed=8, warmup_s=15.0
