@@ -19,7 +19,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import Scene
 from sim.atomic import write_whole
-from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray
+from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
 from sim.road_shapes import RoadShapes, road_shapes
 
 FINE: Final = 2
@@ -34,7 +34,12 @@ HEAD_PX, FOOT_PX, GAP_PX = 44, 46, 8
 INK, MUTED, PAPER = "#18202B", "#55606E", "#FFFFFF"
 GROUND, PAVING, ASPHALT, PAINT, MIDDLE = "#ECEEEA", "#DCDCD6", "#C6CBD2", "#FFFFFF", "#8A6D1D"
 TRACK, EDGE, GRAVE = "#C3C9D0", "#38506E", "#B3261E"
-SIGNAL_COLORS: Final = {"red": "#D3312B", "yellow": "#F2C230", "green": "#25A55F", "off": "#9AA3AD"}
+SIGNAL_COLORS: Final = {
+    Signal.RED: "#D3312B",
+    Signal.YELLOW: "#F2C230",
+    Signal.GREEN: "#25A55F",
+    Signal.OFF: "#9AA3AD",
+}
 """As on the page, in its light theme."""
 
 BODY: Final = np.array(
@@ -42,6 +47,9 @@ BODY: Final = np.array(
 )
 GLASS: Final = np.array([(0.2, 0.7), (0.5, 0.8), (0.5, -0.8), (0.2, -0.7)])
 """Outlines of a vehicle and of its windscreen, in halves of its length and of its width."""
+
+LAMPS: Final = {Signal.RED: 4, Signal.YELLOW: 3, Signal.GREEN: 24}
+"""How many corners a lamp has: a square, a triangle, a disc."""
 
 EVENT_S: Final = 1.5
 """A collision stays marked for so long, s."""
@@ -277,11 +285,15 @@ class Painter:
         tracks = self.scene.tracks
         step = max(int(np.searchsorted(tracks.time_s, time_s + 1e-6)) - 1, 0)
         for stop in shapes.stops:
-            color = PAINT
-            if 0 <= stop.signal < len(tracks.signals):
-                color = SIGNAL_COLORS[SIGNALS[tracks.signals[stop.signal, step]]]
             ends = panel.pixels(stop.line) - offset
-            pen.line(_points(ends), color, max(2 * FINE, round(0.6 * panel.scale)))
+            thick = max(2 * FINE, round(0.6 * panel.scale))
+            if not 0 <= stop.signal < len(tracks.signals):
+                pen.line(_points(ends), PAINT, thick)
+                continue
+            state = SIGNALS[tracks.signals[stop.signal, step]]
+            pen.line(_points(ends), SIGNAL_COLORS[state], thick)
+            if state in LAMPS:
+                _draw_lamp(pen, ends, max(3.0 * FINE, 0.7 * panel.scale), state)
 
     def _draw_edges(
         self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
@@ -393,6 +405,17 @@ def _draw_road(
     lines = [(PAINT, line) for line in (*shapes.edges, *shapes.dashes)]
     for color, line in (*lines, *((MIDDLE, line) for line in shapes.middles)):
         pen.line(_points(panel.pixels(line) - offset), color, thin)
+
+
+def _draw_lamp(pen: ImageDraw.ImageDraw, ends: FloatArray, size: float, state: Signal) -> None:
+    """A lamp past the middle of a stop line; its shape says what its colour does."""
+    across = (ends[1] - ends[0]) / max(float(np.hypot(*(ends[1] - ends[0]))), 1e-9)
+    middle = ends.mean(axis=0) + 1.7 * size * np.array([-across[1], across[0]])
+    around = 1.35 * size
+    pen.ellipse((*(middle - around), *(middle + around)), INK)
+    turns = 2 * np.pi * (np.arange(LAMPS[state]) + 0.5) / LAMPS[state]
+    corners = middle + 0.95 * size * np.stack([np.sin(turns), np.cos(turns)], axis=1)
+    pen.polygon(_points(corners), SIGNAL_COLORS[state])
 
 
 def _points(pixels: FloatArray) -> list[tuple[float, float]]:

@@ -226,6 +226,16 @@ def test_a_gif_has_every_frame(scene, tmp_path):
         assert film.info["duration"] == 100
 
 
+def test_the_same_scene_gives_the_same_bytes(scene, tmp_path):
+    for name in ("a", "b"):
+        write_page(scene, tmp_path / f"{name}.html", "true")
+        write_picture(scene, tmp_path / f"{name}.png", "w", 8.0)
+        write_video(scene, tmp_path / f"{name}.gif", "speed", 4.0, 4.3, quiet=True)
+    for ending in ("html", "png", "gif"):
+        a, b = ((tmp_path / f"{name}.{ending}").read_bytes() for name in ("a", "b"))
+        assert a == b, ending
+
+
 def test_an_mp4_plays_for_as_long_as_it_should(scene, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     write_video(scene, tmp_path / "v.mp4", "predicted", 4.0, 5.0, quiet=True)
