@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -16,8 +17,11 @@ from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_watch import WatchedGraph, watch_graph
 from graphrqi.methods import load_model
 from sim.dataset import Dataset, Episode
+from sim.exhibits import exhibited
 from sim.formats import FORMATS
 from sim.frames import Tracks
+from sim.incidents import incidents
+from sim.observables import observe
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.schema import EpisodeEntry
@@ -135,6 +139,12 @@ def gather(
         raise InputError(
             f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
+    exhibits = episode.exhibits
+    if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
+        observed = observe(tracks, road)
+        events = incidents(tracks, road, observed)
+        exhibits = exhibited(tracks, road, events, observed)
+        tracks = dataclasses.replace(tracks, events=events)
     forecasts: list[Forecast] = []
     shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:
@@ -160,7 +170,7 @@ def gather(
         road=road,
         tracks=tracks.part(np.arange(tracks.ids.size), slice(None, None, stride)),
         agents={spec.id: spec for spec in episode.agents},
-        exhibits=episode.exhibits,
+        exhibits=exhibits,
         beliefs=beliefs,
         believer=believer,
         graph=graph,

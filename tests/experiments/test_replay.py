@@ -178,6 +178,16 @@ def test_recordings_without_a_road_say_so_and_pixels_stay_pixels(dataset, tmp_pa
     assert '"road":null' in (tmp_path / "page.html").read_text()
 
 
+def test_traits_and_events_of_a_recording_on_a_road_are_found(dataset, tmp_path):
+    labels_file(tmp_path / "labels.parquet", dataset, "mapped")
+    scene = gather(
+        open_dataset(dataset), entry_of(dataset, "mapped"), model="none",
+        labels=tmp_path / "labels.parquet", predictor="none",
+    )  # fmt: skip
+    assert "uniform speed" in {exhibit.trait.value for exhibit in scene.exhibits}
+    assert scene.forecasts == ()
+
+
 def test_an_episode_is_found_by_its_beginning_or_refused(dataset):
     opened = open_dataset(dataset)
     first = opened.manifest.episodes[0]

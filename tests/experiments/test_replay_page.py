@@ -71,6 +71,11 @@ def until(page, condition):
     raise AssertionError("waited for 5 s")
 
 
+def drawn(page):
+    """Wait until what was changed has been drawn."""
+    page.evaluate("() => new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r)))")
+
+
 def test_it_plays_and_pauses(open_page):
     page = open_page()
     assert state(page)["playing"] is False
@@ -163,7 +168,7 @@ def test_every_agent_has_the_colour_of_the_mode(open_page, scene, mode):
     page.evaluate("replay.seek(8.0)")
     page.keyboard.press(str(MODES.index(mode) + 1))
     assert state(page)["mode"] == mode
-    page.wait_for_timeout(60)
+    drawn(page)
     image = np.asarray(Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB"))
     agents = page.evaluate("replay.agents()")
     assert {a["index"] for a in agents} == set(range(7))
@@ -180,13 +185,13 @@ def test_every_agent_has_the_colour_of_the_mode(open_page, scene, mode):
 def test_graph_paths_and_names_are_drawn_when_asked_for(open_page):
     page = open_page()
     page.evaluate("replay.seek(6.0)")
-    page.wait_for_timeout(60)
+    drawn(page)
     stage = page.locator("#stage")
     before = np.asarray(Image.open(io.BytesIO(stage.screenshot())).convert("RGB")).astype(int)
     for key, layer in (("g", "graph"), ("t", "paths"), ("m", "names")):
         page.keyboard.press(key)
         assert state(page)["layers"][layer] is True
-        page.wait_for_timeout(60)
+        drawn(page)
         after = np.asarray(Image.open(io.BytesIO(stage.screenshot())).convert("RGB")).astype(int)
         assert (np.abs(after - before).max(axis=2) > 20).sum() > 150
         page.keyboard.press(key)
@@ -267,7 +272,7 @@ def test_the_wheel_zooms_dragging_moves_and_follow_keeps_up(open_page):
     box = page.locator("#stage").bounding_box()
     page.mouse.move(box["x"] + 300, box["y"] + 150)
     page.mouse.wheel(0, -400)
-    page.wait_for_timeout(50)
+    drawn(page)
     before = page.evaluate("replay.agents()")
     page.mouse.down()
     page.mouse.move(box["x"] + 360, box["y"] + 150, steps=4)
@@ -278,7 +283,7 @@ def test_the_wheel_zooms_dragging_moves_and_follow_keeps_up(open_page):
     page.evaluate("replay.select(3)")
     page.keyboard.press("f")
     page.keyboard.press("ArrowRight")
-    page.wait_for_timeout(80)
+    drawn(page)
     chosen = next(a for a in page.evaluate("replay.agents()") if a["index"] == 3)
     assert chosen["x"] == pytest.approx(box["width"] / 2, abs=2.0)
 
@@ -286,7 +291,7 @@ def test_the_wheel_zooms_dragging_moves_and_follow_keeps_up(open_page):
 def test_a_junction_shows_its_signals(open_page, make_scene, tmp_path):
     write_page(make_scene("four_way_intersection", agents=8), tmp_path / "four.html", "true")
     page = open_page(file=tmp_path / "four.html")
-    page.wait_for_timeout(60)
+    drawn(page)
     image = np.asarray(Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB"))
     red = np.abs(image.astype(int) - np.array([0xD3, 0x31, 0x2B])).max(axis=2) < 12
     assert red.sum() > 100
