@@ -44,7 +44,7 @@ def style_of(traits: Sequence[Trait]) -> Style:
     Raises:
         InputError: if there is no trait.
 
-    Example:
+    Examples:
         >>> style_of([Trait.OVERTAKING, Trait.UNIFORM_SPEED, Trait.FOLLOWING_RULES])
         <Style.CONSERVATIVE: 'conservative'>
     """
@@ -69,7 +69,7 @@ def resolve(
     Raises:
         InputError: if the rule is unknown, or an annotator noted nothing.
 
-    Example:
+    Examples:
         >>> both = [[Trait.OVERTAKING], [Trait.UNIFORM_SPEED]]
         >>> resolve(both) is None
         True
@@ -107,7 +107,7 @@ def cohen_kappa(first: Sequence[Hashable], second: Sequence[Hashable]) -> float:
     References:
         Cohen (1960), Educational and Psychological Measurement 20, 37.
 
-    Example:
+    Examples:
         >>> cohen_kappa("aabb", "aabb"), cohen_kappa("aabb", "abab")
         (1.0, 0.0)
     """
@@ -139,7 +139,7 @@ def fleiss_kappa(counts: NDArray[np.int64]) -> float:
     References:
         Fleiss (1971), Psychological Bulletin 76, 378.
 
-    Example:
+    Examples:
         >>> fleiss_kappa(np.array([[3, 0], [0, 3]]))
         1.0
     """

@@ -26,7 +26,7 @@ UNKNOWN_COLOR: Final = "#8C8C8C"
 def rgb(color: str) -> tuple[int, int, int]:
     """A colour of HTML as red, green and blue, 0 to 255.
 
-    Example:
+    Examples:
         >>> rgb("#E69F00")
         (230, 159, 0)
     """

@@ -27,7 +27,7 @@ def lookup(registry: Mapping[str, T], name: str, what: str) -> T:
     Raises:
         InputError: if the name is not registered.
 
-    Example:
+    Examples:
         >>> lookup({"eigh": 1, "svd": 2}, "eihg", "solver")
         Traceback (most recent call last):
         ...

@@ -21,7 +21,7 @@ class Style(StrEnum):
 class Behavior(StrEnum):
     """How a driver drives; the members' order is the class order everywhere.
 
-    Example:
+    Examples:
         >>> Behavior("timid").style
         <Style.CONSERVATIVE: 'conservative'>
         >>> Behavior.RECKLESS.code

@@ -211,7 +211,7 @@ def sample_profile(
     Raises:
         InputError: if ``spread`` is negative or not finite.
 
-    Example:
+    Examples:
         >>> rng = np.random.default_rng(0)
         >>> sample_profile(Behavior.TIMID, rng, spread=0.0) == PROFILES[Behavior.TIMID]
         True

@@ -56,7 +56,7 @@ def characteristic_traits(exhibits: Iterable[Exhibit]) -> tuple[Trait, ...]:
     Returns:
         Traits in the order of the trait table.
 
-    Example:
+    Examples:
         >>> once = Exhibit(Trait.CUTTING_IN, 0, 1.0, 2.0, 0.5)
         >>> brief = Exhibit(Trait.UNIFORM_SPEED, 0, 0.0, 15.0, 0.01)
         >>> characteristic_traits([once, brief])
@@ -80,7 +80,7 @@ def shown_label(exhibits: Iterable[Exhibit]) -> Behavior | None:
         class as of the other, which the paper leaves to another annotator. Of equals, the one
         whose traits are rarer wins: recklessness shows in a single act, carefulness all day.
 
-    Example:
+    Examples:
         >>> shown_label([Exhibit(Trait.CUTTING_IN, 0, 1.0, 2.0, 0.5)])
         <Behavior.THREATENING: 'threatening'>
         >>> shown_label([]) is None

@@ -193,7 +193,7 @@ def runs(flags: BoolArray, shortest: int = 1) -> Iterator[tuple[int, int, int]]:
     Yields:
         Row, first column, and one past the last column.
 
-    Example:
+    Examples:
         >>> list(runs(np.array([[False, True, True, False], [True, False, True, True]]), 2))
         [(0, 1, 3), (1, 2, 4)]
     """

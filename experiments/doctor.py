@@ -71,7 +71,7 @@ def names_of(what: str) -> list[str]:
     Returns:
         Its names, in the registry's order.
 
-    Example:
+    Examples:
         >>> names_of("engine")
         ['sumo', 'highway']
     """

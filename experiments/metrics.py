@@ -82,7 +82,7 @@ def weighted_accuracy(matrix: FloatArray) -> FloatArray:
 def balanced_accuracy(matrix: FloatArray) -> FloatArray:
     """Mean recall of the classes that occur.
 
-    Example:
+    Examples:
         >>> float(balanced_accuracy(np.array([[8.0, 2.0], [0.0, 2.0]])))
         0.9
     """
@@ -107,7 +107,7 @@ def style_balanced_accuracy(matrix: FloatArray) -> FloatArray:
 def recall_of(code: int) -> Callable[[FloatArray], FloatArray]:
     """The recall of one class; NaN where it does not occur.
 
-    Example:
+    Examples:
         >>> float(recall_of(1)(np.array([[8.0, 2.0], [1.0, 3.0]])))
         0.75
     """
@@ -153,7 +153,7 @@ def calibration_error(bins: FloatArray) -> FloatArray:
     Returns:
         (...) between 0 and 1.
 
-    Example:
+    Examples:
         >>> float(calibration_error(np.array([[4.0, 3.2, 2.0], [1.0, 0.9, 1.0]])).round(2))
         0.26
     """
@@ -175,7 +175,7 @@ def auc_within(
     Returns:
         Value, low, high; NaN where no group has both kinds.
 
-    Example:
+    Examples:
         >>> where = np.array([0, 0, 0, 1, 1])
         >>> truth = np.array([True, False, False, True, False])
         >>> auc_within(np.array([0.9, 0.1, 0.95, 0.2, 0.1]), truth, where)[0].__round__(3)

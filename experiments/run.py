@@ -125,7 +125,7 @@ def live_line(
 ) -> str:  # fmt: skip
     """What is shown while a scenario runs.
 
-    Example:
+    Examples:
         >>> live_line("straight_road", 12.0, 300.0, 41, 9.0, 0.8125, 2.5, 6.25)
         'straight_road: 12.0 of 300 s, 41 agents, 9x real time, 81 % right, 2.50 m off at 5 s, 6.2 ms a frame'
     """  # noqa: E501  the line is as long as it is

@@ -105,7 +105,7 @@ def traffic_positions(layout: str, d: int, steps: int, seed: int = 0) -> Iterato
 def graph_sequence(
     layout: str, kind: str, d: int, steps: int, skip: int = 0, seed: int = 0
 ) -> Iterator[TrafficGraph]:
-    """Traffic graphs of :func:`traffic_positions`, four neighbours, reset at 100.
+    """Traffic graphs of `traffic_positions`, four neighbours, reset at 100.
 
     Args:
         layout: "road" or "crossing".
@@ -324,7 +324,7 @@ def why_not(name: str, d: int, costs: Sequence[tuple[int, float]]) -> str | None
     Returns:
         The reason, or None if it is run.
 
-    Example:
+    Examples:
         >>> why_not("svd", 4000, [])
         'needs d^2 numbers and d^3 time: run up to 1000 vehicles'
         >>> why_not("lobpcg", 4000, [(100, 10.0), (1000, 1000.0)])
@@ -569,7 +569,7 @@ def spectrum_table(rows: Sequence[Row]) -> list[Row]:
     """Lay the bench out as a table for reading.
 
     Args:
-        rows: of :func:`run_spectrum_bench`.
+        rows: of `run_spectrum_bench`.
 
     Returns:
         One row per solver and sequence: milliseconds of CPU per step for every d ("skipped" where
@@ -613,7 +613,7 @@ def plot_spectrum(rows: Sequence[Row], path: Path) -> None:
     printed in the paper were not at hand, and are not drawn.
 
     Args:
-        rows: of :func:`run_spectrum_bench`.
+        rows: of `run_spectrum_bench`.
         path: picture to write, its ending says the format.
     """
     from matplotlib import colormaps
@@ -768,7 +768,7 @@ def run_spectrum_study(
         solver: name of the solver.
 
     Returns:
-        Flat rows as of :func:`run_spectrum_bench`, with ``d`` the largest: ``wrong_answers``,
+        Flat rows as of `run_spectrum_bench`, with ``d`` the largest: ``wrong_answers``,
         ``uncertified``, ``fallbacks``, ``eigenvalue_error_max`` and ``residual_max`` (both
         relative to max(1, lambda_max)), ``orthonormality_error_max``.
     """

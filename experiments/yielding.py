@@ -236,7 +236,7 @@ def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[
 def auc(chance: FloatArray, happened: FloatArray) -> float:
     """Probability that one who yielded was given a higher chance than one who did not.
 
-    Example:
+    Examples:
         >>> auc(np.array([0.9, 0.4, 0.4]), np.array([1.0, 1.0, 0.0]))
         0.75
     """

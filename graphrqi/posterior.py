@@ -19,7 +19,7 @@ class Posterior:
         ids: (n,) agent ids, ascending.
         probability: (n, 6) in the order of ``behaviors.BEHAVIORS``; rows sum to 1.
 
-    Example:
+    Examples:
         >>> p = Posterior(ids=[7], probability=[[0.1, 0.5, 0.1, 0.1, 0.1, 0.1]])
         >>> p.most_likely.tolist()
         [1]

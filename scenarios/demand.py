@@ -27,7 +27,7 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
     Raises:
         InputError: if it is neither a level nor a number >= 0.
 
-    Example:
+    Examples:
         >>> parse_flow("medium", {"medium": 2400.0}), parse_flow("900", {})
         (2400.0, 900.0)
     """
@@ -59,7 +59,7 @@ def parse_mix(
         InputError: if a behaviour is unknown or named twice, a share is negative or no number, or
             the shares do not add to 1.
 
-    Example:
+    Examples:
         >>> parse_mix("reckless=.25, timid=.75")
         {<Behavior.RECKLESS: 'reckless'>: 0.25, <Behavior.TIMID: 'timid'>: 0.75}
     """
@@ -80,7 +80,7 @@ def parse_kinds(
     Raises:
         InputError: as `parse_mix` does; pedestrians are not vehicles.
 
-    Example:
+    Examples:
         >>> parse_kinds("car=.9,bus=.1")
         {<AgentKind.CAR: 'car'>: 0.9, <AgentKind.BUS: 'bus'>: 0.1}
     """

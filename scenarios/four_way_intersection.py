@@ -67,7 +67,7 @@ def four_way_intersection(
     Raises:
         InputError: if an option is out of range; the message names it.
 
-    Example:
+    Examples:
         >>> len(four_way_intersection().road.signal_groups)
         4
         >>> four_way_intersection(control="priority").road.signal_groups

@@ -65,7 +65,7 @@ def straight_road(
     Raises:
         InputError: if an option is out of range; the message names it.
 
-    Example:
+    Examples:
         >>> straight_road(flow="light", lanes=2).road.name
         'straight_road'
     """

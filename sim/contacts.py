@@ -48,7 +48,7 @@ def contacts(tracks: Tracks) -> tuple[Contact, ...]:
     Returns:
         Contacts in order of their beginning, then of rows.
 
-    Example:
+    Examples:
         >>> time_s = np.array([0.1, 0.2, 0.3])
         >>> xy = np.array([[[0.0, 0.0]] * 3, [[9.0, 0.0], [4.0, 0.0], [9.0, 0.0]]])
         >>> still = np.zeros((2, 3))

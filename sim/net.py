@@ -46,7 +46,7 @@ STOPPING_STATES: Final = frozenset("sw")
 def signal_code(letter: str) -> int:
     """The code into ``SIGNALS`` of one letter of a SUMO signal state.
 
-    Example:
+    Examples:
         >>> signal_code("G"), signal_code("r")
         (2, 0)
     """

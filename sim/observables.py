@@ -153,7 +153,7 @@ def observe(traffic: Frame | Tracks, road: Road) -> Observables:
     Returns:
         Arrays of shape (n,) for a frame, (N, T) for tracks; rows as in ``traffic``.
 
-    Example:
+    Examples:
         >>> from pathlib import Path
         >>> from sim.road import Lane
         >>> lane = Lane("a", "e", 0, np.array([[0.0, 0.0], [100.0, 0.0]]), 3.2, 10.0)
@@ -234,7 +234,7 @@ def along(line: FloatArray, xy: FloatArray) -> tuple[FloatArray, FloatArray, flo
         (n,) distance along it, m (negative before it, above its length after it), (n,) distance to
         its left, m, and its length, m.
 
-    Example:
+    Examples:
         >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
         >>> u.tolist(), left.tolist(), total
         ([9.0], [-1.0], 8.0)

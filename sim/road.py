@@ -121,7 +121,7 @@ class SignalPlan:
     def state_at(self, time_s: float) -> tuple[int, ...]:
         """Codes into ``SIGNALS`` of ``groups`` at a time.
 
-        Example:
+        Examples:
             >>> plan = SignalPlan("t", (0,), (0,), (30.0, 30.0), ((2,), (0,)))
             >>> plan.state_at(29.9), plan.state_at(30.0), plan.state_at(60.0)
             ((2,), (0,), (2,))

@@ -74,7 +74,7 @@ def band(line: FloatArray, width_m: float) -> FloatArray:
     Returns:
         (2 P, 2) its right side (for y up) forwards, then its left side backwards, m.
 
-    Example:
+    Examples:
         >>> band(np.array([[0.0, 0.0], [4.0, 0.0]]), 2.0).tolist()
         [[0.0, -1.0], [4.0, -1.0], [4.0, 1.0], [0.0, 1.0]]
     """

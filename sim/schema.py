@@ -58,7 +58,7 @@ def split_of(index: int) -> Split:
     Returns:
         The split.
 
-    Example:
+    Examples:
         >>> [split_of(i) for i in range(6)]
         ['train', 'validation', 'test', 'train', 'train', 'train']
     """

@@ -29,7 +29,7 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]
     Returns:
         What is where (by name: type, offset in bytes, count), and the text.
 
-    Example:
+    Examples:
         >>> index, text = pack({"a": np.array([1, 2], dtype="<i2")})
         >>> index, list(zlib.decompress(base64.b64decode(text)))
         ({'a': ['Int16', 0, 2]}, [1, 0, 2, 0])
@@ -65,7 +65,7 @@ def differences(values: FloatArray, begins: IntArray, unit: float) -> tuple[IntA
     Returns:
         (r,) the first values as int32, and (n,) int16 steps, 0 at the beginning of each run.
 
-    Example:
+    Examples:
         >>> first, steps = differences(np.array([1.0, 1.5, 9.0]), np.array([0, 2]), 0.5)
         >>> first.tolist(), steps.tolist()
         ([2, 18], [0, 1, 0])

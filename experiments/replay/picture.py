@@ -85,7 +85,7 @@ def lay_out(extent: tuple[float, float, float, float], width: int, height: int) 
     Returns:
         The panels, top to bottom.
 
-    Example:
+    Examples:
         >>> [len(lay_out((0, 0, size, 12), 1280, 720)) for size in (12, 800)]
         [1, 6]
     """

@@ -20,7 +20,7 @@ def ramp_color(share: float) -> str:
     Returns:
         sRGB.
 
-    Example:
+    Examples:
         >>> ramp_color(1.0), ramp_color(7.0)
         ('#fde725', '#fde725')
     """

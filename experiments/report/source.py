@@ -60,7 +60,7 @@ class Source:
 def kind_of(row: Row) -> str:
     """What kind of measurement a row is of.
 
-    Example:
+    Examples:
         >>> kind_of({"jobs": 2, "metric": "speedup", "value": 1.9})
         'generate'
     """

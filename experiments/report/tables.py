@@ -97,7 +97,7 @@ def words(value: object) -> str:
 def number(value: float) -> str:
     """A figure with three or four digits that mean something.
 
-    Example:
+    Examples:
         >>> [number(x) for x in (0.51249, 12.3456, 1234.5, 0.00012, 3, 0.0)]
         ['0.512', '12.35', '1234', '0.00012', '3', '0']
     """

@@ -25,7 +25,7 @@ MAX_ITERATIONS: Final = 500
 def softmax(scores: FloatArray) -> FloatArray:
     """(n, C) probabilities in proportion to the exponentials of scores (n, C).
 
-    Example:
+    Examples:
         >>> softmax(np.array([[0.0, np.log(3.0)]]))
         array([[0.25, 0.75]])
     """

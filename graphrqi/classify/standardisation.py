@@ -23,7 +23,7 @@ class Standardisation:
         mean: (F,) of the training data.
         scale: (F,) standard deviation; 1 where a feature does not vary.
 
-    Example:
+    Examples:
         >>> s = Standardisation.of(np.array([[0.0, 5.0], [2.0, 5.0]]))
         >>> s.apply(np.array([[3.0, 5.0]]))
         array([[2., 0.]])

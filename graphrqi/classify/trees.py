@@ -24,7 +24,7 @@ class Trees:
         right: (N,) node to the right.
         value: (N, C) what a leaf adds; zero elsewhere.
 
-    Example:
+    Examples:
         >>> stump = Trees.single(
         ...     feature=np.array([0, -1, -1]), threshold=np.array([0.5, 0.0, 0.0]),
         ...     left=np.array([1, 0, 0]), right=np.array([2, 0, 0]),

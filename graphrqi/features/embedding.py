@@ -82,7 +82,7 @@ class LaplacianPairs:
         Returns:
             As many as there are.
 
-        Example:
+        Examples:
             >>> path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
             >>> LaplacianPairs.solved(path, 2).values.round(3)
             array([1., 2.])

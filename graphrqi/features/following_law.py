@@ -83,7 +83,7 @@ def infer(sums: FloatArray) -> FloatArray:
         (n, 7) columns named by ``LAW_NAMES``: posterior means, posterior standard deviations, and
         the root mean square residual of the law, m. With nothing observed they are the prior's.
 
-    Example:
+    Examples:
         >>> v = np.linspace(5.0, 15.0, 50)
         >>> follows = products(v, v, 2.0 + 1.2 * v, np.full(50, True)).sum(axis=0)
         >>> infer(follows[None])[0, :2].round(1)

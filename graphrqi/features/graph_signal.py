@@ -30,7 +30,7 @@ def differences(
         (n, scales) column j is P^j s - P^(j+1) s; NaN where the signal is unknown or there is no
         neighbour.
 
-    Example:
+    Examples:
         >>> path = csr_array(np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=float))
         >>> differences(path, np.array([1.0, 2.0, 6.0]), np.ones(3, bool), scales=1).ravel()
         array([-1. , -1.5,  4. ])

@@ -62,7 +62,7 @@ def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
     Returns:
         Indices into ``new_ids`` and into ``old_ids`` of those in both.
 
-    Example:
+    Examples:
         >>> align(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([0, 2]), array([1, 2]))
     """

@@ -61,7 +61,7 @@ def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
     Returns:
         A count: the last eigenspace is left out if pairs of it may be missing.
 
-    Example:
+    Examples:
         >>> whole_eigenspaces(np.array([5.0, 3.0, 3.0]), complete=False)
         1
     """

@@ -44,7 +44,7 @@ def spread(
         blocks: B of them.
         out: (n, S) receives the weights, the blocks' nodes side by side; must be zero before.
 
-    Example:
+    Examples:
         >>> out = np.zeros((1, 2))
         >>> spread(np.array([[0.25]]), np.array([[True]]), (Block("gap", (0.0, 1.0)),), out)
         >>> out
@@ -75,7 +75,7 @@ def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
         counted; the root evens out rare and common values), then their means, then log(1 + their
         totals in tenths of a second).
 
-    Example:
+    Examples:
         >>> b = Block("gap", (0.0, 1.0))
         >>> describe(np.array([[3.0, 1.0]]), (b,)).round(2)
         array([[0.87, 0.5 , 0.25, 3.71]])

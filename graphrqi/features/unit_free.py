@@ -85,7 +85,7 @@ def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
     Returns:
         (N, T, 2); unknown stays unknown.
 
-    Example:
+    Examples:
         >>> smoothed(np.array([[[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]]), 3)[0, 1].tolist()
         [2.0, 1.0]
     """

@@ -1,6 +1,6 @@
 """Traffic graphs: vehicles are the nodes, nearness makes the edges.
 
-Example:
+Examples:
     >>> from graphrqi.graph import TrafficGraph
     >>> graph = TrafficGraph.from_edges([7, 8, 9], [(7, 8), (8, 9)])
     >>> graph.laplacian.toarray()

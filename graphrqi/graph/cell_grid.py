@@ -105,7 +105,7 @@ def nearest_neighbors(ids: Ids, xy: Floats, neighbors: int, grid: Grid) -> tuple
         ids: (n,) different ids.
         xy: (n, 2) positions, m.
         neighbors: how many; n - 1 where fewer exist.
-        grid: :func:`cell_grid` of the positions.
+        grid: `cell_grid` of the positions.
 
     Returns:
         (n + 1,) starts and the (n * k,) positions of the neighbours, nearest first.
@@ -187,7 +187,7 @@ def within_radius(xy: Floats, radius_m: float, grid: Grid) -> tuple[Ints, Ints]:
     Args:
         xy: (n, 2) positions, m.
         radius_m: the distance, included.
-        grid: :func:`cell_grid` of the positions.
+        grid: `cell_grid` of the positions.
 
     Returns:
         (n + 1,) starts and the positions of the vehicles within reach.

@@ -89,7 +89,7 @@ class GraphChange:
 class TrafficGraph:
     """An undirected weighted graph of vehicles, as its Laplacian D - A.
 
-    Make one with :meth:`from_edges`, or with :meth:`empty` and then :meth:`observe`.
+    Make one with `from_edges`, or with `empty` and then `observe`.
 
     Attributes:
         ids: (d,) the vehicle of each row.
@@ -100,7 +100,7 @@ class TrafficGraph:
         observations: observations since the last reset, this one included.
         earlier: the graph before the last observation, itself without one.
 
-    Example:
+    Examples:
         >>> graph = TrafficGraph.empty(neighbors=1).observe([3, 1, 2], [[0, 0], [1, 0], [9, 0]])
         >>> graph.edges.tolist()
         [[3, 1], [1, 2]]
@@ -195,7 +195,7 @@ class TrafficGraph:
         radius_m: float | None = None,
         scale_m: float | None = None,
     ) -> TrafficGraph:
-        """Return a graph without vehicles that knows how to grow, see :class:`ObservationRule`.
+        """Return a graph without vehicles that knows how to grow, see `ObservationRule`.
 
         Args:
             neighbors: nearest vehicles each vehicle is joined to.
@@ -349,7 +349,7 @@ def change_between(before: TrafficGraph, after: TrafficGraph) -> GraphChange:
     Returns:
         Vehicles and edges in which they differ.
 
-    Example:
+    Examples:
         >>> a = TrafficGraph.from_edges([1, 2, 3], [(1, 2)])
         >>> change = change_between(a, TrafficGraph.from_edges([3, 2, 4], [(3, 2)]))
         >>> change.arrived.tolist(), change.departed.tolist()

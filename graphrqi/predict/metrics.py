@@ -64,7 +64,7 @@ def min_fde_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
 def miss_rate(gap: FloatArray, probability: FloatArray) -> FloatArray:
     """(n,) 1 where every future ends farther than `MISS_THRESHOLD_M` away, else 0.
 
-    Example:
+    Examples:
         >>> miss_rate(np.array([[[0.5], [3.0]], [[2.5], [4.0]]]), np.full((2, 2), 0.5)).tolist()
         [0.0, 1.0]
     """
@@ -106,7 +106,7 @@ def overlap(
     Returns:
         Whether each touches any other.
 
-    Example:
+    Examples:
         >>> overlap(np.array([[0.0, 0.0], [4.0, 0.5], [9.0, 0.0]]), np.zeros(3), np.full(3, 4.5),
         ...         np.full(3, 2.0)).tolist()
         [True, True, False]

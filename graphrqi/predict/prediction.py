@@ -24,7 +24,7 @@ class Prediction:
         spread: (n, K, H) standard deviation of each coordinate about each future, m, or None
             where a predictor says nothing of it.
 
-    Example:
+    Examples:
         >>> one = Prediction([4], [1.0], np.zeros((1, 2, 1, 2)), [[0.3, 0.7]])
         >>> one.best.shape
         (1, 1, 2)

@@ -1,6 +1,6 @@
 """The spectrum of a traffic graph: one contract, many eigenvalue algorithms.
 
-Example:
+Examples:
     >>> from graphrqi.graph import TrafficGraph
     >>> from graphrqi.spectrum import SOLVERS
     >>> star = TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (1, 3), (1, 4)])

@@ -53,7 +53,7 @@ def solve(
 
     Returns:
         The pairs; not certified, except where half of all pairs or more were asked for and the
-        answer is :mod:`graphrqi.spectrum.eigh`'s.
+        answer is `graphrqi.spectrum.eigh`'s.
 
     Raises:
         InputError: for an argument out of range.

@@ -120,7 +120,7 @@ def solve(
     Raises:
         InputError: for an argument out of range.
 
-    Example:
+    Examples:
         >>> road = [(i, i + 1) for i in range(99)]
         >>> first = solve(TrafficGraph.from_edges(range(100), road), 3)
         >>> exact = 2 - 2 * np.cos(np.pi * np.arange(99, 96, -1) / 100)

@@ -56,7 +56,7 @@ def solve(
 
     Returns:
         The Ritz pairs, converged or not; not certified, except where half of all pairs or more
-        were asked for and the answer is :mod:`graphrqi.spectrum.eigh`'s.
+        were asked for and the answer is `graphrqi.spectrum.eigh`'s.
 
     Raises:
         InputError: for an argument out of range.

@@ -116,7 +116,7 @@ def null_space(graph: TrafficGraph) -> Floats:
     Returns:
         (d, c) indicator of each component over the square root of its size.
 
-    Example:
+    Examples:
         >>> null_space(TrafficGraph.from_edges([1, 2, 3], [(1, 2)])).round(3).tolist()
         [[0.707, 0.0], [0.707, 0.0], [0.0, 1.0]]
     """

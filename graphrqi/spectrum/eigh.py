@@ -48,7 +48,7 @@ def solve(
     Raises:
         InputError: for an argument out of range.
 
-    Example:
+    Examples:
         >>> ring = TrafficGraph.from_edges([0, 1, 2], [(0, 1), (1, 2), (2, 0)])
         >>> solve(ring, 2).eigenvalues.round(6).tolist()
         [3.0, 3.0]

@@ -86,7 +86,7 @@ def solve(
     Raises:
         InputError: for an argument out of range.
 
-    Example:
+    Examples:
         >>> first = solve(TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4)]))
         >>> longer = TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4), (1, 3)])
         >>> second = solve(longer, 4, previous=first)

@@ -23,7 +23,7 @@ def full_spectrum(graph: TrafficGraph, tol: float = 1e-8) -> Spectrum:
     Returns:
         All d pairs, as the smallest end.
 
-    Example:
+    Examples:
         >>> pairs = full_spectrum(TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (3, 4)]))
         >>> pairs.eigenvalues.round(6).tolist()
         [0.0, 0.0, 2.0, 2.0]
@@ -80,7 +80,7 @@ def topology(spectrum: Spectrum) -> Floats:
     Returns:
         (d, k) L u_i in columns.
 
-    Example:
+    Examples:
         >>> pairs = full_spectrum(TrafficGraph.from_edges([1, 2], [(1, 2)]))
         >>> abs(topology(pairs)).round(3).tolist()
         [[0.0, 1.414], [0.0, 1.414]]

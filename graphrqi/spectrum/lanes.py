@@ -1,7 +1,7 @@
 """Eight numbers at a time: the arithmetic all kernels of the tracker are written in.
 
 An (n, 8) array holds eight systems, or eight vectors, side by side. A row of it is a value of
-type :class:`Eight`, one 512-bit register or two of 256 bits, and these functions are single
+type `Eight`, one 512-bit register or two of 256 bits, and these functions are single
 machine instructions on it. They can be called from compiled functions only.
 """
 

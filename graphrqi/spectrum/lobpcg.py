@@ -53,7 +53,7 @@ def solve(
 
     Returns:
         The pairs, converged or not; not certified, except where a fifth of all pairs or more
-        were asked for and the answer is :mod:`graphrqi.spectrum.eigh`'s.
+        were asked for and the answer is `graphrqi.spectrum.eigh`'s.
 
     Raises:
         InputError: for an argument out of range.

@@ -10,7 +10,7 @@ Sherman-Morrison in the old eigenbasis. For no binary delta is this matrix a Lap
 pairs drift away from the graph's by order 1 at the first step; edges that vanish have no update
 at all; several pairs converge to the same vector, so the columns are not orthonormal. Nothing here
 mends that: the answer's ``residuals`` say what it costs. docs/spectrum.md shows each error in two
-lines; :mod:`graphrqi.spectrum.exact` is the same algorithm made right.
+lines; `graphrqi.spectrum.exact` is the same algorithm made right.
 
 The printed loop, "while ||x_new - x_old|| <= eps", is reversed (it would stop at once); it is run
 the way it must have been meant. Costs O(d^2) per iteration and O(d^3) per arrival.

@@ -1,7 +1,7 @@
 """The singular value decomposition by LAPACK, as the paper's table has it.
 
 A Laplacian is symmetric and positive semidefinite, so its singular values are its eigenvalues
-and its left singular vectors eigenvectors. Costs O(d^3), a few times :mod:`graphrqi.spectrum.eigh`,
+and its left singular vectors eigenvectors. Costs O(d^3), a few times `graphrqi.spectrum.eigh`,
 for it does not use the symmetry; fails nowhere.
 
 References:

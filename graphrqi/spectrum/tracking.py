@@ -1,7 +1,7 @@
 """Kernel of the certified tracker: Rayleigh-quotient iterations that share their factorisations.
 
 All vectors are in elimination order, and M is L at the largest end and -L at the smallest, so that
-the wanted eigenvalues are always the largest of M. See :mod:`graphrqi.spectrum.certified`.
+the wanted eigenvalues are always the largest of M. See `graphrqi.spectrum.certified`.
 """
 
 from __future__ import annotations
@@ -988,7 +988,7 @@ class Analysis(NamedTuple):
 
     Attributes:
         order: (d,) row at each place of the elimination order; then as of
-            :func:`factor_pattern`.
+            `factor_pattern`.
     """
 
     order: Ints

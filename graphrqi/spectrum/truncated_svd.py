@@ -51,7 +51,7 @@ def solve(
 
     Returns:
         Orthonormal vectors with their Rayleigh quotients; never certified, except where every
-        pair was asked for and the answer is :mod:`graphrqi.spectrum.eigh`'s.
+        pair was asked for and the answer is `graphrqi.spectrum.eigh`'s.
 
     Raises:
         InputError: for an argument out of range.

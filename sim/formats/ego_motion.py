@@ -38,7 +38,7 @@ def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, Flo
         (2, 2) rotation and (2,) shift with ``after @ rotation.T + shift`` near ``before`` for at
         least half of the points.
 
-    Example:
+    Examples:
         >>> still = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 9.0], [7.0, 7.0]])
         >>> seen = still - [1.0, 0.5]
         >>> seen[3] += 5.0  # one drives off

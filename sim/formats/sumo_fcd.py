@@ -74,7 +74,7 @@ TYPES_SUFFIX: Final = ".types.xml"
 def heading_of(angle_deg: float) -> float:
     """SUMO's angle as heading, rad.
 
-    Example:
+    Examples:
         >>> heading_of(90.0), round(heading_of(0.0), 4)
         (0.0, 1.5708)
     """
@@ -84,7 +84,7 @@ def heading_of(angle_deg: float) -> float:
 def angle_of(heading: float) -> float:
     """Heading as SUMO's angle, degrees in [0, 360).
 
-    Example:
+    Examples:
         >>> angle_of(0.0), angle_of(math.pi / 2)
         (90.0, 0.0)
     """

@@ -35,7 +35,7 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         line_types: what is painted on the left and on the right.
         speed_limit: m/s.
 
-    Example:
+    Examples:
         >>> lane = PolylineLane(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]), 3.2)
         >>> lane.length, lane.local_coordinates(np.array([9.0, 4.0]))
         (20.0, (14.0, 1.0))

@@ -49,7 +49,7 @@ def draw(
     Returns:
         (n, 2) centres, m, and (n,) headings, rad in (-pi, pi].
 
-    Example:
+    Examples:
         >>> before = np.full((1, 4), np.nan)
         >>> agent, nowhere = np.zeros(1, np.int64), np.array([[np.inf] * 2, [-np.inf] * 2])
         >>> for x, y in ((5.0, 0.0), (5.0, 1.0)):  # the front jumps aside: the car slides
