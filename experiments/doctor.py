@@ -22,6 +22,7 @@ START_LIMIT_S: Final = 120.0
 EXTRAS: Final[dict[str, str]] = {
     "cluster": "only needed to generate on many machines",
     "networks": "only needed to build roads of your own",
+    "video": "only needed for films in MP4",
     "docs": "only needed to build the documentation's pages",
     "dev": "only needed to test and change the code",
 }
