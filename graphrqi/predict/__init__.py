@@ -30,6 +30,7 @@ PREDICTORS: Final[dict[str, str]] = {
     "oracle": "graphrqi.predict.following:oracle",
     "shuffled": "graphrqi.predict.following:shuffled",
     "lstm": "graphrqi.predict.lstm:lstm",
+    "mlp": "graphrqi.predict.learned:mlp",
     "graphrqi-predict": "graphrqi.predict.learned:graphrqi_predict",
     "graphrqi-predict-unlabelled": "graphrqi.predict.learned:unlabelled_predict",
     "graphrqi-predict-oracle": "graphrqi.predict.learned:oracle_predict",
