@@ -91,7 +91,10 @@ class CuttingIn:
         )
         self._size = {str(a.id): a for a in agents}
         self._drivers: dict[str, _Driver] = {}
+        wide = {edge for edge, index in self._drivable if (edge, index + 1) in self._drivable}
         for agent in agents:
+            if not wide.intersection(agent.route):
+                continue
             if agent.profile is not None and agent.profile.cut_in_rate_per_min > 0:
                 rng = np.random.default_rng((agent.seed, 2))
                 driver = _Driver(

@@ -66,6 +66,7 @@ class _Driver:
     agent: AgentSpec
     rng: np.random.Generator
     wish_s: float
+    against: frozenset[str]
     passing: str = ""
     since_s: float = -1.0
     returning: bool = False
@@ -91,7 +92,8 @@ class WrongWay:
         self.removed: list[int] = []
         for agent in agents if self._passable else ():
             if agent.profile is not None and agent.profile.wrong_way_rate_per_min > 0:
-                driver = _Driver(agent, np.random.default_rng((agent.seed, 4)), 0.0)
+                rng = np.random.default_rng((agent.seed, 4))
+                driver = _Driver(agent, rng, 0.0, self._against(agent.route, agents))
                 driver.wish_s = agent.depart_s + _pause_s(driver)
                 self._drivers[str(agent.id)] = driver
 
@@ -117,7 +119,7 @@ class WrongWay:
                 if driver.agent.id in self.removed:
                     present.remove(name)
             elif time_s >= driver.wish_s:
-                leader = self._chance(name, present)
+                leader = self._chance(name, driver, present)
                 if leader:
                     lane = self._lanes[self._sumo.vehicle_getLaneID(name)]
                     self._sumo.vehicle_setLaneChangeMode(name, NOTHING)
@@ -126,6 +128,15 @@ class WrongWay:
                     driver.passing, driver.since_s = leader, time_s
                 else:
                     driver.wish_s = time_s + _PERIOD_S
+
+    def _against(self, route: Sequence[str], agents: Sequence[AgentSpec]) -> frozenset[str]:
+        """Names of those who come the other way."""
+        edges = {
+            self._lanes[lane.opposite].edge
+            for lane in self._lanes.values()
+            if lane.opposite and lane.edge in route
+        }
+        return frozenset(str(a.id) for a in agents if edges & set(a.route))
 
     def _close_other_lanes(self) -> None:
         """Close the lanes beside the leftmost ones to who passes."""
@@ -136,7 +147,7 @@ class WrongWay:
                 closed = (*self._sumo.lane_getDisallowed(lane.id), PASSING_CLASS)
                 self._sumo.lane_setDisallowed(lane.id, closed)
 
-    def _chance(self, name: str, vehicles: Sequence[str]) -> str:
+    def _chance(self, name: str, driver: _Driver, vehicles: Sequence[str]) -> str:
         """The slower car ahead, if it can be passed now; otherwise nothing."""
         sumo = self._sumo
         lane = self._lanes.get(sumo.vehicle_getLaneID(name))
@@ -150,7 +161,7 @@ class WrongWay:
         desired = sumo.vehicle_getAllowedSpeed(name)
         if sumo.vehicle_getSpeed(leader[0]) > desired - SLOWER_MPS:
             return ""
-        distance, meeting = self._oncoming(name, vehicles)
+        distance, meeting = self._oncoming(name, driver, vehicles)
         return str(leader[0]) if distance > SIGHT_M and meeting > START_S else ""
 
     def _follow_up(
@@ -160,7 +171,7 @@ class WrongWay:
         wrong = self._on_wrong_side(name)
         speed = sumo.vehicle_getSpeed(name)
         if not driver.returning:
-            distance, meeting = self._oncoming(name, vehicles)
+            distance, meeting = self._oncoming(name, driver, vehicles)
             passed = driver.passing not in vehicles or self._behind(name, driver.passing)
             late = time_s - driver.since_s > LONGEST_S
             if passed or late or distance < RETURN_M or meeting < RETURN_S:
@@ -201,7 +212,7 @@ class WrongWay:
         ahead = (ox - x) * east + (oy - y) * north
         return bool(ahead < -PASSED_M)
 
-    def _oncoming(self, name: str, vehicles: Sequence[str]) -> tuple[float, float]:
+    def _oncoming(self, name: str, driver: _Driver, vehicles: Sequence[str]) -> tuple[float, float]:
         """Distance, m, and time to meeting, s, of the nearest vehicle coming the other way."""
         sumo = self._sumo
         x, y = sumo.vehicle_getPosition(name)
@@ -209,6 +220,8 @@ class WrongWay:
         speed = sumo.vehicle_getSpeed(name)
         nearest, soonest = math.inf, math.inf
         for other in vehicles:
+            if other not in driver.against:
+                continue
             ox, oy = sumo.vehicle_getPosition(other)
             ahead = (ox - x) * east + (oy - y) * north
             if ahead <= 0 or sumo.vehicle_getLaneID(other) not in self._oncoming_lanes:
