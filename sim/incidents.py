@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.traits import Exhibit, cutting_in, runs
-from sim.contacts import contacts
+from sim.contacts import Contact, contacts
 from sim.exhibits import see
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal, Tracks
 from sim.observables import Observables, along, observe
@@ -78,13 +78,17 @@ keep their lane stay 0.7 m from it)."""
 _STOP_SIGNALS: Final = (Signal.RED.code, Signal.YELLOW.code)
 
 
-def incidents(tracks: Tracks, road: Road, observed: Observables | None = None) -> tuple[Event, ...]:
+def incidents(
+    tracks: Tracks, road: Road, observed: Observables | None = None, *, recorded: bool = False
+) -> tuple[Event, ...]:
     """All events of an episode or recording.
 
     Args:
         tracks: what was seen; its own events (collisions, removals) are kept.
         road: where it happened.
         observed: its observables, if they are at hand.
+        recorded: whether boxes were measured, not simulated: then two that overlap have not
+            collided, but were measured a little wrong.
 
     Returns:
         Events in order of time; of each collision, ``agent`` is the party that caused it and
@@ -97,7 +101,7 @@ def incidents(tracks: Tracks, road: Road, observed: Observables | None = None) -
         *_wrong_way(tracks, seen),
         *_near_misses(tracks, seen),
     ]
-    collisions = _collisions(tracks)
+    collisions = _collisions(tracks, () if recorded else contacts(tracks))
     if collisions:
         arrays = see(tracks, road, (), seen)
         cuts, forbidden = cutting_in(arrays), arrays.off_crossing | arrays.on_red
@@ -371,7 +375,9 @@ def _near_misses(tracks: Tracks, seen: Observables) -> list[Event]:
     ]
 
 
-def _collisions(tracks: Tracks) -> list[tuple[tuple[int, int], NDArray[np.int64]]]:
+def _collisions(
+    tracks: Tracks, touches: Sequence[Contact]
+) -> list[tuple[tuple[int, int], NDArray[np.int64]]]:
     """Who collided, and the columns in which they touch: by the engine's word or by their boxes.
 
     Boxes alone do not tell that a pedestrian was hit: who waits at a kerb stands where a turning
@@ -387,7 +393,7 @@ def _collisions(tracks: Tracks) -> list[tuple[tuple[int, int], NDArray[np.int64]
                 int(np.searchsorted(tracks.time_s, event.time_s - 1e-6)), tracks.time_s.size - 1
             )
             flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))[at] = True
-    for contact in contacts(tracks):
+    for contact in touches:
         pair = (int(tracks.ids[contact.rows[0]]), int(tracks.ids[contact.rows[1]]))
         if pair not in flags and PEDESTRIAN in tracks.kind[list(contact.rows)]:
             continue

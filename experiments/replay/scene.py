@@ -142,7 +142,7 @@ def gather(
     exhibits = episode.exhibits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
         observed = observe(tracks, road)
-        events = incidents(tracks, road, observed)
+        events = incidents(tracks, road, observed, recorded=True)
         exhibits = exhibited(tracks, road, events, observed)
         tracks = dataclasses.replace(tracks, events=events)
     forecasts: list[Forecast] = []

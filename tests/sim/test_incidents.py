@@ -218,6 +218,13 @@ def test_a_collision_is_told_once_and_flagged_for_as_long_as_they_touch(straight
     assert [e.time_s for e in events] == pytest.approx((np.flatnonzero(touch) + 1) * STEP_S)
 
 
+def test_recorded_boxes_tell_no_collision(straight):
+    y = lane_xy(straight, "east_in_2")[0, 1]
+    fast, slow = line((100.0, y), (10.0, 0.0), 60), line((110.0, y), (5.0, 0.0), 60)
+    events = incidents(tracks_of(straight, [fast, slow]), straight, recorded=True)
+    assert EventKind.COLLISION not in kinds_of(events)
+
+
 def test_who_stands_between_lanes_is_at_fault(straight):
     y = lane_xy(straight, "east_in_2")[0, 1]
     between = np.tile([(150.0, y + 1.4)], (60, 1))
