@@ -63,7 +63,7 @@ def _navigation(quick: bool) -> list[Row]:
 def _loop(quick: bool) -> list[Row]:
     from experiments.loop_bench import run_loop_bench
 
-    return run_loop_bench(quick)
+    return [row for engine in ("sumo", "highway") for row in run_loop_bench(quick, engine)]
 
 
 BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
