@@ -37,7 +37,7 @@ def _highway(quick: bool) -> list[Row]:
 
 
 def _classification(quick: bool) -> list[Row]:
-    from experiments.protocols import run_classification_bench
+    from experiments.classification_bench import run_classification_bench
 
     return run_classification_bench(quick)
 

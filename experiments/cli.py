@@ -178,9 +178,9 @@ def train(
     quiet: Quiet = False,
 ) -> None:
     """Train a method on a dataset's training split."""
-    from experiments.train import train_dataset
+    from experiments.train import train_on
 
-    train_dataset(dataset, method, out, seed, quiet, jobs)
+    train_on([dataset], method, out, seed, quiet, jobs)
     typer.echo(f"{out}: {method} trained on {dataset}")
 
 
@@ -467,15 +467,29 @@ def bench_classification(
     out: Annotated[
         Path, typer.Option(help="Where datasets are made; those that are there are used.")
     ] = Path("runs/classification"),
+    protocols: Annotated[
+        str, typer.Option(metavar="A,B,...", help="Only these [default: all].")
+    ] = "",
+    plot: Annotated[
+        Path | None, typer.Option(help="Picture of reliability and noise to write.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     quick: Quick = False,
     json: Json = None,
 ) -> None:
     """Score every method under every protocol."""
-    from experiments.protocols import run_classification_bench
+    from experiments.classification_bench import (
+        PROTOCOLS,
+        plot_classification,
+        run_classification_bench,
+    )
     from experiments.tables import show_table
 
-    show_table(run_classification_bench(quick, data, out, jobs=jobs), json)
+    wanted = _words(protocols) or tuple(PROTOCOLS)
+    rows = run_classification_bench(quick, data, out, wanted, jobs)
+    if plot is not None:
+        plot_classification(rows, plot)
+    show_table(rows, json)
 
 
 @bench.command("prediction", epilog="example: graphrqi bench prediction --quick --plot yield.png")

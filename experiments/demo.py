@@ -65,7 +65,7 @@ def run_demo(
     classification: dict[str, dict[str, dict[str, Score]]] = {s: {} for s in SCENARIOS}
     confusion: dict[str, dict[str, list[list[int]]]] = {s: {} for s in SCENARIOS}
     for method in METHODS:
-        model, scored = train_model(dataset, method, seed=seed, jobs=jobs, quiet=quiet)
+        model, scored = train_model([dataset], method, seed=seed, jobs=jobs, quiet=quiet)
         save_model(model, out / ("model" if method == BEST_METHOD else f"models/{method}"))
         for scenario, found in scored.items():
             classification[scenario][method] = {

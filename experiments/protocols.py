@@ -3,10 +3,13 @@
 Every row says the protocol it was measured under:
 
 - ``inductive``: trained on training episodes, scored on episodes that were never seen.
+- ``shipped``: the model that ships with the package, on episodes of which it saw none.
+- ``random-rows``: what not to do: rows of the same drivers are learned and scored.
 - ``transductive``: half the drivers of an episode are labelled, the other half are scored.
 - ``across-scenarios``: trained on one scenario's episodes, scored on another's.
 - ``across-traffic``: scored on flows, mixes and scenarios that were never trained on.
 - ``across-engines``: trained on one simulator's drivers, scored on another's.
+- ``ablation``: ours without one kind of feature, and what that kind adds.
 - ``robustness``: windows, noise, lost frames, switches, cuts, long-tailed mixes, wrong labels.
 
 The ``leak-probe`` sees an agent's number and the time and nothing else; it has to stay at chance.
@@ -17,11 +20,10 @@ episodes; differences are of paired bootstraps.
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,6 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS, Style
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.disturbances import DISTURBANCES
-from experiments.generate import GenerateConfig, generate
 from experiments.metrics import (
     METRICS,
     bootstrap,
@@ -46,7 +47,8 @@ from experiments.scoring import majority_of
 from experiments.tables import Cell, Row
 from experiments.train import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from graphrqi.classify import Classifier, make_classifier
-from graphrqi.methods import METHODS, Model, train
+from graphrqi.features.plain import GRAPH_SIGNALS
+from graphrqi.methods import METHODS, Model, load_model, train
 from graphrqi.samples import WINDOWS_S, Samples, collect
 from graphrqi.stream import BehaviorStream
 from sim.dataset import Dataset, open_dataset
@@ -59,7 +61,7 @@ IntArray = NDArray[np.int64]
 OURS: Final = "graphrqi-plus"
 """The method that the others are compared with."""
 
-RIVALS: Final = ("forest", "boosted", "cheung", "dane", "graphrqi")
+RIVALS: Final = ("forest", "boosted", "cheung", "dane", "graphrqi", "graphrqi-invariant")
 """Methods whose paired difference to ours is given."""
 
 SCORED_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, float("inf"))
@@ -73,6 +75,12 @@ SCORED_EVERY_S: Final = 2.0
 
 LONG_TAIL: Final = (53, 13, 52, 266, 2, 6)
 """Agents of each behaviour in the annotated TRAF videos, in the order of ``BEHAVIORS``."""
+
+TRAINED_WITH: Final = ("position noise",)
+"""Disturbances that are also trained with: what every sensor has."""
+
+CROWDS: Final = (100, 1000)
+"""Numbers of agents that the time per frame is given for."""
 
 WRONG_LABELS: Final = (0.1, 0.3)
 """Shares of training drivers whose label is replaced by another one."""
@@ -109,7 +117,7 @@ def disturbed_samples(
     every_s: float,
     per_moment: int | None,
 ) -> Samples:
-    """Samples of one episode; of lives only the last look at each driver.
+    """Samples of one episode; of scored lives only the last look at each driver.
 
     Args:
         folder: of the dataset.
@@ -126,8 +134,10 @@ def disturbed_samples(
     """
     tracks = disturbed.applied(open_dataset(folder).read(entry).tracks, number)
     observer = METHODS[method].observer("graphrqi")
+    if per_moment is not None:
+        return collect(tracks, observer, number, windows_s, every_s, per_moment, number)
     finite = tuple(w for w in windows_s if np.isfinite(w))
-    parts = [collect(tracks, observer, number, finite, every_s, per_moment, number)]
+    parts = [collect(tracks, observer, number, finite, every_s, None, number)]
     if len(finite) < len(windows_s):
         again = METHODS[method].observer("graphrqi")
         lives = collect(tracks, again, number, (float("inf"),), every_s, None, number)
@@ -154,6 +164,7 @@ class Recordings:
         self._number = {e.id: i for i, e in enumerate(dataset.manifest.episodes)}
         self.scenario = np.array([e.scenario for e in dataset.manifest.episodes])
         self._kept: dict[tuple[tuple[object, ...], tuple[str, ...]], Samples] = {}
+        self._fitted: dict[tuple[str, str | None, Disturbed], tuple[Model, int]] = {}
 
     def _gather(
         self,
@@ -207,6 +218,20 @@ class Recordings:
         """The samples of one scenario."""
         return samples.where(self.scenario[samples.episode] == scenario)
 
+    def fitted(
+        self, method: str, scenario: str | None = None, disturbed: Disturbed = UNDISTURBED
+    ) -> tuple[Model, int]:
+        """A method trained on the training episodes (of one scenario), and their majority class."""
+        key = (method, scenario, disturbed)
+        if key not in self._fitted:
+            training = self.training(method, disturbed)
+            validation = self.validation(method, disturbed)
+            if scenario is not None:
+                training = self.of(scenario, training)
+                validation = None if validation is None else self.of(scenario, validation)
+            self._fitted[key] = train(method, training, validation), majority_of(training)
+        return self._fitted[key]
+
 
 # --- rows ---------------------------------------------------------------------------------------
 
@@ -237,6 +262,27 @@ def score_rows(
     for code in np.unique(samples.codes):
         values[f"recall_{BEHAVIORS[code].value}"] = bootstrap(recall_of(code), matrices)
     return [_row(keys, metric, value, len(samples)) for metric, value in values.items()]
+
+
+def reliability_rows(
+    samples: Samples, probability: FloatArray, keys: Mapping[str, Cell]
+) -> list[Row]:
+    """How often answers given with each confidence are right."""
+    bins = reliability(samples.codes, probability, samples.episode)
+    edges = np.linspace(0.0, 1.0, bins.shape[1] + 1)
+    rows = []
+    for number in np.flatnonzero(bins[..., 0].sum(axis=0)):
+        value = bootstrap(_share_right, bins[:, number])
+        about = f"confidence {edges[number]:.2f} to {edges[number + 1]:.2f}"
+        n = int(bins[:, number, 0].sum())
+        rows.append(_row({**keys, "variation": about}, "share_right", value, n))
+    return rows
+
+
+def _share_right(counts: FloatArray) -> FloatArray:
+    """(...) of answers, confidences and right answers (..., 3); NaN where there is no answer."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(counts[..., 2] / counts[..., 0])
 
 
 def _keys(
@@ -290,21 +336,6 @@ def difference_rows(
 # --- protocols ----------------------------------------------------------------------------------
 
 
-def fitted(
-    recordings: Recordings,
-    method: str,
-    scenario: str | None = None,
-    disturbed: Disturbed = UNDISTURBED,
-) -> tuple[Model, int]:
-    """A method trained on the training episodes, and their majority class."""
-    training = recordings.training(method, disturbed)
-    validation = recordings.validation(method, disturbed)
-    if scenario is not None:
-        training = recordings.of(scenario, training)
-        validation = None if validation is None else recordings.of(scenario, validation)
-    return train(method, training, validation), majority_of(training)
-
-
 def inductive(
     recordings: Recordings, methods: Sequence[str], windows_s: Sequence[float]
 ) -> list[Row]:
@@ -312,7 +343,7 @@ def inductive(
     rows: list[Row] = []
     answers: dict[tuple[str, str], FloatArray] = {}
     for method in methods:
-        model, majority = fitted(recordings, method)
+        model, majority = recordings.fitted(method)
         everything = recordings.scored(method, windows_s)
         for scenario in recordings.dataset.scenarios:
             here = recordings.of(scenario, everything)
@@ -325,6 +356,8 @@ def inductive(
                 rows += score_rows(samples, probability, majority, keys)
                 if window_s == MAIN_S:
                     answers[scenario, method] = probability
+                    if method == OURS:
+                        rows += reliability_rows(samples, probability, keys)
                     moving = samples.where(samples.moving)
                     if len(moving):
                         keys = _keys("inductive", scenario, method, window_s, "moving")
@@ -334,6 +367,90 @@ def inductive(
                 samples = here.where(_as_long_as(here, MAIN_S))
                 keys = _keys("inductive", scenario, OURS, MAIN_S, f"minus {method}")
                 rows += difference_rows(samples, rival, answers[scenario, method], keys)
+    return rows
+
+
+def shipped(recordings: Recordings, windows_s: Sequence[float] = SCORED_S) -> list[Row]:
+    """The model that ships with the package, on all episodes of a dataset that it never saw."""
+    model = load_model(OURS)
+    everything = recordings.scored(OURS, windows_s, split=None)
+    rows: list[Row] = []
+    for scenario in recordings.dataset.scenarios:
+        here = recordings.of(scenario, everything)
+        for window_s in windows_s:
+            samples = here.where(_as_long_as(here, window_s))
+            for about, part in (("", samples), ("moving", samples.where(samples.moving))):
+                if not len(part) or (about and not np.isfinite(window_s)):
+                    continue
+                probability = _posterior(model, part)
+                keys = _keys("shipped", scenario, OURS, window_s, about)
+                rows += score_rows(part, probability, majority_of(part), keys)
+                if window_s == MAIN_S and not about:
+                    rows += reliability_rows(part, probability, keys)
+    return rows
+
+
+def random_rows(recordings: Recordings, methods: Sequence[str]) -> list[Row]:
+    """Half of all windows learned and the other half scored, drivers and all: a leak, measured."""
+    rows: list[Row] = []
+    for method in (*methods, "leak-probe"):
+        samples = recordings.scored("majority" if method == "leak-probe" else method)
+        learned = np.random.default_rng(0).random(len(samples)) < 0.5
+        training, asked = samples.where(learned), samples.where(~learned)
+        if method == "leak-probe":
+            training, asked = _who_and_when(training), _who_and_when(asked)
+            probe = make_classifier("forest", len(BEHAVIORS), feature_share=1.0)
+            probe.fit(training.features.astype(np.float64), training.codes, None, 0)
+            probability = _posterior(probe, asked)
+        else:
+            probability = _posterior(train(method, training), asked)
+        for scenario in recordings.dataset.scenarios:
+            chosen = recordings.scenario[asked.episode] == scenario
+            keys = _keys("random-rows", scenario, method, MAIN_S)
+            majority = majority_of(training)
+            rows += score_rows(asked.where(chosen), probability[chosen], majority, keys)
+    return rows
+
+
+def _who_and_when(samples: Samples) -> Samples:
+    features = np.stack([samples.episode, samples.agent, samples.time_s], axis=1)
+    return dataclasses.replace(samples, features=features.astype(np.float32))
+
+
+KINDS_OF_FEATURES: Final[dict[str, tuple[str, ...]]] = {
+    "spectrum": ("spectrum_",),
+    "graph signals": tuple(f"{name}:" for name in GRAPH_SIGNALS),
+    "inferred driver": ("steady:", "held up:"),
+    "pace": ("free speed over pace:", "speed over pace:"),
+}
+"""What the names of each kind of feature begin with."""
+
+
+def ablation(recordings: Recordings) -> list[Row]:
+    """Ours without each kind of feature, on the same windows, and the paired difference."""
+    method = METHODS[OURS]
+    names = method.observer("graphrqi").feature_names
+    training, validation = recordings.training(OURS), recordings.validation(OURS)
+    samples = recordings.scored(OURS)
+    whole = _posterior(recordings.fitted(OURS)[0], samples)
+    rows: list[Row] = []
+    for kind, beginnings in KINDS_OF_FEATURES.items():
+        kept = np.flatnonzero([not name.startswith(beginnings) for name in names])
+        learner = make_classifier(method.classifier, len(BEHAVIORS), **method.options)
+        parts = [
+            (part.features[:, kept].astype(np.float64), part.codes)
+            for part in (training, validation)
+            if part is not None
+        ]
+        learner.fit(*parts[0], parts[1] if len(parts) > 1 else None, seed=0)
+        without = learner.posterior(samples.features[:, kept].astype(np.float64))
+        for scenario in recordings.dataset.scenarios:
+            chosen = recordings.scenario[samples.episode] == scenario
+            here = samples.where(chosen)
+            keys = _keys("ablation", scenario, OURS, MAIN_S, f"without {kind}")
+            rows += score_rows(here, without[chosen], majority_of(training), keys)
+            keys = _keys("ablation", scenario, OURS, MAIN_S, f"minus without {kind}")
+            rows += difference_rows(here, whole[chosen], without[chosen], keys)
     return rows
 
 
@@ -423,7 +540,7 @@ def across_scenarios(recordings: Recordings, methods: Sequence[str]) -> list[Row
     for method in methods:
         test = recordings.scored(method)
         for trained_on in recordings.dataset.scenarios:
-            model, majority = fitted(recordings, method, trained_on)
+            model, majority = recordings.fitted(method, trained_on)
             for scenario in recordings.dataset.scenarios:
                 if scenario == trained_on:
                     continue
@@ -440,13 +557,14 @@ def across_datasets(
     others: Mapping[str, Recordings],
     methods: Sequence[str],
     protocol: str,
+    split: Split | None = None,
 ) -> list[Row]:
-    """Trained on one dataset, scored on all episodes of others, named by what differs."""
+    """Trained on one dataset, scored on (a split of) others, named by what differs."""
     rows: list[Row] = []
     for method in methods:
-        model, majority = fitted(recordings, method)
+        model, majority = recordings.fitted(method)
         for variation, other in others.items():
-            everything = other.scored(method, split=None)
+            everything = other.scored(method, split=split)
             for scenario in other.dataset.scenarios:
                 here = other.of(scenario, everything)
                 keys = _keys(protocol, scenario, method, MAIN_S, variation)
@@ -503,18 +621,20 @@ def robustness(
             window_s = max((w for w in WINDOWS_S if w < longest), default=1.0)
             windows_s = (window_s if longest < MAIN_S else MAIN_S,)
             for method in methods:
-                clean, majority = fitted(recordings, method)
+                clean, majority = recordings.fitted(method)
                 test = recordings.scored(method, windows_s, disturbed)
                 about = str(disturbed)
                 if windows_s != (MAIN_S,):
                     about += f", windows of {windows_s[0]:g} s"
                 add(clean, majority, test, about)
-                known, majority = fitted(recordings, method, disturbed=disturbed)
+                if name not in TRAINED_WITH:
+                    continue
+                known, majority = recordings.fitted(method, disturbed=disturbed)
                 add(known, majority, test, f"{about}, trained with it")
     for method in methods:
         training, test = recordings.training(method), recordings.scored(method)
         validation = recordings.validation(method)
-        clean = train(method, training, validation)
+        clean, _ = recordings.fitted(method)
         tailed = _long_tailed(test, 0)
         add(clean, majority_of(training), tailed, "long-tailed mix")
         rare = _long_tailed(training, 1)
@@ -559,120 +679,55 @@ def interpretability(recordings: Recordings) -> list[Row]:
     return rows
 
 
-def speed_rows(recordings: Recordings, methods: Sequence[str], frames: int = 100) -> list[Row]:
+def _crowd(tracks: Tracks, agents: int) -> Tracks:
+    """Copies of a recording far from one another: so many are there half-way through it."""
+    present = int(tracks.valid[:, tracks.time_s.size // 2].sum())
+    copies = -(-agents // max(present, 1))
+    stride = int(tracks.ids.max()) + 1
+    shift = np.array([10_000.0, 0.0])
+    whole = {
+        name: np.concatenate([getattr(tracks, name)] * copies)
+        for name in ("kind", "length", "width", "heading", "speed", "valid")
+    }
+    everyone = dataclasses.replace(
+        tracks,
+        ids=np.concatenate([tracks.ids + c * stride for c in range(copies)]),
+        names=tuple(f"{c}/{name}" for c in range(copies) for name in tracks.names),
+        xy=np.concatenate([tracks.xy + c * shift for c in range(copies)]),
+        behavior=None,
+        events=(),
+        **whole,
+    )
+    there = np.flatnonzero(everyone.valid[:, tracks.time_s.size // 2])
+    return everyone.part(there[:agents], slice(None))
+
+
+def speed_rows(
+    recordings: Recordings,
+    methods: Sequence[str],
+    crowds: Sequence[int] = CROWDS,
+    frames: int = 100,
+) -> list[Row]:
     """Time from a frame to everyone's posterior, features included, ms (median)."""
     rows: list[Row] = []
     for method in methods:
-        model, _ = fitted(recordings, method)
+        model, _ = recordings.fitted(method)
         for scenario in recordings.dataset.scenarios:
             entry = recordings.dataset.episodes("test", scenario)[0]
             tracks = recordings.dataset.read(entry).tracks
-            stream, spent, agents = BehaviorStream(model), [], []
-            middle = tracks.time_s.size // 2
-            for step in range(max(0, middle - frames), middle + frames):
-                if step >= tracks.time_s.size:
-                    break
-                frame = tracks.frame(step)
-                begin = time.perf_counter()
-                stream.update(frame)
-                spent.append(1000.0 * (time.perf_counter() - begin))
-                agents.append(len(frame))
-            half = len(spent) // 2  # the first half warms up
-            low, value, high = np.quantile(spent[half:], [0.025, 0.5, 0.975])
-            keys = _keys(
-                "inductive", scenario, method, None, f"{np.median(agents[half:]):g} agents"
-            )
-            found = (float(value), float(low), float(high))
-            rows.append(_row(keys, "ms_per_frame", found, len(spent) - half))
+            for agents in crowds:
+                crowd = _crowd(tracks, agents)
+                stream, spent = BehaviorStream(model), []
+                middle = crowd.time_s.size // 2
+                first = max(0, middle - frames)
+                for step in range(first, min(middle + frames // 2, crowd.time_s.size)):
+                    frame = crowd.frame(step)
+                    begin = time.perf_counter()
+                    stream.update(frame)
+                    spent.append(1000.0 * (time.perf_counter() - begin))
+                measured = spent[len(spent) // 2 :]  # the first half warms up
+                low, value, high = np.quantile(measured, [0.025, 0.5, 0.975])
+                keys = _keys("speed", scenario, method, None, f"{agents} agents")
+                found = (float(value), float(low), float(high))
+                rows.append(_row(keys, "ms_per_frame", found, len(measured)))
     return rows
-
-
-# --- the bench ----------------------------------------------------------------------------------
-
-
-TRAFFIC: Final[dict[str, dict[str, Any]]] = {
-    "light flow": {"flow": "light"},
-    "dense flow": {"flow": "dense"},
-    "mostly careful": {"mix": {"careful": 0.6, "cautious": 0.2, "impatient": 0.1, "reckless": 0.04,
-                               "threatening": 0.03, "timid": 0.03}},
-    "other roads": {"scenarios": ("two_way_road", "priority_intersection")},
-}  # fmt: skip
-"""What is never trained on, as options of `GenerateConfig`."""
-
-SCENARIOS: Final = ("straight_road", "four_way_intersection")
-
-
-def _made(folder: Path, name: str, jobs: int | None, **options: Any) -> Recordings:
-    where = folder / name.replace(" ", "-")
-    config = GenerateConfig(**{"scenarios": SCENARIOS, "seed": 11, **options})
-    generate(config, where, jobs, quiet=True)
-    return Recordings(open_dataset(where), jobs)
-
-
-def run_classification_bench(
-    quick: bool = False,
-    dataset: Path | None = None,
-    folder: Path = Path("runs/classification"),
-    methods: Sequence[str] = tuple(METHODS),
-    jobs: int | None = None,
-) -> list[Row]:
-    """What ``graphrqi bench classification`` measures.
-
-    Args:
-        quick: few short episodes, one level of each disturbance, one method.
-        dataset: train and test on this one; None makes one.
-        folder: where datasets are made; what is there is used again.
-        methods: keys of ``METHODS``.
-        jobs: processes; None for one per core.
-
-    Returns:
-        Flat rows keyed by protocol, scenario, method, window_s and variation.
-    """
-    if quick:
-        with tempfile.TemporaryDirectory() as made:
-            size = {"episodes": 5, "duration_s": 40.0}
-            few = {"episodes": 1, "duration_s": 30.0}
-            dense = {"dense flow": TRAFFIC["dense flow"]}
-            return _measured(
-                dataset, Path(made), ("cheung",), ("cheung",), size, few, dense, jobs, 1
-            )
-    ours_first = sorted(methods, key=lambda name: name != OURS)
-    main = [name for name in ours_first if name in (OURS, "boosted")]
-    size, few = {"episodes": 20}, {"episodes": 5}
-    return _measured(dataset, folder, ours_first, main, size, few, TRAFFIC, jobs)
-
-
-def _measured(
-    dataset: Path | None,
-    folder: Path,
-    methods: Sequence[str],
-    main: Sequence[str],
-    size: Mapping[str, Any],
-    few: Mapping[str, Any],
-    traffic: Mapping[str, Mapping[str, Any]],
-    jobs: int | None,
-    levels: int | None = None,
-) -> list[Row]:
-    """Rows of every protocol: all methods where they are compared, the main ones elsewhere."""
-    if dataset is None:
-        recordings = _made(folder, "base", jobs, **size)
-    else:
-        recordings = Recordings(open_dataset(dataset), jobs)
-    others = {
-        name: _made(folder, name, jobs, **{**few, "seed": 12, **options})
-        for name, options in traffic.items()
-    }
-    highway = _made(folder, "highway", jobs, **{**few, "engine": "highway", "seed": 13})
-    engines = {"trained on sumo, scored on highway": highway}
-    return [
-        *inductive(recordings, methods, SCORED_S),
-        *leak_probe(recordings),
-        *ceiling(recordings),
-        *interpretability(recordings),
-        *transductive(recordings, methods),
-        *across_scenarios(recordings, main),
-        *across_datasets(recordings, others, main, "across-traffic"),
-        *across_datasets(recordings, engines, main, "across-engines"),
-        *robustness(recordings, main, levels),
-        *speed_rows(recordings, main),
-    ]

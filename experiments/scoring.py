@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from experiments.metrics import Estimate, confusion, score
-from experiments.windows import gather
+from experiments.windows import gather, scenarios_of
 from graphrqi.methods import Model
 from graphrqi.samples import Samples
 from sim.dataset import Dataset
@@ -30,7 +31,7 @@ class Scored:
 
 
 def score_model(
-    dataset: Dataset,
+    datasets: Sequence[Dataset],
     model: Model,
     majority: int,
     split: Split = "test",
@@ -40,7 +41,7 @@ def score_model(
     """Scores after 10 s of observation on the episodes of one split.
 
     Args:
-        dataset: labelled.
+        datasets: labelled.
         model: a trained model.
         majority: the most frequent class of the training data.
         split: which part of the data.
@@ -53,10 +54,12 @@ def score_model(
     Raises:
         InputError: if the split is empty.
     """
-    samples = gather(dataset, split, model.method.name, solver=model.solver, jobs=jobs, quiet=quiet)
-    scenario = np.array([e.scenario for e in dataset.manifest.episodes])[samples.episode]
+    samples = gather(
+        datasets, split, model.method.name, solver=model.solver, jobs=jobs, quiet=quiet
+    )
+    scenario = scenarios_of(datasets)[samples.episode]
     found = {}
-    for name in dataset.scenarios:
+    for name in dict.fromkeys(name for dataset in datasets for name in dataset.scenarios):
         here = samples.where(scenario == name)
         if not len(here):
             continue

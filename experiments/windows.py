@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from behaviors.errors import InputError
 from experiments.parallel import in_parallel
 from experiments.progress import Progress
@@ -35,8 +38,13 @@ def episode_samples(
     return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
 
 
+def scenarios_of(datasets: Sequence[Dataset]) -> NDArray[np.str_]:
+    """Scenario of each episode number of `gather`."""
+    return np.array([e.scenario for d in datasets for e in d.manifest.episodes])
+
+
 def gather(
-    dataset: Dataset,
+    datasets: Sequence[Dataset],
     split: Split,
     method: str,
     *,
@@ -52,7 +60,7 @@ def gather(
     """Samples of every episode of a split, made in parallel.
 
     Args:
-        dataset: where from.
+        datasets: where from.
         split: which part.
         method: whose observer to use.
         scenario: only this one; None for all.
@@ -65,26 +73,30 @@ def gather(
         quiet: whether to show no progress.
 
     Returns:
-        The samples; episodes are numbered as in the manifest.
+        The samples; episodes are numbered as in the manifests, one after another.
 
     Raises:
         InputError: if the split has no episode or no driver is seen long enough.
     """
-    numbered = {e.id: i for i, e in enumerate(dataset.manifest.episodes)}
-    entries = dataset.episodes(split, scenario)
-    if not entries:
+    arguments = []
+    first = 0
+    for dataset in datasets:
+        numbered = {e.id: first + i for i, e in enumerate(dataset.manifest.episodes)}
+        first += len(numbered)
+        arguments += [
+            (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s,
+             per_moment, seed)
+            for e in dataset.episodes(split, scenario)
+        ]  # fmt: skip
+    if not arguments:
         where = f" of scenario {scenario}" if scenario else ""
+        paths = ", ".join(str(d.path) for d in datasets)
         raise InputError(
-            f"{dataset.path}: found no {split} episode{where}, expected at least one; "
+            f"{paths}: found no {split} episode{where}, expected at least one; "
             "generate more episodes"
         )
-    arguments = [
-        (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s, per_moment,
-         seed)
-        for e in entries
-    ]  # fmt: skip
     parts: list[Samples] = []
-    with Progress(f"{method}: observing {split} episodes", len(entries), quiet) as progress:
+    with Progress(f"{method}: observing {split} episodes", len(arguments), quiet) as progress:
         for part in in_parallel(episode_samples, arguments, jobs):
             parts.append(part)
             progress.advance()

@@ -120,10 +120,10 @@ METHODS: Final[dict[str, Method]] = {
     ),
     "graphrqi-plus": Method(
         "graphrqi-plus",
-        "spectrum, graph signals, motion and interaction, from positions only",
+        "boosted trees on spectrum, graph signals, motion, interaction and inferred drivers",
         DrivingObserver,
-        "mlp",
-        {"hidden": (192, 96), "members": 3, "dropout": 0.3},
+        "boosted",
+        {"rounds": 160, "max_leaves": 31, "feature_share": 0.15},
     ),
 }
 """The methods there are; the keys are the methods' names."""

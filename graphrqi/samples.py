@@ -20,8 +20,9 @@ from sim.frames import Tracks
 
 FloatArray = NDArray[np.float64]
 
-WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0)
-"""Lengths of the stretches of observation that are trained on (our choice)."""
+WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0, float("inf"))
+"""Lengths of the stretches of observation that are trained on (our choice); the last is a driver's
+life so far, which is what a stream knows."""
 
 LOOK_S: Final = 1.0
 """Time between looks at what an observer has gathered: windows are differences of two looks, so

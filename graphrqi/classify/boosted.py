@@ -28,6 +28,7 @@ class Boosted:
         max_leaves: of a tree.
         min_leaf: fewest training samples in a leaf.
         ridge: penalty of squared leaf values.
+        feature_share: share of the features looked at for each split.
     """
 
     def __init__(
@@ -38,6 +39,7 @@ class Boosted:
         max_leaves: int = 15,
         min_leaf: int = 40,
         ridge: float = 1.0,
+        feature_share: float = 1.0,
     ) -> None:
         self._num_classes = num_classes
         self._options = {
@@ -46,8 +48,9 @@ class Boosted:
             "max_leaf_nodes": max_leaves,
             "min_samples_leaf": min_leaf,
             "l2_regularization": ridge,
+            "max_features": feature_share,
         }
-        self._trees = Trees.constant(np.zeros(num_classes))
+        self._trees = Trees.constant(np.zeros(1))
         self._baseline = np.zeros(num_classes)
         self._temperature = 1.0
 
@@ -83,14 +86,13 @@ class Boosted:
     def _plain(self, nodes: NDArray[Any], code: int) -> Trees:
         """One of scikit-learn's trees, its leaves adding to the score of a class."""
         leaf = nodes["is_leaf"].astype(bool)
-        value = np.zeros((nodes.size, self._num_classes))
-        value[leaf, code] = nodes["value"][leaf]
         return Trees.single(
             np.where(leaf, -1, nodes["feature_idx"]),
             np.where(leaf, 0.0, nodes["num_threshold"]),
             nodes["left"].astype(np.int64),
             nodes["right"].astype(np.int64),
-            value,
+            np.where(leaf, nodes["value"], 0.0)[:, None],
+            int(code),
         )
 
     def _best_round(self, rounds: list[Trees], features: FloatArray, codes: CodeArray) -> int:
@@ -98,12 +100,12 @@ class Boosted:
         scores = np.tile(self._baseline, (len(features), 1))
         rows, loss = np.arange(codes.size), []
         for trees in rounds:
-            scores += trees.total(features)
+            scores += trees.total(features, self._num_classes)
             loss.append(-np.log(np.maximum(softmax(scores)[rows, codes], 1e-300)).mean())
         return int(np.argmin(loss)) + 1
 
     def _untempered(self, features: FloatArray) -> FloatArray:
-        return softmax(self._trees.total(features) + self._baseline)
+        return softmax(self._trees.total(features, self._num_classes) + self._baseline)
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""

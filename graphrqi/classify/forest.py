@@ -65,7 +65,7 @@ class Forest:
             self._temperature = best_temperature(self._share(validation[0]), validation[1])
 
     def _share(self, features: FloatArray) -> FloatArray:
-        total = self._trees.total(features.astype(np.float32).astype(np.float64))
+        total = self._trees.total(features, self._num_classes)
         return np.asarray(total / total.sum(axis=1, keepdims=True))
 
     def posterior(self, features: FloatArray) -> FloatArray:

@@ -14,30 +14,34 @@ from graphrqi.classify.contract import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Trees:
-    """The nodes of all trees one after another.
+    """The nodes of all trees one after another, siblings side by side.
+
+    Features are compared in single precision.
 
     Attributes:
         root: (B,) node at which each tree begins.
-        feature: (N,) feature asked at a node; -1 at a leaf.
-        threshold: (N,) a value at most this goes left.
-        left: (N,) node to the left.
-        right: (N,) node to the right.
-        value: (N, C) what a leaf adds; zero elsewhere.
+        depth: (B,) steps from there to the deepest leaf.
+        column: (B,) of the sums that the first of a leaf's values adds to.
+        feature: (N,) feature asked at a node; 0 at a leaf.
+        threshold: (N,) a value above this goes to the second child; infinite at a leaf.
+        child: (N,) first child, the second comes next; a leaf is its own.
+        value: (N, W) what a leaf adds; zero elsewhere.
 
     Examples:
         >>> stump = Trees.single(
         ...     feature=np.array([0, -1, -1]), threshold=np.array([0.5, 0.0, 0.0]),
         ...     left=np.array([1, 0, 0]), right=np.array([2, 0, 0]),
         ...     value=np.array([[0.0], [-1.0], [1.0]]))
-        >>> Trees.join([stump, stump]).total(np.array([[0.2], [0.7]])).ravel()
+        >>> Trees.join([stump, stump]).total(np.array([[0.2], [0.7]]), 1).ravel()
         array([-2.,  2.])
     """
 
-    root: NDArray[np.int64]
-    feature: NDArray[np.int32]
-    threshold: FloatArray
-    left: NDArray[np.int32]
-    right: NDArray[np.int32]
+    root: NDArray[np.uint32]
+    depth: NDArray[np.uint32]
+    column: NDArray[np.uint32]
+    feature: NDArray[np.uint16]
+    threshold: NDArray[np.float32]
+    child: NDArray[np.uint32]
     value: NDArray[np.float32]
 
     @classmethod
@@ -48,15 +52,44 @@ class Trees:
         left: NDArray[Any],
         right: NDArray[Any],
         value: NDArray[Any],
+        column: int = 0,
     ) -> Trees:
-        """One tree that begins at its first node; see the attributes."""
+        """One tree, its nodes in any order.
+
+        Args:
+            feature: (N,) feature asked at a node; -1 at a leaf. The first node is the root.
+            threshold: (N,) a value at most this goes left.
+            left: (N,) node to the left.
+            right: (N,) node to the right.
+            value: (N, W) what a leaf adds.
+            column: of the sums that the first value adds to.
+
+        Returns:
+            The tree, level by level.
+        """
+        order, child, level, depth = [0], [0], [0], 0
+        for place in range(feature.size):
+            old = order[place]
+            if feature[old] < 0:
+                child[place] = place
+                continue
+            child[place] = len(order)
+            depth = max(depth, level[place] + 1)
+            order += [int(left[old]), int(right[old])]
+            child += [0, 0]
+            level += [level[place] + 1] * 2
+        asked = feature[order]
+        exact = threshold[order].astype(np.float64)
+        single = exact.astype(np.float32)
+        single = np.where(single > exact, np.nextafter(single, np.float32(-np.inf)), single)
         return cls(
-            np.zeros(1, dtype=np.int64),
-            feature.astype(np.int32),
-            threshold.astype(np.float64),
-            left.astype(np.int32),
-            right.astype(np.int32),
-            value.astype(np.float32),
+            np.zeros(1, dtype=np.uint32),
+            np.array([depth], dtype=np.uint32),
+            np.array([column], dtype=np.uint32),
+            np.maximum(asked, 0).astype(np.uint16),
+            np.where(asked < 0, np.float32(np.inf), single).astype(np.float32),
+            np.array(child, dtype=np.uint32),
+            value[order].astype(np.float32),
         )
 
     @classmethod
@@ -68,28 +101,25 @@ class Trees:
     @classmethod
     def join(cls, parts: Sequence[Trees]) -> Trees:
         """All trees of several collections."""
-        first = np.cumsum([0, *(p.feature.size for p in parts)])[:-1]
-        moved = [
-            (p.root + f, p.left + np.int32(f), p.right + np.int32(f))
-            for p, f in zip(parts, first, strict=True)
-        ]
+        first = np.cumsum([0, *(p.feature.size for p in parts)])[:-1].astype(np.uint32)
         return cls(
-            root=np.concatenate([m[0] for m in moved]),
+            root=np.concatenate([p.root + f for p, f in zip(parts, first, strict=True)]),
+            depth=np.concatenate([p.depth for p in parts]),
+            column=np.concatenate([p.column for p in parts]),
             feature=np.concatenate([p.feature for p in parts]),
             threshold=np.concatenate([p.threshold for p in parts]),
-            left=np.concatenate([m[1] for m in moved]),
-            right=np.concatenate([m[2] for m in moved]),
+            child=np.concatenate([p.child + f for p, f in zip(parts, first, strict=True)]),
             value=np.concatenate([p.value for p in parts]),
         )
 
-    def total(self, features: FloatArray) -> FloatArray:
-        """(n, C) sum over all trees of the leaves that samples (n, F) fall into."""
+    def total(self, features: FloatArray, sums: int) -> FloatArray:
+        """(n, sums) over all trees, of the leaves that samples (n, F) fall into."""
         from graphrqi.classify.tree_kernel import sum_of_leaves
 
-        out = np.zeros((len(features), self.value.shape[1]))
+        out = np.zeros((len(features), sums))
         sum_of_leaves(
-            np.ascontiguousarray(features, dtype=np.float64), self.root, self.feature,
-            self.threshold, self.left, self.right, self.value, out,
+            np.ascontiguousarray(features, dtype=np.float32), self.root, self.depth, self.column,
+            self.feature, self.threshold, self.child, self.value, out,
         )  # fmt: skip
         return out
 

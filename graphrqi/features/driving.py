@@ -14,6 +14,7 @@ from graphrqi.features.graph_spectrum import SPECTRAL, GraphSpectrum, spectral_m
 from graphrqi.features.interaction import Interaction, interactions
 from graphrqi.features.kinematic import Motion, MotionEstimator
 from graphrqi.features.observer import Observation
+from graphrqi.features.pace import Pace
 from graphrqi.features.spectral import INVARIANT_NAMES
 from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
@@ -39,6 +40,7 @@ _STANDSTILL_M = (0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0
 _SIDEWAYS_M = (0.0, 0.2, 0.5, 1.0, 1.8, 3.0, 4.5)
 _INVERSE_TTC = (0.0, 0.03, 0.07, 0.12, 0.2, 0.3, 0.5, 0.8, 1.5)
 _SLOW_MPS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
+_OF_PACE = tuple(round(0.3 + 0.06 * k, 2) for k in range(26))
 
 BLOCKS: Final[tuple[Block, ...]] = (
     Block("speed", _SPEED_MPS),
@@ -64,6 +66,12 @@ BLOCKS: Final[tuple[Block, ...]] = (
     Block("beside", (0.0, 1.0, 2.0, 4.0)),
     Block("speed near pedestrian", _SPEED_MPS),
     Block("acceleration near pedestrian", _ACCEL_MPS2),
+    Block("free speed over pace", _OF_PACE),
+    Block("speed over pace", _OF_PACE),
+    Block("speed while turning", _SPEED_MPS),
+    Block("braking when free", _POSITIVE_MPS2),
+    Block("waiting first", (0.0, 1.0)),
+    Block("pull-away when free", _POSITIVE_MPS2),
 )
 """What the driving observer watches (our choice of quantities and scales)."""
 
@@ -92,6 +100,7 @@ class DrivingObserver:
         self._spectrum = GraphSpectrum(solver)
         self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
         self._motion = MotionEstimator()
+        self._pace = Pace()
         self._evidence = Evidence(_WATCHED + _LAW + SPECTRAL)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
@@ -101,16 +110,22 @@ class DrivingObserver:
         self._spectrum.observe(ids, xy)
         around = interactions(motion, drives, self._near.adjacency)
         moment = np.zeros((ids.size, _WATCHED + _LAW + SPECTRAL))
-        self._watch(motion, around, drives, moment)
+        self._watch(time_s, motion, around, drives, moment)
         moment[:, _WATCHED + _LAW :] = self._spectrum.moment(time_s, ids)
-        self._evidence.add(time_s, ids[drives], moment[drives])
+        everyone = bool(drives.all())  # spares a copy
+        self._evidence.add(time_s, ids[drives], moment if everyone else moment[drives])
 
     def observation(self) -> Observation:
         """Evidence on the drivers present."""
         return self._evidence.observation()
 
     def _watch(
-        self, motion: Motion, around: Interaction, drives: BoolArray, out: FloatArray
+        self,
+        time_s: float,
+        motion: Motion,
+        around: Interaction,
+        drives: BoolArray,
+        out: FloatArray,
     ) -> None:
         """Write this moment's weights of every block."""
         adjacency = self._near.adjacency
@@ -131,15 +146,18 @@ class DrivingObserver:
         standing = has_leader & (v < 0.3) & (around.leader_speed < 0.3)
         walker = ~np.isnan(around.pedestrian_m)
         always = np.ones(v.size, dtype=bool)
+        free = clear & (np.abs(a) < 0.5) & moving
+        of_pace = v / self._pace.update(time_s, v, free & drives)
+        pulling = (a > 0.2) & (v < 9.0)
         watched: tuple[tuple[FloatArray, BoolArray], ...] = (
             (v, always),
-            (v, clear & (np.abs(a) < 0.5) & moving),
+            (v, free),
             (speed_signal[:, 0], always),
             (speed_signal[:, 1], always),
             (a, v > 0.5),
             (a, clear & moving),
             (a, following),
-            (a, (a > 0.2) & (v < 9.0) & (clear | (closing < 0.0))),
+            (a, pulling & (clear | (closing < 0.0))),
             (-a, a < -0.3),
             (headway, following),
             (headway, has_leader & moving),
@@ -155,6 +173,12 @@ class DrivingObserver:
             (around.beside, moving),
             (v, walker),
             (a, walker),
+            (of_pace, free),
+            (of_pace, always),
+            (v, (side > 0.8) & (v > 1.0)),
+            (-a, clear & (a < -0.3)),
+            (np.zeros(v.size), ~has_leader & (v < 0.3)),
+            (a, pulling & clear),
         )
         values = np.stack([value for value, _ in watched])
         counts = np.stack([condition for _, condition in watched])
@@ -172,7 +196,7 @@ class DrivingObserver:
         """Distributions of what was watched, mean spectral features, and the time observed."""
         return np.concatenate(
             [
-                describe(sums[:, :_WATCHED], BLOCKS),
+                describe(sums, BLOCKS),
                 *(
                     following_law.infer(sums[:, start : start + following_law.COLUMNS])
                     for start in (_WATCHED, _WATCHED + following_law.COLUMNS)

@@ -46,6 +46,27 @@ LAW_NAMES: Final[tuple[str, ...]] = (
 
 _UPPER: Final = np.triu_indices(3)
 
+_DIAGONAL: Final = np.array([0, 3, 5])
+"""Where the diagonal stands among the six entries of the upper triangle."""
+
+
+def _inverse(upper: FloatArray) -> FloatArray:
+    """(n, 6) upper triangles of the inverses of symmetric 3 x 3 matrices, by cofactors."""
+    a, b, c, d, e, f = upper.T
+    cofactors = np.stack(
+        [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b],
+        axis=1,
+    )
+    determinant = a * cofactors[:, 0] + b * cofactors[:, 1] + c * cofactors[:, 2]
+    return np.asarray(cofactors / determinant[:, None])
+
+
+def _times(upper: FloatArray, vectors: FloatArray) -> FloatArray:
+    """(n, 3) symmetric matrices, given by their upper triangles, times vectors (n, 3)."""
+    a, b, c, d, e, f = upper.T
+    x, y, z = vectors.T
+    return np.stack([a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z], axis=1)
+
 
 def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray,
              counts: BoolArray) -> FloatArray:  # fmt: skip
@@ -89,19 +110,15 @@ def infer(sums: FloatArray) -> FloatArray:
         >>> infer(follows[None])[0, :2].round(1)
         array([2. , 1.2])
     """
-    n = len(sums)
-    square = np.zeros((n, 3, 3))
-    square[:, _UPPER[0], _UPPER[1]] = sums[:, :6]
-    square[:, _UPPER[1], _UPPER[0]] = sums[:, :6]
-    precision = square / GAP_NOISE_M**2 + np.diag(PRIOR_SD**-2)
-    target = sums[:, 6:9] / GAP_NOISE_M**2 + PRIOR_MEAN * PRIOR_SD**-2
-    covariance = np.linalg.inv(precision)
-    mean = np.einsum("nij,nj->ni", covariance, target)
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    square, target = sums[:, :6], sums[:, 6:9]
+    weight = GAP_NOISE_M**-2
+    prior = np.zeros(6)
+    prior[_DIAGONAL] = PRIOR_SD**-2
+    covariance = _inverse(weight * square + prior)
+    mean = _times(covariance, weight * target + PRIOR_MEAN * PRIOR_SD**-2)
+    sd = np.sqrt(covariance[:, _DIAGONAL])
     error = (
-        sums[:, 9]
-        - 2.0 * np.einsum("ni,ni->n", mean, sums[:, 6:9])
-        + np.einsum("ni,nij,nj->n", mean, square, mean)
+        sums[:, 9] - 2.0 * (mean * target).sum(axis=1) + (mean * _times(square, mean)).sum(axis=1)
     )
     residual = np.sqrt(np.maximum(error, 0.0) / np.maximum(sums[:, 10], 1.0))
     return np.concatenate([mean, sd, residual[:, None]], axis=1)

@@ -4,20 +4,31 @@ A `Block` watches one quantity under one condition (the time headway while follo
 spreads each moment's duration over the two nodes of its scale that the value lies between. Sums of
 such moments are additive: the sum over any stretch of time is the difference of two running sums,
 a stretch may be as long as a driver's life at no further cost, and missing frames are simply not
-counted. Dividing by the block's total time gives a distribution; the total says how much it is
-worth.
+counted. What is told of such a distribution are its quantiles and its mean, and how long it was
+watched for.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+LEVELS: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Quantiles told of each distribution (our choice: middle, quarters, nearly the ends)."""
+
+LEAST_S: Final = 1e-6
+"""Time below which a block counts as never seen, s: what rounding leaves of a difference of sums
+(our choice)."""
+
+UNKNOWN: Final = 1.0
+"""How far below its scale an unseen block's numbers lie (our choice: trees can split it off)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +61,7 @@ def spread(
         >>> out
         array([[0.75, 0.25]])
     """
-    from graphrqi.features.spread_kernel import spread_on_nodes
+    from graphrqi.features.statistics_kernel import spread_on_nodes
 
     nodes, starts = _scale(blocks)
     spread_on_nodes(values, counts & ~np.isnan(values), nodes, starts, out)
@@ -68,30 +79,29 @@ def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
 
     Args:
         sums: (n, S) durations on the nodes of all blocks, side by side, s.
-        blocks: whose nodes the columns are.
+        blocks: whose nodes the columns are; columns beyond theirs are not looked at.
 
     Returns:
-        (n, S + 2 B) the square roots of all blocks' distributions (all zero where one never
-        counted; the root evens out rare and common values), then their means, then log(1 + their
-        totals in tenths of a second).
+        (n, 7 B) block by block the quantiles ``LEVELS`` and the mean of its distribution, and
+        log(1 + its total in tenths of a second). The weight of a node lies evenly half-way to its
+        neighbours. Of a block that never counted, quantiles and mean are ``UNKNOWN`` below its
+        lowest node.
 
     Examples:
         >>> b = Block("gap", (0.0, 1.0))
-        >>> describe(np.array([[3.0, 1.0]]), (b,)).round(2)
-        array([[0.87, 0.5 , 0.25, 3.71]])
+        >>> describe(np.array([[3.0, 1.0], [0.0, 0.0]]), (b,)).round(2)
+        array([[ 0.03,  0.17,  0.33,  0.5 ,  0.9 ,  0.25,  3.71],
+               [-1.  , -1.  , -1.  , -1.  , -1.  , -1.  ,  0.  ]])
     """
+    from graphrqi.features.statistics_kernel import summarise
+
     nodes, starts = _scale(blocks)
-    part = np.maximum(sums, 0.0)
-    total = np.add.reduceat(part, starts[:-1], axis=1)
-    share = part / np.repeat(np.where(total > 1e-9, total, 1.0), np.diff(starts), axis=1)
-    mean = np.add.reduceat(share * nodes, starts[:-1], axis=1)
-    return np.concatenate([np.sqrt(share), mean, np.log1p(10.0 * total)], axis=1)
+    out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))
+    summarise(np.ascontiguousarray(sums), nodes, starts, np.array(LEVELS), LEAST_S, UNKNOWN, out)
+    return out
 
 
 def describe_names(blocks: tuple[Block, ...]) -> tuple[str, ...]:
     """The columns of `describe`, named."""
-    return (
-        *(f"{block.name}~{node:g}" for block in blocks for node in block.nodes),
-        *(f"{block.name}:mean" for block in blocks),
-        *(f"{block.name}:evidence" for block in blocks),
-    )
+    parts = (*(f"{100 * level:g}%" for level in LEVELS), "mean", "evidence")
+    return tuple(f"{block.name}:{part}" for block in blocks for part in parts)

@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from behaviors.errors import InputError
+from experiments.classification_bench import plot_classification, run_classification_bench
 from experiments.disturbances import (
     DISTURBANCES,
     cut_tracks,
@@ -23,13 +25,14 @@ from experiments.protocols import (
     Recordings,
     _long_tailed,
     _mislabelled,
+    ablation,
     across_scenarios,
     ceiling,
     difference_rows,
-    fitted,
     inductive,
     interpretability,
     leak_probe,
+    random_rows,
     robustness,
     score_rows,
     speed_rows,
@@ -227,7 +230,13 @@ def test_lives_end_with_the_last_look_at_each_driver(recordings):
         assert not own.any() or short.time_s[own].max() <= end
 
 
-def test_rows_of_every_protocol(recordings):
+@pytest.fixture
+def few_rounds(monkeypatch):
+    few = dataclasses.replace(METHODS[OURS], options={"rounds": 10})
+    monkeypatch.setitem(METHODS, OURS, few)
+
+
+def test_rows_of_every_protocol(recordings, few_rounds):
     methods = (OURS, "forest", "majority")
     rows = [
         *inductive(recordings, methods, (5.0, 10.0, float("inf"))),
@@ -236,11 +245,15 @@ def test_rows_of_every_protocol(recordings):
         *interpretability(recordings),
         *transductive(recordings, ("cheung",)),
         *across_scenarios(recordings, ("majority",)),
-        *speed_rows(recordings, ("majority",), frames=5),
+        *speed_rows(recordings, ("majority",), (20,), frames=5),
+        *random_rows(recordings, ("majority",)),
+        *ablation(recordings),
     ]
     assert all(set(row) == KEYS for row in rows)
     signed = [r for r in rows if r["metric"].endswith("_difference")]
-    assert {r["variation"] for r in signed} == {"minus forest"}
+    assert {r["variation"] for r in signed if r["protocol"] == "inductive"} == {"minus forest"}
+    ablated = {r["variation"] for r in rows if r["protocol"] == "ablation"}
+    assert {"without spectrum", "minus without spectrum"} <= ablated
     for row in rows:
         if row["metric"] != "ms_per_frame" and row not in signed and row["value"] is not None:
             assert 0.0 <= row["value"] <= 1.0, row
@@ -274,8 +287,21 @@ def test_robustness_names_what_was_done(recordings):
 
 def test_training_with_noise_is_another_model(recordings):
     noisy = Disturbed("position noise", 1.0)
-    clean, _ = fitted(recordings, "cheung")
-    used_to, _ = fitted(recordings, "cheung", disturbed=noisy)
+    clean, _ = recordings.fitted("cheung")
+    used_to, _ = recordings.fitted("cheung", disturbed=noisy)
     test = recordings.scored("cheung", (10.0,), noisy).features.astype(np.float64)
     assert not np.allclose(clean.posterior(test), used_to.posterior(test))
     assert dataclasses.asdict(noisy) == {"name": "position noise", "level": 1.0}
+
+
+def test_bench_of_one_protocol_and_its_picture(tmp_path):
+    rows = run_classification_bench(True, protocols=("inductive", "across-engines"))
+    assert {row["protocol"] for row in rows} == {"inductive", "across-engines"}
+    assert {row["variation"] for row in rows if row["protocol"] == "across-engines"} == {
+        "trained on sumo, scored on highway",
+        "trained on highway, scored on sumo",
+    }
+    plot_classification(rows, tmp_path / "rows.svg")
+    assert (tmp_path / "rows.svg").read_text().rstrip().endswith("</svg>")
+    with pytest.raises(InputError, match="did you mean 'inductive'"):
+        run_classification_bench(True, protocols=("inductiv",))

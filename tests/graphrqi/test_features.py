@@ -11,13 +11,14 @@ from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.graph_signal import differences
 from graphrqi.features.interaction import NOMINAL_LENGTH_M, interactions
 from graphrqi.features.kinematic import FORGET_S, MotionEstimator, align
+from graphrqi.features.pace import Pace
 from graphrqi.features.spectral import eigenvector_rows, invariant, whole_eigenspaces
 from graphrqi.features.spectrum_observers import (
     BlindObserver,
     EigenvectorObserver,
     SpectrumObserver,
 )
-from graphrqi.features.statistics import Block, describe, describe_names, spread
+from graphrqi.features.statistics import LEVELS, Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
 
 OBSERVERS = [BlindObserver, EigenvectorObserver, SpectrumObserver, DrivingObserver]
@@ -133,7 +134,31 @@ def test_spread_conserves_time_and_describe_recovers_the_mean():
     spread(values, np.ones((1, 5), bool), (block,), out)
     assert out.sum(axis=1).tolist() == [1, 1, 1, 1, 0]
     features = dict(zip(describe_names((block,)), describe(out, (block,)).T, strict=True))
-    assert features["x:mean"] == pytest.approx([0.5, 2.0, 4.0, 0.0, 0.0])
+    assert features["x:mean"] == pytest.approx([0.5, 2.0, 4.0, 0.0, -1.0])
+
+
+def test_quantiles_of_a_distribution_spread_evenly():
+    block = Block("x", tuple(np.linspace(0.0, 10.0, 11)))
+    values = np.random.default_rng(0).uniform(0.0, 10.0, (1, 4000))
+    out = np.zeros((4000, 11))
+    spread(values, np.ones(values.shape, bool), (block,), out)
+    found = describe(out.sum(axis=0)[None], (block,))[0]
+    names = describe_names((block,))
+    for level in LEVELS:
+        at = names.index(f"x:{100 * level:g}%")
+        assert found[at] == pytest.approx(np.quantile(values, level), abs=0.15)
+    assert (np.diff(found[: len(LEVELS)]) > 0).all()
+
+
+def test_pace_is_of_free_drivers_and_forgets():
+    pace = Pace()
+    assert np.isnan(pace.update(0.0, np.array([10.0]), np.array([True])))
+    for step in range(1, 200):
+        found = pace.update(0.1 * step, np.array([10.0, 2.0]), np.array([True, False]))
+    assert found == pytest.approx(10.0)
+    for step in range(200, 40000):
+        found = pace.update(0.1 * step, np.array([20.0]), np.array([True]))
+    assert found == pytest.approx(20.0, abs=0.1)
 
 
 def test_graph_signal_of_a_constant_is_zero_and_lonely_is_unknown():

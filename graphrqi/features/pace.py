@@ -1,0 +1,56 @@
+"""The pace of a place: how fast its drivers go when nothing holds them up.
+
+Positions do not tell the speed limit. What a driver's speed means shows beside the speed at which
+drivers with a free road go here, a running mean over all of them.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+MEMORY_S: Final = 300.0
+"""Time after which what was seen counts for a third (our choice: many drivers pass meanwhile)."""
+
+LEAST_DRIVER_S: Final = 5.0
+"""Seconds of free driving, all drivers' together, before the pace is told (our choice)."""
+
+
+class Pace:
+    """Running mean of the speed of drivers with a free road.
+
+    Example:
+        >>> pace = Pace()
+        >>> for step in range(61):
+        ...     mean = pace.update(step / 10, np.array([10.0, 14.0]), np.array([True, True]))
+        >>> round(mean, 6)
+        12.0
+    """
+
+    def __init__(self) -> None:
+        self._time_s: float | None = None
+        self._seconds = 0.0
+        self._metres = 0.0
+
+    def update(self, time_s: float, speed: FloatArray, free: BoolArray) -> float:
+        """Take the next moment.
+
+        Args:
+            time_s: later than at the call before.
+            speed: (n,) m/s.
+            free: (n,) whose road is free.
+
+        Returns:
+            The pace, m/s; NaN until enough has been seen.
+        """
+        step_s = 0.0 if self._time_s is None else time_s - self._time_s
+        self._time_s = time_s
+        kept = float(np.exp(-step_s / MEMORY_S))
+        self._seconds = kept * self._seconds + step_s * float(free.sum())
+        self._metres = kept * self._metres + step_s * float(speed[free].sum())
+        return self._metres / self._seconds if self._seconds >= LEAST_DRIVER_S else float("nan")
