@@ -12,6 +12,7 @@ from typing import Any, Final
 from behaviors.errors import lookup
 from experiments.generate import GenerateConfig, generate
 from experiments.protocols import (
+    MAIN_S,
     OURS,
     SCORED_S,
     Recordings,
@@ -136,6 +137,13 @@ class Bench:
         return self._made("highway", **self.sizes.other, engine="highway", seed=13)
 
 
+def _shipped(bench: Bench) -> list[Row]:
+    others = {**bench.traffic, "highway engine": bench.highway}
+    parts = [shipped(bench.fresh)]
+    parts += [shipped(other, (MAIN_S,), name) for name, other in others.items()]
+    return [row for rows in parts for row in rows]
+
+
 def _inductive(bench: Bench) -> list[Row]:
     methods = bench.sizes.methods
     return [
@@ -157,7 +165,7 @@ def _across_engines(bench: Bench) -> list[Row]:
 
 
 PROTOCOLS: Final[dict[str, Callable[[Bench], list[Row]]]] = {
-    "shipped": lambda b: shipped(b.fresh),
+    "shipped": _shipped,
     "inductive": _inductive,
     "random-rows": lambda b: random_rows(b.base, [m for m in (OURS, "graphrqi", "majority")
                                                   if m in b.sizes.methods]),

@@ -370,7 +370,9 @@ def inductive(
     return rows
 
 
-def shipped(recordings: Recordings, windows_s: Sequence[float] = SCORED_S) -> list[Row]:
+def shipped(
+    recordings: Recordings, windows_s: Sequence[float] = SCORED_S, traffic: str = ""
+) -> list[Row]:
     """The model that ships with the package, on all episodes of a dataset that it never saw."""
     model = load_model(OURS)
     everything = recordings.scored(OURS, windows_s, split=None)
@@ -383,9 +385,10 @@ def shipped(recordings: Recordings, windows_s: Sequence[float] = SCORED_S) -> li
                 if not len(part) or (about and not np.isfinite(window_s)):
                     continue
                 probability = _posterior(model, part)
-                keys = _keys("shipped", scenario, OURS, window_s, about)
+                variation = ", ".join(filter(None, (traffic, about)))
+                keys = _keys("shipped", scenario, OURS, window_s, variation)
                 rows += score_rows(part, probability, majority_of(part), keys)
-                if window_s == MAIN_S and not about:
+                if window_s == MAIN_S and not variation:
                     rows += reliability_rows(part, probability, keys)
     return rows
 
