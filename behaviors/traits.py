@@ -172,7 +172,7 @@ class Seen:
     @property
     def step_s(self) -> float:
         """Time between two columns, s."""
-        return float(np.median(np.diff(self.time_s)))
+        return float(self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
 
     @property
     def headway(self) -> FloatArray:
