@@ -334,7 +334,10 @@ def _row(key: Mapping[str, str], metric: str, statistic: Any, values: FloatArray
     if not len(values):
         return []
     value, low, high = bootstrap(statistic, np.column_stack([values, np.ones(len(values))]))
-    ends = {"low": low, "high": high} if np.isfinite(low) else {"low": None, "high": None}
+    if not np.isfinite(value):
+        return []
+    known = np.isfinite([low, high]).all()
+    ends = {"low": low, "high": high} if known else {"low": None, "high": None}
     return [{**key, "metric": metric, "value": value, **ends, "n": len(values)}]
 
 

@@ -209,7 +209,8 @@ def compare(
         if not np.isfinite(value):
             return
         count = int(sum(e[name].count[0] for e in episodes))
-        ends = {"low": low, "high": high} if np.isfinite(low) else {"low": None, "high": None}
+        sure = np.isfinite([low, high]).all()
+        ends = {"low": low, "high": high} if sure else {"low": None, "high": None}
         rows.append(
             {
                 "scenario": scenario, "predictor": name, "horizon_s": max(HORIZONS_S),

@@ -101,3 +101,9 @@ def test_rows_compare_by_seed():
     assert value["true", "near_misses_minus_blind"] == -1.0
     assert value["true", "near_misses_over_blind"] == 0.5
     assert ("blind", "near_misses_over_blind") not in value
+
+
+def test_nothing_to_divide_by_gives_no_row():
+    rows = compare("here", np.zeros((3, len(ARMS), len(METRICS))))
+    assert not [row for row in rows if row["metric"] == "near_misses_over_blind"]
+    assert all(np.isfinite(row["value"]) for row in rows)
