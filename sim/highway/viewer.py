@@ -89,8 +89,12 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
         return position
 
     def display(self) -> None:
-        """Draw the scene as it is now."""
-        if not self.enabled:
+        """Draw the scene as it is now.
+
+        highway-env draws nothing, so makes black images, where SDL has no display to draw on
+        (``SDL_VIDEODRIVER=dummy``, as servers set it); images need none.
+        """
+        if not (self.enabled or self.offscreen):
             return
         surface = self.sim_surface
         surface.move_display_window_to(self.window_position())
@@ -112,6 +116,7 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
         pygame.font.init()  # another viewer of the process may have shut the fonts down
         font = pygame.font.Font(None, 18)
         x, y = 8, surface.get_height() - 20
+        pygame.draw.rect(surface, GROUND, (0, y - 6, surface.get_width(), 26))
         for behavior, color in BEHAVIOR_COLORS.items():
             pygame.draw.rect(surface, color, (x, y, 12, 12))
             text = font.render(str(behavior), True, OUTLINE)

@@ -218,6 +218,14 @@ def test_a_picture_is_made_without_a_word(capfd, monkeypatch):
     assert capfd.readouterr().err == ""
 
 
+def test_a_picture_is_made_where_there_is_no_display(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = make("graphrqi/StraightRoad-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().std() > 5.0
+    env.close()
+
+
 def test_the_shipped_classifier_tells_what_it_believes():
     config = {**QUICK, "observation": "posterior", "warmup_s": 15.0, "flow": "dense"}
     env = gymnasium.make("graphrqi/StraightRoad-v0", config=config)
