@@ -189,6 +189,8 @@ def similarity(motion: Motion) -> FloatArray:
         (n, n) of speed, acceleration and sideways movement, each over the deviation among those
         present; negative ones count as zero, and so does that to oneself.
     """
+    if motion.ids.size == 0:
+        return np.zeros((0, 0))
     traits = np.stack([motion.speed, motion.acceleration, motion.sideways], axis=1)
     traits = np.where(np.isnan(traits), 0.0, traits)
     spread = traits.std(axis=0)
