@@ -289,7 +289,7 @@ def _make_all(
     from loky.process_executor import BrokenProcessPool
 
     waiting, suspects = deque(tasks), deque[Task]()
-    deaths: dict[Task, int] = {}
+    deaths: dict[str, int] = {}
     made: list[EpisodeEntry] = []
     failed: list[str] = []
     running: dict[Future[EpisodeEntry], Task] = {}
@@ -316,8 +316,8 @@ def _make_all(
                 elif isinstance(error, BrokenProcessPool):
                     broken = True
                     if alone:
-                        deaths[task] = deaths.get(task, 0) + 1
-                    if deaths.get(task, 0) < ATTEMPTS:
+                        deaths[str(task)] = deaths.get(str(task), 0) + 1
+                    if deaths.get(str(task), 0) < ATTEMPTS:
                         suspects.append(task)
                     else:
                         failed.append(f"{task}: killed its worker {ATTEMPTS} times")
@@ -435,7 +435,7 @@ def generate(
         for index in range(len(config.limits_mps or (None,))):
             config.scenario(name, index)
     tasks = [Task(config, name, i) for i in range(config.episodes) for name in config.scenarios]
-    if len(set(tasks)) != len(tasks):
+    if len(set(config.scenarios)) != len(config.scenarios):
         raise InputError(f"scenarios: found {', '.join(config.scenarios)}, expected each once")
     with sole_writer(folder), _stoppable(folder, len(tasks)):
         _check_same(folder, config)

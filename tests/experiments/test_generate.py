@@ -347,3 +347,14 @@ def test_episodes_take_the_limits_in_turn(tmp_path):
     assert {lane.speed_limit_mps for lane in scenario.road.lanes if lane.id.startswith("east")} == {
         8.33
     }
+
+
+def test_a_mix_may_be_a_table(tmp_path):
+    config = GenerateConfig(
+        scenarios=("straight_road",),
+        episodes=1,
+        duration_s=2.0,
+        mix={"careful": 0.5, "timid": 0.5},
+    )
+    manifest = generate(config, tmp_path / "data", 1, quiet=True)
+    assert len(manifest.episodes) == 1
