@@ -24,7 +24,7 @@ from sim.road import Road
 from sim.scenario import WALK_START_M, AgentSpec
 
 if TYPE_CHECKING:
-    from sim.highway.traffic import Arrival, TrafficRoad
+    from sim.highway.traffic import TrafficRoad
 
 FloatArray = NDArray[np.float64]
 
@@ -319,33 +319,33 @@ class Walker(Landmark):  # type: ignore[misc]
         return True
 
     def _safe(self, road: TrafficRoad, way: Crossover, strip: tuple[float, float, int]) -> bool:
-        """Whether nobody comes on a lane while it is being crossed."""
+        """Whether nobody comes on a lane while it is being crossed.
+
+        Who waits before the crossing holds those behind it back.
+        """
         begin, end, number = strip
         enter = max(begin - self.s, 0.0) / self.free_speed
         leave = (end - self.s) / self.free_speed
-        return all(
-            _lets_go(arrival, way.crossing, enter, leave)
-            for arrival in road.arrivals.get((way.crossing, number), ())
-        )
+        coming = road.arrivals.get((way.crossing, number), ())
+        for arrival in sorted(coming, key=lambda each: each.near):
+            speed, half = arrival.vehicle.speed, (arrival.far - arrival.near) / 2
+            near, far = arrival.near + half - WALKED_M, arrival.far - half + WALKED_M
+            clear = (far + arrival.vehicle.LENGTH) / max(speed, 0.5)
+            if clear < 0.0 or (speed > 0.5 and clear < enter - 0.2):
+                continue  # past it before the pedestrian comes
+            if near <= 0.1:
+                return False
+            yields = way.crossing in arrival.yields or arrival.held
+            if (yields and speed * speed <= 2.0 * 5.0 * near) or arrival.stood_s > STOOD_S:
+                return True
+            comes = (
+                (-speed + math.sqrt(speed * speed + 2.0 * near)) if speed < 2.0 else near / speed
+            )
+            if comes <= leave + SPARE_S:
+                return False
+        return True
 
 
 def strip_half(half_width: float) -> float:
     """Half the width of a lane's strip of a crossing, m, for half the lane's width."""
     return half_width - STRIP_M
-
-
-def _lets_go(arrival: Arrival, crossing: int, enter_s: float, leave_s: float) -> bool:
-    """Whether a vehicle will not be on its strip between two times from now."""
-    speed, half = arrival.vehicle.speed, (arrival.far - arrival.near) / 2
-    near, far = arrival.near + half - WALKED_M, arrival.far - half + WALKED_M
-    clear = (far + arrival.vehicle.LENGTH) / max(speed, 0.5)
-    if clear < 0.0 or (speed > 0.5 and clear < enter_s - 0.2):
-        return True
-    if near <= 0.1:
-        return False
-    if (crossing in arrival.yields or arrival.held) and speed * speed <= 2.0 * 5.0 * near:
-        return True
-    if arrival.stood_s > STOOD_S:
-        return True
-    comes = (-speed + math.sqrt(speed * speed + 2.0 * near)) if speed < 2.0 else near / speed
-    return bool(comes > leave_s + SPARE_S)

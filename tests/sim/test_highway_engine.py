@@ -14,8 +14,9 @@ from sim.engines import ENGINES, get_engine
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
 from sim.highway.demand import Demand
 from sim.highway.engine import network_of, read_frame, run
-from sim.highway.traffic import CLEAR_AFTER_S, TrafficRoad
+from sim.highway.traffic import CLEAR_AFTER_S, Arrival, TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
+from sim.highway.walkers import Walker, find_footway
 from sim.observables import observe
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
 
@@ -349,6 +350,27 @@ def test_conservative_drivers_let_pedestrians_cross_and_reckless_ones_do_not(beh
     assert EventKind.COLLISION not in kinds
     assert (EventKind.YIELDED in kinds) is yields
     assert (EventKind.NOT_YIELDED in kinds) is (not yields)
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_pedestrians_do_not_mind_who_comes_behind_one_that_waits(waits):
+    road = TrafficRoad(network_of(SCENARIOS["straight_road"]().road))
+    footway = find_footway(road.network_info.road, ("west_in", "east_in"))
+    person = Walker(walker(9, ("west_in", "east_in")), footway, (9,))
+    person.s = footway.crossovers[0].begin_s - 0.1
+    lane = ("east_in<", "east_out>", 1)
+    if waits:
+        put(road, lane, 394.0, 0.0, Behavior.CAREFUL)
+    put(road, lane, 350.0, 13.0, Behavior.RECKLESS, 1)
+    road.arrivals = {
+        (0, 1): [
+            Arrival(398.0 - front, 402.0 - front, each, frozenset(), False, stood)
+            for each in road.vehicles
+            for front, stood in [(float(each.position[0]) + 2.3, 0.0 if each.speed else 5.0)]
+        ]
+    }
+    person.step(0.1, road)
+    assert (person.speed > 0.0) is waits
 
 
 def test_pedestrians_cross_at_the_crossing_and_reach_the_other_side():
