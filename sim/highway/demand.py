@@ -19,6 +19,10 @@ from sim.scenario import AgentSpec
 LONGEST_WAIT_S: Final = 60.0
 """Who found no room for this long stays away (as in the SUMO engine)."""
 
+ENTRY_BRAKING_MPS2: Final = 1.0
+"""Nobody enters so fast that keeping the headway to the vehicle ahead takes more braking (our
+choice)."""
+
 
 class Demand:
     """The agents still to come.
@@ -89,10 +93,14 @@ class Demand:
             wanted = min(numbers[driving.SPEED_FACTOR] * limit, numbers[driving.TOP_SPEED])
             speed = wanted
             if gap < math.inf:
-                if driving.idm(numbers, speed, wanted, gap, ahead) < -1.0:
-                    speed = min(wanted, ahead)
-                needed = numbers[driving.MIN_GAP] + numbers[driving.TIME_HEADWAY] * speed
-                if gap < needed:
+                headway = numbers[driving.TIME_HEADWAY]
+                room = gap - numbers[driving.MIN_GAP]
+                if driving.idm(numbers, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
+                    twice = 2.0 * ENTRY_BRAKING_MPS2
+                    reach = headway * ENTRY_BRAKING_MPS2
+                    slows = math.sqrt(max(reach**2 + twice * room + ahead**2, 0.0)) - reach
+                    speed = min(wanted, max(ahead, slows))
+                if room < headway * speed:
                     continue
             if best is None or gap > best[0]:
                 best = (gap, float(speed), lane)
@@ -118,12 +126,14 @@ class Demand:
         )
 
     def _room(self, lane: LaneIndex, length: float) -> tuple[float, float]:
-        """Bumper gap to the first vehicle on a lane, m, and its speed, m/s."""
+        """Bumper gap to the first vehicle on a lane or changing to it, m, and its speed, m/s."""
         geometry = self.road.network_info.lanes[lane]
         nearest, speed = math.inf, 0.0
         for vehicle in self.road.vehicles:
             s, lateral = geometry.local_coordinates(vehicle.position)
-            if abs(lateral) > geometry.width / 2 + 1.0 or s > geometry.length:
+            beside = abs(lateral) > geometry.width / 2 + 1.0
+            comes = getattr(vehicle, "target_lane_index", None) == lane
+            if (beside and not comes) or s > geometry.length:
                 continue
             gap = s - length - vehicle.LENGTH / 2
             if gap < nearest:

@@ -469,6 +469,29 @@ def test_all_kinds_of_vehicles_drive():
     assert not seen.events
 
 
+def test_nobody_enters_standing_because_somebody_stands_far_ahead():
+    road = TrafficRoad(network_of(SCENARIOS["straight_road"]().road))
+    for lane in range(3):
+        put(road, ("east_in<", "east_out>", lane), 90.0, 0.0, Behavior.CAREFUL, lane)
+    Demand(road, [driver(Behavior.CAUTIOUS, 9)], 0).enter()
+    entered = road.vehicles[-1]
+    gap = 90.0 - 2.3 - entered.position[0] - 2.3
+    assert entered.agent == 9
+    assert 8.0 < entered.speed < entered.desired_speed
+    room = gap - entered.profile.min_gap_m - entered.profile.time_headway_s * entered.speed
+    assert entered.speed**2 / 2.0 == pytest.approx(room, rel=0.05)  # braking with 1 m/s2
+
+
+def test_nobody_enters_a_lane_beside_somebody_who_changes_to_it():
+    road = TrafficRoad(network_of(SCENARIOS["straight_road"]().road))
+    for lane in range(3):
+        put(road, ("east_in<", "east_out>", lane), 8.0, 10.0, Behavior.CAREFUL, lane)
+    road.vehicles[1].target_lane_index = ("east_in<", "east_out>", 2)
+    road.vehicles.pop()  # lane 2 is free, but for who comes to it
+    Demand(road, [driver(Behavior.RECKLESS, 9)], 0).enter()
+    assert len(road.vehicles) == 2
+
+
 def test_who_finds_no_room_waits_and_enters_later():
     agents = [driver(Behavior.TIMID, i) for i in range(9)]
     scenario = SCENARIOS["straight_road"](duration_s=30.0)
