@@ -1,3 +1,4 @@
+# make install  what running needs, into .venv
 # make demo   install what running needs into .venv, then the whole loop into runs/demo
 # make test   install what testing needs too, then every check
 # make docs   the documentation's pages into build/site
@@ -12,7 +13,9 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 # Many small processes are faster than a few that fight over the cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test docs study model
+.PHONY: install demo test docs study model
+
+install: $(VENV)/.installed
 
 demo: $(VENV)/.installed
 	$(BIN)/python -m experiments.demo

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
@@ -64,13 +64,6 @@ def label_tracks(tracks: Tracks, model: Model, episode: str) -> pa.Table:
     return pa.Table.from_arrays(columns, schema=LABELS)
 
 
-def recordings(source: Path) -> Iterator[tuple[str, Tracks]]:
-    """The recordings of a dataset, one at a time, with their episode ids."""
-    dataset = open_dataset(source)
-    for entry in dataset.manifest.episodes:
-        yield entry.id, dataset.read(entry).tracks
-
-
 def classify_dataset(
     source: Path, model: str | Path, out: Path, quiet: bool = False
 ) -> list[dict[str, Any]]:
@@ -83,21 +76,24 @@ def classify_dataset(
         quiet: whether to show no progress.
 
     Returns:
-        Rows for a table: per episode how many drivers were labelled, and, where the truth is
-        known, how many of them rightly at the last look.
+        Rows for a table: per episode its split (a model knows the drivers that it was trained
+        on), how many drivers were labelled, and, where the truth is known, how many of them
+        rightly at the last look, and how many are of the most frequent behaviour.
     """
     trained = load_model(model)
-    episodes = open_dataset(source).manifest.episodes
+    dataset = open_dataset(source)
+    episodes = dataset.manifest.episodes
     rows: list[dict[str, Any]] = []
     with (
         Progress("classifying episodes", len(episodes), quiet) as progress,
         whole_file(out) as partial,
         pq.ParquetWriter(partial, LABELS, compression="zstd") as writer,
     ):
-        for episode, tracks in recordings(source):
-            table = label_tracks(tracks, trained, episode)
+        for entry in episodes:
+            tracks = dataset.read(entry).tracks
+            table = label_tracks(tracks, trained, entry.id)
             writer.write_table(table)
-            rows.append({"episode": episode, **_summary(table, tracks)})
+            rows.append({"episode": entry.id, "split": entry.split, **_summary(table, tracks)})
             progress.advance()
     return rows
 
@@ -111,5 +107,7 @@ def _summary(table: pa.Table, tracks: Tracks) -> dict[str, Any]:
         truth = dict(zip(tracks.names, tracks.behavior, strict=True))
         known = [name for name in last if truth[name] >= 0]
         right = sum(BEHAVIORS[truth[name]].value == last[name] for name in known)
-        summary |= {"true_known": len(known), "right_at_last": right}
+        count = Counter(int(truth[name]) for name in known)
+        most = max(count.values(), default=0)
+        summary |= {"true_known": len(known), "right_at_last": right, "most_frequent": most}
     return summary

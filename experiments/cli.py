@@ -38,7 +38,13 @@ def _names_of(what: str) -> Callable[[str], list[str]]:
 
 Json = Annotated[
     Path | None,
-    typer.Option("--json", metavar="FILE", help="Write the table as JSON; - for standard output."),
+    typer.Option(
+        "--json",
+        dir_okay=False,
+        allow_dash=True,
+        metavar="FILE",
+        help="Write the table as JSON; - for standard output.",
+    ),
 ]
 ModelName = Annotated[
     str, typer.Option("--model", help="A model that ships, or a folder written by train.")
@@ -54,7 +60,9 @@ FormatName = Annotated[
 ]
 Net = Annotated[
     Path | None,
-    typer.Option("--net", metavar="FILE", help="SUMO net that a recording was made on."),
+    typer.Option(
+        "--net", dir_okay=False, metavar="FILE", help="SUMO net that a recording was made on."
+    ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
@@ -120,19 +128,23 @@ def run(
 
 
 @app.command(
-    epilog="example: graphrqi generate --scenario straight_road --episodes 10 --seed 1 --out data"
+    epilog="example: graphrqi generate --scenario straight_road --episodes 10 --seed 1 --out roads"
 )
 def generate(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     scenario: Annotated[
         list[str] | None,
         typer.Option(
-            help="A scenario's name; repeat for several.", autocompletion=_names_of("scenario")
+            help="A scenario's name; repeat for several. Needed, here or in the file.",
+            autocompletion=_names_of("scenario"),
         ),
     ] = None,
-    episodes: Annotated[int | None, typer.Option(help="Episodes per scenario.")] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes per scenario. Needed, here or in the file.")
+    ] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="The same options in a file.")
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE.toml", help="The same options in a file."),
     ] = None,
     engine: Annotated[
         str | None,
@@ -187,7 +199,9 @@ def train(
 @app.command(epilog="example: graphrqi classify data --out labels.parquet")
 def classify(
     source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Parquet file for the labels.")],
+    out: Annotated[
+        Path, typer.Option(dir_okay=False, metavar="FILE", help="Parquet file for the labels.")
+    ],
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
@@ -215,7 +229,10 @@ def predict(
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Parquet file for the futures themselves.")
+        Path | None,
+        typer.Option(
+            dir_okay=False, metavar="FILE", help="Parquet file for the futures themselves."
+        ),
     ] = None,
     submission: Annotated[
         Path | None,
@@ -244,15 +261,19 @@ def predict(
 @app.command(epilog="example: graphrqi replay data --episode straight_road --out replay.html")
 def replay(
     source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
-    out: Annotated[Path, typer.Option(metavar="FILE.html", help="The page.")] = Path("replay.html"),
+    out: Annotated[
+        Path, typer.Option(dir_okay=False, metavar="FILE.html", help="The page.")
+    ] = Path("replay.html"),
     episode: Annotated[
         str | None, typer.Option(metavar="ID", help="Its id or the beginning of it, or a scenario.")
     ] = None,
     labels: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="From classify [default: made here].")
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE", help="From classify [default: made here]."),
     ] = None,
     predictions: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="From predict [default: made here].")
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE", help="From predict [default: made here]."),
     ] = None,
     format: FormatName = None,
     net: Net = None,
@@ -271,10 +292,11 @@ def replay(
         typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),
     ] = None,
     video: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Film it too: .mp4 or .gif.")
+        Path | None, typer.Option(dir_okay=False, metavar="FILE", help="Film it too: .mp4 or .gif.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw one moment of it too.")
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE.png", help="Draw one moment of it too."),
     ] = None,
     begin_s: Annotated[
         float | None, typer.Option("--begin-s", help="When page, film or picture begin, s.")
@@ -300,7 +322,7 @@ def report(
         list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or files of rows.")
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="The page that compares several.")
+        Path, typer.Option(dir_okay=False, metavar="FILE", help="The page that compares several.")
     ] = Path("comparison.html"),
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     quiet: Quiet = False,
@@ -321,7 +343,8 @@ def import_(
     format: FormatName = None,
     net: Net = None,
     types: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="vTypes of a SUMO recording, for sizes.")
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE", help="vTypes of a SUMO recording, for sizes."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -406,7 +429,7 @@ def bench_spectrum(
     kinds: Annotated[str, typer.Option(help="Kinds of graph.")] = "instantaneous,accumulated",
     steps: Annotated[int, typer.Option(min=1, help="Steps of each sequence.")] = 60,
     plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw cost against size.")
+        Path | None, typer.Option(dir_okay=False, metavar="FILE", help="Draw cost against size.")
     ] = None,
     quick: Quick = False,
     json: Json = None,

@@ -93,7 +93,9 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
         InputError: if a file is broken or of no known format.
     """
     is_dataset = (source / MANIFEST).is_file() or (source / "episodes").is_dir()
-    if name is None and (is_dataset or not source.exists()):
+    if not source.exists():
+        raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
+    if name is None and is_dataset:
         yield source
         return
     with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:

@@ -161,6 +161,9 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "missing":
+            option = {"scenarios": "--scenario"}.get(where, f"--{where}")
+            raise InputError(f"{option}: found none, expected one (or {where} in a file)") from None
         raise InputError(f"{path or 'options'}: {where}: {first['msg']}") from None
 
 
@@ -373,7 +376,8 @@ def _check_same_manifest(folder: Path, config: GenerateConfig) -> None:
                 )
         elif there.get(name) != wanted.get(name):
             raise InputError(
-                f"{folder}: was made with {name} {there.get(name)!r}, now {wanted.get(name)!r}; "
+                f"{folder}: was made with {name} {there.get(name, 'not given')!r}, now "
+                f"{wanted.get(name, 'not given')!r}; "
                 "choose another folder"
             )
 

@@ -35,7 +35,7 @@ from graphrqi.predict.metrics import (
     overlap,
 )
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene import LEARNED_S, make_scene
+from graphrqi.predict.scene import LEARNED_S, LONGEST_S, make_scene
 from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.dataset import open_dataset
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
@@ -426,8 +426,10 @@ def predict_dataset(
     Raises:
         InputError: if the dataset, the model or a predictor's name is wrong.
     """
-    if not np.isfinite(horizon_s) or horizon_s < SAMPLE_S:
-        raise InputError(f"horizon_s: found {horizon_s}, expected seconds >= {SAMPLE_S}")
+    if not SAMPLE_S <= horizon_s <= LONGEST_S:
+        raise InputError(
+            f"horizon_s: found {horizon_s}, expected seconds from {SAMPLE_S} to {LONGEST_S:g}"
+        )
     if not predictors:
         raise InputError("predictors: found none, expected at least one name")
     for name in predictors:
@@ -474,7 +476,11 @@ def short_table(rows: Sequence[Row]) -> list[Row]:
         if row["behavior"] == "all" and row["metric"] in ("ade_m", "fde_m"):
             line = lines.setdefault(
                 (row["scenario"], row["predictor"]),
-                {"scenario": row["scenario"], "predictor": row["predictor"]},
+                {
+                    "scenario": row["scenario"],
+                    "episodes": row["split"],
+                    "predictor": row["predictor"],
+                },
             )
             line[f"{row['metric']} {cast(float, row['horizon_s']):g}s"] = round(
                 cast(float, row["value"]), 3

@@ -11,7 +11,7 @@ from typing import Any, Final, get_args
 from behaviors.errors import lookup
 from experiments.scoring import Scored, majority_of, score_model
 from experiments.windows import OBSERVED_S, gather
-from graphrqi.methods import METHODS, Model, save_model, train
+from graphrqi.methods import METHODS, Model, check_model_folder, save_model, train
 from graphrqi.samples import WINDOWS_S, Samples
 from sim.dataset import Dataset, open_dataset
 from sim.schema import Split
@@ -116,6 +116,7 @@ def train_on(
         The trained model, saved.
     """
     opened = [open_dataset(dataset) for dataset in datasets]
+    check_model_folder(out)
     model, _ = train_model(opened, method, seed=seed, jobs=jobs, quiet=quiet)
     save_model(model, out)
     return model

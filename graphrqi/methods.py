@@ -197,6 +197,16 @@ class _ModelFile(BaseModel):
     card: dict[str, Any]
 
 
+def check_model_folder(folder: Path) -> None:
+    """Refuse a folder that a model cannot be written to.
+
+    Raises:
+        InputError: if the folder holds something that is not a model.
+    """
+    if folder.exists() and (not folder.is_dir() or not (folder / "model.json").exists()):
+        raise InputError(f"{folder}: found something that is not a model, expected no such folder")
+
+
 def save_model(model: Model, folder: Path) -> None:
     """Write a model folder: ``model.json`` and ``weights.safetensors``.
 
@@ -208,8 +218,7 @@ def save_model(model: Model, folder: Path) -> None:
     """
     from safetensors.numpy import save
 
-    if folder.exists() and (not folder.is_dir() or not (folder / "model.json").exists()):
-        raise InputError(f"{folder}: found something that is not a model, expected no such folder")
+    check_model_folder(folder)
     file = _ModelFile(
         schema_version=SCHEMA_VERSION,
         method=model.method.name,

@@ -748,8 +748,10 @@ def open_dataset(path: str | Path) -> Dataset:
     """
     folder = Path(path)
     manifest = folder / MANIFEST
+    if not folder.exists():
+        raise InputError(f"{folder}: found nothing there, expected a dataset")
     if not folder.is_dir():
-        raise InputError(f"{folder}: found no folder, expected a dataset")
+        raise InputError(f"{folder}: found a file, expected a dataset (import makes one of it)")
     if not manifest.is_file():
         raise InputError(
             f"{manifest}: found no file; if the dataset is unfinished, run the same generate again"

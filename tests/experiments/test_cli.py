@@ -50,7 +50,7 @@ def test_help_imports_nothing_heavy() -> None:
     [
         (["generat"], "No such command 'generat'"),
         (["generate"], "Missing option '--out'"),
-        (["generate", "--out", "{tmp}/x"], "scenarios: Field required"),
+        (["generate", "--out", "{tmp}/x"], "--scenario: found none, expected one"),
         (["generate", "--out", "{tmp}/x", "--scenario", "straight", "--episodes", "1"], "straight"),
         (["generate", "--out", "{tmp}/x", "--config", "{tmp}/none.toml"], "No such file"),
         (["generate", "--out", "{tmp}/x", "--jobs", "many"], "--jobs"),
@@ -67,6 +67,10 @@ def test_help_imports_nothing_heavy() -> None:
         (["run", "straight_road", "--seed", "-1"], "--seed"),
         (["train", "{tmp}/none", "--out", "{tmp}/m"], "none"),
         (["train", "{tmp}", "--out", "{tmp}/m"], "manifest.json"),
+        (["train", "{tmp}/file", "--out", "{tmp}/m"], "found a file, expected a dataset"),
+        (["classify", "{tmp}/none.csv", "--out", "{tmp}/l"], "found nothing there"),
+        (["classify", "{tmp}", "--out", "{tmp}"], "is a directory"),
+        (["list", "--json", "{tmp}"], "is a directory"),
     ],
 )
 def test_every_mistake_is_one_line_and_exit_code_2(

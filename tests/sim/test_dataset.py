@@ -337,7 +337,7 @@ def test_manifests_that_are_not_json(tmp_path: Path, content: bytes) -> None:
 def test_no_dataset(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="run the same generate again"):
         open_dataset(tmp_path)
-    with pytest.raises(InputError, match="found no folder"):
+    with pytest.raises(InputError, match="found nothing there"):
         open_dataset(tmp_path / "nowhere")
 
 
