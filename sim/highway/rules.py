@@ -404,7 +404,9 @@ def _blocks(
     info = road.network_info.info[conflict.other]
     foe_entered = foe.to_line < -ENTERED_M
     theirs = _rank(road, other, info.signal, info.must_yield, entered=foe_entered)
-    if foe_standing > WAITING_S and (foe_entered or theirs >= mine):
+    own = road.network_info.info[vehicle.lane_index].signal if entered else -1
+    clears = own >= 0 and road.signals[own] == Signal.RED.code  # after its green
+    if foe_standing > WAITING_S and (foe_entered or theirs >= mine or clears):
         return False  # it waits itself, for this vehicle or for another
     foe_enters = _reach_s(speed, begin, FOE_ACCEL_MPS2, max(speed, 8.0))
     foe_leaves = end / max(speed, 2.0)

@@ -14,6 +14,7 @@ from sim.engines import ENGINES, get_engine
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
 from sim.highway.demand import Demand
 from sim.highway.engine import network_of, read_frame, run
+from sim.highway.rules import give_orders
 from sim.highway.traffic import CLEAR_AFTER_S, Arrival, TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Walker, find_footway
@@ -327,6 +328,23 @@ def test_a_left_turner_lets_oncoming_traffic_pass_first():
     through = seen.time_s[np.flatnonzero(seen.xy[1, :, 1] > 10.0)[0]]
     turned = seen.time_s[np.flatnonzero(seen.xy[0, :, 0] > 10.0)[0]]
     assert turned > through
+
+
+@pytest.mark.parametrize("light", ["red", "green"])
+def test_who_is_inside_after_its_green_goes_before_those_who_stand_at_the_line(light):
+    road = TrafficRoad(network_of(SCENARIOS["four_way_intersection"]().road))
+    network = road.network_info
+    turn, across = ("west_in>", "north_out<", 0), ("north_in>", "south_out<", 0)
+    waits_on, onto = next(key for key, path in network.onward.items() if path == across)
+    inside = put(road, turn, 4.0, 0.0, Behavior.CAREFUL, 0)
+    waits = put(road, waits_on, network.lanes[waits_on].length - 4.0, 0.0, Behavior.CAREFUL, 1)
+    waits.stretches = (waits_on[:2], onto)
+    inside.standing_since = waits.standing_since = -5.0
+    road.signals[network.info[across].signal] = SIGNALS.index("green")
+    road.signals[network.info[turn].signal] = SIGNALS.index(light)
+    road.look()
+    give_orders(road)
+    assert (inside.orders.stop_gap == math.inf) is (light == "red")
 
 
 def meet_pedestrian(behavior: Behavior, seed: int = 0) -> Tracks:
