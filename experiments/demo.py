@@ -124,11 +124,12 @@ def findings(metrics: Metrics) -> list[str]:
         lift = spectrum["weighted_accuracy"].value - majority
         said.append(
             f"{scenario}: rows of the eigenvector matrix alone, as in the paper, are "
-            f"{100 * abs(lift):.0f} points of accuracy {'above' if lift > 0 else 'below'} the "
-            f"majority class, with macro-F1 {spectrum['macro_f1'].value:.2f} (chance is about "
-            "0.17)."
+            f"{'above' if lift > 0 else 'below'} the majority class in accuracy by "
+            f"{100 * abs(lift):.1f} percentage points, with macro-F1 "
+            f"{spectrum['macro_f1'].value:.2f} (chance is about 0.17)."
         )
-    for scenario, predictors in metrics.prediction.items():
+    for scenario in metrics.classification:
+        predictors = metrics.prediction[scenario]
         blind = predictors["car-following-blind"]["ade_m"]["5s"].value
         aware = predictors["car-following"]["ade_m"]["5s"].value
         change = 100 * (1 - aware / blind)

@@ -47,8 +47,9 @@ LAYOUTS: Final[dict[str, Layout]] = {
          "style_balanced_accuracy", "ece", "auc", "ms_per_frame"),
         "graphrqi bench classification",
         "Below each figure its 95 % interval over episodes, if there are several; beside every "
-        "accuracy that of the majority class. Inductive: unseen episodes; transductive: windows "
-        "of seen episodes too.",
+        "accuracy that of the majority class. n counts windows: the last 10 s of "
+        "one driver, one a second. Style: aggressive or conservative. Inductive: unseen episodes; "
+        "transductive: windows of seen episodes too.",
     ),
     "real-data": Layout(
         "Real drivers", ("dataset", "protocol", "classes"), ("method", "fold"), ("metric",),
