@@ -319,9 +319,9 @@ def compare(environment: str, table: FloatArray) -> list[Row]:
         key = {"environment": environment, "arm": arm}
         for m, metric in enumerate(METRICS):
             own, blind = table[:, a, m], table[:, 0, m]
-            rows += _row(key, metric, _mean, own[:, None])
+            rows += _row(key, metric, _ratio, own[:, None])
             if a and np.isfinite(blind).any():
-                rows += _row(key, f"{metric}_minus_blind", _mean, (own - blind)[:, None])
+                rows += _row(key, f"{metric}_minus_blind", _ratio, (own - blind)[:, None])
         if a:
             m = METRICS.index("near_misses")
             pair = np.stack([table[:, a, m], table[:, 0, m]], axis=1)
@@ -341,10 +341,7 @@ def _row(key: Mapping[str, str], metric: str, statistic: Any, values: FloatArray
     return [{**key, "metric": metric, "value": value, **ends, "n": len(values)}]
 
 
-def _mean(sums: FloatArray) -> FloatArray:
-    return np.asarray(sums[..., 0] / sums[..., 1])
-
-
 def _ratio(sums: FloatArray) -> FloatArray:
+    """First sums over second ones; a mean, where the second counts."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(sums[..., 0] / sums[..., 1])

@@ -122,17 +122,8 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     Raises:
         InputError: if the file is not a labels file or does not speak of this episode.
     """
-    table = read_columns(path, LABELS)
-    table = table.filter(pc.equal(table["episode"], episode))
-    if not table.num_rows:
-        raise InputError(f"{path}: found no row of episode {episode}, expected its labels")
-    names = pa.array(tracks.names, pa.string())
-    row = pc.index_in(table["agent"], value_set=names)
-    if row.null_count:
-        stranger = table["agent"].filter(pc.is_null(row))[0].as_py()
-        raise InputError(
-            f"{path}: found agent {stranger!r}, expected one of the {len(names)} of {episode}"
-        )
+    table = episode_rows(path, LABELS, episode, "labels")
+    agent = agent_rows(path, table, episode, tracks)
     steps = looks(tracks)
     times = tracks.time_s[steps]
     time_s = table["time_s"].to_numpy()
@@ -142,8 +133,43 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     if not np.isfinite(told).all() or (np.abs(told.sum(axis=1) - 1.0) > 1e-3).any():
         raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
     probability = _nothing(tracks, steps)
-    probability[row.to_numpy()[here], column[here]] = told[here]
+    probability[agent[here], column[here]] = told[here]
     return Beliefs(tracks.ids, times, probability)
+
+
+def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.Table:
+    """What a Parquet file says of one episode.
+
+    Args:
+        path: the file.
+        schema: its columns, ``episode`` among them.
+        episode: whose rows.
+        what: what the rows are, for messages.
+
+    Raises:
+        InputError: as `read_columns`, or if no row is of that episode.
+    """
+    table = read_columns(path, schema)
+    table = table.filter(pc.equal(table["episode"], episode))
+    if not table.num_rows:
+        raise InputError(f"{path}: found no row of episode {episode}, expected its {what}")
+    return table
+
+
+def agent_rows(path: Path, table: pa.Table, episode: str, tracks: Tracks) -> IntArray:
+    """(m,) which agent of an episode each row of a table speaks of, by the column ``agent``.
+
+    Raises:
+        InputError: if it names somebody whom the episode does not have.
+    """
+    names = pa.array(tracks.names, pa.string())
+    row = pc.index_in(table["agent"], value_set=names)
+    if row.null_count:
+        stranger = table["agent"].filter(pc.is_null(row))[0].as_py()
+        raise InputError(
+            f"{path}: found agent {stranger!r}, expected one of the {len(names)} of {episode}"
+        )
+    return np.asarray(row.to_numpy(), dtype=np.int64)
 
 
 def read_columns(path: Path, schema: pa.Schema) -> pa.Table:

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 
 from behaviors.errors import InputError
 from experiments.prediction_file import PREDICTIONS
-from experiments.replay.beliefs import Beliefs, read_columns, sampled
+from experiments.replay.beliefs import Beliefs, agent_rows, episode_rows, sampled
 from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
@@ -112,20 +112,14 @@ def read_forecasts(
     Raises:
         InputError: if the file is not a predictions file or does not speak of this episode.
     """
-    table = read_columns(path, PREDICTIONS)
-    table = table.filter(pc.equal(table["episode"], episode))
-    if not table.num_rows:
-        raise InputError(f"{path}: found no row of episode {episode}, expected its predictions")
+    table = episode_rows(path, PREDICTIONS, episode, "predictions")
     whose = table["predictor"].cast(pa.string())
     name = predictor or whose[0].as_py()
     table = table.filter(pc.equal(whose, name))
     if not table.num_rows:
         names = ", ".join(sorted(set(whose.to_pylist())))
         raise InputError(f"{path}: found no predictor {name!r}, expected one of {names}")
-    row = pc.index_in(table["agent"], value_set=pa.array(tracks.names, pa.string()))
-    if row.null_count:
-        raise InputError(f"{path}: found an agent that episode {episode} does not have")
-    agent = row.to_numpy().astype(np.int64)
+    agent = agent_rows(path, table, episode, tracks)
     time_s, mode, ahead_s, x, y, probability = (
         table[column].to_numpy().astype(np.float64)
         for column in ("time_s", "mode", "ahead_s", "x_m", "y_m", "probability")

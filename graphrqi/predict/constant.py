@@ -22,11 +22,22 @@ def constant_acceleration(scene: Scene, posterior: Posterior) -> Prediction:
     return scene.predicted(by_inertia(scene))
 
 
+def inertial_distance(speed: FloatArray, accel: FloatArray, time_s: FloatArray) -> FloatArray:
+    """How far who keeps its acceleration comes, m; who brakes stops and stays.
+
+    Args:
+        speed: m/s; all three broadcast.
+        accel: m/s2.
+        time_s: from now, s.
+    """
+    until_stop = np.divide(-speed, accel, out=np.full_like(speed, np.inf), where=accel < 0)
+    moving_s = np.minimum(time_s, until_stop)
+    return np.asarray(speed * moving_s + 0.5 * accel * moving_s**2)
+
+
 def by_inertia(scene: Scene) -> FloatArray:
     """(n, H, 2) everyone at constant acceleration, m."""
     time_s, speed, accel = scene.time_s[None], scene.speed[:, None], scene.accel[:, None]
-    until_stop = np.divide(-speed, accel, out=np.full_like(speed, np.inf), where=accel < 0)
-    moving_s = np.minimum(time_s, until_stop)
-    travelled = speed * moving_s + 0.5 * accel * moving_s**2
+    travelled = inertial_distance(speed, accel, time_s)
     facing = np.stack([np.cos(scene.heading), np.sin(scene.heading)], axis=1)
     return np.asarray(scene.xy[:, None] + travelled[..., None] * facing[:, None])

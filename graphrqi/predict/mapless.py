@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.predict.bases import KNOT_S, KNOTS, Known
+from graphrqi.predict.constant import inertial_distance
 from graphrqi.predict.learned import Perceptron, load_network, spread_out
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene import LEARNED_S, STEP_S
@@ -211,9 +212,7 @@ def _bases(history: Tracks, motion: Motion) -> FloatArray:
     time_s = np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
     own = travelled(motion, time_s)
     speed, accel = motion.speed[:, None], motion.accel[:, None]
-    until_stop = np.divide(-speed, accel, out=np.full_like(speed, np.inf), where=accel < 0)
-    moving = np.minimum(time_s[None], until_stop)
-    inertia = speed * moving + 0.5 * accel * moving**2
+    inertia = inertial_distance(speed, accel, time_s[None])
     rate = _turning(history)[:, None]
     angle = rate * time_s
     turns = np.abs(rate) > 1e-3
