@@ -174,19 +174,20 @@ class Frame:
         """Check shapes and make the arrays read-only."""
         n: int | None = None
         for name, dtype, tail in _FRAME_ARRAYS:
-            array = getattr(self, name)
+            given = array = getattr(self, name)
             if type(array) is not np.ndarray or array.dtype is not dtype:
                 array = np.asarray(array, dtype=dtype)
-            size = None if name == "signals" else n
-            if (
-                array.ndim != 1 + len(tail)
-                or array.shape[1:] != tail
-                or (size is not None and array.shape[0] != size)
-            ):
-                expected = ("any" if size is None else size, *tail)
-                raise InputError(f"Frame.{name}: found shape {array.shape}, expected {expected}")
-            n = array.shape[0] if n is None else n
-            object.__setattr__(self, name, _frozen(array) if array.flags.writeable else array)
+            shape = array.shape
+            if name == "signals" or n is None:
+                if len(shape) != 1:
+                    raise InputError(f"Frame.{name}: found shape {shape}, expected ('any',)")
+                n = shape[0] if n is None else n
+            elif shape != (n, *tail):
+                raise InputError(f"Frame.{name}: found shape {shape}, expected {(n, *tail)}")
+            if array.flags.writeable:
+                array = _frozen(array)
+            if array is not given:
+                object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         """How many agents there are."""

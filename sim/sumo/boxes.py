@@ -27,19 +27,23 @@ change of lanes); SUMO's cars slide sideways beyond it while they crawl or stand
 
 @numba.njit(cache=True)
 def draw(
+    order: IntArray,
     rows: IntArray,
     front: FloatArray,
+    speed: FloatArray,
     angle: FloatArray,
     length: FloatArray,
     walks: BoolArray,
     turns: FloatArray,
     before: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Centres and headings of boxes, from where the front bumpers are now and were before.
 
     Args:
+        order: (n,) place of each in the next three, which are in SUMO's own order.
         rows: (n,) which agents.
-        front: (n, 2) centre of each front bumper, m.
+        front: (2n,) centre of each front bumper, x and y by turns, m.
+        speed: (n,) m/s.
         angle: (n,) SUMO's angle, degrees clockwise from north, of pedestrians and of the new.
         length: (N,) of every agent, m.
         walks: (N,) whether an agent is a pedestrian: those face where SUMO says.
@@ -47,25 +51,27 @@ def draw(
         before: (N, 4) front bumper and rear axle at the last call, m, NaN for the new; updated.
 
     Returns:
-        (n, 2) centres, m, and (n,) headings, rad in (-pi, pi].
+        In the order of ``rows``: (n, 2) centres, m, (n,) headings, rad in (-pi, pi], and (n,)
+        speeds, m/s.
 
     Examples:
         >>> before = np.full((1, 4), np.nan)
         >>> agent, nowhere = np.zeros(1, np.int64), np.array([[np.inf] * 2, [-np.inf] * 2])
         >>> for x, y in ((5.0, 0.0), (5.0, 1.0)):  # the front jumps aside: the car slides
-        ...     xy, heading = draw(agent, np.array([[x, y]]), np.array([90.0]), np.array([4.0]),
-        ...                        np.zeros(1, np.bool_), nowhere, before)
+        ...     xy, heading, _ = draw(agent, agent, np.array([x, y]), np.ones(1), np.array([90.0]),
+        ...                           np.array([4.0]), np.zeros(1, np.bool_), nowhere, before)
         >>> xy.tolist(), heading.tolist()
         ([[3.0, 1.0]], [0.0])
     """
     n = rows.size
-    xy, heading = np.empty((n, 2)), np.empty(n)
+    xy, heading, ordered = np.empty((n, 2)), np.empty(n), np.empty(n)
     for i in range(n):
-        row = rows[i]
-        x, y = front[i, 0], front[i, 1]
+        row, at = rows[i], order[i]
+        x, y = front[2 * at], front[2 * at + 1]
+        ordered[i] = speed[at]
         reach = AXLE_SHARE * length[row]
         if walks[row] or math.isnan(before[row, 0]):
-            told = math.radians(90.0 - angle[i])
+            told = math.radians(90.0 - angle[at])
             east, north = math.cos(told), math.sin(told)
         else:
             fx, fy, ax, ay = before[row]
@@ -84,4 +90,4 @@ def draw(
         heading[i] = math.atan2(north, east)
         if heading[i] == -math.pi:
             heading[i] = math.pi
-    return xy, heading
+    return xy, heading, ordered

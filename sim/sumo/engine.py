@@ -15,6 +15,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -280,6 +281,33 @@ def _turns(road: Road) -> FloatArray:
     return np.stack([points.min(axis=0) - TURN_MARGIN_M, points.max(axis=0) + TURN_MARGIN_M])
 
 
+@dataclass(frozen=True, slots=True)
+class _Roll:
+    """Who is on the road, until somebody comes or goes.
+
+    Attributes:
+        vehicles: their names, in SUMO's order.
+        persons: likewise.
+        order: (n,) places in vehicles and persons by ascending row.
+        rows: (n,) rows of the agents, ascending.
+        angle: per vehicle, SUMO's angle of those that have just come, else 0.
+        ids: (n,) as in a frame.
+        length: (n,) likewise.
+        width: (n,) likewise.
+        kind: (n,) likewise.
+    """
+
+    vehicles: Sequence[str]
+    persons: Sequence[str]
+    order: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    angle: FloatArray
+    ids: NDArray[np.int64]
+    length: FloatArray
+    width: FloatArray
+    kind: NDArray[np.int8]
+
+
 class _Reader:
     """Reads the state of the running simulation into frames.
 
@@ -298,12 +326,14 @@ class _Reader:
         self._kind = np.array([a.kind.code for a in agents], dtype=np.int8)
         self._walks = np.array([a.kind is AgentKind.PEDESTRIAN for a in agents], dtype=bool)
         self._before = np.full((len(agents), 4), np.nan)
-        self._new = np.ones(len(agents), dtype=bool)  # whose angle is asked for
         self._turns = _turns(road)
         self._walk = any(a.kind is AgentKind.PEDESTRIAN for a in agents)
         self._touching: set[tuple[int, int]] = set()
         self._events: list[Event] = []
         self._present: tuple[Sequence[str], Sequence[str]] = ((), ())
+        self._known = self._roll(*self._present)
+        self._letters: tuple[str, ...] = ()
+        self._signals = self._codes()
 
     def watch(self, time_s: float) -> None:
         """Note what happened in the last simulation step."""
@@ -341,53 +371,69 @@ class _Reader:
         """
         sumo = self._sumo
         vehicles, persons = self._present if fresh else self.present()
-        n = len(vehicles) + len(persons)
-        front = np.fromiter(
-            chain(
-                chain.from_iterable(map(sumo.vehicle_getPosition, vehicles)),
-                chain.from_iterable(map(sumo.person_getPosition, persons)),
-            ),
-            np.float64,
-            2 * n,
-        ).reshape(n, 2)
-        speed = np.fromiter(
-            chain(map(sumo.vehicle_getSpeed, vehicles), map(sumo.person_getSpeed, persons)),
-            np.float64,
-            n,
-        )
-        if walking_speeds:
-            for row, name in enumerate(persons, len(vehicles)):
-                speed[row] = walking_speeds.get(name, speed[row])
-        rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
-        angle = np.zeros(n)
-        for i in np.flatnonzero(self._new[rows]).tolist():
-            name = vehicles[i] if i < len(vehicles) else persons[i - len(vehicles)]
-            get = sumo.vehicle_getAngle if i < len(vehicles) else sumo.person_getAngle
-            angle[i] = get(name)
-        order = rows.argsort()
-        rows = rows[order]
-        self._new[rows] = self._walks[rows]
-        xy, heading = draw(
-            rows, front[order], angle[order], self._length, self._walks, self._turns, self._before
-        )
+        known = self._known
+        if vehicles != known.vehicles or persons != known.persons:
+            known = self._known = self._roll(vehicles, persons)
+        n = known.rows.size
+        places: Iterator[float] = chain.from_iterable(map(sumo.vehicle_getPosition, vehicles))
+        speeds: Iterator[float] = map(sumo.vehicle_getSpeed, vehicles)
+        angle = known.angle
+        if persons:
+            places = chain(places, chain.from_iterable(map(sumo.person_getPosition, persons)))
+            walking = map(sumo.person_getSpeed, persons)
+            if walking_speeds:
+                walking = map(walking_speeds.get, persons, walking)
+            speeds = chain(speeds, walking)
+            angle = np.concatenate(
+                [angle, np.fromiter(map(sumo.person_getAngle, persons), np.float64, len(persons))]
+            )
+        front = np.fromiter(places, np.float64, 2 * n)
+        xy, heading, speed = draw(
+            known.order, known.rows, front, np.fromiter(speeds, np.float64, n), angle,
+            self._length, self._walks, self._turns, self._before,
+        )  # fmt: skip
+        for array in (xy, heading, speed):
+            array.setflags(write=False)
         events, self._events = tuple(self._events), []
         return Frame(
             time_s=time_s,
-            ids=self._ids[rows],
+            ids=known.ids,
             xy=xy,
             heading=heading,
-            speed=speed[order],
-            length=self._length[rows],
-            width=self._width[rows],
-            kind=self._kind[rows],
-            signals=self._signals(),
+            speed=speed,
+            length=known.length,
+            width=known.width,
+            kind=known.kind,
+            signals=self._read_signals(),
             events=events,
         )
 
-    def _signals(self) -> NDArray[np.int8]:
+    def _roll(self, vehicles: Sequence[str], persons: Sequence[str]) -> _Roll:
+        """Who is present, and what of them stays the same until somebody comes or goes."""
+        n = len(vehicles) + len(persons)
+        rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
+        angle = np.zeros(len(vehicles))
+        for i in np.flatnonzero(np.isnan(self._before[rows[: len(vehicles)], 0])).tolist():
+            angle[i] = self._sumo.vehicle_getAngle(vehicles[i])  # asked for once, of the new
+        order = rows.argsort()
+        rows = rows[order]
+        told = (self._ids[rows], self._length[rows], self._width[rows], self._kind[rows])
+        for array in told:
+            array.setflags(write=False)
+        return _Roll(vehicles, persons, order, rows, angle, *told)
+
+    def _read_signals(self) -> NDArray[np.int8]:
+        read = self._sumo.trafficlight_getRedYellowGreenState
+        letters = tuple(read(plan.id) for plan in self._plans)
+        if letters != self._letters:
+            self._letters = letters
+            self._signals = self._codes()
+        return self._signals
+
+    def _codes(self) -> NDArray[np.int8]:
         codes = np.zeros(self._groups, dtype=np.int8)
-        for plan in self._plans:
-            letters = self._sumo.trafficlight_getRedYellowGreenState(plan.id)
+        for plan, letters in zip(self._plans, self._letters, strict=False):
             for group, link in zip(plan.groups, plan.links, strict=True):
                 codes[group] = signal_code(letters[link])
+        codes.setflags(write=False)
         return codes

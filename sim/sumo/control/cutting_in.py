@@ -147,7 +147,7 @@ class CuttingIn:
                 continue
             behind, ahead = _NEIGHBOURS[side]
             pace = self._pace(name, behind, speed)
-            if pace is not None and self._room(name, driver, ahead, pace):
+            if pace is not None and self._room(name, driver, ahead, speed, pace):
                 sumo.vehicle_setLaneChangeMode(name, COLLISIONS_ONLY)
                 sumo.vehicle_changeLane(name, target, MANOEUVRE_S)
                 sumo.vehicle_setSpeed(name, pace)
@@ -174,11 +174,10 @@ class CuttingIn:
             return float(max(min(speed, theirs), SLOWEST_MPS))
         return None
 
-    def _room(self, name: str, driver: _Driver, side: int, pace: float) -> bool:
+    def _room(self, name: str, driver: _Driver, side: int, speed: float, pace: float) -> bool:
         """Whether the front gap suffices at that pace."""
         profile = driver.agent.profile
         assert profile is not None
-        speed = self._sumo.vehicle_getSpeed(name)
         for leader, net_gap in self._sumo.vehicle_getNeighbors(name, side):
             gap = net_gap + profile.min_gap_m
             closing = max(speed - self._sumo.vehicle_getSpeed(leader), 0.0)

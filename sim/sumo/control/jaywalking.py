@@ -28,6 +28,10 @@ BEYOND_M: Final = 0.8
 MARGIN_M: Final = 40.0
 """No jaywalking nearer to a junction or crossing (our choice)."""
 
+FASTEST: Final = 1.5
+"""Nobody walks faster than this many times the own free speed, so nobody comes to the chosen place
+sooner (our choice, on the safe side)."""
+
 
 @dataclass(slots=True)
 class _Walker:
@@ -38,6 +42,8 @@ class _Walker:
     at_m: float
     begin: tuple[float, float] = (0.0, 0.0)
     aim: tuple[float, float] = (0.0, 0.0)
+    look_s: float = 0.0
+    came: bool = False
     waiting_since_s: float = -1.0
     walked_m: float = -1.0
     done: bool = False
@@ -86,27 +92,30 @@ class Jaywalking:
                 self._walk(name, walker)
             elif walker.waiting_since_s >= 0:
                 self._wait(name, walker, time_s, vehicles)
-            elif self._arrived(name, walker):
+            elif time_s >= walker.look_s and self._arrived(name, walker, time_s):
                 walker.waiting_since_s = time_s
                 self._wait(name, walker, time_s, vehicles)
 
-    def _arrived(self, name: str, walker: _Walker) -> bool:
+    def _arrived(self, name: str, walker: _Walker, time_s: float) -> bool:
         """Whether the walker has come to the chosen place; chooses where to aim at."""
         sumo = self._sumo
         if sumo.person_getRoadID(name) != walker.edge:
+            walker.done = walker.came  # nobody walks back
             return False
-        x, y = sumo.person_getPosition(name)
+        walker.came = True
+        place = np.array(sumo.person_getPosition(name))
         lane = next(one for one in self._road.lanes if one.edge == walker.edge and one.walking)
         line = lane.centerline
         direction = (line[-1] - line[0]) / np.hypot(*(line[-1] - line[0]))
-        along = float((np.array([x, y]) - line[0]) @ direction)
-        if along < walker.at_m if walker.agent.route[0] == walker.edge else along > walker.at_m:
+        along = float((place - line[0]) @ direction)
+        if along < walker.at_m:
+            walker.look_s = time_s + (walker.at_m - along) / (FASTEST * walker.agent.speed_mps)
             return False
-        aim = _other_side(self._road, lane, np.array([x, y]), direction)
+        aim = _other_side(self._road, lane, place, direction)
         if aim is None or abs(along - walker.at_m) > MARGIN_M:
             walker.done = True
             return False
-        walker.begin, walker.aim = (x, y), aim
+        walker.begin, walker.aim = (float(place[0]), float(place[1])), aim
         return True
 
     def _wait(self, name: str, walker: _Walker, time_s: float, vehicles: Sequence[str]) -> None:
@@ -125,9 +134,12 @@ class Jaywalking:
         (x, y), (ax, ay) = walker.begin, walker.aim
         width = math.hypot(ax - x, ay - y)
         over = ((ax - x) / width, (ay - y) / width)
+        far = SIGHT_M**2 + (width + 2.0) ** 2
         for name in vehicles:
             vx, vy = sumo.vehicle_getPosition(name)
             dx, dy = x - vx, y - vy
+            if dx * dx + dy * dy > far:
+                continue
             angle = math.radians(sumo.vehicle_getAngle(name))
             ahead = dx * math.sin(angle) + dy * math.cos(angle)
             if ahead < -20.0 or ahead > SIGHT_M:

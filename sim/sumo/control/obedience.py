@@ -47,6 +47,7 @@ class _Driver:
     cuts: bool = False
     mode: int = ORDINARY
     look_s: float = 0.0
+    near: bool = False
     decided: set[str] = field(default_factory=set)
 
 
@@ -94,11 +95,12 @@ class Obedience:
                 self._enter(driver, edge)
             ahead = self._approaches.get((driver.edge, driver.following.get(driver.edge, "")))
             mode = ORDINARY
-            away_m = self._length[lane] - sumo.vehicle_getLanePosition(name) if edge else 0.0
-            if ahead is None or away_m > SIGHT_M:
+            if not driver.near:
+                away_m = self._length[lane] - sumo.vehicle_getLanePosition(name) if edge else 0.0
                 away_m = away_m if ahead is None else away_m - SIGHT_M
-                driver.look_s = time_s + away_m / self._fastest_mps
-            else:
+                driver.near = ahead is not None and away_m <= 0
+                driver.look_s = time_s + max(away_m, 0.0) / self._fastest_mps
+            if driver.near and ahead is not None:
                 if occupied is None:
                     occupied = self._occupied(persons)
                 mode = self._decide(driver, ahead, occupied)
@@ -110,7 +112,7 @@ class Obedience:
         """Draw what the driver will do at the next junction's signal and stop line."""
         profile = driver.agent.profile
         assert profile is not None
-        driver.edge, driver.cuts = edge, False
+        driver.edge, driver.cuts, driver.near = edge, False, False
         driver.red = bool(driver.rng.random() < profile.red_run_probability)
         driver.rolls = bool(driver.rng.random() < profile.stop_roll_probability)
         driver.decided.clear()
@@ -118,9 +120,9 @@ class Obedience:
     def _decide(self, driver: _Driver, ahead: Approach, occupied: frozenset[str]) -> int:
         profile = driver.agent.profile
         assert profile is not None
-        over = ahead.on_red if driver.red and ahead.signal else ahead.crossings
-        for crossing in sorted(over & occupied):
-            if crossing not in driver.decided:
+        if occupied:
+            over = ahead.on_red if driver.red and ahead.signal else ahead.crossings
+            for crossing in sorted((over & occupied) - driver.decided):
                 driver.decided.add(crossing)
                 if driver.rng.random() >= profile.yield_probability:
                     driver.cuts = True
