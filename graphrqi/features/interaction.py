@@ -27,6 +27,9 @@ SAME_PATH_M: Final = 1.7
 BESIDE_M: Final = 5.0
 """Sideways distance within which another is in the next lane (a lane and a half)."""
 
+ABREAST_M: Final = 10.0
+"""Distance along the way within which another is beside (our choice: two car lengths)."""
+
 PEDESTRIAN_AHEAD_M: Final = 30.0
 """How far ahead a pedestrian matters (our choice: two seconds and a half at town speed)."""
 
@@ -42,7 +45,7 @@ class Interaction:
         follower: (n,) index of the nearest behind on the same path, -1 if none.
         rear_gap: (n,) m; at least 0.
         rear_speed: (n,) m/s, along one's own direction.
-        beside: (n,) how many are in the next lanes within 10 m.
+        beside: (n,) how many are in the next lanes within ``ABREAST_M``.
         pedestrian_m: (n,) distance ahead of the nearest pedestrian near the path, m.
     """
 
@@ -56,20 +59,6 @@ class Interaction:
     pedestrian_m: FloatArray
 
 
-def _nearest(
-    row: IntArray, distance: FloatArray, chosen: BoolArray, n: int
-) -> tuple[IntArray, FloatArray]:
-    """For each row the edge with the least distance among those chosen (-1 and NaN if none)."""
-    edge = np.flatnonzero(chosen)
-    edge = edge[np.lexsort((distance[edge], row[edge]))]
-    rows, first = np.unique(row[edge], return_index=True)
-    which = np.full(n, -1, dtype=np.int64)
-    which[rows] = edge[first]
-    value = np.full(n, np.nan)
-    value[rows] = distance[edge[first]]
-    return which, value
-
-
 def interactions(motion: Motion, drives: BoolArray, adjacency: csr_array) -> Interaction:
     """Find everyone's leader, follower and neighbours along the graph's edges.
 
@@ -81,38 +70,23 @@ def interactions(motion: Motion, drives: BoolArray, adjacency: csr_array) -> Int
     Returns:
         Interaction of each vertex.
     """
-    n = motion.ids.size
-    row = np.repeat(np.arange(n), np.diff(adjacency.indptr))
-    col = np.asarray(adjacency.indices, dtype=np.int64)
-    direction = motion.direction
-    relative = motion.xy[col] - motion.xy[row]
-    ahead = (relative * direction[row]).sum(axis=1)
-    left = direction[row, 0] * relative[:, 1] - direction[row, 1] * relative[:, 0]
-    with_me = (direction[row] * direction[col]).sum(axis=1) > 0.5  # within 60 degrees
-    both_drive = drives[row] & drives[col]
-    on_path = both_drive & with_me & (np.abs(left) < SAME_PATH_M)
-    along = (motion.velocity[col] * direction[row]).sum(axis=1)
+    from graphrqi.features.interaction_kernel import look_around
 
-    leading, lead_m = _nearest(row, ahead, on_path & (ahead > 0), n)
-    trailing, rear_m = _nearest(row, -ahead, on_path & (ahead < 0), n)
-    near = both_drive & with_me & (np.abs(ahead) < 10.0)
-    beside = near & (np.abs(left) >= SAME_PATH_M) & (np.abs(left) < BESIDE_M)
-    walker = drives[row] & ~drives[col] & (np.abs(left) < BESIDE_M)
-    _, pedestrian_m = _nearest(row, ahead, walker & (ahead > 0) & (ahead < PEDESTRIAN_AHEAD_M), n)
-
-    def of(edge: IntArray, values: FloatArray) -> FloatArray:
-        return np.where(edge >= 0, values[edge] if values.size else np.nan, np.nan)
-
-    def end(edge: IntArray) -> IntArray:
-        return np.where(edge >= 0, col[edge] if col.size else -1, -1)
-
+    who = np.full((motion.ids.size, 2), -1, dtype=np.int64)
+    seen = np.full((motion.ids.size, 6), np.nan)
+    seen[:, 4] = 0.0
+    look_around(
+        adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64), motion.xy,
+        motion.velocity, motion.direction, drives, SAME_PATH_M, BESIDE_M, ABREAST_M,
+        PEDESTRIAN_AHEAD_M, who, seen,
+    )  # fmt: skip
     return Interaction(
-        leader=end(leading),
-        gap=np.maximum(lead_m - NOMINAL_LENGTH_M, 0.0),
-        leader_speed=of(leading, along),
-        follower=end(trailing),
-        rear_gap=np.maximum(rear_m - NOMINAL_LENGTH_M, 0.0),
-        rear_speed=of(trailing, along),
-        beside=np.bincount(row[beside], minlength=n).astype(np.float64),
-        pedestrian_m=pedestrian_m,
+        leader=who[:, 0],
+        gap=np.maximum(seen[:, 0] - NOMINAL_LENGTH_M, 0.0),
+        leader_speed=seen[:, 1],
+        follower=who[:, 1],
+        rear_gap=np.maximum(seen[:, 2] - NOMINAL_LENGTH_M, 0.0),
+        rear_speed=seen[:, 3],
+        beside=seen[:, 4],
+        pedestrian_m=seen[:, 5],
     )
