@@ -19,8 +19,9 @@ from experiments.prediction import HISTORY_S, future
 from experiments.yield_picture import Case, clearest
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
-from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene import LEARNED_S, OPEN, STEP_S, Scene, make_scene
+from graphrqi.predict.gates import OPEN
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.scene import LEARNED_S, Scene, make_scene
 from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 

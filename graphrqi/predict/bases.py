@@ -18,9 +18,10 @@ from graphrqi.predict.constant import by_inertia
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.features import features
 from graphrqi.predict.manners import Manners, believed
+from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import Rollout, beside, places, roll, steady
 from graphrqi.predict.route import candidates, path_probability
-from graphrqi.predict.scene import STEP_S, Scene
+from graphrqi.predict.scene import Scene
 
 FloatArray = NDArray[np.float64]
 

@@ -35,8 +35,8 @@ from graphrqi.predict import kernel
 from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known, known, unlabelled
 from graphrqi.predict.drivers import default_table
 from graphrqi.predict.following import shuffled_posterior, true_behavior
-from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene import STEP_S, Scene
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.scene import Scene
 from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]

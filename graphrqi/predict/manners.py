@@ -92,10 +92,10 @@ def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
 def personal(scene: Scene, following: FloatArray) -> FloatArray:
     """Driver numbers with each one's wished speed corrected by what it was seen to drive."""
     wished = np.log(following[:, 0])
-    seen = ~np.isnan(scene.free_factor)
+    seen = ~np.isnan(scene.seen.free_factor)
     wished[seen] = (
-        FREE_WEIGHT * wished[seen] + np.log(np.maximum(scene.free_factor[seen], 0.1))
+        FREE_WEIGHT * wished[seen] + np.log(np.maximum(scene.seen.free_factor[seen], 0.1))
     ) / (1.0 + FREE_WEIGHT)
     out = following.copy()
-    out[:, 0] = np.maximum(np.exp(wished), scene.least_factor)
+    out[:, 0] = np.maximum(np.exp(wished), scene.seen.least_factor)
     return out

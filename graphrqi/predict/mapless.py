@@ -21,8 +21,8 @@ from behaviors.errors import InputError
 from graphrqi.predict.bases import KNOT_S, KNOTS, Known
 from graphrqi.predict.constant import inertial_distance
 from graphrqi.predict.learned import Perceptron, load_network, spread_out
-from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene import LEARNED_S, STEP_S
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.scene import LEARNED_S
 from graphrqi.predict.unmapped import (
     Motion,
     fan,

@@ -11,10 +11,10 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.drivers import DriverTable, default_table
 from graphrqi.predict.manners import believed
-from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.rollout import places, roll
 from graphrqi.predict.route import ACCELERATION_SD, on_likely_paths
-from graphrqi.predict.scene import STEP_S, Scene
+from graphrqi.predict.scene import Scene
 
 FloatArray = NDArray[np.float64]
 

@@ -26,8 +26,9 @@ from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.manners import Manners, believed
+from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import Rollout, beside, centre_ahead, places, roll
-from graphrqi.predict.scene import STEP_S, Scene
+from graphrqi.predict.scene import Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

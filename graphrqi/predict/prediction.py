@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 
 FloatArray = NDArray[np.float64]
+
+STEP_S: Final = 0.1
+"""Time between predicted places, s: the simulators' usual step."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from graphrqi.predict import kernel
 from graphrqi.predict.manners import Manners
-from graphrqi.predict.scene import RETURN_MPS, STEP_S, Scene
+from graphrqi.predict.prediction import STEP_S
+from graphrqi.predict.scene import RETURN_MPS, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.manners import Manners
+from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import roll
-from graphrqi.predict.scene import STEP_S, Scene
+from graphrqi.predict.scene import Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

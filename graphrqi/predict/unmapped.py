@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene import STEP_S
+from graphrqi.predict.prediction import STEP_S, Prediction
 from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]

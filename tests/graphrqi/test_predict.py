@@ -19,10 +19,11 @@ from graphrqi.predict.drivers import (
     table_from_json,
     table_to_json,
 )
+from graphrqi.predict.gates import CLOSED, OPEN
 from graphrqi.predict.manners import Manners, believed, wary
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
-from graphrqi.predict.scene import CLOSED, OPEN, make_scene
+from graphrqi.predict.scene import make_scene
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 
