@@ -264,7 +264,10 @@ def test_rows_of_every_protocol(recordings, few_rounds):
     ours = table["inductive", OURS, 10.0, "", "style_balanced_accuracy"]
     assert ours > table["inductive", "majority", 10.0, "", "style_balanced_accuracy"] == 0.5
     assert table["inductive", "ceiling", None, "whole life", "style_balanced_accuracy"] > 0.9
-    assert table["inductive", "leak-probe", 10.0, "", "macro_f1"] < 0.35
+    for variation in ("", "first window"):
+        assert table["leak-probe", "leak-probe", 10.0, variation, "macro_f1"] < 0.35
+    sizes = {r["variation"]: r["n"] for r in rows if r["protocol"] == "leak-probe"}
+    assert sizes["first window"] < sizes[""]
 
 
 def test_same_data_same_rows(recordings):
