@@ -53,7 +53,8 @@ class Sizes:
 
     Attributes:
         base: options of `GenerateConfig` for the data that is learned.
-        other: the same for what is only scored, and for the other engine.
+        other: the same for what is only scored.
+        engine: the same for the other engine's drivers, scored and learned.
         fresh: the same for what the shipped model is scored on.
         many: the same for the leak probe, whose interval needs episodes; None for the base.
         traffic: which of ``TRAFFIC``.
@@ -64,6 +65,7 @@ class Sizes:
 
     base: Mapping[str, Any]
     other: Mapping[str, Any]
+    engine: Mapping[str, Any]
     fresh: Mapping[str, Any]
     many: Mapping[str, Any] | None
     traffic: tuple[str, ...]
@@ -75,6 +77,7 @@ class Sizes:
 FULL: Final = Sizes(
     base={"episodes": 15, "duration_s": 150.0, "limits_mps": TRAINING_LIMITS_MPS},
     other={"episodes": 4, "duration_s": 150.0},
+    engine={"episodes": 15, "duration_s": 150.0},
     fresh={"episodes": 6, "duration_s": 300.0},
     many={"episodes": 40, "duration_s": 150.0},
     traffic=tuple(TRAFFIC),
@@ -86,6 +89,7 @@ FULL: Final = Sizes(
 QUICK: Final = Sizes(
     base={"episodes": 5, "duration_s": 40.0},
     other={"episodes": 3, "duration_s": 30.0},
+    engine={"episodes": 3, "duration_s": 30.0},
     fresh={"episodes": 1, "duration_s": 30.0},
     many=None,
     traffic=("dense flow",),
@@ -145,7 +149,7 @@ class Bench:
     @cached_property
     def highway(self) -> Recordings:
         """Drivers of the other engine."""
-        return self._made("highway", **self.sizes.other, engine="highway", seed=13)
+        return self._made("highway", **self.sizes.engine, engine="highway", seed=13)
 
 
 def _shipped(bench: Bench) -> list[Row]:
