@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS, Behavior, Style
 from behaviors.profiles import PROFILES
+from behaviors.traits import cutting_in
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
+from sim.exhibits import see
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
 from sim.incidents import incidents
 from sim.observables import observe
@@ -162,6 +164,30 @@ def test_the_wrong_side_is_used_on_wide_roads_too():
     seen = observe(tracks, scenario.road)
     wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
     assert float(tracks.speed[wrong].sum()) * 0.1 > 50.0
+
+
+def test_threatening_drivers_cut_in_and_the_careful_do_not():
+    scenario = short(mix="threatening=.5,careful=.5", duration_s=150.0, flow=2400.0)
+    agents = sample_agents(scenario, 0)
+    tracks = Tracks.from_frames(run(scenario, agents, 0))
+    cuts = cutting_in(see(tracks, scenario.road, (), observe(tracks, scenario.road)))
+    behavior = {a.id: a.behavior for a in agents}
+    who = [behavior[int(tracks.ids[cut.agent])] for cut in cuts]
+    assert who.count(Behavior.THREATENING) > 20
+    assert who.count(Behavior.CAREFUL) < who.count(Behavior.THREATENING) / 20
+
+
+def test_the_conservative_cause_no_collision_with_a_vehicle():
+    # Seed 9: a timid driver would stop unprovoked half way between two lanes.
+    scenario = get_scenario("straight_road")(duration_s=620.0)
+    agents = sample_agents(scenario, 9)
+    tracks = Tracks.from_frames(run(scenario, agents, 9))
+    style = {a.id: None if a.behavior is None else a.behavior.style for a in agents}
+    assert not [
+        e
+        for e in incidents(tracks, scenario.road)
+        if e.kind is EventKind.COLLISION and style[e.agent] is Style.CONSERVATIVE
+    ]
 
 
 def test_cars_neither_slide_nor_spin_on_the_spot():

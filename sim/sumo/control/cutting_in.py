@@ -11,14 +11,9 @@ import numpy as np
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.approaches import approaches
+from sim.sumo.control.lane_change_mode import COLLISIONS_ONLY, ORDINARY
 
-COLLISIONS_ONLY: Final = 256
-"""Lane-change mode: only what is commanded, refused only if boxes would touch."""
-
-ORDINARY: Final = 1621
-"""SUMO's default lane-change mode."""
-
-LARGEST_HEADWAY_S: Final = 0.7
+LARGEST_HEADWAY_S: Final = 0.45
 """The gap left to the chosen car is below this when the box touches the new lane; below one second
 is what counts as cutting in."""
 
@@ -53,6 +48,12 @@ HALF_CHANGE_S: Final = 1.4
 RETRY_S: Final = 0.2
 """Who finds no gap looks again after this long (our choice)."""
 
+FALLING_BACK_MPS: Final = 2.5
+"""Who has somebody to cut in on, but too far behind, falls back at this speed (our choice)."""
+
+FALLING_BACK_S: Final = 6.0
+"""Nobody falls back for longer than this to cut in (our choice)."""
+
 CLEAR_M: Final = 30.0
 """No cut-in starts closer to a junction (our choice)."""
 
@@ -70,6 +71,7 @@ class _Driver:
     wish_s: float
     until_s: float = -1.0
     paced: bool = False
+    falls_back: bool = False
 
 
 class CuttingIn:
@@ -128,10 +130,14 @@ class CuttingIn:
                     driver.wish_s = driver.until_s + _pause_s(driver)
                 else:
                     driver.wish_s = time_s + RETRY_S
+                    if driver.paced and not driver.falls_back:
+                        self._sumo.vehicle_setSpeed(name, -1.0)
+                    driver.paced = driver.falls_back
 
     def _cut_in(self, name: str, driver: _Driver) -> bool:
         """Cut in now if there is a car to cut in on and room for it."""
         sumo = self._sumo
+        driver.falls_back = False
         speed = sumo.vehicle_getSpeed(name)
         lane = self._lanes.get(sumo.vehicle_getLaneID(name))
         if lane is None or speed < SLOWEST_MPS:
@@ -146,17 +152,22 @@ class CuttingIn:
             if onward is not None and target not in onward.lanes:
                 continue
             behind, ahead = _NEIGHBOURS[side]
-            pace = self._pace(name, behind, speed)
-            if pace is not None and self._room(name, driver, ahead, speed, pace):
+            pace, near = self._pace(name, behind, speed)
+            if not pace or not self._room(name, driver, ahead, speed, pace):
+                continue
+            sumo.vehicle_setSpeed(name, pace)
+            if near:
                 sumo.vehicle_setLaneChangeMode(name, COLLISIONS_ONLY)
                 sumo.vehicle_changeLane(name, target, MANOEUVRE_S)
-                sumo.vehicle_setSpeed(name, pace)
                 return True
+            driver.falls_back = True
+            return False
         return False
 
-    def _pace(self, name: str, side: int, speed: float) -> float | None:
-        """The speed at which to cut in on whoever follows there; None if it is not worth it.
+    def _pace(self, name: str, side: int, speed: float) -> tuple[float, bool]:
+        """The speed at which to cut in on whoever follows there, and whether they are near enough.
 
+        If they are not, it is the speed at which to fall back to them; 0 if it is not worth it.
         The victim must be cut off, not hit: the gap that will be left when the box touches the
         new lane lies between the smallest gap and the largest headway, and does not make the
         victim brake too hard.
@@ -168,11 +179,14 @@ class CuttingIn:
             left = gap + faster * (MATCHING_S if faster > 0 else TOUCHING_S)
             braking = min(faster, 0.0) ** 2 / (2 * max(gap - SMALLEST_GAP_M, 0.01))
             if net_gap < ROOM_M or left < SMALLEST_GAP_M or braking > HARDEST_BRAKING_MPS2:
-                return None
-            if left > LARGEST_HEADWAY_S * theirs:
-                return None
-            return float(max(min(speed, theirs), SLOWEST_MPS))
-        return None
+                return 0.0, False
+            if left <= LARGEST_HEADWAY_S * theirs:
+                return float(max(theirs, SLOWEST_MPS)), True
+            falling = theirs - FALLING_BACK_MPS
+            far = left - LARGEST_HEADWAY_S * theirs
+            if falling > SLOWEST_MPS and far < FALLING_BACK_S * FALLING_BACK_MPS:
+                return float(falling), False
+        return 0.0, False
 
     def _room(self, name: str, driver: _Driver, side: int, speed: float, pace: float) -> bool:
         """Whether the front gap suffices at that pace."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from sim.road import Road
 from sim.scenario import AgentSpec
+from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 
 LOWEST_S, HIGHEST_S = 3.0, 6.0
 """How long the slow speed is kept, s (our choice)."""
@@ -24,6 +25,9 @@ PAUSE_S: Final = 20.0
 
 CLEAR_M: Final = 50.0
 """No leader, junction or crossing within this distance, else there would be a reason."""
+
+IN_LANE_M: Final = 0.1
+"""Who is farther from the middle of the lane is changing lanes, and does that first."""
 
 SLOWEST_MPS: Final = 3.0
 """Who drives slower has nothing to slow down from."""
@@ -82,6 +86,7 @@ class Stopping:
                 driver.target_mps = 0.0 if stop else SLOW_FACTOR * sumo.vehicle_getSpeed(name)
                 driver.release_s = -1.0
                 sumo.vehicle_setSpeed(name, driver.target_mps)
+                sumo.vehicle_setLaneChangeMode(name, NOTHING)  # nobody stands between lanes
 
     def _hold(self, name: str, driver: _Driver, time_s: float) -> None:
         sumo = self._sumo
@@ -90,6 +95,7 @@ class Stopping:
                 driver.release_s = time_s + driver.hold_s
         elif time_s >= driver.release_s:
             sumo.vehicle_setSpeed(name, -1.0)
+            sumo.vehicle_setLaneChangeMode(name, ORDINARY)
             driver.target_mps = -1.0
             driver.wish_s = time_s + PAUSE_S + _pause_s(driver)
 
@@ -100,6 +106,8 @@ class Stopping:
         if length is None or sumo.vehicle_getSpeed(name) < SLOWEST_MPS:
             return False
         if length - sumo.vehicle_getLanePosition(name) < CLEAR_M:
+            return False
+        if abs(sumo.vehicle_getLateralLanePosition(name)) > IN_LANE_M:
             return False
         leader = sumo.vehicle_getLeader(name, CLEAR_M)
         return leader is None or not leader[0] or leader[1] > CLEAR_M

@@ -16,13 +16,8 @@ import numpy as np
 
 from sim.road import Road
 from sim.scenario import AgentSpec
+from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 from sim.sumo.vehicle_types import VEHICLE_CLASS
-
-NOTHING: Final = 0
-"""Lane-change mode: no change but what is commanded."""
-
-ORDINARY: Final = 1621
-"""SUMO's default lane-change mode; it leads back to the right side as soon as there is room."""
 
 SIGHT_M: Final = 250.0
 """The oncoming lane must be clear this far to start (our choice: with less there are head-on
