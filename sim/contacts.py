@@ -19,9 +19,10 @@ import numpy as np
 from behaviors.traits import runs
 from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 
-GRAZE_M: Final = 0.1
-"""Boxes may overlap by this much without touching (our choice: bodies are rounder than boxes, and
-recorded positions are no more accurate)."""
+GRAZE_M: Final = 0.15
+"""Boxes may overlap by this much without touching (our choice: a corner rounded with a radius of
+0.4 m, as cars' are, lies 0.4 (sqrt(2) - 1) m inside the box's; and recorded positions are no more
+accurate)."""
 
 
 @dataclass(frozen=True, slots=True)
