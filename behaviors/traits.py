@@ -197,14 +197,16 @@ def runs(flags: BoolArray, shortest: int = 1) -> Iterator[tuple[int, int, int]]:
         >>> list(runs(np.array([[False, True, True, False], [True, False, True, True]]), 2))
         [(0, 1, 3), (1, 2, 4)]
     """
-    padded = np.zeros((flags.shape[0], flags.shape[1] + 2), dtype=np.int8)
-    padded[:, 1:-1] = flags
-    change = np.diff(padded, axis=1)
-    rows, begins = np.nonzero(change == 1)
-    _, ends = np.nonzero(change == -1)
-    for row, begin, end in zip(rows, begins, ends, strict=True):
-        if end - begin >= shortest:
-            yield int(row), int(begin), int(end)
+    width = flags.shape[1]
+    at = np.flatnonzero(flags)  # few are set, so all else is done on those
+    new = np.ones(at.size, dtype=bool)
+    new[1:] = (np.diff(at) > 1) | (at[1:] % width == 0)
+    first = np.flatnonzero(new)
+    count = np.diff(first, append=at.size)
+    long = count >= shortest
+    rows, begins = np.divmod(at[first[long]], width)
+    for row, begin, steps in zip(rows, begins, count[long], strict=True):
+        yield int(row), int(begin), int(begin + steps)
 
 
 def lane_changes(seen: Seen) -> tuple[IntArray, IntArray]:
@@ -213,10 +215,11 @@ def lane_changes(seen: Seen) -> tuple[IntArray, IntArray]:
     Returns:
         (m,) rows and (m,) columns. Going from one stretch of road to the next is no lane change.
     """
-    before, after = seen.lane[:, :-1], seen.lane[:, 1:]
-    same = (seen.edge[:, :-1] == seen.edge[:, 1:]) & (before >= 0) & (after >= 0)
-    rows, columns = np.nonzero(same & (before != after) & seen.drives[:, None])
-    return rows, columns + 1
+    rows, before = np.nonzero(seen.lane[:, :-1] != seen.lane[:, 1:])
+    after = before + 1
+    changed = (seen.edge[rows, before] == seen.edge[rows, after]) & seen.drives[rows]
+    changed &= (seen.lane[rows, before] >= 0) & (seen.lane[rows, after] >= 0)
+    return rows[changed], after[changed]
 
 
 def _exhibits(
@@ -439,14 +442,20 @@ def uniform_speed(seen: Seen) -> list[Exhibit]:
     steps = round(UNIFORM_S / seen.step_s)
     if seen.time_s.size < steps:
         return []
-    speed = np.where(seen.valid & seen.drives[:, None], seen.speed, np.nan)
-    total = np.cumsum(np.pad(np.nan_to_num(speed), ((0, 0), (1, 0))), axis=1)
-    square = np.cumsum(np.pad(np.nan_to_num(speed) ** 2, ((0, 0), (1, 0))), axis=1)
-    count = np.cumsum(np.pad(np.isfinite(speed).astype(np.int64), ((0, 0), (1, 0))), axis=1)
-    mean = (total[:, steps:] - total[:, :-steps]) / steps
-    variance = np.maximum((square[:, steps:] - square[:, :-steps]) / steps - mean**2, 0.0)
-    whole = (count[:, steps:] - count[:, :-steps]) == steps
-    even = whole & (mean > FOLLOWING_MPS) & (np.sqrt(variance) < UNIFORM_VARIATION * mean)
+    at = np.flatnonzero(seen.valid & seen.drives[:, None])
+    if at.size < steps:
+        return []
+    width = seen.time_s.size
+    speed = seen.speed.ravel()[at]
+    total = np.concatenate([[0.0], np.cumsum(speed)])
+    square = np.concatenate([[0.0], np.cumsum(speed**2)])
+    mean = (total[steps:] - total[:-steps]) / steps
+    variance = np.maximum((square[steps:] - square[:-steps]) / steps - mean**2, 0.0)
+    first, last = at[: at.size - steps + 1], at[steps - 1 :]
+    whole = (last - first == steps - 1) & (first // width == last // width)
+    steady = whole & (mean > FOLLOWING_MPS) & (np.sqrt(variance) < UNIFORM_VARIATION * mean)
+    even = np.zeros(seen.valid.shape, dtype=bool)
+    even.ravel()[first[steady]] = True
     found = []
     for row, begin, end in runs(even):
         span = slice(begin, end - 1 + steps)

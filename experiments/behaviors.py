@@ -19,11 +19,9 @@ from behaviors.shown_label import shown_label
 from behaviors.traits import FOLLOWING_MPS, Exhibit, Seen, lane_changes, runs, waits
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
-from sim.exhibits import exhibited, see
 from sim.frames import Event, EventKind, Tracks
-from sim.incidents import incidents
-from sim.observables import observe
 from sim.scenario import sample_agents
+from sim.watching import watch
 
 FREE_HEADWAY_S: Final = 6.0
 """A road is free for who has this much headway or more (our choice)."""
@@ -128,10 +126,8 @@ def count_episode(
     tracks = Tracks.from_frames(
         get_engine(engine)(made, agents, seed), {a.id: a.behavior for a in agents}
     )
-    observed = observe(tracks, made.road)
-    events = incidents(tracks, made.road, observed)
-    exhibits = exhibited(tracks, made.road, events, observed)
-    return count(tracks, see(tracks, made.road, events, observed), events, exhibits)
+    watched = watch(tracks, made.road)
+    return count(tracks, watched.seen, watched.events, watched.exhibits)
 
 
 def count(

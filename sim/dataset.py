@@ -28,11 +28,8 @@ from behaviors.labels import BEHAVIORS, Behavior, Trait
 from behaviors.profiles import PROFILE_FIELDS, Profile
 from behaviors.traits import Exhibit
 from sim.atomic import whole_folder, write_whole
-from sim.exhibits import exhibited
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Frame, Tracks
-from sim.incidents import incidents
 from sim.net import read_road
-from sim.observables import observe
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.schema import (
@@ -53,6 +50,7 @@ from sim.schema import (
     Split,
     steps_schema,
 )
+from sim.watching import watch
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -386,11 +384,8 @@ def write_episode(
         raise InputError(f"frames: found agent {strangers[0]}, expected one of {len(agents)} given")
     exhibits: tuple[Exhibit, ...] = ()
     if road is not None and steps.time_s.size > 2:
-        tracks, net = _dense_tracks(steps, ordered), read_road(road)
-        observed = observe(tracks, net)
-        events = incidents(tracks, net, observed)
-        exhibits = exhibited(tracks, net, events, observed)
-        steps = dataclasses.replace(steps, events=events)
+        watched = watch(_dense_tracks(steps, ordered), read_road(road))
+        steps, exhibits = dataclasses.replace(steps, events=watched.events), watched.exhibits
     agents_table = _agents_table(ordered, {})
     return _write(folder, meta, steps, agents_table, int(seen.size), road, exhibits)
 

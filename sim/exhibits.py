@@ -24,24 +24,16 @@ RULES = {
 """Events that are rules met, and whether they were kept."""
 
 
-def exhibited(
-    tracks: Tracks,
-    road: Road,
-    events: Sequence[Event],
-    observed: Observables | None = None,
-) -> tuple[Exhibit, ...]:
+def exhibited(tracks: Tracks, seen: Seen) -> tuple[Exhibit, ...]:
     """Every trait that was shown.
 
     Args:
         tracks: an episode or a recording.
-        road: where it happened.
-        events: what `sim.incidents.incidents` found in it.
-        observed: its observables, if they are at hand.
+        seen: what the detectors look at, with the rules that were met (`met`).
 
     Returns:
         Exhibits in order of time; their ``agent`` and ``other`` are agent ids (-1: nobody).
     """
-    seen = see(tracks, road, events, observe(tracks, road) if observed is None else observed)
     return tuple(
         dataclasses.replace(
             exhibit,
@@ -52,18 +44,35 @@ def exhibited(
     )
 
 
-def see(tracks: Tracks, road: Road, events: Sequence[Event], observed: Observables) -> Seen:
-    """What the detectors look at.
+def met(tracks: Tracks, seen: Seen, events: Sequence[Event]) -> Seen:
+    """What the detectors look at, with the rules that were met.
+
+    Args:
+        tracks: an episode or a recording.
+        seen: what `see` gives.
+        events: what `sim.incidents.incidents` found in it.
+    """
+    rows = {int(i): row for row, i in enumerate(tracks.ids)}
+    encounters = tuple(
+        RuleEncounter(rows[e.agent], e.time_s, RULES[e.kind])
+        for e in events
+        if e.kind in RULES and e.agent in rows
+    )
+    return dataclasses.replace(seen, encounters=encounters)
+
+
+def see(tracks: Tracks, road: Road, observed: Observables | None = None) -> Seen:
+    """What the detectors look at, before anything is known of the rules that were met.
 
     Args:
         tracks: an episode or a recording.
         road: where it happened.
-        events: what `sim.incidents.incidents` found in it.
-        observed: the observables of the tracks.
+        observed: its observables, if they are at hand.
 
     Returns:
         Arrays with the rows of ``tracks``.
     """
+    observed = observe(tracks, road) if observed is None else observed
     graph = LaneGraph.of(road)
     edges = {edge: i for i, edge in enumerate(dict.fromkeys(lane.edge for lane in road.lanes))}
     edge_of = np.array([edges[lane.edge] for lane in road.lanes], dtype=np.int64)
@@ -75,20 +84,19 @@ def see(tracks: Tracks, road: Road, events: Sequence[Event], observed: Observabl
         held[at] |= link.must_stop or (link.must_yield and link.signal < 0)
     red = (observed.signal == Signal.RED.code) | (observed.signal == Signal.YELLOW.code)
     off_crossing, on_red = _walkers(tracks, road)
-    rows = {int(i): row for row, i in enumerate(tracks.ids)}
     return Seen(
         time_s=tracks.time_s,
         valid=tracks.valid,
         drives=np.asarray(tracks.kind != PEDESTRIAN),
         length=tracks.length,
         width=tracks.width,
-        speed=np.nan_to_num(tracks.speed),
-        limit=np.where(known, np.nan_to_num(observed.limit, nan=np.inf), np.inf),
+        speed=np.where(tracks.valid, tracks.speed, 0.0),
+        limit=np.where(known, observed.limit, np.inf),
         edge=np.where(known, edge_of[np.maximum(lane, 0)], -1),
         lane=lane,
-        offset=np.nan_to_num(observed.offset),
+        offset=np.where(known, observed.offset, 0.0),
         lane_width=np.where(known, graph.width[np.maximum(lane, 0)], np.inf),
-        lane_heading=np.nan_to_num(observed.lane_heading),
+        lane_heading=np.where(known, observed.lane_heading, 0.0),
         leader=observed.leader,
         follower=observed.follower,
         gap=observed.gap,
@@ -99,11 +107,6 @@ def see(tracks: Tracks, road: Road, events: Sequence[Event], observed: Observabl
         crossing_used=observed.crossing_occupied | observed.crossing_waiting,
         off_crossing=off_crossing,
         on_red=on_red,
-        encounters=tuple(
-            RuleEncounter(rows[e.agent], e.time_s, RULES[e.kind])
-            for e in events
-            if e.kind in RULES and e.agent in rows
-        ),
     )
 
 

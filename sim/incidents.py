@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.traits import Exhibit, cutting_in, runs
+from behaviors.traits import Exhibit, Seen, cutting_in, runs
 from sim.contacts import Contact, contacts
 from sim.exhibits import see
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal, Tracks
@@ -79,7 +79,12 @@ _STOP_SIGNALS: Final = (Signal.RED.code, Signal.YELLOW.code)
 
 
 def incidents(
-    tracks: Tracks, road: Road, observed: Observables | None = None, *, recorded: bool = False
+    tracks: Tracks,
+    road: Road,
+    observed: Observables | None = None,
+    arrays: Seen | None = None,
+    *,
+    recorded: bool = False,
 ) -> tuple[Event, ...]:
     """All events of an episode or recording.
 
@@ -87,6 +92,7 @@ def incidents(
         tracks: what was seen; its own events (collisions, removals) are kept.
         road: where it happened.
         observed: its observables, if they are at hand.
+        arrays: what the trait detectors look at (`sim.exhibits.see`), if it is at hand.
         recorded: whether boxes were measured, not simulated: then two that overlap have not
             collided, but were measured a little wrong.
 
@@ -103,7 +109,7 @@ def incidents(
     ]
     collisions = _collisions(tracks, () if recorded else contacts(tracks))
     if collisions:
-        arrays = see(tracks, road, (), seen)
+        arrays = see(tracks, road, seen) if arrays is None else arrays
         cuts, forbidden = cutting_in(arrays), arrays.off_crossing | arrays.on_red
     for pair, columns in collisions:
         first = Event(EventKind.COLLISION, float(tracks.time_s[columns[0]]), *pair)
@@ -165,28 +171,32 @@ def _crossings_passed(tracks: Tracks, road: Road, seen: Observables) -> list[Eve
     if not walkers.size:
         return []
     found = []
-    row, column = np.nonzero(tracks.valid & (tracks.kind != PEDESTRIAN)[:, None])
-    facing = tracks.heading[row, column]
-    forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
-    front = tracks.xy[row, column] + 0.5 * tracks.length[row, None] * forward
+    driving = np.flatnonzero(tracks.valid & (tracks.kind != PEDESTRIAN)[:, None])
+    xy = tracks.xy.reshape(-1, 2)[driving]
+    longest, step_s = float(tracks.length.max()), tracks.step_s
     for crossing in road.crossings:
         if crossing.signal < 0 and not crossing.priority:
             continue
         people = _people(tracks, crossing, walkers)
         if not people:
             continue
-        near = _near(crossing, front)
-        u, across, total = along(crossing.centerline, front[near])
+        near = _near(crossing, xy, longest / 2)
+        row, column = np.divmod(driving[near], tracks.time_s.size)
+        facing = tracks.heading[row, column]
+        forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
+        front = xy[near] + 0.5 * tracks.length[row, None] * forward
+        u, across, total = along(crossing.centerline, front)
         inside = (np.abs(across) <= crossing.width_m / 2) & (u >= 0) & (u <= total)
         on = np.zeros(tracks.valid.shape, dtype=bool)
-        on[row[near[inside]], column[near[inside]]] = True
+        on[row[inside], column[inside]] = True
         comers = np.flatnonzero(on.any(axis=1))
         for k, begin, _ in runs(on[comers]):
             agent = int(comers[k])
             if begin == 0 or not tracks.valid[agent, begin - 1]:
                 continue
-            here = (row[near] == agent) & (column[near] == begin)
-            verdict = _verdict(tracks, road, seen, people, agent, begin, float(u[here][0]))
+            here = (row == agent) & (column == begin)
+            path = float(u[here][0])
+            verdict = _verdict(tracks, road, seen, people, agent, begin, path, step_s)
             if verdict is not None:
                 kind, other = verdict
                 time_s = float(tracks.time_s[begin])
@@ -194,9 +204,9 @@ def _crossings_passed(tracks: Tracks, road: Road, seen: Observables) -> list[Eve
     return found
 
 
-def _near(crossing: Crossing, xy: FloatArray) -> NDArray[np.int64]:
-    """(k,) which of some places are near a crossing: on it at most, and few others."""
-    reach = crossing.width_m
+def _near(crossing: Crossing, xy: FloatArray, beyond_m: float) -> NDArray[np.int64]:
+    """(k,) which of some places are at most so far beyond a crossing, and few others."""
+    reach = crossing.width_m + beyond_m
     low, high = crossing.centerline.min(axis=0) - reach, crossing.centerline.max(axis=0) + reach
     return np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
 
@@ -231,6 +241,7 @@ def _verdict(
     row: int,
     entry: int,
     path: float,
+    step_s: float,
 ) -> tuple[EventKind, int] | None:
     """Whether a vehicle that enters a crossing let those on it go first; None if nobody was.
 
@@ -247,9 +258,9 @@ def _verdict(
         row: the vehicle.
         entry: the column in which its front comes to the crossing.
         path: where it drives, as a distance along the crossing, m.
+        step_s: time between two columns, s.
     """
     half = tracks.width[row] / 2 + 0.3
-    step_s = tracks.step_s
     yielded: tuple[EventKind, int] | None = None
     for one in people:
         person, begin, end, u, way = one

@@ -32,17 +32,21 @@ def fit(
     best, at, left = np.zeros(n, np.int64), np.full(n, np.nan), np.full(n, np.nan)
     for i in range(n):
         east, north = np.cos(heading[i]), np.sin(heading[i])
-        least = np.inf
+        least, most = np.inf, np.inf
         for g in range(length.size):
             dx, dy = xy[i, 0] - start[g, 0], xy[i, 1] - start[g, 1]
             ux, uy = direction[g, 0], direction[g, 1]
             along = dx * ux + dy * uy
             across = ux * dy - uy * dx
             clipped = min(max(along, 0.0), length[g])
-            cost = np.hypot(across, along - clipped)
+            beyond = along - clipped
+            if across * across + beyond * beyond > most:
+                continue
+            cost = np.hypot(across, beyond)
             cost += turn_cost_m[g] * (1.0 - (east * ux + north * uy))
             if cost < least:
                 least, best[i], at[i], left[i] = cost, g, clipped, across
+                most = 1.001 * cost * cost  # farther away than this nothing is better
     return best, at, left
 
 

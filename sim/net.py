@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import xml.sax
 from pathlib import Path
 from typing import Any, Final
@@ -66,11 +67,18 @@ def read_road(path: str | Path, name: str | None = None) -> Road:
     Raises:
         InputError: if the file is missing or is no SUMO net with at least one drivable lane.
     """
-    import sumolib
-
     source = Path(path)
     if not source.is_file():
         raise InputError(f"{source}: found no file, expected a SUMO net (.net.xml)")
+    stat = source.stat()
+    return _read(source.absolute(), name, stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=16)
+def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
+    """The road in a net's file: read once as long as the file stays as it is."""
+    import sumolib
+
     try:
         net = sumolib.net.readNet(
             str(source), withInternal=True, withPedestrianConnections=True, withPrograms=True

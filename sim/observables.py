@@ -273,10 +273,9 @@ def _observe(
     instants = int(signals.shape[1])
     walking = kind == PEDESTRIAN
     place = project(road, xy, heading)
-    _, facing = graph.position(place.lane, place.s)
+    xy_of_place, facing = graph.position(place.lane, place.s, place.offset)
     lane_heading = np.pi - (np.pi - (heading - facing)) % (2 * np.pi)
     inside = np.abs(place.offset) <= graph.width[place.lane] / 2 + 0.5  # half a metre: our choice
-    xy_of_place, _ = graph.position(place.lane, place.s, place.offset)
     on_road = ~walking & inside & (np.hypot(*(xy - xy_of_place).T) < 5.0)
     lane = np.where(on_road, place.lane, -1)
     forward = on_road & (np.abs(lane_heading) < np.pi / 2)

@@ -17,14 +17,12 @@ from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_watch import WatchedGraph, watch_graph
 from graphrqi.methods import load_model
 from sim.dataset import Dataset, Episode
-from sim.exhibits import exhibited
 from sim.formats import FORMATS
 from sim.frames import Tracks
-from sim.incidents import incidents
-from sim.observables import observe
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.schema import EpisodeEntry
+from sim.watching import watch
 
 SHOWN_EVERY_S: Final = 0.1
 """Time between two places that are kept of an agent, s; between them it moves straight."""
@@ -141,10 +139,9 @@ def gather(
         )
     exhibits = episode.exhibits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
-        observed = observe(tracks, road)
-        events = incidents(tracks, road, observed, recorded=True)
-        exhibits = exhibited(tracks, road, events, observed)
-        tracks = dataclasses.replace(tracks, events=events)
+        watched = watch(tracks, road, recorded=True)
+        exhibits = watched.exhibits
+        tracks = dataclasses.replace(tracks, events=watched.events)
     forecasts: list[Forecast] = []
     shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenarios.networks.build import SHIPPED, net_of
-from sim.exhibits import exhibited
+from sim.exhibits import exhibited, met, see
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.incidents import incidents
 from sim.net import read_road
@@ -197,7 +197,7 @@ def test_events_make_rule_traits_and_ids_are_agents(four_way):
     x = lane_xy(four_way, "north_in_1")[0, 0]
     tracks = tracks_of(four_way, [line((x, 80.0), (0.0, -10.0))], signal=Signal.RED)
     events = incidents(tracks, four_way)
-    found = exhibited(tracks, four_way, events)
+    found = exhibited(tracks, met(tracks, see(tracks, four_way), events))
     assert [e.agent for e in found if e.trait == "not following rules"] == [0]
 
 

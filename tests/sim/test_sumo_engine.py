@@ -170,7 +170,7 @@ def test_threatening_drivers_cut_in_and_the_careful_do_not():
     scenario = short(mix="threatening=.5,careful=.5", duration_s=150.0, flow=2400.0)
     agents = sample_agents(scenario, 0)
     tracks = Tracks.from_frames(run(scenario, agents, 0))
-    cuts = cutting_in(see(tracks, scenario.road, (), observe(tracks, scenario.road)))
+    cuts = cutting_in(see(tracks, scenario.road))
     behavior = {a.id: a.behavior for a in agents}
     who = [behavior[int(tracks.ids[cut.agent])] for cut in cuts]
     assert who.count(Behavior.THREATENING) > 20

@@ -1,0 +1,42 @@
+"""Everything that can be told of an episode or recording on a known road, worked out once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from behaviors.traits import Exhibit, Seen
+from sim.exhibits import exhibited, met, see
+from sim.frames import Event, Tracks
+from sim.incidents import incidents
+from sim.observables import observe
+from sim.road import Road
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """What was told of an episode or recording.
+
+    Attributes:
+        seen: what the trait detectors looked at, with the rules that were met.
+        events: rules kept and broken, near misses, collisions with their causes.
+        exhibits: the traits that were shown, with agent ids.
+    """
+
+    seen: Seen
+    events: tuple[Event, ...]
+    exhibits: tuple[Exhibit, ...]
+
+
+def watch(tracks: Tracks, road: Road, *, recorded: bool = False) -> Watched:
+    """Find every event and every trait.
+
+    Args:
+        tracks: an episode or a recording.
+        road: where it happened.
+        recorded: as in `sim.incidents.incidents`.
+    """
+    observed = observe(tracks, road)
+    seen = see(tracks, road, observed)
+    events = incidents(tracks, road, observed, seen, recorded=recorded)
+    seen = met(tracks, seen, events)
+    return Watched(seen, events, exhibited(tracks, seen))
