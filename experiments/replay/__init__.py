@@ -79,6 +79,11 @@ def write_replay(
             dataset, chosen_entry(dataset, episode), model=model, labels=labels,
             predictions=predictions, predictor=predictor, quiet=quiet,
         )  # fmt: skip
+    first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])
+    if begin_s is not None and not min(first_s, 0.0) <= begin_s <= last_s:
+        raise InputError(
+            f"--begin-s: found {begin_s:g}, expected a time from {first_s:g} to {last_s:g} s"
+        )
     mode = color or default_mode(scene)
     write_page(scene, out, mode, begin_s)
     if video is not None:

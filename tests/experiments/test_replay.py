@@ -268,6 +268,17 @@ def test_what_is_asked_for_wrongly_is_refused_before_any_work(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("begin_s", [-1.0, 1e6, float("nan")])
+def test_a_time_outside_the_episode_is_refused(dataset, tmp_path, begin_s):
+    labels_file(tmp_path / "labels.parquet", dataset, "mapped")
+    with pytest.raises(InputError, match=r"--begin-s: found .*, expected a time from"):
+        write_replay(
+            dataset, tmp_path / "r.html", episode="mapped", labels=tmp_path / "labels.parquet",
+            predictor="none", begin_s=begin_s, quiet=True,
+        )  # fmt: skip
+    assert not (tmp_path / "r.html").exists()
+
+
 def test_without_ffmpeg_the_extra_is_named(scene, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     with pytest.raises(InputError, match=r"graphrqi\[video\]"):
