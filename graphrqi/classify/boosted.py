@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
-from graphrqi.classify.trees import Trees
+from graphrqi.classify.trees import ShortTrees, Trees
 
 
 class Boosted:
@@ -50,7 +50,7 @@ class Boosted:
             "l2_regularization": ridge,
             "max_features": feature_share,
         }
-        self._trees = Trees.constant(np.zeros(1))
+        self._keep(Trees.constant(np.zeros(1)))
         self._baseline = np.zeros(num_classes)
         self._temperature = 1.0
 
@@ -79,9 +79,13 @@ class Boosted:
         kept, self._temperature = len(rounds), 1.0
         if validation is not None:
             kept = self._best_round(rounds, *validation)
-        self._trees = Trees.join(rounds[:kept])
+        self._keep(Trees.join(rounds[:kept]))
         if validation is not None:
             self._temperature = best_temperature(self._untempered(validation[0]), validation[1])
+
+    def _keep(self, trees: Trees) -> None:
+        self._trees = trees
+        self._quickest: Trees | ShortTrees = ShortTrees.of(trees) or trees
 
     def _plain(self, nodes: NDArray[Any], code: int) -> Trees:
         """One of scikit-learn's trees, its leaves adding to the score of a class."""
@@ -105,7 +109,7 @@ class Boosted:
         return int(np.argmin(loss)) + 1
 
     def _untempered(self, features: FloatArray) -> FloatArray:
-        return softmax(self._trees.total(features, self._num_classes) + self._baseline)
+        return softmax(self._quickest.total(features, self._num_classes) + self._baseline)
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
@@ -121,6 +125,6 @@ class Boosted:
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Take what was saved."""
-        self._trees = Trees.restored(arrays)
+        self._keep(Trees.restored(arrays))
         self._baseline = np.asarray(arrays["baseline"])
         self._temperature = float(arrays["temperature"][0])

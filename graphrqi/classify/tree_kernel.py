@@ -53,3 +53,45 @@ def sum_of_leaves(
             for j in range(count):
                 for w in range(value.shape[1]):
                     out[np.uint32(begin + j), column[b] + np.uint32(w)] += value[node[j], w]
+
+
+@compiled
+def sum_of_first_leaves(
+    features: NDArray[np.float32],
+    first: NDArray[np.int64],
+    feature: NDArray[np.int64],
+    threshold: NDArray[np.float32],
+    keep: NDArray[np.uint32],
+    leaf: NDArray[np.float32],
+    column: NDArray[np.int64],
+    out: NDArray[np.float64],
+) -> None:
+    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.ShortTrees`.
+
+    Args:
+        features: (F, n).
+        first: (B + 1,) where each tree's inner nodes begin, and the last's end.
+        feature: (I,) feature asked at an inner node.
+        threshold: (I,) above it the answer is yes.
+        keep: (I,) bits of the leaves that are then still in reach.
+        leaf: (B, 32) what each leaf adds.
+        column: (B,) of the sum that the tree adds to.
+        out: (n, C) receives the sums; must be zero before.
+    """
+    every, one = np.uint32(0xFFFFFFFF), np.uint32(1)
+    spell, shift = np.uint32(0x077CB531), np.uint32(27)  # de Bruijn's: tells single bits apart
+    place = np.zeros(32, dtype=np.int64)
+    for bit in range(32):
+        place[np.uint32(spell << np.uint32(bit)) >> shift] = bit
+    n = features.shape[1]
+    left = np.empty(n, dtype=np.uint32)
+    for b in range(first.size - 1):
+        left[:] = every
+        for i in range(first[b], first[b + 1]):
+            row, limit, kept = features[feature[i]], threshold[i], keep[i]
+            for j in range(n):
+                left[j] &= kept if row[j] > limit else every
+        values, to = leaf[b], column[b]
+        for j in range(n):
+            lowest = np.uint32(left[j] & (~left[j] + one))
+            out[j, to] += values[place[np.uint32(lowest * spell) >> shift]]

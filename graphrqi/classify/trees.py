@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.classify.contract import FloatArray
+
+MOST_LEAVES: Final = 32
+"""Leaves that `ShortTrees` can tell apart: bits of a word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,3 +134,94 @@ class Trees:
     def restored(cls, arrays: dict[str, NDArray[Any]]) -> Trees:
         """From what was saved."""
         return cls(*(np.array(arrays[f.name]) for f in fields(cls)))
+
+
+@dataclass(frozen=True, slots=True)
+class ShortTrees:
+    """The same sum over trees of at most 32 leaves, each with one value: twice as quick.
+
+    Every inner node knows which leaves are out of reach once its question is answered with yes; the
+    first leaf left in a tree is where a sample falls. So no step waits for another, and one
+    question is put to all samples together.
+
+    Attributes:
+        first: (B + 1,) where each tree's inner nodes begin, and the last's end.
+        feature: (I,) feature asked at an inner node.
+        threshold: (I,) above it the answer is yes.
+        keep: (I,) bits of the leaves that are then still in reach.
+        leaf: (B, 32) what each leaf adds, from left to right.
+        column: (B,) of the sum that the tree adds to.
+
+    References:
+        Lucchese et al. (2015), "QuickScorer: a fast algorithm to rank documents with additive
+        ensembles of regression trees", SIGIR.
+    """
+
+    first: NDArray[np.int64]
+    feature: NDArray[np.int64]
+    threshold: NDArray[np.float32]
+    keep: NDArray[np.uint32]
+    leaf: NDArray[np.float32]
+    column: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, trees: Trees) -> ShortTrees | None:
+        """Trees in this form; None where one is too large for it.
+
+        Examples:
+            >>> stump = Trees.single(
+            ...     feature=np.array([0, -1, -1]), threshold=np.array([0.5, 0.0, 0.0]),
+            ...     left=np.array([1, 0, 0]), right=np.array([2, 0, 0]),
+            ...     value=np.array([[0.0], [-1.0], [1.0]]))
+            >>> ShortTrees.of(stump).total(np.array([[0.2], [0.7]]), 1).ravel()
+            array([-1.,  1.])
+        """
+        child = trees.child.tolist()
+        first, nodes, keep = [0], [], []
+        leaf = np.zeros((trees.root.size, MOST_LEAVES), dtype=np.float32)
+        if trees.value.shape[1] != 1:
+            return None
+        for tree, root in enumerate(trees.root.tolist()):
+            leaves = _leaves(root, child)
+            if len(leaves) > MOST_LEAVES:
+                return None
+            leaf[tree, : len(leaves)] = trees.value[leaves, 0]
+            place = {node: 1 << i for i, node in enumerate(leaves)}
+            for node, on_the_left in _inner(root, child):
+                nodes.append(node)
+                keep.append(0xFFFFFFFF & ~sum(place[one] for one in on_the_left))
+            first.append(len(nodes))
+        return cls(
+            np.array(first),
+            trees.feature[nodes].astype(np.int64),
+            trees.threshold[nodes],
+            np.array(keep, dtype=np.uint32),
+            leaf,
+            trees.column.astype(np.int64),
+        )
+
+    def total(self, features: FloatArray, sums: int) -> FloatArray:
+        """(n, sums) as `Trees.total`, to the bit."""
+        from graphrqi.classify.tree_kernel import sum_of_first_leaves
+
+        out = np.zeros((len(features), sums))
+        sum_of_first_leaves(
+            np.ascontiguousarray(features.T, dtype=np.float32), self.first, self.feature,
+            self.threshold, self.keep, self.leaf, self.column, out,
+        )  # fmt: skip
+        return out
+
+
+def _leaves(node: int, child: list[int]) -> list[int]:
+    """The leaves under a node, from left to right."""
+    below = child[node]
+    return [node] if below == node else _leaves(below, child) + _leaves(below + 1, child)
+
+
+def _inner(node: int, child: list[int]) -> list[tuple[int, list[int]]]:
+    """The inner nodes from a node down, each with the leaves on its left."""
+    below = child[node]
+    if below == node:
+        return []
+    here = (node, _leaves(below, child))
+    return [here, *_inner(below, child), *_inner(below + 1, child)]
