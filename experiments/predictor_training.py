@@ -39,7 +39,7 @@ CALIBRATE_EVERY_S: Final = 3.0
 EXAMPLES_EVERY_S: Final = 1.5
 """Time between instants that networks are trained on, s (our choice)."""
 
-UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.3
+UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.35
 """Shares of training instants with no belief and with another driver's (our choice)."""
 
 ALONE_SHARE: Final = 0.3

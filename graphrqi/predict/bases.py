@@ -1,25 +1,24 @@
 """The rollouts that learned predictors start from, seen from each driver's own place.
 
 Everything is in the driver's frame: origin where it is, x along its heading, in metres, at the
-knots 0.5, 1, ..., 5 s.
+knots 0.5, 1, ..., 5 s. The rollouts that networks correct take one step from knot to knot: on
+simulated episodes they come as near to what happens as those with finer steps.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.constant import by_inertia
+from graphrqi.predict.agreement import agreement
+from graphrqi.predict.constant import inertial_distance
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.features import features
-from graphrqi.predict.manners import Manners, believed
-from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout import Rollout, beside, places, roll, steady
+from graphrqi.predict.manners import believed, if_each
+from graphrqi.predict.rollout import Rollout, beside, from_own_seat, roll, roll_each, steady
 from graphrqi.predict.route import candidates, path_probability
 from graphrqi.predict.scene import Scene
 
@@ -31,12 +30,11 @@ KNOT_S: Final = 0.5
 KNOTS: Final = 10
 """How many: up to 5 s."""
 
-COARSE_S, COARSE_STEPS = 0.25, 20
-"""Step of the rollouts that networks correct, s, and how many: two to a knot (our choice: finer
-ones take longer and are corrected to the same)."""
-
 BASES: Final = ("likeliest way", "second way", "lane to the left", "lane to the right", "inertia")
 """What each base is."""
+
+TIME_S: Final[FloatArray] = np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
+"""(KNOTS,) s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,13 +60,6 @@ def to_own_frame(scene: Scene, xy: FloatArray) -> FloatArray:
     return np.stack([forward, gone[..., 1] * cos - gone[..., 0] * sin], axis=-1)
 
 
-def at_knots(xy: FloatArray, step_s: float = STEP_S) -> FloatArray:
-    """Places at every step as places at the knots; the last place stands in for missing ones."""
-    every = round(KNOT_S / step_s)
-    columns = np.minimum(np.arange(1, KNOTS + 1) * every - 1, xy.shape[-2] - 1)
-    return np.asarray(xy[..., columns, :])
-
-
 def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
     """Inputs and bases for beliefs (n, 6) about who drives how.
 
@@ -85,40 +76,45 @@ def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
     order = np.argsort(-likely, axis=1, kind="stable")
     row = np.arange(len(choice))
     first = scene.with_path(choice[row, order[:, 0]])
-
-    def drive(scene: Scene, manners: Manners = manners, others: Rollout | None = None) -> Rollout:
-        return roll(scene, manners, table.decay_s, others, COARSE_STEPS, COARSE_S)
-
-    rollout = drive(first)
-    main = _seen(scene, first, rollout)
-    bases = [main]
-    second_likely = np.zeros(row.size)
+    likeliest, second_likely = likely[row, order[:, 0]], np.zeros(row.size)
+    bases = np.empty((row.size, len(BASES), KNOTS, 2))
+    main = roll(first, manners, table.decay_s, None, KNOTS, KNOT_S)
+    bases[:, :2] = _at_knots(first, main)[:, None]
     if choice.shape[1] > 1:
-        second = scene.with_path(choice[row, order[:, 1]])
         second_likely = likely[row, order[:, 1]]
-        bases.append(_seen(scene, second, drive(second)))
-        bases[1] = np.where((second_likely > 1e-3)[:, None, None], bases[1], main)
-    else:
-        bases.append(main)
-    kept = dataclasses.replace(manners, changing=np.empty((0, manners.changing.shape[1])))
-    bases += _beside(first, main, lambda moving: drive(moving, kept, rollout))
-    inertia = by_inertia(scene)
-    bases.append(to_own_frame(scene, at_knots(inertia)))
-    stack = np.stack(bases, axis=1)
-    straight = scene.speed[:, None] * np.arange(1, KNOTS + 1) * KNOT_S
-    relative = stack[:, [0, 1, 4]].copy()
-    relative[..., 0] -= straight[:, None]
+        open_to = second_likely > 1e-3
+        second = scene.with_path(choice[row, order[:, 1]])
+        driven = roll(second, manners, table.decay_s, None, KNOTS, KNOT_S)
+        bases[open_to, 1] = _at_knots(second, driven)[open_to]
+    (left, has_left), (right, has_right) = beside(first, 1), beside(first, -1)
+    following, ignores = if_each(scene, table)
+    each = roll_each(
+        [left, right, *[first] * len(following)],
+        np.concatenate([np.stack([manners.following] * 2), following]),
+        np.concatenate([np.stack([manners.ignores] * 2), ignores]),
+        table.decay_s,
+        main,
+    )
+    for way, (moving, there) in enumerate(((left, has_left), (right, has_right))):
+        seen = from_own_seat(moving, each.lane[way], each.s[way], each.side[way], 1, KNOT_S)
+        bases[:, 2 + way] = np.where(there[:, None, None], seen, bases[:, 0])
+    _inertia(scene, bases[:, 4])
+    half = KNOTS // 2 - 1
+    ahead = each.gone[2:, :, [half, -1]] - main.gone[:, [half, -1]]
+    ahead = np.where(scene.on_path[:, None], ahead, 0.0) / (5.0, 10.0)
     inputs = np.concatenate(
         [
             features(first),
-            relative.reshape(row.size, 3 * KNOTS * 2) / 10.0,
-            np.stack([likely[row, order[:, 0]], second_likely], axis=1),
+            _relative(scene, bases),
+            likeliest[:, None],
+            second_likely[:, None],
             probability,
-            _by_behavior(first, rollout, table, drive),
+            ahead.transpose(1, 0, 2).reshape(row.size, 2 * len(following)),
+            agreement(scene, probability, each.asked[2:], table),
         ],
         axis=1,
     )
-    return Known(inputs, stack)
+    return Known(inputs, bases)
 
 
 def unlabelled(scene: Scene) -> Known:
@@ -138,53 +134,34 @@ def unlabelled(scene: Scene) -> Known:
     likely = np.where(real, table.probability[choice], 0.0)
     order = np.argsort(-likely, axis=1, kind="stable")
     row = np.arange(len(choice))
+    bases = np.empty((row.size, len(BASES), KNOTS, 2))
     first, second = (
         scene.with_path(choice[row, order[:, rank]]) for rank in (0, min(1, choice.shape[1] - 1))
     )
-    bases = [_seen(scene, s, steady(s)) for s in (first, second)]
-    bases += _beside(first, bases[0], steady)
-    bases.append(to_own_frame(scene, at_knots(by_inertia(scene))))
-    stack = np.stack(bases, axis=1)
-    straight = scene.speed[:, None] * np.arange(1, KNOTS + 1) * KNOT_S
-    relative = stack[:, [0, 1, 4]].copy()
-    relative[..., 0] -= straight[:, None]
-    inputs = np.concatenate(
-        [features(scene), relative.reshape(row.size, 3 * KNOTS * 2) / 10.0], axis=1
-    )
-    return Known(inputs, stack)
+    bases[:, 0], bases[:, 1] = (_at_knots(s, steady(s)) for s in (first, second))
+    for way, side in enumerate((1, -1)):
+        moving, there = beside(first, side)
+        seen = _at_knots(moving, steady(moving))
+        bases[:, 2 + way] = np.where(there[:, None, None], seen, bases[:, 0])
+    _inertia(scene, bases[:, 4])
+    inputs = np.concatenate([features(scene), _relative(scene, bases)], axis=1)
+    return Known(inputs, bases)
 
 
-def _beside(scene: Scene, main: FloatArray, drive: Callable[[Scene], Rollout]) -> list[FloatArray]:
-    """Everyone driven on after moving to the lane on the left and on the right, where one is.
-
-    Args:
-        scene: everyone on its likeliest way.
-        main: (n, KNOTS, 2) the rollout there, m: taken where there is no such lane.
-        drive: drives a scene on.
-    """
-    found = []
-    for side in (1, -1):
-        moving, there = beside(scene, side)
-        moved = _seen(scene, moving, drive(moving))
-        found.append(np.where(there[:, None, None], moved, main))
-    return found
-
-
-def _seen(scene: Scene, driven: Scene, rollout: Rollout) -> FloatArray:
+def _at_knots(scene: Scene, rollout: Rollout) -> FloatArray:
     """(n, KNOTS, 2) a rollout's places at the knots, in the drivers' frames, m."""
-    return to_own_frame(scene, at_knots(places(driven, rollout), rollout.step_s))
+    every = round(KNOT_S / rollout.step_s)
+    return from_own_seat(scene, rollout.lane, rollout.s, rollout.side, every, rollout.step_s)
 
 
-def _by_behavior(
-    scene: Scene, others: Rollout, table: DriverTable, drive: Callable[..., Rollout]
-) -> FloatArray:
-    """(n, 12) how far each behaviour would go in half and all of the time, beyond the expected."""
-    half = COARSE_STEPS // 2 - 1
-    parts = []
-    for code in range(len(table.behavior)):
-        probability = np.zeros((scene.ids.size, len(table.behavior)))
-        probability[:, code] = 1.0
-        result = drive(scene, believed(scene, probability, table), others)
-        ahead = np.where(scene.on_path[:, None], result.gone - others.gone, 0.0)
-        parts += [ahead[:, half] / 5.0, ahead[:, -1] / 10.0]
-    return np.stack(parts, axis=1)
+def _inertia(scene: Scene, out: FloatArray) -> None:
+    """Write (n, KNOTS, 2) everyone straight on at constant acceleration, m."""
+    out[..., 0] = inertial_distance(scene.speed[:, None], scene.accel[:, None], TIME_S)
+    out[..., 1] = 0.0
+
+
+def _relative(scene: Scene, bases: FloatArray) -> FloatArray:
+    """(n, 3 KNOTS 2) the two ways and inertia against constant velocity, tens of metres."""
+    relative = bases[:, [0, 1, 4]]
+    relative[..., 0] -= (scene.speed[:, None] * TIME_S)[:, None]
+    return relative.reshape(len(bases), 3 * KNOTS * 2) / 10.0

@@ -60,9 +60,14 @@ def features(scene: Scene) -> FloatArray:
     past = np.searchsorted(history.time_s, when - 1e-6)
     past[history.time_s[0] > when + 1e-6] = -1
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
+    valid, speed, heading, length = (
+        np.ascontiguousarray(x)
+        for x in (history.valid, history.speed, history.heading, history.length)
+    )
     out = np.zeros((scene.ids.size, FEATURES))
     features_kernel.describe(
-        history.valid, history.speed, history.heading, history.length, past, scene.on_path,
+        valid, speed, heading, length,
+        past, scene.on_path,
         scene.lane, scene.s, scene.offset, scene.sideways, scene.accel, seen.free_factor,
         seen.least_factor, seen.place, seen.leader, seen.gap, seen.follower, seen.beside,
         seen.beside_gap, scene.path, scene.closed, shown, GATES, paths.gate_x, paths.gate_row,

@@ -87,7 +87,7 @@ def roll(
     path_lane: Any, path_start: Any, path_limit: Any, path_turn: Any, gate_x: Any, gate_row: Any,
     beside: Any, apart: Any, way: Any, lane_length: Any, step_s: float, shown: float, steps: int,
     decay_s: float, given_lane: Any, given_s: Any, given_v: Any,
-) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
+) -> Any:  # fmt: skip
     """Drive everyone on.
 
     Args:
@@ -129,12 +129,13 @@ def roll(
 
     Returns:
         (n, steps) each: lanes, distances along them and to the left of their centres, m, speeds,
-        m/s, and ways gone since the present, m.
+        m/s, and ways gone since the present, m; and (n,) accelerations that the law asks for at
+        present, m/s2.
     """
     n, lanes = s.size, lane_length.size
     out_lane = np.zeros((n, steps), np.int64)
     out_s, out_side = np.empty((n, steps)), np.empty((n, steps))
-    out_v, out_gone = np.empty((n, steps)), np.empty((n, steps))
+    out_v, out_gone, asked = np.empty((n, steps)), np.empty((n, steps)), np.zeros(n)
     on, x, now_v, side = path.copy(), s.copy(), v.copy(), offset.copy()
     back, gone, at = pace.copy(), np.zeros(n), np.zeros(n, np.int64)
     residual, ready = np.zeros(n), np.zeros(n, np.int64)
@@ -340,9 +341,10 @@ def roll(
                     continue
                 target_v = min(target_v, _safe_speed(room, 0.0, headway, decel))
             change = max((target_v - speed) / step_s, -HARD_DECEL)
-            if h == 0 and decay_s > 0.0 and seen_accel[i] > -UNSEEN:
-                modelled = (max(0.0, speed + change * step_s) - speed) / step_s
-                residual[i] = seen_accel[i] - modelled
+            if h == 0:
+                asked[i] = (max(0.0, speed + change * step_s) - speed) / step_s
+                if decay_s > 0.0 and seen_accel[i] > -UNSEEN:
+                    residual[i] = seen_accel[i] - asked[i]
             change += residual[i] * fade
             faster = max(0.0, speed + change * step_s)
             step = 0.5 * (speed + faster) * step_s
@@ -354,7 +356,38 @@ def roll(
                 k += 1
             out_lane[i, h], out_s[i, h] = path_lane[q, k], x[i] - path_start[q, k]
             out_side[i, h], out_v[i, h], out_gone[i, h] = side[i], faster, gone[i]
-    return out_lane, out_s, out_side, out_v, out_gone
+    return out_lane, out_s, out_side, out_v, out_gone, asked
+
+
+@numba.njit(cache=True, fastmath=True)
+def roll_each(
+    path: Any, s: Any, v: Any, seen_accel: Any, half_length: Any, driver: Any, offset: Any,
+    pace: Any, moving: Any, ignores: Any, closed: Any, path_lane: Any, path_start: Any,
+    path_limit: Any, path_turn: Any, gate_x: Any, gate_row: Any, beside: Any, apart: Any, way: Any,
+    lane_length: Any, step_s: float, shown: float, steps: int, decay_s: float, given_lane: Any,
+    given_s: Any, given_v: Any,
+) -> Any:  # fmt: skip
+    """Drive everyone on in M ways, each alone among the others as given; nobody changes lanes.
+
+    Args are those of `roll`, with a first axis of M in ``path``, ``driver``, ``offset``, ``pace``
+    and ``ignores``.
+
+    Returns:
+        (M, n, steps) lanes, distances along them, distances to the left and ways gone, and (M, n)
+        accelerations asked for; see `roll`.
+    """
+    m, n = path.shape
+    lane, gone = np.empty((m, n, steps), np.int64), np.empty((m, n, steps))
+    along, side, asked = np.empty((m, n, steps)), np.empty((m, n, steps)), np.empty((m, n))
+    keep, calm = np.empty((0, 4)), np.zeros(n)
+    for k in range(m):
+        lane[k], along[k], side[k], _, gone[k], asked[k] = roll(
+            path[k], s, v, seen_accel, half_length, driver[k], keep, calm, calm, offset[k],
+            pace[k], moving, ignores[k], closed, path_lane, path_start, path_limit, path_turn,
+            gate_x, gate_row, beside, apart, way, lane_length, step_s, shown, steps, decay_s,
+            given_lane, given_s, given_v,
+        )  # fmt: skip
+    return lane, along, side, gone, asked
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -404,28 +437,22 @@ def place(
 
 
 @numba.njit(cache=True, fastmath=True)
-def every_place(own: Any, matrix: Any, start: Any, speed: Any, cos: Any, sin: Any, now: Any) -> Any:
-    """(n, K, H, 2) places of knots (n, K, J, 2) in the drivers' frames.
+def from_own_seat(
+    xy: Any, now: Any, heading: Any, speed: Any, on_path: Any, every: int, step_s: float
+) -> Any:
+    """(n, J, 2) every so many of places (n, H, 2) ahead and to the left of each driver, m.
 
-    Args:
-        own: knots ahead and to the left, m.
-        matrix: (H, J) weight of each knot at each step.
-        start: (H,) weight of the present speed.
-        speed: (n,) m/s.
-        cos: (n,) of the headings.
-        sin: (n,) of the headings.
-        now: (n, 2) present places, m.
+    Who is on no path goes straight on.
     """
-    n, modes, knots, _ = own.shape
-    steps = start.size
-    out = np.empty((n, modes, steps, 2))
+    n, knots = now.shape[0], xy.shape[1] // every
+    out = np.empty((n, knots, 2))
     for i in range(n):
-        for k in range(modes):
-            for h in range(steps):
-                ahead, left = speed[i] * start[h], 0.0
-                for j in range(knots):
-                    ahead += matrix[h, j] * own[i, k, j, 0]
-                    left += matrix[h, j] * own[i, k, j, 1]
-                out[i, k, h, 0] = now[i, 0] + ahead * cos[i] - left * sin[i]
-                out[i, k, h, 1] = now[i, 1] + ahead * sin[i] + left * cos[i]
+        cos, sin = math.cos(heading[i]), math.sin(heading[i])
+        for j in range(knots):
+            h = (j + 1) * every - 1
+            if on_path[i]:
+                dx, dy = xy[i, h, 0] - now[i, 0], xy[i, h, 1] - now[i, 1]
+                out[i, j, 0], out[i, j, 1] = dx * cos + dy * sin, dy * cos - dx * sin
+            else:
+                out[i, j, 0], out[i, j, 1] = speed[i] * (h + 1) * step_s, 0.0
     return out

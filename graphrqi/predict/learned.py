@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
-from graphrqi.predict import kernel
-from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known, known, unlabelled
+from graphrqi.predict import decode_kernel
+from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, TIME_S, Known, known, unlabelled
 from graphrqi.predict.drivers import default_table
 from graphrqi.predict.following import shuffled_posterior, true_behavior
 from graphrqi.predict.prediction import STEP_S, Prediction
@@ -71,7 +71,7 @@ class Futures:
     probability: FloatArray
 
 
-def decode(raw: FloatArray, bases: FloatArray, spread_scale: float) -> Futures:
+def decode(raw: NDArray[np.floating], bases: FloatArray, spread_scale: float) -> Futures:
     """The network's numbers as futures.
 
     Args:
@@ -82,25 +82,8 @@ def decode(raw: FloatArray, bases: FloatArray, spread_scale: float) -> Futures:
     Returns:
         The futures.
     """
-    n = len(raw)
-    each = raw.reshape(n, MODES, PER_MODE)
-    b = len(BASES)
-    weight = softmax(each[..., :b])
-    time_s = np.arange(1, KNOTS + 1) * KNOT_S
-    residual = each[..., b : b + 2 * KNOTS].reshape(n, MODES, KNOTS, 2) * time_s[:, None]
-    blended = weight @ bases.reshape(n, b, 2 * KNOTS)
-    own = blended.reshape(n, MODES, KNOTS, 2) + residual
-    scale = np.exp(np.clip(each[..., b + 2 * KNOTS : b + 3 * KNOTS], -6.0, 4.0))
-    spread = np.maximum(scale * time_s * spread_scale, LEAST_SPREAD_M)
-    probability = softmax(each[..., -1])
-    probability[:, 0] = probability.max(axis=1, initial=0.0)
-    return Futures(own, spread, probability / probability.sum(axis=1, keepdims=True))
-
-
-def softmax(values: FloatArray) -> FloatArray:
-    """Softmax over the last axis."""
-    raised = np.exp(values - values.max(axis=-1, keepdims=True))
-    return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
+    each = raw.reshape(len(raw), MODES, PER_MODE).astype(np.float64)
+    return Futures(*decode_kernel.decode(each, bases, TIME_S, spread_scale, LEAST_SPREAD_M))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +112,7 @@ class Perceptron:
             hidden = hidden @ weight + bias
             if i < last:
                 hidden /= 1.0 + np.exp(np.minimum(-hidden, 80.0))  # SiLU; exp overflows beyond
-        return decode(hidden.astype(np.float64), data.bases, self.spread_scale)
+        return decode(hidden, data.bases, self.spread_scale)
 
     def arrays(self) -> dict[str, NDArray[np.floating]]:
         """Everything that is saved, by name."""
@@ -222,23 +205,20 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
         steps: how many, `STEP_S` apart.
     """
     matrix, start = _spline(steps)
-    heading, speed, now = history.heading[:, -1], history.speed[:, -1], history.xy[:, -1]
-    xy = kernel.every_place(
-        np.ascontiguousarray(futures.own), matrix, start, speed, np.cos(heading), np.sin(heading),
-        now,
-    )  # fmt: skip
+    now, speed, heading = (
+        np.ascontiguousarray(x[:, -1]) for x in (history.xy, history.speed, history.heading)
+    )
+    xy = decode_kernel.every_place(
+        futures.own, matrix, start, speed, heading, now, history.kind == PEDESTRIAN, STEP_S
+    )
     time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
-    walks = np.flatnonzero(history.kind == PEDESTRIAN)
-    facing = np.stack([np.cos(heading[walks]), np.sin(heading[walks])], axis=1)
-    on = now[walks, None] + (speed[walks, None] * time_s)[..., None] * facing[:, None]
-    xy[walks] = on[:, None]
-    spread = futures.spread @ np.abs(matrix).T
+    spread = futures.spread @ np.abs(matrix)
     return Prediction(history.ids, time_s, xy, futures.probability, spread)
 
 
 @functools.cache
 def _spline(steps: int) -> tuple[FloatArray, FloatArray]:
-    """(H, KNOTS) weights of the knots at each step and (H,) of the present speed."""
+    """(KNOTS, H) weights of the knots at each step and (H,) of the present speed."""
     from scipy.interpolate import CubicSpline
 
     at = np.arange(KNOTS + 1) * KNOT_S
@@ -250,7 +230,9 @@ def _spline(steps: int) -> tuple[FloatArray, FloatArray]:
     starting = CubicSpline(at, np.zeros((KNOTS + 1, 1)), bc_type=((1, one), (2, 0 * one)))
     beyond = (time_s - inside)[:, None]
     matrix = through(inside) + beyond * through(inside, 1)
-    return np.asarray(matrix), np.asarray((starting(inside) + beyond * starting(inside, 1))[:, 0])
+    return np.ascontiguousarray(matrix.T), np.asarray(
+        (starting(inside) + beyond * starting(inside, 1))[:, 0]
+    )
 
 
 def unlabelled_predict(scene: Scene, posterior: Posterior) -> Prediction:

@@ -66,6 +66,14 @@ def wary(manners: Manners, probability: FloatArray) -> Manners:
     return dataclasses.replace(manners, wary=1.0 - aggressive, feared=aggressive)
 
 
+def if_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
+    """(6, n, 5) how everyone would follow if it were of each behaviour; (6, n, R) gates ignored."""
+    n = scene.ids.size
+    sure = np.repeat(np.eye(len(BEHAVIORS))[:, None], n, axis=1)
+    following = np.repeat(table.behavior[:, None], n, axis=1)
+    return personal(scene, following), ignored_gates(scene, sure)
+
+
 def average(scene: Scene, table: DriverTable) -> Manners:
     """Everyone drives as the average driver does."""
     n = scene.ids.size
@@ -80,22 +88,22 @@ def average(scene: Scene, table: DriverTable) -> Manners:
 
 
 def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
-    """(n, R) gates that each driver more likely runs than respects, under (n, 6) beliefs."""
+    """(..., n, R) gates that drivers more likely run than respect, under (..., n, 6) beliefs."""
     groups = scene.paths.groups
     crossings = groups + scene.graph.cross_lane.size
-    ignores = np.zeros((scene.ids.size, scene.closed.shape[0]), dtype=np.bool_)
-    ignores[:, :groups] = (probability @ RUNS_RED > 0.5)[:, None]
-    ignores[:, groups:crossings] = (probability @ YIELDS < 0.5)[:, None]
+    ignores = np.zeros((*probability.shape[:-1], scene.closed.shape[0]), dtype=np.bool_)
+    ignores[..., :groups] = (probability @ RUNS_RED > 0.5)[..., None]
+    ignores[..., groups:crossings] = (probability @ YIELDS < 0.5)[..., None]
     return ignores
 
 
 def personal(scene: Scene, following: FloatArray) -> FloatArray:
-    """Driver numbers with each one's wished speed corrected by what it was seen to drive."""
-    wished = np.log(following[:, 0])
-    seen = ~np.isnan(scene.seen.free_factor)
-    wished[seen] = (
-        FREE_WEIGHT * wished[seen] + np.log(np.maximum(scene.seen.free_factor[seen], 0.1))
-    ) / (1.0 + FREE_WEIGHT)
+    """Numbers (..., n, 5), each one's wished speed corrected by what it was seen to drive."""
+    free = scene.seen.free_factor
+    seen = ~np.isnan(free)
+    wished = np.log(following[..., 0])
+    shown = np.log(np.maximum(np.where(seen, free, 1.0), 0.1))
+    corrected = (FREE_WEIGHT * wished + shown) / (1.0 + FREE_WEIGHT)
     out = following.copy()
-    out[:, 0] = np.maximum(np.exp(wished), scene.seen.least_factor)
+    out[..., 0] = np.maximum(np.exp(np.where(seen, corrected, wished)), scene.seen.least_factor)
     return out

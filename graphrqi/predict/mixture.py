@@ -11,7 +11,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.drivers import DriverTable, default_table
 from graphrqi.predict.manners import believed
-from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
 from graphrqi.predict.route import ACCELERATION_SD, on_likely_paths
 from graphrqi.predict.scene import Scene
@@ -39,15 +39,13 @@ def mixture_with(scene: Scene, probability: FloatArray, table: DriverTable) -> P
     n = scene.ids.size
     futures = np.empty((n, len(BEHAVIORS), scene.steps, 2))
     weight = np.log(np.maximum(probability, 1e-6))
-    speed = np.maximum(scene.speed, 0.0)
     for behavior in BEHAVIORS:
         sure = np.zeros((n, len(BEHAVIORS)))
         sure[:, behavior.code] = 1.0
         manners = believed(scene, sure, table)
         rollout = roll(routed, manners, table.decay_s, others)
         futures[:, behavior.code] = places(routed, rollout)
-        first = roll(routed, manners, decay_s=0.0, others=others, steps=1)
-        miss = (scene.accel - (first.v[:, 0] - speed) / STEP_S) / ACCELERATION_SD
+        miss = (scene.accel - rollout.asked) / ACCELERATION_SD
         told = np.minimum(0.5 * miss**2, LARGEST_EVIDENCE)
         weight[:, behavior.code] -= np.where(scene.on_path, told, 0.0)
     likely = np.exp(weight - weight.max(axis=1, keepdims=True, initial=-np.inf))

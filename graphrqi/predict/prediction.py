@@ -51,7 +51,7 @@ class Prediction:
             raise InputError(
                 f"Prediction.probability: found shape {probability.shape}, expected {xy.shape[:2]}"
             )
-        if n and not np.allclose(probability.sum(axis=1), 1.0, atol=1e-6):
+        if n and not np.abs(probability.sum(axis=1) - 1.0).max() <= 1e-5:
             raise InputError("Prediction.probability: found rows that do not sum to 1, expected 1")
         if self.spread is not None:
             spread = np.asarray(self.spread, np.float64)

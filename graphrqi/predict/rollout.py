@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,7 @@ class Rollout:
         side: (n, H) distance to the left of its centre line, m.
         v: (n, H) speed, m/s.
         gone: (n, H) way gone since the present, m.
+        asked: (n,) acceleration that the law asks for at present, m/s2.
         step_s: time between steps, s.
     """
 
@@ -39,7 +41,27 @@ class Rollout:
     side: FloatArray
     v: FloatArray
     gone: FloatArray
+    asked: FloatArray
     step_s: float = STEP_S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternatives:
+    """M futures of every driver on a path, each alone among the others; see `Rollout`.
+
+    Attributes:
+        lane: (M, n, H).
+        s: (M, n, H) m.
+        side: (M, n, H) m.
+        gone: (M, n, H) m.
+        asked: (M, n) m/s2.
+    """
+
+    lane: IntArray
+    s: FloatArray
+    side: FloatArray
+    gone: FloatArray
+    asked: FloatArray
 
 
 def roll(
@@ -77,29 +99,89 @@ def roll(
     accel = scene.accel
     if planned is not None:
         accel = np.where(np.arange(accel.size) == planned, -2.0 * kernel.UNSEEN, accel)
-    return Rollout(
-        *kernel.roll(
-            scene.path, scene.s, speed, accel, half_length, manners.following, manners.changing,
-            manners.wary, manners.feared, scene.offset, pace, scene.on_path, manners.ignores,
-            scene.closed, paths.lane, paths.start, paths.limit, paths.turn, paths.gate_x,
-            paths.gate_row, paths.beside, paths.apart, paths.way, graph.length, step_s,
-            step_s / STEP_S, steps or round(scene.steps * STEP_S / step_s), decay_s, *given,
-        ),
-        step_s,
+    lane, s, side, v, gone, asked = kernel.roll(
+        scene.path, scene.s, speed, accel, half_length, manners.following, manners.changing,
+        manners.wary, manners.feared, scene.offset, pace, scene.on_path, manners.ignores,
+        scene.closed, paths.lane, paths.start, paths.limit, paths.turn, paths.gate_x,
+        paths.gate_row, paths.beside, paths.apart, paths.way, graph.length, step_s,
+        step_s / STEP_S, steps or round(scene.steps * STEP_S / step_s), decay_s, *given,
+    )  # fmt: skip
+    return Rollout(lane, s, side, v, gone, asked, step_s)
+
+
+def roll_each(
+    scenes: Sequence[Scene],
+    following: FloatArray,
+    ignores: BoolArray,
+    decay_s: float,
+    others: Rollout,
+) -> Alternatives:
+    """Drive everyone on in M ways, each driver alone among the others; nobody changes lanes.
+
+    Args:
+        scenes: M, which differ at most in the drivers' paths, offsets and speeds sideways.
+        following: (M, n, 5) how each drives, as in `Manners`.
+        ignores: (M, n, R) likewise.
+        decay_s: as to `roll`.
+        others: where everyone else is taken to be; the steps are its.
+
+    Returns:
+        The drivers' futures.
+    """
+    scene = scenes[0]
+    paths, graph, steps = scene.paths, scene.graph, others.s.shape[1]
+    sideways = np.stack([s.sideways for s in scenes])
+    return Alternatives(
+        *kernel.roll_each(
+            np.stack([s.path for s in scenes]), scene.s, np.maximum(scene.speed, 0.0), scene.accel,
+            np.ascontiguousarray(scene.history.length) / 2, following,
+            np.stack([s.offset for s in scenes]), np.maximum(np.abs(sideways), RETURN_MPS),
+            scene.on_path, ignores, scene.closed, paths.lane, paths.start, paths.limit, paths.turn,
+            paths.gate_x, paths.gate_row, paths.beside, paths.apart, paths.way, graph.length,
+            others.step_s, others.step_s / STEP_S, steps, decay_s, others.lane, others.s, others.v,
+        )
     )  # fmt: skip
 
 
 def places(scene: Scene, rollout: Rollout) -> FloatArray:
     """(n, H, 2) places of a rollout, m; agents on no path go straight on."""
-    graph, on = scene.graph, scene.on_path
-    out = kernel.place(
-        rollout.lane, rollout.s, rollout.side, graph.segment_start, graph.segment_direction,
-        graph.segment_at, graph.segment_first, graph.segment_last,
-    )  # fmt: skip
+    on = scene.on_path
+    out = _on_lanes(scene, rollout.lane, rollout.s, rollout.side)
     if not on.all():
         time_s = np.arange(1, out.shape[1] + 1) * rollout.step_s
         out[~on] = scene.straight_on(~on, time_s)
     return np.asarray(out)
+
+
+def _on_lanes(scene: Scene, lane: IntArray, s: FloatArray, side: FloatArray) -> FloatArray:
+    graph = scene.graph
+    return np.asarray(
+        kernel.place(
+            lane, s, side, graph.segment_start, graph.segment_direction, graph.segment_at,
+            graph.segment_first, graph.segment_last,
+        )
+    )  # fmt: skip
+
+
+def from_own_seat(
+    scene: Scene, lane: IntArray, s: FloatArray, side: FloatArray, every: int, step_s: float
+) -> FloatArray:
+    """(n, J, 2) every so many of a rollout's places ahead and to the left of each driver, m.
+
+    Args:
+        scene: the present.
+        lane: (n, H) lanes.
+        s: (n, H) distances along them, m.
+        side: (n, H) distances to the left of their centres, m.
+        every: steps from one place told to the next.
+        step_s: time between steps, s.
+    """
+    return np.asarray(
+        kernel.from_own_seat(
+            _on_lanes(scene, lane, s, side), scene.xy, scene.heading, scene.speed, scene.on_path,
+            every, step_s,
+        )
+    )  # fmt: skip
 
 
 def steady(scene: Scene) -> Rollout:
@@ -108,7 +190,7 @@ def steady(scene: Scene) -> Rollout:
     gone = scene.speed[:, None] * scene.time_s[None]
     lane, s = kernel.along_path(scene.path, scene.s[:, None] + gone, paths.lane, paths.start)
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
-    return Rollout(lane, s, scene.offsets(), speed, gone)
+    return Rollout(lane, s, scene.offsets(), speed, gone, np.zeros(scene.ids.size))
 
 
 def beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:
@@ -142,11 +224,7 @@ def beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, Boo
 
 def centre_ahead(scene: Scene, row: int) -> FloatArray:
     """(H, 2) the centre line of one driver's path from here on, every metre for 60 m."""
-    paths, graph = scene.paths, scene.graph
+    paths = scene.paths
     x = scene.s[row] + np.arange(60.0)[None]
     lane, s = kernel.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)
-    line = kernel.place(
-        lane, s, np.zeros_like(s), graph.segment_start, graph.segment_direction,
-        graph.segment_at, graph.segment_first, graph.segment_last,
-    )  # fmt: skip
-    return np.asarray(line[0])
+    return np.asarray(_on_lanes(scene, lane, s, np.zeros_like(s))[0])

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.manners import Manners
-from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import roll
 from graphrqi.predict.scene import Scene
 
@@ -55,11 +54,9 @@ def path_probability(scene: Scene, manners: Manners) -> tuple[IntArray, FloatArr
     choice, real = candidates(scene)
     weight = np.where(real, np.log(paths.probability[choice]), -np.inf)
     if choice.shape[1] > 1:
-        speed = np.maximum(scene.speed, 0.0)
         for c in range(choice.shape[1]):
-            first = roll(scene.with_path(choice[:, c]), manners, decay_s=0.0, steps=1)
-            accel = (first.v[:, 0] - speed) / STEP_S
-            miss = 0.5 * ((scene.accel - accel) / ACCELERATION_SD) ** 2
+            first = roll(scene.with_path(choice[:, c]), manners, steps=1)
+            miss = 0.5 * ((scene.accel - first.asked) / ACCELERATION_SD) ** 2
             weight[:, c] -= np.minimum(miss, LARGEST_EVIDENCE)
     weight -= weight.max(axis=1, keepdims=True)
     likely = np.exp(weight)

@@ -78,20 +78,20 @@ class Scene:
         """(n,) agent ids."""
         return self.history.ids
 
-    @property
+    @cached_property
     def xy(self) -> FloatArray:
         """(n, 2) present places, m."""
-        return np.asarray(self.history.xy[:, -1], dtype=np.float64)
+        return np.ascontiguousarray(self.history.xy[:, -1], dtype=np.float64)
 
-    @property
+    @cached_property
     def speed(self) -> FloatArray:
         """(n,) present speeds, m/s."""
-        return np.asarray(self.history.speed[:, -1], dtype=np.float64)
+        return np.ascontiguousarray(self.history.speed[:, -1], dtype=np.float64)
 
-    @property
+    @cached_property
     def heading(self) -> FloatArray:
         """(n,) present headings, rad."""
-        return np.asarray(self.history.heading[:, -1], dtype=np.float64)
+        return np.ascontiguousarray(self.history.heading[:, -1], dtype=np.float64)
 
     @cached_property
     def time_s(self) -> FloatArray:

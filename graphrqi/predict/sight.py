@@ -66,17 +66,18 @@ class Sight:
 def look(history: Tracks, road: Road) -> Sight:
     """See what a history shows on a road; agents not seen in its last column are on no lane."""
     graph = LaneGraph.of(road)
-    every = max(1, round(PAST_EVERY_S / history.step_s)) if history.time_s.size > 1 else 1
-    columns = np.arange(history.time_s.size - 1, -1, -every)[::-1]
+    ago = np.arange(0.0, np.ptp(history.time_s) + 1e-6, PAST_EVERY_S)[::-1]
+    columns = np.searchsorted(history.time_s, history.time_s[-1] - ago - 1e-6)
     drives = history.kind != PEDESTRIAN
-    agent, instant = np.nonzero(history.valid[:, columns] & drives[:, None])
+    valid, xy = np.ascontiguousarray(history.valid), np.ascontiguousarray(history.xy)
+    heading, speed = np.ascontiguousarray(history.heading), np.ascontiguousarray(history.speed)
+    agent, instant = np.nonzero(valid[:, columns] & drives[:, None])
     column = columns[instant]
-    xy, heading = history.xy[agent, column], history.heading[agent, column]
-    found = project(road, xy, heading)
+    found = project(road, xy[agent, column], heading[agent, column])
     return Sight(
         *sight_kernel.look(
-            history.time_s, history.valid, history.xy, history.heading, history.speed,
-            np.ascontiguousarray(history.length), drives, columns, agent, instant, found.lane,
+            history.time_s, valid, xy, heading, speed, np.ascontiguousarray(history.length),
+            drives, columns, agent, instant, found.lane,
             found.s, found.offset, graph.length, graph.width, graph.limit, graph.internal,
             graph.signal, graph.ahead, graph.behind, graph.left, graph.right, graph.cross_lane,
             graph.cross_id, graph.cross_s, graph.cross_exit_s, graph.segment_start,

@@ -122,7 +122,7 @@ def test_spline_runs_through_the_knots_and_starts_at_the_present_speed(steps):
     time_s = np.arange(1, steps + 1) * 0.1
     knots = np.arange(1, KNOTS + 1) * KNOT_S
     way = 8.0 * knots - 0.5 * knots**2
-    told = matrix @ way + 8.0 * start
+    told = way @ matrix + 8.0 * start
     at = time_s[time_s <= 5.0]
     assert told[: at.size] == pytest.approx(8.0 * at - 0.5 * at**2, abs=0.05)
 

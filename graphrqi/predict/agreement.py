@@ -1,0 +1,73 @@
+"""How well the beliefs about drivers agree with what those drivers are seen doing.
+
+A classifier may be wrong, about one driver or, far from where it was trained, about all. Each
+behaviour foretells a wished speed and, by the car-following law, an acceleration now; how likely
+they make what is seen, under the beliefs against under none, tells how far the beliefs can be
+trusted, and the same of everybody else tells how far the classifier can be.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.predict.drivers import DriverTable
+from graphrqi.predict.route import ACCELERATION_SD
+from graphrqi.predict.scene import Scene
+
+FloatArray = NDArray[np.float64]
+
+WISH_SD: Final = 0.18
+"""How far drivers of one behaviour differ in the logarithm of their wished speed (our choice: the
+scenarios' spread of 15 %, and how well a wish is seen)."""
+
+OVER: Final = 0.03
+"""Excess over the wished speed, as its logarithm, that says nothing (our choice)."""
+
+MOST_ACCELERATION, MOST_WISH = 4.0, 8.0
+"""Log-likelihood lost at most for one acceleration and for a wish (our choice)."""
+
+LEAST_BELIEF: Final = 1e-4
+"""No behaviour is believed in less."""
+
+SUM_SCALE: Final = 5.0
+"""What the sum over the others is divided by, and the most that it then is (our choice)."""
+
+AGREEMENTS: Final = 3
+"""Columns of `agreement`."""
+
+
+def agreement(
+    scene: Scene, probability: FloatArray, asked: FloatArray, table: DriverTable
+) -> FloatArray:
+    """How much more likely the beliefs make what is seen than no beliefs would.
+
+    Args:
+        scene: the present.
+        probability: (n, 6) beliefs; uniform rows for drivers of whom nothing is known.
+        asked: (6, n) acceleration that each behaviour would have now, m/s2.
+        table: calibrated driver numbers.
+
+    Returns:
+        (n, AGREEMENTS) logarithm of the ratio for the driver itself, its mean over all other
+        drivers of whom something is believed, and its scaled sum over them.
+    """
+    seen, wish = scene.seen, np.log(table.behavior[:, 0])
+    miss = (scene.accel - asked).T / ACCELERATION_SD
+    log_likelihood = -np.minimum(0.5 * miss**2, MOST_ACCELERATION)
+    log_likelihood[~scene.on_path] = 0.0
+    free = np.log(np.maximum(seen.free_factor, 0.1))[:, None]
+    apart = np.where(np.isnan(free), 0.0, free - wish) / WISH_SD
+    fastest = np.log(np.maximum(seen.least_factor, 0.1))[:, None]
+    over = np.maximum(fastest - wish - OVER, 0.0) / WISH_SD
+    log_likelihood -= np.minimum(0.5 * apart**2, MOST_WISH) + np.minimum(0.5 * over**2, MOST_WISH)
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True, initial=-np.inf))
+    believed = (np.maximum(probability, LEAST_BELIEF) * likelihood).sum(axis=1)
+    known = probability.max(axis=1, initial=0.0) > 1.0 / len(wish) + 1e-6
+    own = np.where(known, np.log(believed / likelihood.mean(axis=1)), 0.0)
+    rest = own.sum() - own
+    mean = rest / np.maximum(known.sum() - known, 1)
+    total = np.clip(rest / SUM_SCALE, -SUM_SCALE, SUM_SCALE)
+    return np.stack([own, mean, total], axis=1)
