@@ -16,9 +16,13 @@ import numpy as np
 from experiments.generate import GenerateConfig, Task, generate, make_episode
 from experiments.parallel import in_parallel
 from experiments.tables import Row
+from scenarios import get_scenario
 from sim.scenario import sample_agents
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
+
+UNSTEERED: Final = "careful=1"
+"""Drivers whom no controller steers: what frames cost on top of bare stepping is seen with them."""
 
 
 def _config(episodes: int, duration_s: float) -> GenerateConfig:
@@ -47,6 +51,39 @@ def _pair(scenario_name: str, index: int, duration_s: float) -> tuple[float, flo
     return bare_s, whole_s, entry.agent_steps, size
 
 
+def _frames(scenario_name: str, index: int, duration_s: float) -> dict[str, float]:
+    """What frames of dense traffic cost over bare stepping, without and with controllers."""
+    steps = round(duration_s / get_scenario(scenario_name)().step_s)
+    bare_s, read_s, _ = _driven(scenario_name, index, duration_s, UNSTEERED)
+    steered_bare_s, steered_s, agent_steps = _driven(scenario_name, index, duration_s, None)
+    return {
+        "frames_over_bare_stepping": read_s / bare_s - 1,
+        "frames_and_controllers_over_bare_stepping": steered_s / steered_bare_s - 1,
+        "times_real_time": duration_s / steered_s,
+        "agents_in_a_frame": agent_steps / steps,
+    }
+
+
+def _driven(
+    scenario_name: str, index: int, duration_s: float, mix: str | None
+) -> tuple[float, float, int]:
+    """CPU seconds of bare stepping and of reading every frame, and the agent-steps read."""
+    from sim.sumo.engine import run, step_bare
+
+    seed = 11 + index
+    scenario = get_scenario(scenario_name)(
+        flow="dense", duration_s=duration_s, **({} if mix is None else {"mix": mix})
+    )
+    agents = sample_agents(scenario, seed)
+    bare_s, read_s, agent_steps = np.inf, np.inf, 0
+    for _ in range(2):  # the first warms up
+        bare_s = min(bare_s, _cpu_s(lambda: step_bare(scenario, agents, seed)))
+        begin = time.process_time()
+        agent_steps = sum(len(frame) for frame in run(scenario, agents, seed))
+        read_s = min(read_s, time.process_time() - begin)
+    return bare_s, read_s, agent_steps
+
+
 def _peak_mb() -> float:
     """Most memory that this process has ever held, MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -69,13 +106,14 @@ def _memory_growth(episodes: int, duration_s: float) -> float:
     return _peak_mb() - begin_mb
 
 
-def _row(jobs: int, metric: str, values: list[float]) -> Row:
+def _row(scenario: str, jobs: int, metric: str, values: list[float]) -> Row:
     """Mean with a 95 % interval (normal; none for a single value)."""
     mean = float(np.mean(values))
     half = 1.96 * float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else None
     low, high = (None, None) if half is None else (mean - half, mean + half)
     return {
-        "jobs": jobs, "metric": metric, "value": mean, "low": low, "high": high, "n": len(values)
+        "scenario": scenario, "jobs": jobs, "metric": metric,
+        "value": mean, "low": low, "high": high, "n": len(values),
     }  # fmt: skip
 
 
@@ -86,22 +124,31 @@ def measure(quick: bool = False) -> list[Row]:
         quick: short episodes and few of them.
 
     Returns:
-        Rows keyed ``jobs`` with ``metric, value, low, high, n``: ``over_bare_stepping`` (extra
-        CPU time of a whole written episode as a share of bare stepping, paired),
-        ``bytes_per_agent_step``, ``memory_growth_mb`` (of one process over many episodes),
-        ``agent_steps_per_s`` (wall clock), ``speedup``.
+        Rows keyed ``scenario, jobs`` with ``metric, value, low, high, n``:
+        ``frames_over_bare_stepping`` (extra CPU time of reading every frame as a share of bare
+        stepping, paired; dense traffic that no controller steers),
+        ``frames_and_controllers_over_bare_stepping`` (the same of dense traffic of all
+        behaviours), ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole
+        written episode at medium flow), ``bytes_per_agent_step``, ``memory_growth_mb`` (of one
+        process over many episodes), ``agent_steps_per_s`` (wall clock), ``speedup``.
     """
     pairs, duration_s, episodes = (1, 30.0, 2) if quick else (4, 300.0, 8)
     # The first two calls warm up.
     calls = [(name, i, duration_s) for i in range(pairs) for name in SCENARIOS]
     measured = list(in_parallel(_pair, [*calls[:2], *calls], 1))[2:]
-    rows = [
-        _row(1, "over_bare_stepping", [whole / bare - 1 for bare, whole, _, _ in measured]),
-        _row(1, "bytes_per_agent_step", [size / steps for _, _, steps, size in measured]),
-    ]
+    read = list(in_parallel(_frames, [*calls[:2], *calls], 1))[2:]
+    rows: list[Row] = []
+    for name in SCENARIOS:
+        here = [cost for call, cost in zip(calls, read, strict=True) if call[0] == name]
+        rows += [_row(name, 1, metric, [cost[metric] for cost in here]) for metric in here[0]]
+        made = [pair for call, pair in zip(calls, measured, strict=True) if call[0] == name]
+        over = [whole / bare - 1 for bare, whole, _, _ in made]
+        rows.append(_row(name, 1, "over_bare_stepping", over))
+        per_step = [size / steps for _, _, steps, size in made]
+        rows.append(_row(name, 1, "bytes_per_agent_step", per_step))
     many, short_s = (10, 5.0) if quick else (500, 30.0)
     (growth_mb,) = in_parallel(_memory_growth, [(many, short_s)], 1)
-    rows.append({**_row(1, "memory_growth_mb", [growth_mb]), "n": many})
+    rows.append({**_row("all", 1, "memory_growth_mb", [growth_mb]), "n": many})
     config = _config(episodes, duration_s)
     single_s: float | None = None
     for jobs in sorted({1, os.cpu_count() or 1}):
@@ -111,6 +158,6 @@ def measure(quick: bool = False) -> list[Row]:
             wall_s = time.perf_counter() - begin
         steps = sum(entry.agent_steps for entry in manifest.episodes)
         single_s = single_s or wall_s
-        rows.append(_row(jobs, "agent_steps_per_s", [steps / wall_s]))
-        rows.append(_row(jobs, "speedup", [single_s / wall_s]))
+        rows.append(_row("all", jobs, "agent_steps_per_s", [steps / wall_s]))
+        rows.append(_row("all", jobs, "speedup", [single_s / wall_s]))
     return rows

@@ -78,7 +78,7 @@ LAYOUTS: Final[dict[str, Layout]] = {
         "graphrqi bench loop", "Time of each stage per frame of a running simulation.",
     ),
     "generate": Layout(
-        "Making data", (), ("jobs",), ("metric",), (), "graphrqi bench generate",
+        "Making data", (), ("scenario", "jobs"), ("metric",), (), "graphrqi bench generate",
         "The cost of generating a dataset.",
     ),
     "navigation": Layout(

@@ -27,7 +27,7 @@ KINDS: Final[dict[str, frozenset[str]]] = {
     "real-data": frozenset({"dataset", "protocol", "method"}),
     "classification": frozenset({"protocol", "scenario", "method"}),
     "loop": frozenset({"stage", "agents"}),
-    "generate": frozenset({"jobs"}),
+    "generate": frozenset({"scenario", "jobs"}),
     "behaviors": frozenset({"engine", "scenario", "behavior"}),
     "navigation": frozenset({"environment", "arm"}),
     "highway": frozenset({"road", "cars"}),
@@ -61,7 +61,7 @@ def kind_of(row: Row) -> str:
     """What kind of measurement a row is of.
 
     Examples:
-        >>> kind_of({"jobs": 2, "metric": "speedup", "value": 1.9})
+        >>> kind_of({"scenario": "all", "jobs": 2, "metric": "speedup", "value": 1.9})
         'generate'
     """
     return next(kind for kind, keys in KINDS.items() if keys <= row.keys())

@@ -47,7 +47,7 @@ def rows_of(kind, shift=0.0):
         keys = [{"engine": "sumo", "stage": s, "agents": 50, "metric": "ms_median"}
                 for s in ("classify", "predict")]  # fmt: skip
     elif kind == "generate":
-        keys = [{"jobs": j, "metric": "agent_steps_per_s"} for j in (1, 2)]
+        keys = [{"scenario": "all", "jobs": j, "metric": "agent_steps_per_s"} for j in (1, 2)]
     elif kind == "navigation":
         keys = [{"environment": "straight", "arm": a, "metric": "ttc"} for a in ("blind", "told")]
     elif kind == "highway":
