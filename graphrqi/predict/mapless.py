@@ -1,10 +1,11 @@
-"""Prediction without a map: three ways, of which the past seen so far tells the best.
+"""Prediction without a map: three ways, of which one is chosen by what the recording is like.
 
 Everyone's steady motion, its own fading acceleration behind an inferred leader
 (`graphrqi.predict.unmapped`), and a network that corrects these. Recordings differ: some are noisy,
-some are shifted in time, some show traffic that no simulator knows. So each way is first tried on
-the history itself, from `TRIED_S` ago to the present, and what does worse there than steady motion
-is not trusted here.
+some are shifted in time, some show traffic that no simulator knows. Where tracks are shaken,
+everyone is taken to keep its speed. Else the ways are tried on the history itself, `TRIED_S` ahead:
+the network is used unless it did clearly worse than steady motion; where vehicles overlap, whatever
+is used has to have done clearly better.
 """
 
 from __future__ import annotations
@@ -23,12 +24,7 @@ from graphrqi.predict.constant import inertial_distance
 from graphrqi.predict.learned import Perceptron, load_network, spread_out
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.scene import LEARNED_S
-from graphrqi.predict.unmapped import (
-    Motion,
-    fan,
-    plausible,
-    travelled,
-)
+from graphrqi.predict.unmapped import MOST_TURN, Motion, fan, plausible, smooth, travelled
 from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]
@@ -40,15 +36,18 @@ WEIGHTS: Final = "mapless.safetensors"
 TRIED_S: Final = 2.5
 """Each way is tried over this much of the past, s (half of what a stream remembers)."""
 
-LEAST_TRIED: Final = 1
+AGAIN_S: Final = 1.0
+"""How much earlier each way is tried once more, s (our choice)."""
+
+LEAST_TRIED: Final = 4
 """Tried on fewer agents than this, a way counts as untried (our choice)."""
 
 CLEARLY: Final = 0.9
-"""The best way is trusted if its squared error is below this times that of steady motion; else the
-own past, where gaps are believable and it is no worse (our choice)."""
+"""Clearly better is a squared error below this times the other's (our choice) ..."""
 
-NOTHING_M2: Final = 0.01
-"""A squared error of this much more is none, m2 (our choice: recordings are not better)."""
+SURE: Final = 1.64
+"""... and, where it is not trusted from the outset, the mean difference is so many standard errors
+from none (one side of 95 %)."""
 
 PAST_S: Final = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 """At which times ago the own past is looked at, s."""
@@ -58,9 +57,6 @@ FAR_M: Final = 100.0
 
 BRAKING_MPS2: Final = 2.0
 """How much harder than now one of the network's bases brakes (our choice)."""
-
-MOST_TURN: Final = 0.6
-"""Nobody turns faster, rad/s (our choice: 12 m radius at 7 m/s)."""
 
 
 def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Prediction:
@@ -105,33 +101,49 @@ def along_heading(
 
 
 def trusted_way(history: Tracks, believable: bool) -> str:
-    """``learned``, ``own past`` or ``steady``: what did best over the past, if clearly."""
-    ago = round(TRIED_S / history.step_s) if history.time_s.size > 1 else 0
-    untried = "own past" if believable else "steady"
-    stop = history.time_s.size - ago
-    if ago == 0 or stop < 2:
-        return untried
-    earlier = history.window(stop, stop)
-    row = np.searchsorted(history.ids, earlier.ids)
-    counts = (earlier.kind != PEDESTRIAN) & (earlier.valid.sum(axis=1) > 1)
-    if counts.sum() < LEAST_TRIED:
-        return untried
-    truth = history.xy[row[counts], -1]
+    """``learned``, ``own past`` or ``steady``: what the recording and its past speak for."""
+    if not smooth(history):
+        return "steady"
+    error = _tried(history, believable)
+    steady = error.pop("steady")
+    if steady.size < LEAST_TRIED:
+        return "own past" if believable else "steady"
+    mean = {name: float(errors.mean()) for name, errors in error.items()}
+    best = min(mean, key=mean.__getitem__)
+    if believable:
+        if mean["learned"] * CLEARLY <= steady.mean():
+            return "learned"
+        return best if mean[best] < steady.mean() else "steady"
+    if mean[best] >= CLEARLY * steady.mean():
+        return "steady"
+    gain = steady - error[best]
+    sure = gain.mean() > SURE * gain.std(ddof=1) / np.sqrt(gain.size)
+    return best if sure else "steady"
+
+
+def _tried(history: Tracks, believable: bool) -> dict[str, FloatArray]:
+    """Squared errors of each way, m2, over every agent's moves to the present and a second ago."""
+    found: dict[str, list[FloatArray]] = {"steady": [], "own past": [], "learned": []}
     step = round(TRIED_S / STEP_S)
-    motion = Motion.of(earlier, believable)
-    tried = {
-        "steady": fan(earlier, motion.steady(), step),
-        "own past": fan(earlier, motion, step),
-        "learned": learned(earlier, believable, step),
-    }
-    error = {
-        name: float(((told.best[counts, step - 1] - truth) ** 2).sum(axis=1).mean())
-        for name, told in tried.items()
-    }
-    best = min(error, key=error.__getitem__)
-    if error[best] < CLEARLY * error["steady"]:
-        return best
-    return untried if error[untried] <= error["steady"] + NOTHING_M2 else "steady"
+    for again_s in (0.0, AGAIN_S):
+        last = history.time_s[-1] - again_s
+        at = int(np.searchsorted(history.time_s, last - 1e-6))
+        stop = int(np.searchsorted(history.time_s, last - TRIED_S - 1e-6)) + 1
+        if last - TRIED_S < history.time_s[0] - 1e-6 or stop < 2:
+            continue
+        earlier = history.window(stop, stop)
+        row = np.searchsorted(history.ids, earlier.ids)
+        counts = (earlier.kind != PEDESTRIAN) & (earlier.valid.sum(axis=1) > 1)
+        counts &= history.valid[row, at]
+        truth = history.xy[row[counts], at]
+        motion = Motion.of(earlier, believable)
+        for name, told in (
+            ("steady", fan(earlier, motion.steady(), step)),
+            ("own past", fan(earlier, motion, step)),
+            ("learned", learned(earlier, believable, step)),
+        ):
+            found[name].append(((told.best[counts, step - 1] - truth) ** 2).sum(axis=1))
+    return {name: np.concatenate(parts or [np.empty(0)]) for name, parts in found.items()}
 
 
 @functools.cache

@@ -40,6 +40,19 @@ AHEAD_M, AHEAD_S = 100.0, 6.0
 MOST_OVERLAPS: Final = 0.01
 """Share of followers that may overlap their leader before gaps count as implausible (ours)."""
 
+STANDING_MPS: Final = 0.5
+"""Slower than this one stands (our choice)."""
+
+MOST_TURN: Final = 0.6
+"""Nobody turns faster, rad/s (our choice: 12 m radius at 7 m/s)."""
+
+MOVING_MPS: Final = 2.0
+"""Turns are looked at from this speed on (our choice: slower, headings are noise)."""
+
+MOST_JUMPS: Final = 0.1
+"""Share of moves that may turn faster before tracks count as shaken (our choice on simulated and
+training recordings)."""
+
 FAN_MPS2: Final = (0.0, -1.0, 1.0, -2.5, 2.0, -4.0)
 """What each future's acceleration adds to the likeliest one's."""
 
@@ -177,10 +190,26 @@ def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, Float
 
 
 def plausible(history: Tracks) -> bool:
-    """Whether hardly any follower overlaps its leader, over the last seconds seen."""
+    """Whether hardly any follower overlaps its leader, over the last seconds seen.
+
+    Pairs that both stand are left out: parked cars tell nothing of clocks.
+    """
     overlaps = followers = 0
     for column in range(history.time_s.size - 1, -1, -10):
         leader, gap = inferred_leaders(history, column)
-        followers += int((leader >= 0).sum())
-        overlaps += int((gap < 0).sum())
+        moves = history.speed[:, column] > STANDING_MPS
+        counts = (leader >= 0) & (moves | moves[leader])
+        followers += int(counts.sum())
+        overlaps += int((counts & (gap < 0)).sum())
     return overlaps <= MOST_OVERLAPS * followers
+
+
+def smooth(history: Tracks) -> bool:
+    """Whether hardly anybody turns faster than vehicles can, as shaken tracks do."""
+    step_s = np.diff(history.time_s)
+    turned = np.abs((np.diff(history.heading, axis=1) + np.pi) % (2 * np.pi) - np.pi)
+    drives = (history.kind != PEDESTRIAN)[:, None]
+    seen = history.valid[:, 1:] & history.valid[:, :-1] & drives
+    moving = seen & (np.minimum(history.speed[:, 1:], history.speed[:, :-1]) > MOVING_MPS)
+    jumps = moving & (turned > MOST_TURN * step_s)
+    return int(jumps.sum()) <= MOST_JUMPS * int(moving.sum())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from graphrqi.predict.mapless import known_unmapped, trusted_way
-from graphrqi.predict.unmapped import inferred_leaders, plausible
+from graphrqi.predict.unmapped import inferred_leaders, plausible, smooth
 from sim.frames import PEDESTRIAN, Frame, Tracks
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
@@ -105,11 +107,26 @@ def test_a_past_that_only_steady_motion_explains_is_predicted_by_it():
 
 
 def test_a_short_past_is_not_tried():
-    assert trusted_way(recording([0.0], [12.0]), believable=True) in ("own past", "learned")
+    assert trusted_way(recording([0.0], [12.0]), believable=True) == "own past"
     frame = next(iter(recording([0.0], [12.0]).frames()))
     alone = Tracks.from_frames([frame])
     assert trusted_way(alone, believable=True) == "own past"
     assert trusted_way(alone, believable=False) == "steady"
+
+
+def test_shaken_tracks_are_taken_to_go_on_as_they_do():
+    tracks = recording([0.0, 60.0, 120.0], [12.0, 11.0, 10.0], accel=1.0)
+    assert smooth(tracks)
+    shaken = replace(tracks, heading=tracks.heading + 0.1 * (np.arange(31) % 2))
+    assert not smooth(shaken)
+    assert trusted_way(shaken, believable=True) == "steady"
+    slow = replace(shaken, speed=np.minimum(shaken.speed, 1.0))
+    assert smooth(slow)
+
+
+def test_parked_vehicles_tell_nothing_of_clocks():
+    assert plausible(recording([0.0, 3.0], [0.0, 0.0]))
+    assert not plausible(recording([0.0, 3.0], [5.0, 0.0]))
 
 
 def test_the_network_sees_no_neighbours_where_gaps_are_implausible():
