@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from graphrqi.features import following_law
 from graphrqi.features.evidence import Evidence
@@ -108,9 +109,10 @@ class DrivingObserver:
         motion = self._motion.update(time_s, ids, xy)
         self._near = self._near.observe(ids, xy)
         self._spectrum.observe(ids, xy)
-        around = interactions(motion, drives, self._near.adjacency)
+        adjacency = self._near.adjacency
+        around = interactions(motion, drives, adjacency)
         moment = np.zeros((ids.size, _WATCHED + _LAW + SPECTRAL))
-        self._watch(time_s, motion, around, drives, moment)
+        self._watch(time_s, motion, around, adjacency, drives, moment)
         moment[:, _WATCHED + _LAW :] = self._spectrum.moment(time_s, ids)
         everyone = bool(drives.all())  # spares a copy
         self._evidence.add(time_s, ids[drives], moment if everyone else moment[drives])
@@ -124,11 +126,11 @@ class DrivingObserver:
         time_s: float,
         motion: Motion,
         around: Interaction,
+        adjacency: csr_array,
         drives: BoolArray,
         out: FloatArray,
     ) -> None:
         """Write this moment's weights of every block."""
-        adjacency = self._near.adjacency
         v, a = np.maximum(motion.speed, 0.0), motion.acceleration
         moving = v > 2.0
         gap, rear = around.gap, around.rear_gap
@@ -194,13 +196,11 @@ class DrivingObserver:
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """Distributions of what was watched, mean spectral features, and the time observed."""
+        law = sums[:, _WATCHED : _WATCHED + _LAW].reshape(-1, following_law.COLUMNS)
         return np.concatenate(
             [
                 describe(sums, BLOCKS),
-                *(
-                    following_law.infer(sums[:, start : start + following_law.COLUMNS])
-                    for start in (_WATCHED, _WATCHED + following_law.COLUMNS)
-                ),
+                following_law.infer(law).reshape(len(sums), 2 * len(following_law.LAW_NAMES)),
                 spectral_means(sums[:, _WATCHED + _LAW :]),
                 np.log1p(seconds)[:, None],
             ],

@@ -145,12 +145,9 @@ class MotionEstimator:
         rows: IntArray, times: FloatArray, values: FloatArray, span_s: float
     ) -> tuple[FloatArray, FloatArray]:
         """The oldest known value within the span, and how long ago it was."""
-        inside = np.flatnonzero(times >= times[-1] - span_s - 1e-6)[:-1]
-        if inside.size == 0:
-            return np.full((rows.size, 2), np.nan), np.ones(rows.size)
-        past = values[rows][:, inside]
-        first = np.argmax(~np.isnan(past[..., 0]), axis=1)
-        return past[np.arange(rows.size), first], times[-1] - times[inside[first]]
+        from graphrqi.features.kinematic_kernel import oldest
+
+        return oldest(rows, times, values, times[-1] - span_s - 1e-6)
 
     def _displacement(self, rows: IntArray, times: FloatArray, span_s: float) -> FloatArray:
         reference, _ = self._reference(rows, times, self._trail, span_s)
