@@ -14,6 +14,9 @@ from graphrqi.classify.contract import FloatArray
 MOST_LEAVES: Final = 32
 """Leaves that `ShortTrees` can tell apart: bits of a word."""
 
+LANES: Final = 16
+"""Samples are asked in so many at a time: single numbers that a processor's register holds."""
+
 
 @dataclass(frozen=True, slots=True)
 class Trees:
@@ -204,12 +207,15 @@ class ShortTrees:
         """(n, sums) as `Trees.total`, to the bit."""
         from graphrqi.classify.tree_kernel import sum_of_first_leaves
 
-        out = np.zeros((len(features), sums))
+        wide = -(-len(features) // LANES) * LANES
+        columns = np.zeros((features.shape[1], wide), dtype=np.float32)
+        columns[:, : len(features)] = features.T
+        out = np.zeros((wide, sums))
         sum_of_first_leaves(
-            np.ascontiguousarray(features.T, dtype=np.float32), self.first, self.feature,
-            self.threshold, self.keep, self.leaf, self.column, out,
+            columns, self.first, self.feature, self.threshold, self.keep, self.leaf, self.column,
+            out,
         )  # fmt: skip
-        return out
+        return out[: len(features)]
 
 
 def _leaves(node: int, child: list[int]) -> list[int]:
