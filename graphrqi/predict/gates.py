@@ -130,10 +130,10 @@ def _crossings_ahead(history: Tracks, road: Road, graph: LaneGraph, steps: int) 
     time_s = np.arange(steps + 1) * STEP_S
     xy, heading = history.xy[walking, -1], history.heading[walking, -1]
     speed = history.speed[walking, -1]
-    ahead_xy = xy + np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    stepping = np.concatenate([xy, xy + np.stack([np.cos(heading), np.sin(heading)], axis=1)])
     for c, crossing in enumerate(road.crossings):
-        u, across, total = along(crossing.centerline, xy)
-        u_ahead, _, _ = along(crossing.centerline, ahead_xy)
+        found, aside, total = along(crossing.centerline, stepping)
+        (u, u_ahead), across = np.split(found, 2), aside[: len(xy)]
         near = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > -0.5) & (u < total + 0.5)
         if not near.any():
             continue

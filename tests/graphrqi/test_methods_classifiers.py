@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.classify import CLASSIFIERS, make_classifier, restore_classifier
+from graphrqi.classify.trees import ShortTrees, Trees
 
 SMALL: dict[str, dict[str, object]] = {
     "boosted": {"rounds": 20, "min_leaf": 5},
@@ -120,3 +121,26 @@ def test_boosted_and_forest_answer_as_those_who_grew_them():
 def test_one_class_cannot_be_learned(name):
     with pytest.raises(InputError, match="expected at least two"):
         make_classifier(name, 6).fit(*blobs(50, 14, (2,)), None, seed=0)
+
+
+@pytest.mark.parametrize("samples", [1, 16, 61])
+def test_short_trees_add_up_to_the_same_bits(samples):
+    classifier = make_classifier("boosted", 6, rounds=12, max_leaves=31, min_leaf=5)
+    classifier.fit(*blobs(900, 1), None, seed=3)
+    arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
+    trees = Trees.restored(arrays)
+    short = ShortTrees.of(trees)
+    assert short is not None
+    points, _ = blobs(samples, 4)
+    points[0, 1] = np.nan
+    points[-1, 2] = np.inf
+    assert np.array_equal(short.total(points, 6), trees.total(points, 6))
+
+
+def test_trees_of_many_leaves_are_not_short():
+    classifier = make_classifier("boosted", 6, rounds=2, max_leaves=80, min_leaf=1)
+    classifier.fit(*blobs(900, 1), None, seed=3)
+    arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
+    trees = Trees.restored(arrays)
+    most = max(np.diff([*trees.root.tolist(), trees.feature.size])) // 2 + 1
+    assert (ShortTrees.of(trees) is None) == (most > 32)

@@ -11,6 +11,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, get_predictor, predict
+from graphrqi.predict.agreement import agreement
 from graphrqi.predict.drivers import (
     DRIVER_FIELDS,
     DriverTable,
@@ -412,3 +413,24 @@ def test_calibrated_profiles_are_ordered_as_the_behaviours_are():
 
 def test_get_predictor_finds_each():
     assert all(callable(get_predictor(name)) for name in PREDICTORS)
+
+
+def test_beliefs_agree_with_what_drivers_are_seen_doing(straight):
+    table = default_table()
+    wish = dict(zip(BEHAVIORS, table.behavior[:, 0], strict=True))
+    fast, slow = max(wish, key=wish.__getitem__), min(wish, key=wish.__getitem__)
+    a, heading = on_lane(straight, "east_in_1", 60.0)
+    b, _ = on_lane(straight, "east_in_2", 60.0)
+    speed = float(wish[fast]) * 13.89
+    scene = make_scene(history([a, b], [heading] * 2, [speed] * 2, seconds=5.0), straight)
+    asked = np.zeros((len(BEHAVIORS), 2))
+    right, wrong, half = (
+        agreement(scene, np.eye(len(BEHAVIORS))[codes], asked, table)
+        for codes in ([fast.code] * 2, [slow.code] * 2, [fast.code, slow.code])
+    )
+    assert (right > 0).all()
+    assert (wrong < 0).all()
+    assert half[0, 0] == right[0, 0]
+    assert half[0, 1] == wrong[1, 0]
+    unknown = np.full((2, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+    assert (agreement(scene, unknown, asked, table) == 0).all()
