@@ -33,7 +33,7 @@ from sim.dataset import open_dataset
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray
 from sim.schema import EpisodeEntry, Split
 
-CALIBRATE_EVERY_S: Final = 3.0
+CALIBRATE_EVERY_S: Final = 6.0
 """Time between scenes used for calibration, s (our choice)."""
 
 EXAMPLES_EVERY_S: Final = 1.5
