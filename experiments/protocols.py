@@ -49,7 +49,7 @@ from experiments.scoring import majority_of
 from experiments.tables import Cell, Row
 from experiments.train import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from graphrqi.classify import Classifier, make_classifier
-from graphrqi.features.plain import GRAPH_SIGNALS
+from graphrqi.features.plain import GRAPH_SIGNALS, INFERRED, OF_PACE
 from graphrqi.methods import METHODS, Model, load_model, train
 from graphrqi.samples import WINDOWS_S, Samples, collect
 from graphrqi.stream import BehaviorStream
@@ -425,8 +425,8 @@ def _who_and_when(samples: Samples) -> Samples:
 KINDS_OF_FEATURES: Final[dict[str, tuple[str, ...]]] = {
     "spectrum": ("spectrum_",),
     "graph signals": tuple(f"{name}:" for name in GRAPH_SIGNALS),
-    "inferred driver": ("steady:", "held up:"),
-    "pace": ("free speed over pace:", "speed over pace:"),
+    "inferred driver": ("steady:", "held up:", *(f"{name}:" for name in INFERRED)),
+    "pace": tuple(f"{name}:" for name in OF_PACE),
 }
 """What the names of each kind of feature begin with."""
 

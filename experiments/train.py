@@ -33,6 +33,7 @@ def train_model(
     method: str,
     *,
     solver: str = "graphrqi",
+    per_moment: int = TRAINING_PER_MOMENT,
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = True,
@@ -43,6 +44,7 @@ def train_model(
         datasets: with train, validation and (for the card) test episodes.
         method: a key of ``METHODS``.
         solver: a key of ``SOLVERS``.
+        per_moment: window lengths drawn for each driver and moment.
         seed: same seed and data, same model.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
@@ -56,7 +58,7 @@ def train_model(
         "solver": solver,
         "windows_s": WINDOWS_S,
         "every_s": TRAINING_EVERY_S,
-        "per_moment": TRAINING_PER_MOMENT,
+        "per_moment": per_moment,
         "seed": seed,
         "jobs": jobs,
         "quiet": quiet,
@@ -101,6 +103,7 @@ def train_on(
     seed: int = 0,
     quiet: bool = False,
     jobs: int | None = None,
+    per_moment: int = TRAINING_PER_MOMENT,
 ) -> Model:
     """What ``graphrqi train`` does.
 
@@ -111,12 +114,13 @@ def train_on(
         seed: same seed and data, same model.
         quiet: whether to show no progress.
         jobs: processes; None for one per core.
+        per_moment: window lengths drawn for each driver and moment.
 
     Returns:
         The trained model, saved.
     """
     opened = [open_dataset(dataset) for dataset in datasets]
     check_model_folder(out)
-    model, _ = train_model(opened, method, seed=seed, jobs=jobs, quiet=quiet)
+    model, _ = train_model(opened, method, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet)
     save_model(model, out)
     return model

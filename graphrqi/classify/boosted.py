@@ -26,6 +26,7 @@ class Boosted:
         rounds: at most this many trees per class.
         learning_rate: how much of each tree counts.
         max_leaves: of a tree.
+        max_depth: of a tree; every sample takes as many steps as a tree is deep.
         min_leaf: fewest training samples in a leaf.
         ridge: penalty of squared leaf values.
         feature_share: share of the features looked at for each split.
@@ -37,6 +38,7 @@ class Boosted:
         rounds: int = 120,
         learning_rate: float = 0.1,
         max_leaves: int = 15,
+        max_depth: int | None = None,
         min_leaf: int = 40,
         ridge: float = 1.0,
         feature_share: float = 1.0,
@@ -46,6 +48,7 @@ class Boosted:
             "max_iter": rounds,
             "learning_rate": learning_rate,
             "max_leaf_nodes": max_leaves,
+            "max_depth": max_depth,
             "min_samples_leaf": min_leaf,
             "l2_regularization": ridge,
             "max_features": feature_share,

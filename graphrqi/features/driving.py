@@ -41,6 +41,9 @@ _STANDSTILL_M = (0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0
 _SIDEWAYS_M = (0.0, 0.2, 0.5, 1.0, 1.8, 3.0, 4.5)
 _INVERSE_TTC = (0.0, 0.03, 0.07, 0.12, 0.2, 0.3, 0.5, 0.8, 1.5)
 _SLOW_MPS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
+_STANDING_S = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.5, 3.0, 3.6, 4.3, 5.2, 6.5, 8.5, 12.0)
+_GAP_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.5, 9.0, 12.0, 16.0, 22.0, 30.0)
+_LAW_S = (-1.0, -0.3, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.5, 1.8, 2.2, 2.6, 3.1, 3.8, 5.0, 7.0)
 _OF_PACE = tuple(round(0.3 + 0.06 * k, 2) for k in range(26))
 
 BLOCKS: Final[tuple[Block, ...]] = (
@@ -57,11 +60,10 @@ BLOCKS: Final[tuple[Block, ...]] = (
     Block("headway", _HEADWAY_S),
     Block("steady headway", _HEADWAY_S),
     Block("standstill gap", _STANDSTILL_M),
-    Block("leader's speed while standing", _SLOW_MPS),
+    Block("leader's speed before starting", _SLOW_MPS),
     Block("closing", _DIFFERENCE_MPS),
     Block("inverse time to collision", _INVERSE_TTC),
     Block("rear headway", _HEADWAY_S),
-    Block("rear headway after moving over", _HEADWAY_S),
     Block("sideways", _SIDEWAYS_M),
     Block("sideways over neighbours", _SIDEWAYS_M),
     Block("beside", (0.0, 1.0, 2.0, 4.0)),
@@ -73,8 +75,29 @@ BLOCKS: Final[tuple[Block, ...]] = (
     Block("braking when free", _POSITIVE_MPS2),
     Block("waiting first", (0.0, 1.0)),
     Block("pull-away when free", _POSITIVE_MPS2),
+    Block("pull-away when slow", _POSITIVE_MPS2),
+    Block("pull-away when fast", _POSITIVE_MPS2),
+    Block("time to standing, free", _STANDING_S),
+    Block("time to standing, slow", _STANDING_S),
+    Block("time to standing, fast", _STANDING_S),
+    Block("gap before starting", _GAP_M),
+    Block("gap while starting", _GAP_M),
+    Block("gap while creeping", _GAP_M),
+    Block("law's headway, close", _LAW_S),
+    Block("law's headway, distant", _LAW_S),
+    Block("law's headway, held up", _LAW_S),
+    Block("law's headway, closing", _LAW_S),
+    Block("law's headway, opening", _LAW_S),
+    Block("clear speed over pace", _OF_PACE),
+    Block("pulling speed over pace", _OF_PACE),
+    Block("acceleration near pace", _ACCEL_MPS2),
+    Block("slowing near pace", _ACCEL_MPS2),
 )
 """What the driving observer watches (our choice of quantities and scales)."""
+
+_ASSUMED: Final = ((1.0, 5.0), (2.5, 2.5), (1.5, 3.5))
+"""Standstill gap, m, and braking, m/s2, for the headways that the law implies: of a close, a
+distant and a middle follower (our choice, about as far apart as drivers are)."""
 
 _WATCHED: Final = sum(len(b.nodes) for b in BLOCKS)
 """Columns of evidence that belong to the blocks; the car-following and spectral ones follow."""
@@ -140,6 +163,7 @@ class DrivingObserver:
             headway = gap / v
             rear_headway = rear / np.maximum(around.rear_speed, 0.1)
             inverse_ttc = np.maximum(closing, 0.0) / np.maximum(gap, 0.3)
+            to_standing = v / np.maximum(-a, 0.1)
         clear = ~has_leader | (gap > np.maximum(25.0, 4.0 * v))
         following = has_leader & moving & (headway < 5.0)
         speed_signal = differences(adjacency, v, drives)
@@ -151,6 +175,14 @@ class DrivingObserver:
         free = clear & (np.abs(a) < 0.5) & moving
         of_pace = v / self._pace.update(time_s, v, free & drives)
         pulling = (a > 0.2) & (v < 9.0)
+        stopping = (a < -0.5) & (v > 1.0)
+        unmoved = ~has_leader | (around.leader_speed < 0.5)
+        starting = has_leader & (v < 0.3) & (around.leader_speed > 0.5)
+        behind = has_leader & (v > 0.7)
+        close, distant, middle = (
+            following_law.implied_headway(v, around.leader_speed, gap, *assumed)
+            for assumed in _ASSUMED
+        )
         watched: tuple[tuple[FloatArray, BoolArray], ...] = (
             (v, always),
             (v, free),
@@ -165,11 +197,10 @@ class DrivingObserver:
             (headway, has_leader & moving),
             (headway, following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.5)),
             (gap, standing),
-            (around.leader_speed, has_leader & (v < 0.3)),
+            (around.leader_speed, starting),
             (closing, following),
             (inverse_ttc, has_leader & (closing > 0.2)),
             (rear_headway, has_follower & moving),
-            (rear_headway, has_follower & moving & (side > 1.2)),
             (side, moving),
             (np.abs(sideways_signal[:, 0]), moving),
             (around.beside, moving),
@@ -181,6 +212,23 @@ class DrivingObserver:
             (-a, clear & (a < -0.3)),
             (np.zeros(v.size), ~has_leader & (v < 0.3)),
             (a, pulling & clear),
+            (a, (a > 0.2) & (v < 3.5)),
+            (a, (a > 0.2) & (v >= 7.5) & (clear | (closing < 0.0))),
+            (to_standing, stopping & clear),
+            (to_standing, stopping & unmoved & (v < 6.0)),
+            (to_standing, stopping & unmoved & (v >= 6.0)),
+            (gap, starting),
+            (gap, has_leader & (v > 0.3) & (v < 2.5) & (a > 0.3) & (closing < 0.0)),
+            (gap, has_leader & (v > 0.15) & (v < 1.5) & (around.leader_speed < 0.3)),
+            (close, behind & (close < 7.0)),
+            (distant, behind & (distant < 7.0)),
+            (middle, behind & (middle < 7.0) & (a < 1.0)),
+            (middle, behind & (middle < 7.0) & (closing > 1.0)),
+            (middle, behind & (middle < 7.0) & (closing < -0.5)),
+            (of_pace, clear & moving),
+            (of_pace, clear & (a > 0.3) & (v > 5.0)),
+            (a, clear & (of_pace > 0.8)),
+            (a, clear & (of_pace > 0.8) & (a < 0.2)),
         )
         values = np.stack([value for value, _ in watched])
         counts = np.stack([condition for _, condition in watched])

@@ -35,6 +35,9 @@ PRIOR_SD: Final = np.array([1.3, 0.9, 0.15])
 GAP_NOISE_M: Final = 0.8
 """Spread of the gap about the law (our choice: the unknown lengths of two cars and a lag)."""
 
+LEAST_MPS: Final = 0.5
+"""Speed below which a headway says nothing, m/s (our choice)."""
+
 COLUMNS: Final = 11
 """Additive columns: 6 products of regressors, 3 with the gap, the squared gap, and the time."""
 
@@ -90,6 +93,37 @@ def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray,
     out[rows, 9] = y * y
     out[rows, 10] = 1.0
     return out
+
+
+def implied_headway(
+    speed: FloatArray,
+    leader_speed: FloatArray,
+    gap: FloatArray,
+    standstill_m: float,
+    braking_mps2: float,
+) -> FloatArray:
+    """The time headway at which the law would have a driver go just as fast as it goes.
+
+    No driver goes faster than is safe, so its own headway is at most this at every moment, whether
+    it is held up or not.
+
+    Args:
+        speed: (n,) m/s.
+        leader_speed: (n,) m/s; NaN without a leader.
+        gap: (n,) m; NaN without a leader.
+        standstill_m: standstill gap assumed, m.
+        braking_mps2: braking assumed, m/s2.
+
+    Returns:
+        (n,) s; below ``LEAST_MPS`` as if going that fast.
+
+    Examples:
+        >>> ten = np.array([10.0])
+        >>> implied_headway(ten, ten, np.array([17.0]), standstill_m=2.0, braking_mps2=3.0)
+        array([1.5])
+    """
+    left_m = gap - standstill_m - (speed * speed - leader_speed * leader_speed) / (2 * braking_mps2)
+    return np.asarray(left_m / np.maximum(speed, LEAST_MPS))
 
 
 def infer(sums: FloatArray) -> FloatArray:

@@ -23,8 +23,14 @@ GRAPH_SIGNALS: Final = (
 )
 """Blocks that compare a driver with its neighbourhood in the graph."""
 
+INFERRED: Final = tuple(b.name for b in BLOCKS if b.name.startswith("law's headway"))
+"""Blocks that look at the gap through the car-following law."""
+
+OF_PACE: Final = tuple(b.name for b in BLOCKS if b.name.endswith("pace"))
+"""Blocks that need the pace of the place."""
+
 _NAMES: Final = (
-    *describe_names(tuple(b for b in BLOCKS if b.name not in GRAPH_SIGNALS)),
+    *describe_names(tuple(b for b in BLOCKS if b.name not in GRAPH_SIGNALS + INFERRED)),
     "log_seconds",
 )
 

@@ -228,6 +228,59 @@ def test_following_law_without_evidence_is_the_prior():
     assert found[3:6] == pytest.approx(following_law.PRIOR_SD)
 
 
+def test_a_start_in_a_queue_shows_lag_gap_and_pull():
+    """The leader starts after 4 s with 2 m/s2, the follower 1.5 s later with 1.2 m/s2."""
+    watching = DrivingObserver("eigh")
+
+    def place(t, begins, pull):
+        return 0.5 * pull * max(t - begins, 0.0) ** 2
+
+    for step in range(90):
+        t = step / 10
+        roll = 3.0 * min(t, 1.0)  # so that both have a direction of travel
+        xy = [(roll + place(t, 5.5, 1.2), 0.0), (roll + 7.6 + place(t, 4.0, 2.0), 0.0)]
+        watching.update(t, np.arange(2), np.array(xy), np.ones(2, bool))
+    seen = watching.observation()
+    found = dict(
+        zip(
+            watching.feature_names,
+            watching.features(seen.seconds, seen.sums, seen.instant)[0],
+            strict=True,
+        )
+    )
+    assert found["standstill gap:50%"] == pytest.approx(7.6 - NOMINAL_LENGTH_M, abs=0.3)
+    lag_s = np.expm1(found["leader's speed before starting:evidence"]) / 10
+    assert lag_s == pytest.approx(1.5, abs=0.4)
+    assert found["gap before starting:95%"] > found["standstill gap:95%"] + 1.0
+    assert found["pull-away when slow:95%"] == pytest.approx(1.2, abs=0.2)
+
+
+def test_braking_to_a_stop_shows_how_long_it_takes():
+    """From 12 m/s with 3 m/s2: four seconds at first, then ever fewer."""
+    watching = DrivingObserver("eigh")
+    for step in range(70):
+        t = step / 10
+        after = np.clip(t - 3.0, 0.0, 4.0)
+        x = 12.0 * min(t, 3.0) + 12.0 * after - 1.5 * after * after
+        watching.update(t, np.arange(1), np.array([[x, 0.0]]), np.ones(1, bool))
+    seen = watching.observation()
+    features = watching.features(seen.seconds, seen.sums, seen.instant)[0]
+    found = dict(zip(watching.feature_names, features, strict=True))
+    assert 2.0 < found["time to standing, fast:50%"] < 4.0
+    assert 0.0 < found["time to standing, slow:50%"] < 2.0
+    assert found["law's headway, close:evidence"] == 0.0  # nobody ahead
+
+
+def test_implied_headway_bounds_the_own_one():
+    rng = np.random.default_rng(2)
+    v, u = rng.uniform(3, 15, 400), rng.uniform(3, 15, 400)
+    held = 2.0 + 1.3 * v + (v * v - u * u) / (2 * 3.0)
+    implied = following_law.implied_headway(v, u, held, 2.0, 3.0)
+    np.testing.assert_allclose(implied, 1.3)
+    farther = following_law.implied_headway(v, u, held + rng.uniform(0, 20, 400), 2.0, 3.0)
+    assert (farther >= 1.3).all()
+
+
 def traffic(seconds=12.0, n=12, seed=0):
     rng = np.random.default_rng(seed)
     start, speed = rng.uniform(0, 150, n), rng.uniform(5, 15, n)

@@ -117,6 +117,12 @@ def test_boosted_and_forest_answer_as_those_who_grew_them():
     np.testing.assert_allclose(boosted.posterior(asked), grown.predict_proba(asked), atol=1e-6)
 
 
+def test_boosted_trees_are_no_deeper_than_asked():
+    boosted = make_classifier("boosted", 6, rounds=5, max_leaves=31, max_depth=3, min_leaf=2)
+    boosted.fit(*blobs(600, 15), None, seed=0)
+    assert 1 <= boosted.arrays()["depth"].max() <= 3
+
+
 @pytest.mark.parametrize("name", ["logistic", "svm", "lasso"])
 def test_one_class_cannot_be_learned(name):
     with pytest.raises(InputError, match="expected at least two"):
