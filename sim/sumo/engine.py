@@ -347,9 +347,16 @@ class _Reader:
         self._touching = touching
 
     def present(self) -> tuple[Sequence[str], Sequence[str]]:
-        """Names of the vehicles and of the pedestrians on the road now."""
-        vehicles = self._sumo.vehicle_getIDList()
-        self._present = (vehicles, self._sumo.person_getIDList() if self._walk else ())
+        """Names of the vehicles and of the pedestrians on the road now.
+
+        As long as nobody comes or goes they are the same two objects.
+        """
+        present = (
+            self._sumo.vehicle_getIDList(),
+            self._sumo.person_getIDList() if self._walk else (),
+        )
+        if present != self._present:
+            self._present = present
         return self._present
 
     def note_removed(self, agents: Sequence[int], time_s: float) -> None:
@@ -372,7 +379,7 @@ class _Reader:
         sumo = self._sumo
         vehicles, persons = self._present if fresh else self.present()
         known = self._known
-        if vehicles != known.vehicles or persons != known.persons:
+        if vehicles is not known.vehicles or persons is not known.persons:
             known = self._known = self._roll(vehicles, persons)
         n = known.rows.size
         places: Iterator[float] = chain.from_iterable(map(sumo.vehicle_getPosition, vehicles))

@@ -30,6 +30,7 @@ class Controls:
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
         self._sumo = sumo
         self._step = 0
+        self._vehicles: Sequence[str] = ()
         self._every = max(2, round(DRIVERS_ACT_S / step_s))
         self._obedience = Obedience(sumo, road, agents)
         self._cutting_in = CuttingIn(sumo, road, agents)
@@ -46,12 +47,16 @@ class Controls:
             persons: names of the pedestrians on the road.
         """
         self._step += 1
+        if vehicles is not self._vehicles:
+            self._vehicles = vehicles
+            for drivers in (self._obedience, self._cutting_in, self._stopping, self._wrong_way):
+                drivers.look_round(vehicles)
         self._jaywalking.step(time_s, vehicles, persons)
         if self._step % self._every == 0:
-            self._obedience.step(time_s, vehicles, persons)
-            self._stopping.step(time_s, vehicles)
+            self._obedience.step(time_s, persons)
+            self._stopping.step(time_s)
         elif self._step % self._every == 1:
-            self._cutting_in.step(time_s, vehicles)
+            self._cutting_in.step(time_s)
             self._wrong_way.step(time_s, vehicles)
             return
         self._wrong_way.removed = []

@@ -11,6 +11,7 @@ import numpy as np
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.approaches import approaches
+from sim.sumo.control.drivers import Steered
 from sim.sumo.control.lane_change_mode import COLLISIONS_ONLY, ORDINARY
 
 LARGEST_HEADWAY_S: Final = 0.45
@@ -74,7 +75,7 @@ class _Driver:
     falls_back: bool = False
 
 
-class CuttingIn:
+class CuttingIn(Steered[_Driver]):
     """Makes drivers cut in as often as their profiles wish, where the gaps allow it.
 
     Args:
@@ -84,6 +85,7 @@ class CuttingIn:
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+        super().__init__()
         self._sumo = sumo
         self._approaches = approaches(road)
         self._lanes = {lane.id: lane for lane in road.lanes if not lane.internal}
@@ -92,7 +94,6 @@ class CuttingIn:
             (lane.edge, lane.index) for lane in road.lanes if not lane.walking
         )
         self._size = {str(a.id): a for a in agents}
-        self._drivers: dict[str, _Driver] = {}
         wide = {edge for edge, index in self._drivable if (edge, index + 1) in self._drivable}
         for agent in agents:
             if not wide.intersection(agent.route):
@@ -105,17 +106,13 @@ class CuttingIn:
                 driver.wish_s = agent.depart_s + _pause_s(driver)
                 self._drivers[str(agent.id)] = driver
 
-    def step(self, time_s: float, vehicles: Sequence[str]) -> None:
+    def step(self, time_s: float) -> None:
         """Begin and end cut-ins.
 
         Args:
             time_s: simulated time, s.
-            vehicles: names of the vehicles on the road.
         """
-        for name in vehicles:
-            driver = self._drivers.get(name)
-            if driver is None:
-                continue
+        for name, driver in self._here:
             if driver.until_s >= 0:
                 if driver.paced and time_s >= driver.until_s - MANOEUVRE_S + HALF_CHANGE_S:
                     self._sumo.vehicle_setSpeed(name, -1.0)

@@ -15,6 +15,7 @@ import numpy as np
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.approaches import Approach, approaches
+from sim.sumo.control.drivers import Steered
 
 ORDINARY: Final = 31
 """SUMO's default speed mode: safe speed, limits of the vehicle, right of way, red lights."""
@@ -51,7 +52,7 @@ class _Driver:
     decided: set[str] = field(default_factory=set)
 
 
-class Obedience:
+class Obedience(Steered[_Driver]):
     """Lets drivers break the rules that their profiles say they break.
 
     Args:
@@ -61,6 +62,7 @@ class Obedience:
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+        super().__init__()
         self._sumo = sumo
         self._approaches = approaches(road)
         self._length = {lane.id: lane.length_m for lane in road.lanes}
@@ -75,19 +77,17 @@ class Obedience:
             if breaks_rules(a)
         }
 
-    def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
+    def step(self, time_s: float, persons: Sequence[str]) -> None:
         """Decide and set the speed modes for the next simulation step.
 
         Args:
             time_s: simulated time, s.
-            vehicles: names of the vehicles on the road.
             persons: names of the pedestrians on the road.
         """
         sumo = self._sumo
         occupied: frozenset[str] | None = None
-        for name in vehicles:
-            driver = self._drivers.get(name)
-            if driver is None or time_s < driver.look_s:
+        for name, driver in self._here:
+            if time_s < driver.look_s:
                 continue
             lane = sumo.vehicle_getLaneID(name)
             edge = self._edge.get(lane, "")

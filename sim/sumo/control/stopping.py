@@ -10,6 +10,7 @@ import numpy as np
 
 from sim.road import Road
 from sim.scenario import AgentSpec
+from sim.sumo.control.drivers import Steered
 from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 
 LOWEST_S, HIGHEST_S = 3.0, 6.0
@@ -45,7 +46,7 @@ class _Driver:
     hold_s: float = 0.0
 
 
-class Stopping:
+class Stopping(Steered[_Driver]):
     """Makes drivers slow down or stop unprovoked as often as their profiles say.
 
     Args:
@@ -55,29 +56,25 @@ class Stopping:
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+        super().__init__()
         self._sumo = sumo
         self._length = {
             lane.id: lane.length_m for lane in road.lanes if not lane.internal and not lane.walking
         }
-        self._drivers: dict[str, _Driver] = {}
         for agent in agents:
             if agent.profile is not None and agent.profile.stop_rate_per_min > 0:
                 driver = _Driver(agent, np.random.default_rng((agent.seed, 3)), 0.0)
                 driver.wish_s = agent.depart_s + _pause_s(driver)
                 self._drivers[str(agent.id)] = driver
 
-    def step(self, time_s: float, vehicles: Sequence[str]) -> None:
+    def step(self, time_s: float) -> None:
         """Begin, hold and end unprovoked stops.
 
         Args:
             time_s: simulated time, s.
-            vehicles: names of the vehicles on the road.
         """
         sumo = self._sumo
-        for name in vehicles:
-            driver = self._drivers.get(name)
-            if driver is None:
-                continue
+        for name, driver in self._here:
             if driver.target_mps >= 0:
                 self._hold(name, driver, time_s)
             elif time_s >= driver.wish_s and self._free(name):

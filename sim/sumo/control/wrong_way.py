@@ -16,6 +16,7 @@ import numpy as np
 
 from sim.road import Road
 from sim.scenario import AgentSpec
+from sim.sumo.control.drivers import Steered
 from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 from sim.sumo.vehicle_types import VEHICLE_CLASS
 
@@ -68,7 +69,7 @@ class _Driver:
     standing_s: float = -1.0
 
 
-class WrongWay:
+class WrongWay(Steered[_Driver]):
     """Makes drivers pass on the wrong side as often as their profiles wish, where it is clear.
 
     Args:
@@ -78,10 +79,10 @@ class WrongWay:
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
+        super().__init__()
         self._sumo = sumo
         self._lanes = {lane.id: lane for lane in road.lanes if not lane.walking}
         self._passable = frozenset(lane.id for lane in road.lanes if lane.opposite)
-        self._drivers: dict[str, _Driver] = {}
         self._closed = False
         self._oncoming_lanes = self._passable | {lane.id for lane in road.lanes if lane.internal}
         self.removed: list[int] = []
@@ -105,10 +106,7 @@ class WrongWay:
         if not self._closed:
             self._close_other_lanes()
         present = list(vehicles)
-        for name in vehicles:
-            driver = self._drivers.get(name)
-            if driver is None:
-                continue
+        for name, driver in self._here:
             if driver.since_s >= 0:
                 self._follow_up(name, driver, time_s, present)
                 if driver.agent.id in self.removed:
