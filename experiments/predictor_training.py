@@ -184,7 +184,7 @@ def train_predictors(
     out: Path,
     *,
     every_s: float = EXAMPLES_EVERY_S,
-    epochs: int = 30,
+    epochs: int = 24,
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = False,
