@@ -11,7 +11,8 @@ Rayleigh-quotient iterations for the k wanted pairs that share their factorisati
 3. One kernel factorises L - s I at eight shifts s at once: the Rayleigh quotients of the
    unconverged vectors, and places where something has to be counted. Each factorisation is
    applied twice to its vector, and a Rayleigh-Ritz step in the span of the eight results, outside
-   the pairs found already, gives the next ones.
+   the pairs found already, gives the next ones. Where by the gain so far the same factors will do
+   for all that is left, they are applied once more (twice, where the factor is dense) instead.
 4. The number of negative pivots of each factorisation is the number of eigenvalues below its
    shift (Sylvester's law of inertia). These counts say in which interval an eigenvalue is
    missing; there a new vector is started, mostly noise on the vehicles whose edges changed,
@@ -195,7 +196,7 @@ def _track(
     if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
         warm = tracking.track_lively(*matrix, analysis.order, warm, changed, k, scale, tol, EXTRA)
     certified, values, residuals, found = tracking.track(
-        *analysis[:-1], smallest, warm, changed, k, scale, tol, low, high,
+        *analysis, smallest, warm, changed, k, scale, tol, low, high,
         MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA,
     )  # fmt: skip
     if not certified:
@@ -251,7 +252,7 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     shifts = (values[-1] + away * steps)[None, :]
     above, growth = np.empty((1, 8)), np.empty((1, 8))
     factorization.factor_and_solve(
-        *analysis[1:8], shifts, 1e-15 * scale, 0, np.empty((analysis.rows.size, 8)),
+        *analysis[1:8], shifts, 1e-15 * scale, True, 0, np.empty((analysis.rows.size, 8)),
         np.empty((d, 8)), np.empty((d, 8)), np.zeros((d, 8)), above, growth,
     )  # fmt: skip
     zeros = 0

@@ -225,6 +225,7 @@ def factor_and_solve(
     diagonal: Floats,
     shifts: Floats,
     tiny: float,
+    factorise: bool,
     solves: int,
     factor: Floats,
     pivots: Floats,
@@ -247,6 +248,8 @@ def factor_and_solve(
         diagonal: (d,) its diagonal.
         shifts: (1, 8).
         tiny: size of the smallest pivot allowed.
+        factorise: whether to; if not, ``factor`` and ``pivots`` are those of an earlier call with
+            the same shifts, and ``above`` and ``growth`` stay as they are.
         solves: how often each inverse is applied; 0 only counts.
         factor: (f, 8) room for the factor times its pivots.
         pivots: (d, 8) room for the inverse pivots.
@@ -258,7 +261,7 @@ def factor_and_solve(
     d = diagonal.size
     shift = load(shifts, 0)
     number, size = spread(0.0), spread(0.0)
-    for i in range(d):
+    for i in range(d if factorise else 0):
         for m in range(starts[i], starts[i + 1]):
             store(column, rows[m], spread(entries[m]))
         b = minus(spread(diagonal[i]), shift)
@@ -286,10 +289,11 @@ def factor_and_solve(
             store(factor, m, load(column, rows[m]))
         if solves > 0:
             store(x, i, times(xi, r))
-    store(above, 0, number)
-    store(growth, 0, size)
+    if factorise:
+        store(above, 0, number)
+        store(growth, 0, size)
     for again in range(solves):
-        if again:
+        if again or not factorise:
             for i in range(d):
                 xi = load(x, i)
                 for p in range(row_starts[i], row_starts[i + 1]):

@@ -42,6 +42,9 @@ AROUND = 12
 """Edges around a vertex that may have a new vector (our choice; smaller by some 5 an edge)."""
 MAX_LIVELY_SWEEPS = 12
 """Factorisations of the part before it is left to the whole (our choice)."""
+DEAR = 8.0
+"""Multiplications per entry of the factor from which on applying the same factors a third and a
+fourth time is cheaper than new ones (measured)."""
 MAX_POINTS = 400
 CHUNK = 128
 """Rows of eight numbers treated at a time: 8 kB, a quarter of a small first-level cache."""
@@ -540,7 +543,7 @@ def choose_lanes(
             for b in range(slots):
                 if mark[STATUS, b] == FOUND or mark[USE, b] > 0:
                     highest = max(highest, number[THETA, b])
-            free = 8 - used
+            free = 8 - used if doubt > 0.0 else 7 - used  # a count below the k-th is worth one
             for r in range(free):
                 best = new_vector(mark)
                 if best >= 0:
@@ -689,6 +692,7 @@ def track(
     diagonal: Floats,
     label: Ints,
     components: int,
+    work: float,
     deflate: bool,
     warm: Floats,
     changed: Bools,
@@ -713,6 +717,7 @@ def track(
         diagonal: (d,) of M.
         label: (d,) component of each row (not place).
         components: how many.
+        work: multiplications a factorisation takes.
         deflate: keep out of the null space, the indicators of the components; M is then -L, and k
             counts pairs outside it.
         warm: (d, m) vectors to start from, by row; m may be 0.
@@ -759,6 +764,10 @@ def track(
     seed = np.uint64(88172645463325252)
     goal0, delta0, floor = 0.9 * tol * scale, tol * scale, 1e-13 * scale
     sweeps = 0
+    before, again = np.empty(8, np.float64), np.empty(8, np.int32)
+    factorise = True
+    most_reuses = 2 if work > DEAR * rows.size else 1
+    reuses = most_reuses
     certified = stuck = False
     wanted = k  # raised where eigenvalues equal to the k-th have to be found too
     warm_done = 0
@@ -767,7 +776,7 @@ def track(
         warming = warm_done < warm_columns
         if warming:  # first, Rayleigh-Ritz in the span of the given vectors
             for q in range(8):
-                shifts[0, q], ages[q] = math.inf, 0
+                shifts[0, q], before[q], ages[q] = math.inf, math.inf, 0
             for j in range(d):
                 for q in range(8):
                     c = warm_done + q
@@ -783,10 +792,14 @@ def track(
             n_clear, certified = find_clear(number, mark, points, above, n_points, k, delta, clear)
             if certified or sweeps >= max_sweeps:
                 break
-            solving, beyond = choose_lanes(
-                number, mark, points, above, clear, n_clear, wanted,
-                deflate, scale, delta, first, low, shifts, lane,
-            )  # fmt: skip
+            if factorise:
+                solving, beyond = choose_lanes(
+                    number, mark, points, above, clear, n_clear, wanted,
+                    deflate, scale, delta, first, low, shifts, lane,
+                )  # fmt: skip
+            else:
+                for b in range(slots):
+                    mark[USE, b] = mark[STATUS, b] == CANDIDATE
             if solving == 0 and stuck:  # equal eigenvalues follow the k-th: find them all
                 if beyond == wanted or beyond > slots - 12:
                     break
@@ -799,18 +812,21 @@ def track(
                 for q in range(8):
                     if lane[q] >= 0 and mark[STATUS, lane[q]] == NEW:
                         seed = random_start(pool[lane[q]], is_changed, narrow, seed)
+                    before[q] = number[RES, lane[q]] if lane[q] >= 0 else math.inf
                 for start in range(0, d, CHUNK):
                     for q in range(8):
                         for j in range(start, min(start + CHUNK, d)):
                             x[j, q] = pool[lane[q], j] if lane[q] >= 0 else 0.0
             factor_and_solve(
                 starts, rows, row_starts, columns, spots, entries, diagonal, shifts,
-                1e-15 * scale, 2 if solving > 0 else 0, factor, pivots, ax, x, counts, growth,
+                1e-15 * scale, factorise, 2 if solving > 0 else 0, factor, pivots, ax, x, counts,
+                growth,
             )  # fmt: skip
-            sweeps += 1
-            n_points = add_points(
-                shifts, lane, counts, growth, ignored, scale, points, above, n_points
-            )
+            if factorise:
+                sweeps += 1
+                n_points = add_points(
+                    shifts, lane, counts, growth, ignored, scale, points, above, n_points
+                )
             if solving == 0:
                 continue
             for q in range(8):  # the Ritz pairs will take the place of the vectors in the lanes
@@ -826,6 +842,8 @@ def track(
         rank = rayleigh_ritz(starts, rows, entries, diagonal, pool, mark, x, ax, ritz, source)
         for c in range(8):
             lane[c] = IDLE  # from here on, the place of each Ritz vector
+            again[c] = IDLE
+        in_sight = 0  # pairs found, and those that these factors will do for
         for c in range(rank):
             value, residual = ritz[0, c], ritz[1, c]
             if deflate and value > -0.1 * floor:
@@ -839,11 +857,27 @@ def track(
             number[THETA, b], number[RES, b] = value, residual
             number[HOME, b] = shifts[0, source[c]]
             lane[c] = b
+            earlier = before[source[c]]
+            if again[source[c]] == IDLE and residual > goal:
+                step = residual / earlier  # what these factors did, and would do again
+                if residual * (step if reuses == 1 else step * step) < goal:
+                    again[source[c]] = b
+                    in_sight += earlier < math.inf
         for start in range(0, d, CHUNK):
             for c in range(8):
                 if lane[c] >= 0:
                     for j in range(start, min(start + CHUNK, d)):
                         pool[lane[c], j] = x[j, c]
+        sought = in_sight
+        for b in range(slots):
+            in_sight += mark[STATUS, b] == FOUND
+        if warming or sought == 0 or in_sight < wanted or reuses == 0:
+            factorise, reuses = True, most_reuses
+        else:
+            factorise = False
+            reuses -= 1
+            for q in range(8):
+                lane[q] = again[q]
 
     # Answer with the largest.
     found = 0
@@ -1062,7 +1096,7 @@ def track_lively(
     in_order = np.arange(n, dtype=np.int32)
     part = analyse(part_indptr, part_indices, part_values, in_order)
     certified, _, _, vectors = track(
-        *part[:-1], False, np.ascontiguousarray(warm[lively]), changed[lively], k, scale,
+        *part, False, np.ascontiguousarray(warm[lively]), changed[lively], k, scale,
         0.5 * tol, -1.0, 2.0 * scale + 1.0, MAX_LIVELY_SWEEPS, extra,
     )  # fmt: skip
     if not certified:

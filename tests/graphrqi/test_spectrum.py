@@ -289,10 +289,14 @@ def test_factorisation_counts_and_solves() -> None:
         shifts = rng.random((1, 8)) * 12.0
         x = rng.normal(size=(70, 8))
         solution, above, growth = x.copy(), np.empty((1, 8)), np.empty((1, 8))
+        factor, pivots, room = (
+            np.empty((analysis.rows.size, 8)),
+            np.empty((70, 8)),
+            np.empty((70, 8)),
+        )
         f.factor_and_solve(
-            *analysis[1:8], shifts, 1e-15, 1, np.empty((analysis.rows.size, 8)),
-            np.empty((70, 8)), np.empty((70, 8)), solution, above, growth,
-        )  # fmt: skip
+            *analysis[1:8], shifts, 1e-15, True, 1, factor, pivots, room, solution, above, growth
+        )
         values = np.linalg.eigvalsh(matrix)
         permuted = matrix[np.ix_(analysis.order, analysis.order)]
         for q, shift in enumerate(shifts[0]):
@@ -300,6 +304,13 @@ def test_factorisation_counts_and_solves() -> None:
             residual = (permuted - shift * np.eye(70)) @ solution[:, q] - x[:, q]
             size = np.linalg.norm(solution[:, q]) * growth[0, q]
             assert np.linalg.norm(residual) < 1e-12 * max(size, 1.0)
+        again = x.copy()
+        counts = np.full((1, 8), -1.0)
+        f.factor_and_solve(
+            *analysis[1:8], shifts, 1e-15, False, 1, factor, pivots, room, again, counts, counts
+        )
+        assert np.allclose(again, solution, rtol=1e-10)
+        assert (counts == -1.0).all()
 
 
 @pytest.mark.parametrize("name", SOLVERS)
