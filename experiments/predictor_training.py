@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -24,13 +25,14 @@ from graphrqi.methods import load_model
 from graphrqi.predict.bases import KNOT_S, KNOTS, Known, known, to_own_frame, unlabelled
 from graphrqi.predict.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.drivers import DriverTable, default_table, table_to_json
+from graphrqi.predict.following import shuffled_posterior
 from graphrqi.predict.learned import FuturesModel, save_network
 from graphrqi.predict.mapless import known_unmapped
 from graphrqi.predict.scene import LEARNED_S, make_scene
 from graphrqi.predict.training import Examples, train_lstm, train_perceptron
 from sim.atomic import write_whole
 from sim.dataset import open_dataset
-from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray
 from sim.schema import EpisodeEntry, Split
 
 CALIBRATE_EVERY_S: Final = 6.0
@@ -40,7 +42,8 @@ EXAMPLES_EVERY_S: Final = 1.5
 """Time between instants that networks are trained on, s (our choice)."""
 
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.35
-"""Shares of training instants with no belief and with another driver's (our choice)."""
+"""Shares of instants at which, in an epoch, nobody is believed to be anything, and everybody what
+another driver is believed to be (our choice on episodes of a set apart)."""
 
 ALONE_SHARE: Final = 0.3
 """Share of training instants in which the network without a map sees no neighbours (ours)."""
@@ -127,13 +130,55 @@ def calibrate_drivers(
     return table
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """The same examples with what the classifier believes, with no beliefs, and with others'.
+
+    Drawn anew for every epoch, so that a network learns how far to trust beliefs.
+
+    Attributes:
+        believed: with the classifier's own posteriors.
+        unknown: with none.
+        shuffled: with those of other drivers.
+        instant: (m,) at which instant each was taken, from 0 on.
+    """
+
+    believed: Examples
+    unknown: Examples
+    shuffled: Examples
+    instant: IntArray
+
+    @classmethod
+    def join(cls, parts: list[Told]) -> Told:
+        """One after the other."""
+        ends = np.cumsum([part.instant.max() + 1 for part in parts])
+        return cls(
+            Examples.join([part.believed for part in parts]),
+            Examples.join([part.unknown for part in parts]),
+            Examples.join([part.shuffled for part in parts]),
+            np.concatenate(
+                [part.instant + first for part, first in zip(parts, [0, *ends], strict=False)]
+            ),
+        )
+
+    def draw(self, seed: int, epoch: int) -> Examples:
+        """One of the three for each instant, by the shares above."""
+        chance = np.random.default_rng((seed, epoch)).random(int(self.instant.max()) + 1)
+        chance = chance[self.instant]
+        unknown = chance < UNKNOWN_SHARE
+        shuffled = ~unknown & (chance < UNKNOWN_SHARE + SHUFFLED_SHARE)
+        inputs, bases = self.believed.inputs.copy(), self.believed.bases.copy()
+        for rows, other in ((unknown, self.unknown), (shuffled, self.shuffled)):
+            inputs[rows], bases[rows] = other.inputs[rows], other.bases[rows]
+        return Examples(inputs, bases, self.believed.truth)
+
+
 def examples_of(
     folder: Path, entry: EpisodeEntry, model: str, every_s: float, seed: int
-) -> tuple[Examples, Examples, Examples]:
+) -> tuple[Told, Examples, Examples]:
     """What learned predictors are trained on, from one episode: with labels, without, without map.
 
-    Beliefs are the classifier's own; a share `UNKNOWN_SHARE` of instants has none and a share
-    `SHUFFLED_SHARE` those of other drivers, so that the network learns how far to trust them.
+    Beliefs are the classifier's own.
     """
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
@@ -142,7 +187,8 @@ def examples_of(
     rng = np.random.default_rng((seed, entry.seed))
     table = default_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
-    informed, label_free, mapless = [], [], []
+    told: list[list[Examples]] = [[], [], []]
+    label_free, mapless = [], []
     for stop, posterior in beliefs(tracks, load_model(model), stops).items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         scene = make_scene(history, road, LEARNED_S)
@@ -157,17 +203,21 @@ def examples_of(
         if not counts.any():
             continue
         probability = posterior.of(history.ids)
-        chance = rng.random()
-        if chance < UNKNOWN_SHARE:
-            probability = np.full_like(probability, 1.0 / probability.shape[1])
-        elif chance < UNKNOWN_SHARE + SHUFFLED_SHARE:
-            probability = rng.permutation(probability)
+        unknown = np.full_like(probability, 1.0 / probability.shape[1])
         own = to_own_frame(scene, truth)
-        informed.append(_examples(known(scene, probability, table), own, counts))
+        others = shuffled_posterior(scene, posterior).probability
+        for found, belief in zip(told, (probability, unknown, others), strict=True):
+            found.append(_examples(known(scene, belief, table), own, counts))
         label_free.append(_examples(unlabelled(scene), own, counts))
         sees = bool(rng.random() >= ALONE_SHARE)
         mapless.append(_examples(known_unmapped(history, sees), own, counts))
-    return Examples.join(informed), Examples.join(label_free), Examples.join(mapless)
+    instant = np.repeat(np.arange(len(told[0])), [len(one.inputs) for one in told[0]])
+    believed, unknown_too, shuffled = (Examples.join(found) for found in told)
+    return (
+        Told(believed, unknown_too, shuffled, instant),
+        Examples.join(label_free),
+        Examples.join(mapless),
+    )
 
 
 def _examples(data: Known, truth: FloatArray, counts: BoolArray) -> Examples:
@@ -212,7 +262,7 @@ def train_predictors(
     """
     dataset = open_dataset(source)
     load_model(model)
-    parts: dict[Split, tuple[Examples, ...]] = {}
+    parts: dict[Split, tuple[Told, Examples, Examples]] = {}
     splits: tuple[Split, ...] = ("train", "validation")
     for split in splits:
         entries = dataset.episodes(split)
@@ -224,13 +274,15 @@ def train_predictors(
             for one in in_parallel(examples_of, arguments, jobs):
                 found.append(one)
                 progress.advance()
-        parts[split] = tuple(Examples.join(list(same)) for same in zip(*found, strict=True))
+        informed, label_free, mapless = (list(same) for same in zip(*found, strict=True))
+        parts[split] = Told.join(informed), Examples.join(label_free), Examples.join(mapless)
     card: dict[str, Any] = {
         "data": dict(dataset.manifest.configuration), "split": "train", "epochs": epochs,
-        "examples": len(parts["train"][0].inputs), "seed": seed,
+        "examples": len(parts["train"][1].inputs), "seed": seed,
     }  # fmt: skip
-    train, train_free, train_mapless = parts["train"]
-    check, check_free, check_mapless = parts["validation"]
+    told, train_free, train_mapless = parts["train"]
+    told_too, check_free, check_mapless = parts["validation"]
+    train, check = functools.partial(told.draw, seed), told_too.draw(seed, 0)
     with Progress("predictors: training epochs", 4 * epochs, quiet) as progress:
 
         def tell(epoch: int, ade_m: float) -> None:

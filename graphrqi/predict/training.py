@@ -98,7 +98,7 @@ def displacement_loss(raw: torch.Tensor, bases: torch.Tensor, truth: torch.Tenso
 
 def fit(
     module: torch.nn.Module,
-    training: Examples,
+    draw: Callable[[int], Examples],
     validation: Examples,
     epochs: int,
     seed: int,
@@ -108,7 +108,7 @@ def fit(
 
     Args:
         module: called with standardised inputs (m, F).
-        training: of training episodes.
+        draw: the training episodes' examples for an epoch; as many every time.
         validation: of others.
         epochs: passes over the training examples.
         seed: of the order.
@@ -120,16 +120,18 @@ def fit(
     import torch
 
     optimizer = torch.optim.AdamW(module.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    training = draw(0)
     steps = max(1, len(training.inputs) // BATCH) * epochs
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, max_lr=LEARNING_RATE, total_steps=steps + 1, pct_start=0.1
     )
     generator = torch.Generator().manual_seed(seed)
-    inputs = torch.from_numpy(training.inputs)
-    bases, truth = torch.from_numpy(training.bases), torch.from_numpy(training.truth)
     best, kept = float("inf"), {k: v.clone() for k, v in module.state_dict().items()}
     for epoch in range(epochs):
         module.train()
+        training = draw(epoch) if epoch else training
+        inputs, bases = torch.from_numpy(training.inputs), torch.from_numpy(training.bases)
+        truth = torch.from_numpy(training.truth)
         order = torch.randperm(len(inputs), generator=generator)
         whole = max(1, len(order) // BATCH) * BATCH
         for batch in torch.split(order[:whole], BATCH):
@@ -174,7 +176,7 @@ def standardized(examples: Examples, mean: FloatArray, scale: FloatArray) -> Exa
 
 
 def train_perceptron(
-    training: Examples,
+    training: Examples | Callable[[int], Examples],
     validation: Examples,
     *,
     epochs: int = 30,
@@ -184,7 +186,7 @@ def train_perceptron(
     """Train the network of `graphrqi.predict.learned`.
 
     Args:
-        training: of training episodes.
+        training: of training episodes; or what draws them anew for each epoch.
         validation: of others, to choose the epoch and to scale the spreads.
         epochs: passes over the training examples.
         seed: of weights and order.
@@ -196,8 +198,9 @@ def train_perceptron(
     import torch
 
     torch.manual_seed(seed)
-    mean, scale = standardization(training.inputs)
-    sizes = (training.inputs.shape[1], *HIDDEN, MODES * PER_MODE)
+    draw = training if callable(training) else lambda epoch: training
+    mean, scale = standardization(draw(0).inputs)
+    sizes = (mean.size, *HIDDEN, MODES * PER_MODE)
     layers: list[torch.nn.Module] = []
     for i, (inside, outside) in enumerate(itertools.pairwise(sizes)):
         linear = torch.nn.Linear(inside, outside)
@@ -211,9 +214,13 @@ def train_perceptron(
                 linear.bias.view(MODES, PER_MODE)[:, 0] = 2.0
     module = torch.nn.Sequential(*layers)
     fit(
-        module, standardized(training, mean, scale), standardized(validation, mean, scale),
-        epochs, seed, tell,
-    )  # fmt: skip
+        module,
+        lambda epoch: standardized(draw(epoch), mean, scale),
+        standardized(validation, mean, scale),
+        epochs,
+        seed,
+        tell,
+    )
     linears = [m for m in module if isinstance(m, torch.nn.Linear)]
     network = Perceptron(
         mean,
@@ -239,9 +246,10 @@ def train_lstm(
 
     torch.manual_seed(seed)
     mean, scale = standardization(training.inputs)
+    train = standardized(training, mean, scale)
     module = make_module(training.inputs.shape[1])
     fit(
-        module, standardized(training, mean, scale), standardized(validation, mean, scale),
+        module, lambda epoch: train, standardized(validation, mean, scale),
         epochs, seed, tell,
     )  # fmt: skip
     network = Lstm(module, mean, scale, 1.0)
