@@ -2,7 +2,7 @@
 
 Left out are ``make`` and ``pip``, which install, and benches: ``test_benches`` runs each of those
 commands at ``--quick`` size, and here only their names and options are looked up. The cluster of
-the documentation has two workers, on this machine.
+the documentation has two workers, on this machine, and large datasets are made small.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ BENCH = re.compile(r"^graphrqi bench (\S+)(.*)\n", flags=re.MULTILINE)
 SMALL_CLUSTER = {"head:": "127.0.0.1:", "/shared/": "", "--nworkers 16": "--nworkers 2",
                  "--episodes 5000": "--episodes 2 --duration-s 20"}  # fmt: skip
 
+SMALL_DATA = {"--episodes 40 ": "--episodes 1 --duration-s 20 "}
 LONGEST_S = 240.0
 
 
@@ -42,6 +43,8 @@ def run_commands(example: Example) -> None:
         known = {option for parameter in command.params for option in parameter.opts}
         assert set(re.findall(r"--[a-z-]+", options)) <= known, f"{name} {options}"
     script = BENCH.sub("", script)
+    for shown, here in SMALL_DATA.items():
+        script = script.replace(shown, here)
     if "--cluster" in script:
         for shown, here in SMALL_CLUSTER.items():
             assert shown in script
