@@ -21,9 +21,6 @@ from sim.scenario import sample_agents
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
-UNSTEERED: Final = "careful=1"
-"""Drivers whom no controller steers: what frames cost on top of bare stepping is seen with them."""
-
 
 def _config(episodes: int, duration_s: float) -> GenerateConfig:
     return GenerateConfig(scenarios=SCENARIOS, episodes=episodes, seed=11, duration_s=duration_s)
@@ -53,35 +50,24 @@ def _pair(scenario_name: str, index: int, duration_s: float) -> tuple[float, flo
 
 def _frames(scenario_name: str, index: int, duration_s: float) -> dict[str, float]:
     """What frames of dense traffic cost over bare stepping, without and with controllers."""
-    steps = round(duration_s / get_scenario(scenario_name)().step_s)
-    bare_s, read_s, _ = _driven(scenario_name, index, duration_s, UNSTEERED)
-    steered_bare_s, steered_s, agent_steps = _driven(scenario_name, index, duration_s, None)
-    return {
-        "frames_over_bare_stepping": read_s / bare_s - 1,
-        "frames_and_controllers_over_bare_stepping": steered_s / steered_bare_s - 1,
-        "times_real_time": duration_s / steered_s,
-        "agents_in_a_frame": agent_steps / steps,
-    }
-
-
-def _driven(
-    scenario_name: str, index: int, duration_s: float, mix: str | None
-) -> tuple[float, float, int]:
-    """CPU seconds of bare stepping and of reading every frame, and the agent-steps read."""
     from sim.sumo.engine import run, step_bare
 
     seed = 11 + index
-    scenario = get_scenario(scenario_name)(
-        flow="dense", duration_s=duration_s, **({} if mix is None else {"mix": mix})
-    )
+    scenario = get_scenario(scenario_name)(flow="dense", duration_s=duration_s)
     agents = sample_agents(scenario, seed)
-    bare_s, read_s, agent_steps = np.inf, np.inf, 0
-    for _ in range(2):  # the first warms up
+    bare_s, read_s, steered_s, agent_steps = np.inf, np.inf, np.inf, 0
+    for _ in range(3):  # the first warms up
         bare_s = min(bare_s, _cpu_s(lambda: step_bare(scenario, agents, seed)))
+        read_s = min(read_s, _cpu_s(lambda: step_bare(scenario, agents, seed, read=True)))
         begin = time.process_time()
         agent_steps = sum(len(frame) for frame in run(scenario, agents, seed))
-        read_s = min(read_s, time.process_time() - begin)
-    return bare_s, read_s, agent_steps
+        steered_s = min(steered_s, time.process_time() - begin)
+    return {
+        "frames_over_bare_stepping": read_s / bare_s - 1,
+        "controllers_over_frames": steered_s / read_s - 1,
+        "times_real_time": duration_s / steered_s,
+        "agents_in_a_frame": agent_steps * scenario.step_s / duration_s,
+    }
 
 
 def _peak_mb() -> float:
@@ -126,9 +112,9 @@ def measure(quick: bool = False) -> list[Row]:
     Returns:
         Rows keyed ``scenario, jobs`` with ``metric, value, low, high, n``:
         ``frames_over_bare_stepping`` (extra CPU time of reading every frame as a share of bare
-        stepping, paired; dense traffic that no controller steers),
-        ``frames_and_controllers_over_bare_stepping`` (the same of dense traffic of all
-        behaviours), ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole
+        stepping, paired; the same dense traffic, steered by nobody), ``controllers_over_frames``
+        (extra CPU time of a run with controllers, which change the traffic),
+        ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole
         written episode at medium flow), ``bytes_per_agent_step``, ``memory_growth_mb`` (of one
         process over many episodes), ``agent_steps_per_s`` (wall clock), ``speedup``.
     """

@@ -208,13 +208,16 @@ def _start(
     return _SIMULATION.start(arguments, log), log
 
 
-def step_bare(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
-    """Drive a scenario without reading or steering anything: the floor of what a run costs.
+def step_bare(
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, read: bool = False
+) -> None:
+    """Drive a scenario without steering anybody: the floor of what a run costs.
 
     Args:
         scenario: as in `run`.
         agents: as in `run`.
         seed: as in `run`.
+        read: whether frames are read all the same, of the very same traffic.
 
     Raises:
         SumoError: as in `run`.
@@ -225,8 +228,14 @@ def step_bare(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Non
         ordered = sorted(agents, key=lambda a: a.id)
         sumo, _ = _start(scenario, ordered, seed, step_ms, Path(scratch))
         try:
-            for _ in range(substeps * round(scenario.duration_s / scenario.step_s)):
-                sumo.simulation_step(0.0)
+            reader = _Reader(sumo, scenario.road, ordered) if read else None
+            for index in range(1, round(scenario.duration_s / scenario.step_s) + 1):
+                for _ in range(substeps):
+                    sumo.simulation_step(0.0)
+                    if reader is not None:
+                        reader.watch(index * scenario.step_s)
+                if reader is not None:
+                    reader.read(index * scenario.step_s, {})
         finally:
             _SIMULATION.close()
 
