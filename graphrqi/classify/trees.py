@@ -185,12 +185,13 @@ class ShortTrees:
         if trees.value.shape[1] != 1:
             return None
         for tree, root in enumerate(trees.root.tolist()):
-            leaves = _leaves(root, child)
+            inner: list[tuple[int, list[int]]] = []
+            leaves = _walk(root, child, inner)
             if len(leaves) > MOST_LEAVES:
                 return None
             leaf[tree, : len(leaves)] = trees.value[leaves, 0]
             place = {node: 1 << i for i, node in enumerate(leaves)}
-            for node, on_the_left in _inner(root, child):
+            for node, on_the_left in inner:
                 nodes.append(node)
                 keep.append(0xFFFFFFFF & ~sum(place[one] for one in on_the_left))
             first.append(len(nodes))
@@ -218,16 +219,15 @@ class ShortTrees:
         return out[: len(features)]
 
 
-def _leaves(node: int, child: list[int]) -> list[int]:
-    """The leaves under a node, from left to right."""
-    below = child[node]
-    return [node] if below == node else _leaves(below, child) + _leaves(below + 1, child)
+def _walk(node: int, child: list[int], inner: list[tuple[int, list[int]]]) -> list[int]:
+    """The leaves under a node, from left to right.
 
-
-def _inner(node: int, child: list[int]) -> list[tuple[int, list[int]]]:
-    """The inner nodes from a node down, each with the leaves on its left."""
+    Its inner nodes are added to ``inner`` from the top down, each with the leaves on its left.
+    """
     below = child[node]
     if below == node:
-        return []
-    here = (node, _leaves(below, child))
-    return [here, *_inner(below, child), *_inner(below + 1, child)]
+        return [node]
+    on_the_left: list[int] = []
+    inner.append((node, on_the_left))
+    on_the_left += _walk(below, child, inner)
+    return on_the_left + _walk(below + 1, child, inner)

@@ -35,9 +35,6 @@ LEAST_BELIEF: Final = 1e-4
 SUM_SCALE: Final = 5.0
 """What the sum over the others is divided by, and the most that it then is (our choice)."""
 
-AGREEMENTS: Final = 3
-"""Columns of `agreement`."""
-
 
 def agreement(
     scene: Scene, probability: FloatArray, asked: FloatArray, table: DriverTable
@@ -51,7 +48,7 @@ def agreement(
         table: calibrated driver numbers.
 
     Returns:
-        (n, AGREEMENTS) logarithm of the ratio for the driver itself, its mean over all other
+        (n, 3) logarithm of the ratio for the driver itself, its mean over all other
         drivers of whom something is believed, and its scaled sum over them.
     """
     seen, wish = scene.seen, np.log(table.behavior[:, 0])

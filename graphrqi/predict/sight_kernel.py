@@ -80,6 +80,18 @@ def look(
     sideways, accel = np.zeros(n), np.zeros(n)
     place, limit, place_s = np.full(n, -1), np.full(n, np.nan), np.zeros(n)
     key, ahead_lane, front = np.full(m, -1), np.full(m, -1), np.empty(m)
+    since, span = np.empty(n, np.int64), np.zeros(n)
+    for i in range(n):  # pedestrians too have an acceleration
+        if not valid[i, -1]:
+            continue
+        first = time_s.size - 1
+        while first > 0 and time_s[-1] - time_s[first - 1] <= RECENT_S + 1e-6:
+            first -= 1
+        while not valid[i, first]:
+            first += 1
+        since[i], span[i] = first, time_s[-1] - time_s[first]
+        if span[i] > 1e-6:
+            accel[i] = (speed[i, -1] - speed[i, first]) / span[i]
     for j in range(m):
         i, t, on = agent[j], columns[instant[j]], lane[j]
         g = piece_first[on]
@@ -101,17 +113,11 @@ def look(
                 place[i], limit[i], place_s[i] = on, lane_limit[on], s[j]
         if instant[j] != now:
             continue
-        first = t
-        while first > 0 and time_s[t] - time_s[first - 1] <= RECENT_S + 1e-6:
-            first -= 1
-        while not valid[i, first]:
-            first += 1
-        span = time_s[t] - time_s[first]
-        if span > 1e-6:
-            accel[i] = (speed[i, t] - speed[i, first]) / span
+        if span[i] > 1e-6:
+            was = since[i]
             sideways[i] = (
-                (xy[i, t, 1] - xy[i, first, 1]) * ux - (xy[i, t, 0] - xy[i, first, 0]) * uy
-            ) / span
+                (xy[i, t, 1] - xy[i, was, 1]) * ux - (xy[i, t, 0] - xy[i, was, 0]) * uy
+            ) / span[i]
         on_s[i], on_offset[i] = s[j], offset[j]
         if abs(offset[j]) > half + NEAR_LANE_M or missed >= BEYOND_M or facing <= 0.5:
             continue
@@ -122,16 +128,6 @@ def look(
             if to >= 0 and going:
                 on_lane[i] = to
                 on_offset[i] = offset[j] - sign * (lane_width[on] + lane_width[to]) / 2
-    for i in range(n):  # pedestrians too have an acceleration
-        if not drives[i] and valid[i, -1]:
-            first = time_s.size - 1
-            while first > 0 and time_s[-1] - time_s[first - 1] <= RECENT_S + 1e-6:
-                first -= 1
-            while not valid[i, first]:
-                first += 1
-            span = time_s[-1] - time_s[first]
-            if span > 1e-6:
-                accel[i] = (speed[i, -1] - speed[i, first]) / span
 
     known = np.flatnonzero(key >= 0)
     known = known[np.argsort(s[known], kind="mergesort")]

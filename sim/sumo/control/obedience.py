@@ -23,9 +23,6 @@ ORDINARY: Final = 31
 IGNORE_RED: Final = ORDINARY & ~16
 """Red lights are not regarded; those already in the way still are."""
 
-IGNORE_PRIORITY: Final = (ORDINARY & ~8) | 32
-"""Right of way is not regarded, neither before nor in the junction."""
-
 SIGHT_M: Final = 45.0
 """How far before a junction a driver decides (our choice: about three seconds at 50 km/h)."""
 
@@ -130,9 +127,9 @@ class Obedience(Steered[_Driver]):
         if driver.red and ahead.signal:
             mode &= IGNORE_RED
         if driver.cuts or (driver.rolls and ahead.stop):
-            mode |= 32
+            mode |= 32  # right of way is not regarded in the junction,
             if not (driver.red and ahead.signal):
-                mode &= ~8
+                mode &= ~8  # nor before it
         return mode
 
     def _occupied(self, persons: Sequence[str]) -> frozenset[str]:
