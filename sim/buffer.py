@@ -9,6 +9,9 @@ import numpy as np
 from behaviors.errors import InputError
 from sim.frames import Event, Frame, Tracks
 
+_TABLES = ("_xy", "_heading", "_speed", "_valid")
+"""What is kept of agents by times."""
+
 
 class FrameBuffer:
     """Keeps the last frames; memory does not grow with time.
@@ -26,7 +29,9 @@ class FrameBuffer:
         self._steps, self._end, self._count = steps, 0, 0
         self._last: Frame | None = None
         self._ids = np.empty(0, dtype=np.int64)
-        self._table = np.empty((0, 2 * steps, 4))  # x, y, heading, speed
+        self._xy = np.empty((0, 2 * steps, 2))  # NaN where unseen, like the next two
+        self._heading = np.empty((0, 2 * steps))
+        self._speed = np.empty((0, 2 * steps))
         self._valid = np.empty((0, 2 * steps), dtype=bool)
         self._fixed = np.empty((0, 3))  # kind, length, width
         self._time_s = np.empty(2 * steps)
@@ -53,10 +58,14 @@ class FrameBuffer:
             self._add(frame.ids)
             row = np.searchsorted(self._ids, frame.ids)
         column = self._end
-        self._valid[:, column] = False
-        self._valid[row, column] = True
-        now = self._table[:, column]
-        now[row, :2], now[row, 2], now[row, 3] = frame.xy, frame.heading, frame.speed
+        for table, unseen, seen in (
+            (self._xy, np.nan, frame.xy),
+            (self._heading, np.nan, frame.heading),
+            (self._speed, np.nan, frame.speed),
+            (self._valid, False, True),
+        ):
+            table[:, column] = unseen
+            table[row, column] = seen
         self._fixed[row] = np.stack([frame.kind, frame.length, frame.width], axis=1)
         self._time_s[column] = frame.time_s
         self._signals[:, column] = frame.signals
@@ -68,7 +77,7 @@ class FrameBuffer:
         """Move the columns kept to the left end, and forget who is in none of them."""
         kept = slice(self._end - self._steps + 1, self._end)
         some = self._valid[:, kept].any(axis=1)
-        for name in ("_table", "_valid"):
+        for name in _TABLES:
             old = getattr(self, name)[some]
             old[:, : self._steps - 1] = old[:, kept].copy()
             setattr(self, name, old)
@@ -81,9 +90,10 @@ class FrameBuffer:
         """Make rows for agents not seen before."""
         every = np.union1d(self._ids, ids)
         row = np.searchsorted(every, self._ids)
-        for name in ("_table", "_valid", "_fixed"):
+        for name in (*_TABLES, "_fixed"):
             old = getattr(self, name)
-            new = np.zeros((every.size, *old.shape[1:]), dtype=old.dtype)
+            unseen = np.nan if old.dtype == np.float64 else False
+            new = np.full((every.size, *old.shape[1:]), unseen, dtype=old.dtype)
             new[row] = old
             setattr(self, name, new)
         self._ids = every
@@ -107,8 +117,6 @@ class FrameBuffer:
         """What is remembered of the agents that are present now; the last column is the present."""
         kept = slice(self._end - self._count, self._end)
         row = np.flatnonzero(self._valid[:, self._end - 1]) if self._count else np.empty(0, int)
-        valid = self._valid[row, kept]
-        seen = np.where(valid[..., None], self._table[row, kept], np.nan)
         ids, fixed = self._ids[row], self._fixed[row]
         return Tracks(
             ids=ids,
@@ -117,10 +125,10 @@ class FrameBuffer:
             length=fixed[:, 1],
             width=fixed[:, 2],
             time_s=self._time_s[kept].copy(),
-            xy=seen[..., :2],
-            heading=seen[..., 2],
-            speed=seen[..., 3],
-            valid=valid,
+            xy=self._xy[row, kept],
+            heading=self._heading[row, kept],
+            speed=self._speed[row, kept],
+            valid=self._valid[row, kept],
             signals=self._signals[:, kept].copy(),
             events=tuple(e for events in self._events for e in events),
         )

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from graphrqi.features import following_law
 from graphrqi.features.evidence import Evidence
@@ -132,10 +131,9 @@ class DrivingObserver:
         motion = self._motion.update(time_s, ids, xy)
         self._near = self._near.observe(ids, xy)
         self._spectrum.observe(ids, xy)
-        adjacency = self._near.adjacency
-        around = interactions(motion, drives, adjacency)
+        around = interactions(motion, drives, self._near)
         moment = np.zeros((ids.size, _WATCHED + _LAW + SPECTRAL))
-        self._watch(time_s, motion, around, adjacency, drives, moment)
+        self._watch(time_s, motion, around, drives, moment)
         moment[:, _WATCHED + _LAW :] = self._spectrum.moment(time_s, ids)
         everyone = bool(drives.all())  # spares a copy
         self._evidence.add(time_s, ids[drives], moment if everyone else moment[drives])
@@ -149,7 +147,6 @@ class DrivingObserver:
         time_s: float,
         motion: Motion,
         around: Interaction,
-        adjacency: csr_array,
         drives: BoolArray,
         out: FloatArray,
     ) -> None:
@@ -166,8 +163,8 @@ class DrivingObserver:
             to_standing = v / np.maximum(-a, 0.1)
         clear = ~has_leader | (gap > np.maximum(25.0, 4.0 * v))
         following = has_leader & moving & (headway < 5.0)
-        speed_signal = differences(adjacency, v, drives)
-        sideways_signal = differences(adjacency, motion.sideways, drives, scales=1)
+        speed_signal = differences(self._near, v, drives)
+        sideways_signal = differences(self._near, motion.sideways, drives, scales=1)
         side = np.abs(motion.sideways)
         standing = has_leader & (v < 0.3) & (around.leader_speed < 0.3)
         walker = ~np.isnan(around.pedestrian_m)
@@ -230,8 +227,9 @@ class DrivingObserver:
             (a, clear & (of_pace > 0.8)),
             (a, clear & (of_pace > 0.8) & (a < 0.2)),
         )
-        values = np.stack([value for value, _ in watched])
-        counts = np.stack([condition for _, condition in watched])
+        shape = len(BLOCKS), v.size
+        values = np.concatenate([value for value, _ in watched]).reshape(shape)
+        counts = np.concatenate([condition for _, condition in watched]).reshape(shape)
         spread(values, counts, BLOCKS, out)
 
         steady = following & (np.abs(closing) < 0.7) & (np.abs(a) < 0.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.kinematic import FORGET_S, align
+from graphrqi.features.kinematic import FORGET_S, align, merge
 from graphrqi.features.observer import Observation
 
 FloatArray = NDArray[np.float64]
@@ -32,9 +32,8 @@ class Evidence:
 
         step_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
-        merged = np.union1d(self._ids[self._seen_s >= time_s - FORGET_S], ids)
+        merged, rows = merge(self._ids[self._seen_s >= time_s - FORGET_S], ids)
         fresh = self._keep(merged, time_s)
-        rows = np.searchsorted(merged, ids)
         accumulate(self._sums, rows, moment, step_s)
         self._seconds[rows] += np.where(fresh[rows], 0.0, step_s)
         self._seen_s[rows] = time_s

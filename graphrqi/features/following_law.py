@@ -47,29 +47,6 @@ LAW_NAMES: Final[tuple[str, ...]] = (
 )  # fmt: skip
 """What each column of `infer` is."""
 
-_UPPER: Final = np.triu_indices(3)
-
-_DIAGONAL: Final = np.array([0, 3, 5])
-"""Where the diagonal stands among the six entries of the upper triangle."""
-
-
-def _inverse(upper: FloatArray) -> FloatArray:
-    """(n, 6) upper triangles of the inverses of symmetric 3 x 3 matrices, by cofactors."""
-    a, b, c, d, e, f = upper.T
-    cofactors = np.stack(
-        [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b],
-        axis=1,
-    )
-    determinant = a * cofactors[:, 0] + b * cofactors[:, 1] + c * cofactors[:, 2]
-    return np.asarray(cofactors / determinant[:, None])
-
-
-def _times(upper: FloatArray, vectors: FloatArray) -> FloatArray:
-    """(n, 3) symmetric matrices, given by their upper triangles, times vectors (n, 3)."""
-    a, b, c, d, e, f = upper.T
-    x, y, z = vectors.T
-    return np.stack([a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z], axis=1)
-
 
 def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray,
              counts: BoolArray) -> FloatArray:  # fmt: skip
@@ -84,14 +61,10 @@ def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray,
     Returns:
         (n, COLUMNS); zero where not following.
     """
+    from graphrqi.features.following_law_kernel import write_products
+
     out = np.zeros((speed.size, COLUMNS))
-    rows = np.flatnonzero(counts)
-    v, u, y = speed[rows], leader_speed[rows], gap[rows]
-    x = np.stack([np.ones(rows.size), v, 0.5 * (v * v - u * u)], axis=1)
-    out[rows, :6] = x[:, _UPPER[0]] * x[:, _UPPER[1]]
-    out[rows, 6:9] = x * y[:, None]
-    out[rows, 9] = y * y
-    out[rows, 10] = 1.0
+    write_products(speed, leader_speed, gap, counts, out)
     return out
 
 
@@ -144,15 +117,9 @@ def infer(sums: FloatArray) -> FloatArray:
         >>> infer(follows[None])[0, :2].round(1)
         array([2. , 1.2])
     """
-    square, target = sums[:, :6], sums[:, 6:9]
-    weight = GAP_NOISE_M**-2
-    prior = np.zeros(6)
-    prior[_DIAGONAL] = PRIOR_SD**-2
-    covariance = _inverse(weight * square + prior)
-    mean = _times(covariance, weight * target + PRIOR_MEAN * PRIOR_SD**-2)
-    sd = np.sqrt(covariance[:, _DIAGONAL])
-    error = (
-        sums[:, 9] - 2.0 * (mean * target).sum(axis=1) + (mean * _times(square, mean)).sum(axis=1)
-    )
-    residual = np.sqrt(np.maximum(error, 0.0) / np.maximum(sums[:, 10], 1.0))
-    return np.concatenate([mean, sd, residual[:, None]], axis=1)
+    from graphrqi.features import following_law_kernel
+
+    out = np.empty((len(sums), len(LAW_NAMES)))
+    prior = PRIOR_SD**-2
+    following_law_kernel.infer(sums, GAP_NOISE_M**-2, prior, PRIOR_MEAN * prior, out)
+    return out

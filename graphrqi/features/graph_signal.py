@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+
+from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 
 def differences(
-    adjacency: csr_array, signal: FloatArray, taking_part: BoolArray, scales: int = 2
+    graph: TrafficGraph, signal: FloatArray, taking_part: BoolArray, scales: int = 2
 ) -> FloatArray:
     """Difference of a signal from its neighbourhood, at several scales.
 
     Args:
-        adjacency: (n, n) CSR, non-negative weights.
+        graph: of n vertices.
         signal: (n,) values; NaN where unknown.
         taking_part: (n,) vertices that count as neighbours (drivers, not pedestrians).
         scales: how many scales.
@@ -31,20 +32,11 @@ def differences(
         neighbour.
 
     Examples:
-        >>> path = csr_array(np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=float))
+        >>> path = TrafficGraph.from_edges([1, 2, 3], [(1, 2), (2, 3)])
         >>> differences(path, np.array([1.0, 2.0, 6.0]), np.ones(3, bool), scales=1).ravel()
         array([-1. , -1.5,  4. ])
     """
+    from graphrqi.features.graph_signal_kernel import differences as compiled_differences
+
     known = taking_part & ~np.isnan(signal)
-    weight = known.astype(np.float64)
-    total = adjacency @ weight
-    lonely = total <= 0
-    level = np.where(known, signal, 0.0)
-    out = np.empty((signal.size, scales))
-    for scale in range(scales):
-        mean = (adjacency @ (level * weight)) / np.where(lonely, 1.0, total)
-        mean = np.where(lonely, level, mean)
-        out[:, scale] = level - mean
-        level = mean
-    out[~known | lonely] = np.nan
-    return out
+    return compiled_differences(graph.indptr, graph.indices, graph.values, signal, known, scales)

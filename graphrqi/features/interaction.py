@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from graphrqi.features.kinematic import Motion
+from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -59,13 +59,13 @@ class Interaction:
     pedestrian_m: FloatArray
 
 
-def interactions(motion: Motion, drives: BoolArray, adjacency: csr_array) -> Interaction:
+def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Interaction:
     """Find everyone's leader, follower and neighbours along the graph's edges.
 
     Args:
         motion: of the n vertices, in the order of the graph.
         drives: (n,) whether each vertex drives; the others are pedestrians.
-        adjacency: (n, n) CSR; who may interact with whom.
+        graph: who may interact with whom.
 
     Returns:
         Interaction of each vertex.
@@ -76,9 +76,8 @@ def interactions(motion: Motion, drives: BoolArray, adjacency: csr_array) -> Int
     seen = np.full((motion.ids.size, 6), np.nan)
     seen[:, 4] = 0.0
     look_around(
-        adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64), motion.xy,
-        motion.velocity, motion.direction, drives, SAME_PATH_M, BESIDE_M, ABREAST_M,
-        PEDESTRIAN_AHEAD_M, who, seen,
+        graph.indptr, graph.indices, motion.xy, motion.velocity, motion.direction, drives,
+        SAME_PATH_M, BESIDE_M, ABREAST_M, PEDESTRIAN_AHEAD_M, who, seen,
     )  # fmt: skip
     return Interaction(
         leader=who[:, 0],

@@ -10,8 +10,8 @@ from graphrqi.compiled import compiled
 
 @compiled
 def look_around(
-    indptr: NDArray[np.int64],
-    indices: NDArray[np.int64],
+    indptr: NDArray[np.int32],
+    indices: NDArray[np.int32],
     xy: NDArray[np.float64],
     velocity: NDArray[np.float64],
     direction: NDArray[np.float64],
@@ -27,7 +27,7 @@ def look_around(
 
     Args:
         indptr: (n + 1,) where each vertex' edges begin.
-        indices: (E,) other end of each edge.
+        indices: (E,) other end of each edge; one from a vertex to itself does not count.
         xy: (n, 2) m.
         velocity: (n, 2) m/s.
         direction: (n, 2) unit vectors of travel; NaN where unknown, who then has nobody.
@@ -47,6 +47,8 @@ def look_around(
         east, north = direction[i, 0], direction[i, 1]
         for edge in range(indptr[i], indptr[i + 1]):
             j = indices[edge]
+            if j == i:
+                continue
             x, y = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
             ahead = x * east + y * north
             aside = abs(east * y - north * x)

@@ -74,6 +74,20 @@ def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
     return into, at[into]
 
 
+def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
+    """Two sorted id arrays as one, and where those of the second stand in it.
+
+    Examples:
+        >>> merge(np.array([2, 5, 9]), np.array([5, 7, 9]))
+        (array([2, 5, 7, 9]), array([1, 2, 3]))
+    """
+    rows = np.searchsorted(known, ids)
+    if known.size and np.array_equal(known[np.minimum(rows, known.size - 1)], ids):
+        return known, rows
+    merged = np.union1d(known, ids)
+    return merged, np.searchsorted(merged, ids)
+
+
 class MotionEstimator:
     """Follows positions frame by frame and tells how everyone moves.
 
@@ -99,62 +113,52 @@ class MotionEstimator:
         Returns:
             Motion of exactly these agents.
         """
-        self._remember(time_s, ids, xy)
-        rows = np.searchsorted(self._ids, ids)
+        from graphrqi.features.kinematic_kernel import along, oldest
+
+        rows = self._remember(time_s, ids, xy)
         times = np.array(self._times)
-        velocity = self._difference(rows, times, self._trail, SPAN_S)
+
+        def change(values: FloatArray, span_s: float) -> tuple[FloatArray, FloatArray]:
+            return oldest(rows, times, values, time_s - span_s - 1e-6)
+
+        gone, ago = change(self._trail, SPAN_S)
+        velocity = gone / ago[:, None]
         self._velocity[rows, -1] = velocity
 
-        travel = self._displacement(rows, times, DIRECTION_SPAN_S)
+        travel, _ = change(self._trail, DIRECTION_SPAN_S)
         size = np.hypot(travel[:, 0], travel[:, 1])
         moved = size > MIN_TRAVEL_M
         self._direction[rows[moved]] = travel[moved] / size[moved, None]
         direction = self._direction[rows]
 
-        speed = (velocity * direction).sum(axis=1)
-        acceleration = (self._difference(rows, times, self._velocity, SPAN_S) * direction).sum(
-            axis=1
-        )
-        last_second = self._displacement(rows, times, 1.0)
-        sideways = direction[:, 0] * last_second[:, 1] - direction[:, 1] * last_second[:, 0]
+        speed, _ = along(direction, velocity)
+        gained, ago = change(self._velocity, SPAN_S)
+        acceleration, _ = along(direction, gained / ago[:, None])
+        _, sideways = along(direction, change(self._trail, 1.0)[0])
         return Motion(ids, xy, velocity, direction, speed, acceleration, sideways)
 
-    def _remember(self, time_s: float, ids: IntArray, xy: FloatArray) -> None:
+    def _remember(self, time_s: float, ids: IntArray, xy: FloatArray) -> IntArray:
+        """Take the positions into the ring; the rows of the agents."""
         known = self._ids[self._seen_s >= time_s - FORGET_S]
-        merged = np.union1d(known, ids)
+        merged, rows = merge(known, ids)
         drop = sum(1 for t in self._times if t < time_s - DIRECTION_SPAN_S - 1e-6)
         kept = len(self._times) - drop
-        into, source = align(self._ids, merged)
         trail = np.full((merged.size, kept + 1, 2), np.nan)
         velocity = np.full((merged.size, kept + 1, 2), np.nan)
-        direction = np.full((merged.size, 2), np.nan)
-        seen = np.full(merged.size, time_s)
-        trail[into, :kept] = self._trail[source, drop:]
-        velocity[into, :kept] = self._velocity[source, drop:]
-        direction[into] = self._direction[source]
-        seen[into] = self._seen_s[source]
-        rows = np.searchsorted(merged, ids)
+        if merged.size == known.size == self._ids.size:
+            trail[:, :kept] = self._trail[:, drop:]
+            velocity[:, :kept] = self._velocity[:, drop:]
+        else:
+            into, source = align(self._ids, merged)
+            direction = np.full((merged.size, 2), np.nan)
+            seen = np.full(merged.size, time_s)
+            trail[into, :kept] = self._trail[source, drop:]
+            velocity[into, :kept] = self._velocity[source, drop:]
+            direction[into] = self._direction[source]
+            seen[into] = self._seen_s[source]
+            self._direction, self._seen_s = direction, seen
         trail[rows, -1] = xy
-        seen[rows] = time_s
+        self._seen_s[rows] = time_s
         self._times = [*self._times[drop:], time_s]
         self._ids, self._trail, self._velocity = merged, trail, velocity
-        self._direction, self._seen_s = direction, seen
-
-    @staticmethod
-    def _reference(
-        rows: IntArray, times: FloatArray, values: FloatArray, span_s: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """The oldest known value within the span, and how long ago it was."""
-        from graphrqi.features.kinematic_kernel import oldest
-
-        return oldest(rows, times, values, times[-1] - span_s - 1e-6)
-
-    def _displacement(self, rows: IntArray, times: FloatArray, span_s: float) -> FloatArray:
-        reference, _ = self._reference(rows, times, self._trail, span_s)
-        return np.asarray(self._trail[rows, -1] - reference)
-
-    def _difference(
-        self, rows: IntArray, times: FloatArray, values: FloatArray, span_s: float
-    ) -> FloatArray:
-        reference, ago = self._reference(rows, times, values, span_s)
-        return np.asarray((values[rows, -1] - reference) / ago[:, None])
+        return rows

@@ -15,7 +15,7 @@ def oldest(
     values: NDArray[np.float64],
     since_s: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The oldest known value of each agent from a time on, and how long ago it was.
+    """How far each agent's value is now from the oldest one known from a time on.
 
     Args:
         rows: (n,) whose.
@@ -24,22 +24,36 @@ def oldest(
         since_s: no older than this, s; the last time is left out.
 
     Returns:
-        (n, 2) values, NaN where none is known, and (n,) s: of an unknown value since the oldest
-        time, or 1 where there is no time.
+        (n, 2) differences, NaN where none is known, and (n,) s: of an unknown value since the
+        oldest time, or 1 where there is no time.
     """
     now = times.size - 1
     first = 0
     while first < now and times[first] < since_s:
         first += 1
-    found, ago = np.full((rows.size, 2), np.nan), np.ones(rows.size)
+    gone, ago = np.full((rows.size, 2), np.nan), np.ones(rows.size)
     if first == now:
-        return found, ago
+        return gone, ago
     for i in range(rows.size):
-        at = first
-        while at < now - 1 and np.isnan(values[rows[i], at, 0]):
+        row, at = rows[i], first
+        while at < now - 1 and np.isnan(values[row, at, 0]):
             at += 1
-        if np.isnan(values[rows[i], at, 0]):
+        if np.isnan(values[row, at, 0]):
             at = first
-        found[i] = values[rows[i], at]
+        gone[i, 0] = values[row, now, 0] - values[row, at, 0]
+        gone[i, 1] = values[row, now, 1] - values[row, at, 1]
         ago[i] = times[now] - times[at]
-    return found, ago
+    return gone, ago
+
+
+@compiled
+def along(
+    direction: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) parts of vectors (n, 2) along directions (n, 2), and to the left of them."""
+    n = len(direction)
+    ahead, left = np.empty(n), np.empty(n)
+    for i in range(n):
+        ahead[i] = values[i, 0] * direction[i, 0] + values[i, 1] * direction[i, 1]
+        left[i] = direction[i, 0] * values[i, 1] - direction[i, 1] * values[i, 0]
+    return ahead, left

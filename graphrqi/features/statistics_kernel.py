@@ -85,13 +85,18 @@ def summarise(
             out[i, column + quantiles] = moment / total
             q, below = 0, 0.0
             for k in range(first, end):
-                weight = max(sums[i, k], 0.0)
+                weight = sums[i, k]
+                if not weight > 0.0 or below + weight < levels[q] * total:
+                    below += max(weight, 0.0)
+                    continue
                 low = nodes[k] if k == first else 0.5 * (nodes[k - 1] + nodes[k])
                 high = nodes[k] if k == end - 1 else 0.5 * (nodes[k] + nodes[k + 1])
-                while q < quantiles and weight > 0.0 and below + weight >= levels[q] * total:
+                while q < quantiles and below + weight >= levels[q] * total:
                     share = (levels[q] * total - below) / weight
                     out[i, column + q] = low + share * (high - low)
                     q += 1
+                if q == quantiles:
+                    break
                 below += weight
             while q < quantiles:  # rounding: the last share of the total
                 out[i, column + q] = nodes[end - 1]

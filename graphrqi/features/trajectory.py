@@ -69,7 +69,7 @@ class TrajectoryObserver:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
         motion = self._motion.update(time_s, ids, xy)
         self._near = self._near.observe(ids, xy)
-        around = interactions(motion, drives, self._near.adjacency)
+        around = interactions(motion, drives, self._near)
         before_s, before_ids, before = self._last
         jerk = np.full(ids.size, np.nan)
         into, source = align(before_ids, ids)
@@ -83,7 +83,7 @@ class TrajectoryObserver:
                 np.clip(jerk, -MAX_JERK_MPS3, MAX_JERK_MPS3),
                 motion.speed - around.leader_speed,
                 motion.speed - around.rear_speed,
-                differences(self._near.adjacency, motion.speed, drives, scales=1)[:, 0],
+                differences(self._near, motion.speed, drives, scales=1)[:, 0],
                 around.gap,
                 around.rear_gap,
                 np.abs(motion.sideways),

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.predict import agreement_kernel
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.route import ACCELERATION_SD
 from graphrqi.predict.scene import Scene
@@ -51,19 +52,12 @@ def agreement(
         (n, 3) logarithm of the ratio for the driver itself, its mean over all other
         drivers of whom something is believed, and its scaled sum over them.
     """
-    seen, wish = scene.seen, np.log(table.behavior[:, 0])
-    miss = (scene.accel - asked).T / ACCELERATION_SD
-    log_likelihood = -np.minimum(0.5 * miss**2, MOST_ACCELERATION)
-    log_likelihood[~scene.on_path] = 0.0
-    free = np.log(np.maximum(seen.free_factor, 0.1))[:, None]
-    apart = np.where(np.isnan(free), 0.0, free - wish) / WISH_SD
-    fastest = np.log(np.maximum(seen.least_factor, 0.1))[:, None]
-    over = np.maximum(fastest - wish - OVER, 0.0) / WISH_SD
-    log_likelihood -= np.minimum(0.5 * apart**2, MOST_WISH) + np.minimum(0.5 * over**2, MOST_WISH)
-    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True, initial=-np.inf))
-    believed = (np.maximum(probability, LEAST_BELIEF) * likelihood).sum(axis=1)
-    known = probability.max(axis=1, initial=0.0) > 1.0 / len(wish) + 1e-6
-    own = np.where(known, np.log(believed / likelihood.mean(axis=1)), 0.0)
+    seen = scene.seen
+    own, known = agreement_kernel.gained(
+        probability, LEAST_BELIEF, (scene.accel - asked) / ACCELERATION_SD, scene.on_path,
+        seen.free_factor, seen.least_factor, np.log(table.behavior[:, 0]), WISH_SD, OVER,
+        MOST_ACCELERATION, MOST_WISH,
+    )  # fmt: skip
     rest = own.sum() - own
     mean = rest / np.maximum(known.sum() - known, 1)
     total = np.clip(rest / SUM_SCALE, -SUM_SCALE, SUM_SCALE)

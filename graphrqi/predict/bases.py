@@ -86,17 +86,22 @@ def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
         second = scene.with_path(choice[row, order[:, 1]])
         driven = roll(second, manners, table.decay_s, None, KNOTS, KNOT_S)
         bases[open_to, 1] = _at_knots(second, driven)[open_to]
-    (left, has_left), (right, has_right) = beside(first, 1), beside(first, -1)
+    ways = beside(first, 1), beside(first, -1)
     following, ignores = if_each(scene, table)
+    path, offset, sideways = (
+        np.concatenate([getattr(way, name)[None] for way in drives])
+        for drives in ([moving for moving, _ in ways] + [first] * len(following),)
+        for name in ("path", "offset", "sideways")
+    )
     each = roll_each(
-        [left, right, *[first] * len(following)],
-        np.concatenate([np.stack([manners.following] * 2), following]),
-        np.concatenate([np.stack([manners.ignores] * 2), ignores]),
+        first, path, offset, sideways,
+        np.concatenate([manners.following[None], manners.following[None], following]),
+        np.concatenate([manners.ignores[None], manners.ignores[None], ignores]),
         table.decay_s,
         main,
-    )
-    for way, (moving, there) in enumerate(((left, has_left), (right, has_right))):
-        seen = from_own_seat(moving, each.lane[way], each.s[way], each.side[way], 1, KNOT_S)
+    )  # fmt: skip
+    for way, (_, there) in enumerate(ways):
+        seen = from_own_seat(first, each.lane[way], each.s[way], each.side[way], 1, KNOT_S)
         bases[:, 2 + way] = np.where(there[:, None, None], seen, bases[:, 0])
     _inertia(scene, bases[:, 4])
     half = KNOTS // 2 - 1

@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.predict import gates_kernel
 from graphrqi.predict.paths import PathTable
 from graphrqi.predict.prediction import STEP_S
 from sim.frames import PEDESTRIAN, Signal, Tracks
 from sim.lane_graph import LaneGraph
-from sim.observables import along
 from sim.road import Road
 
 FloatArray = NDArray[np.float64]
@@ -127,23 +127,13 @@ def _crossings_ahead(history: Tracks, road: Road, graph: LaneGraph, steps: int) 
     walking = np.flatnonzero(history.kind == PEDESTRIAN)
     if not walking.size or not graph.cross_lane.size:
         return closed
-    time_s = np.arange(steps + 1) * STEP_S
+    half = graph.width[graph.cross_lane] / 2
     xy, heading = history.xy[walking, -1], history.heading[walking, -1]
     speed = history.speed[walking, -1]
-    stepping = np.concatenate([xy, xy + np.stack([np.cos(heading), np.sin(heading)], axis=1)])
     for c, crossing in enumerate(road.crossings):
-        found, aside, total = along(crossing.centerline, stepping)
-        (u, u_ahead), across = np.split(found, 2), aside[: len(xy)]
-        near = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > -0.5) & (u < total + 0.5)
-        if not near.any():
-            continue
-        u, pace = u[near], ((u_ahead - u) * speed)[near]
-        at = u[:, None] + pace[:, None] * time_s[None]
-        walks = (at > -0.5) & (at < total + 0.5)
-        for z in np.flatnonzero(graph.cross_id == c):
-            half = graph.width[graph.cross_lane[z]] / 2
-            left = (graph.cross_u[z] - at) * np.sign(pace)[:, None]
-            within = np.abs(graph.cross_u[z] - at) <= half
-            coming = (left > 0) & (left - half <= np.abs(pace)[:, None] * PEDESTRIAN_REACH_S)
-            closed[z] = np.where((walks & (within | coming)).any(axis=0), CLOSED, closed[z])
+        gates = np.flatnonzero(graph.cross_id == c)
+        gates_kernel.close_crossing(
+            crossing.centerline, crossing.width_m, xy, heading, speed, gates, graph.cross_u[gates],
+            half[gates], PEDESTRIAN_REACH_S, STEP_S, CLOSED, closed,
+        )  # fmt: skip
     return closed

@@ -82,7 +82,7 @@ def decode(raw: NDArray[np.floating], bases: FloatArray, spread_scale: float) ->
     Returns:
         The futures.
     """
-    each = raw.reshape(len(raw), MODES, PER_MODE).astype(np.float64)
+    each = raw.reshape(len(raw), MODES, PER_MODE)
     return Futures(*decode_kernel.decode(each, bases, TIME_S, spread_scale, LEAST_SPREAD_M))
 
 

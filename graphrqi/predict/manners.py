@@ -68,10 +68,9 @@ def wary(manners: Manners, probability: FloatArray) -> Manners:
 
 def if_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
     """(6, n, 5) how everyone would follow if it were of each behaviour; (6, n, R) gates ignored."""
-    n = scene.ids.size
-    sure = np.repeat(np.eye(len(BEHAVIORS))[:, None], n, axis=1)
-    following = np.repeat(table.behavior[:, None], n, axis=1)
-    return personal(scene, following), ignored_gates(scene, sure)
+    each = (len(BEHAVIORS), scene.ids.size)
+    runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))
+    return personal(scene, table.behavior[:, None]), gates_ignored(scene, runs, yields)
 
 
 def average(scene: Scene, table: DriverTable) -> Manners:
@@ -88,22 +87,29 @@ def average(scene: Scene, table: DriverTable) -> Manners:
 
 
 def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
-    """(..., n, R) gates that drivers more likely run than respect, under (..., n, 6) beliefs."""
+    """(n, R) gates that drivers more likely run than respect, under (n, 6) beliefs."""
+    return gates_ignored(scene, probability @ RUNS_RED, probability @ YIELDS)
+
+
+def gates_ignored(scene: Scene, runs_red: FloatArray, yields: FloatArray) -> BoolArray:
+    """(..., n, R) gates ignored by who runs red lights and yields with chances (..., n)."""
     groups = scene.paths.groups
     crossings = groups + scene.graph.cross_lane.size
-    ignores = np.zeros((*probability.shape[:-1], scene.closed.shape[0]), dtype=np.bool_)
-    ignores[..., :groups] = (probability @ RUNS_RED > 0.5)[..., None]
-    ignores[..., groups:crossings] = (probability @ YIELDS < 0.5)[..., None]
+    ignores = np.zeros((*runs_red.shape, scene.closed.shape[0]), dtype=np.bool_)
+    ignores[..., :groups] = (runs_red > 0.5)[..., None]
+    ignores[..., groups:crossings] = (yields < 0.5)[..., None]
     return ignores
 
 
 def personal(scene: Scene, following: FloatArray) -> FloatArray:
-    """Numbers (..., n, 5), each one's wished speed corrected by what it was seen to drive."""
+    """Numbers (..., n or 1, 5), each of n drivers' wished speed corrected by what it has driven."""
     free = scene.seen.free_factor
     seen = ~np.isnan(free)
     wished = np.log(following[..., 0])
     shown = np.log(np.maximum(np.where(seen, free, 1.0), 0.1))
     corrected = (FREE_WEIGHT * wished + shown) / (1.0 + FREE_WEIGHT)
-    out = following.copy()
-    out[..., 0] = np.maximum(np.exp(np.where(seen, corrected, wished)), scene.seen.least_factor)
+    factor = np.maximum(np.exp(np.where(seen, corrected, wished)), scene.seen.least_factor)
+    out = np.empty((*factor.shape, following.shape[-1]))
+    out[:] = following
+    out[..., 0] = factor
     return out

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,7 +108,10 @@ def roll(
 
 
 def roll_each(
-    scenes: Sequence[Scene],
+    scene: Scene,
+    path: IntArray,
+    offset: FloatArray,
+    sideways: FloatArray,
     following: FloatArray,
     ignores: BoolArray,
     decay_s: float,
@@ -119,7 +120,10 @@ def roll_each(
     """Drive everyone on in M ways, each driver alone among the others; nobody changes lanes.
 
     Args:
-        scenes: M, which differ at most in the drivers' paths, offsets and speeds sideways.
+        scene: the present.
+        path: (M, n) path of each driver, like the next two instead of the scene's.
+        offset: (M, n) distance to the left of the lane's centre, m.
+        sideways: (M, n) speed to the left, m/s.
         following: (M, n, 5) how each drives, as in `Manners`.
         ignores: (M, n, R) likewise.
         decay_s: as to `roll`.
@@ -128,17 +132,15 @@ def roll_each(
     Returns:
         The drivers' futures.
     """
-    scene = scenes[0]
     paths, graph, steps = scene.paths, scene.graph, others.s.shape[1]
-    sideways = np.stack([s.sideways for s in scenes])
     return Alternatives(
         *kernel.roll_each(
-            np.stack([s.path for s in scenes]), scene.s, np.maximum(scene.speed, 0.0), scene.accel,
-            np.ascontiguousarray(scene.history.length) / 2, following,
-            np.stack([s.offset for s in scenes]), np.maximum(np.abs(sideways), RETURN_MPS),
-            scene.on_path, ignores, scene.closed, paths.lane, paths.start, paths.limit, paths.turn,
-            paths.gate_x, paths.gate_row, paths.beside, paths.apart, paths.way, graph.length,
-            others.step_s, others.step_s / STEP_S, steps, decay_s, others.lane, others.s, others.v,
+            path, scene.s, np.maximum(scene.speed, 0.0), scene.accel,
+            np.ascontiguousarray(scene.history.length) / 2, following, offset,
+            np.maximum(np.abs(sideways), RETURN_MPS), scene.on_path, ignores, scene.closed,
+            paths.lane, paths.start, paths.limit, paths.turn, paths.gate_x, paths.gate_row,
+            paths.beside, paths.apart, paths.way, graph.length, others.step_s,
+            others.step_s / STEP_S, steps, decay_s, others.lane, others.s, others.v,
         )
     )  # fmt: skip
 
@@ -212,8 +214,7 @@ def beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, Boo
         way = np.where(way >= 0, way, table.way[to].max(axis=1))
     there = scene.on_path & (table.beside[which, lane] >= 0) & (way >= 0)
     apart = side * table.apart[which, lane]
-    moving = dataclasses.replace(
-        scene,
+    moving = scene.but(
         lane=np.where(there, to, scene.lane),
         path=np.where(there, way, scene.path),
         offset=np.where(there, scene.offset - apart, scene.offset),

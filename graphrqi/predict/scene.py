@@ -6,7 +6,6 @@ they do with it.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -120,9 +119,18 @@ class Scene:
             probability = np.full(futures.shape[:2], 1.0 / futures.shape[1])
         return Prediction(self.ids, self.time_s, futures, probability)
 
+    def but(self, **changed: IntArray | FloatArray) -> Scene:
+        """The same scene with other paths, lanes, offsets or speeds sideways.
+
+        Unlike `dataclasses.replace` it keeps what was already worked out of the history.
+        """
+        other = object.__new__(Scene)
+        other.__dict__.update(self.__dict__, **changed)
+        return other
+
     def with_path(self, path: IntArray) -> Scene:
         """The same scene with other paths taken."""
-        return dataclasses.replace(self, path=path)
+        return self.but(path=path)
 
 
 def check_horizon(horizon_s: float) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 
 from graphrqi.features import following_law
 from graphrqi.features.driving import DrivingObserver
@@ -87,7 +88,7 @@ def scene(positions, velocity=(10.0, 0.0), steps=30):
 
 
 def complete(n):
-    return csr_array(np.ones((n, n)) - np.eye(n))
+    return TrafficGraph.from_edges(range(n), list(itertools.combinations(range(n), 2)))
 
 
 def test_leader_follower_beside_and_gap():
@@ -162,9 +163,11 @@ def test_pace_is_of_free_drivers_and_forgets():
 
 
 def test_graph_signal_of_a_constant_is_zero_and_lonely_is_unknown():
-    ring = csr_array(np.roll(np.eye(4), 1, axis=1) + np.roll(np.eye(4), -1, axis=1))
+    ring = TrafficGraph.from_edges(range(4), [(0, 1), (1, 2), (2, 3), (3, 0)])
     assert np.abs(differences(ring, np.full(4, 7.0), np.ones(4, bool))).max() < 1e-12
-    alone = differences(csr_array((2, 2)), np.array([1.0, 2.0]), np.ones(2, bool))
+    alone = differences(
+        TrafficGraph.from_edges(range(2), []), np.array([1.0, 2.0]), np.ones(2, bool)
+    )
     assert np.isnan(alone).all()
 
 
