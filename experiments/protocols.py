@@ -3,7 +3,8 @@
 Every row says the protocol it was measured under:
 
 - ``inductive``: trained on training episodes, scored on episodes that were never seen.
-- ``shipped``: the model that ships with the package, on episodes of which it saw none.
+- ``shipped``: the model that ships with the package, on episodes of which it saw none, corrected
+  for the mix of each episode as it streams; everything else looks at each window by itself.
 - ``leak-probe``: as ``inductive``, on many more episodes, seeing only who and when.
 - ``random-rows``: what not to do: rows of the same drivers are learned and scored.
 - ``transductive``: half the drivers of an episode are labelled, the other half are scored.
@@ -52,6 +53,7 @@ from graphrqi.classify import Classifier, make_classifier
 from graphrqi.features.plain import GRAPH_SIGNALS, INFERRED, OF_PACE
 from graphrqi.methods import METHODS, Model, load_model, train
 from graphrqi.samples import WINDOWS_S, Samples, collect
+from graphrqi.scene_mix import SceneMix
 from graphrqi.stream import BehaviorStream
 from sim.dataset import Dataset, open_dataset
 from sim.frames import Tracks
@@ -375,7 +377,10 @@ def inductive(
 def shipped(
     recordings: Recordings, windows_s: Sequence[float] = SCORED_S, traffic: str = ""
 ) -> list[Row]:
-    """The model that ships with the package, on all episodes of a dataset that it never saw."""
+    """The model that ships with the package, on all episodes of a dataset that it never saw.
+
+    As its stream answers, corrected for the mix of the scene; and each driver by itself.
+    """
     model = load_model(OURS)
     everything = recordings.scored(OURS, windows_s, split=None)
     rows: list[Row] = []
@@ -383,16 +388,44 @@ def shipped(
         here = recordings.of(scenario, everything)
         for window_s in windows_s:
             samples = here.where(_as_long_as(here, window_s))
-            for about, part in (("", samples), ("moving", samples.where(samples.moving))):
-                if not len(part) or (about and not np.isfinite(window_s)):
-                    continue
-                probability = _posterior(model, part)
+            if not len(samples):
+                continue
+            alone = _posterior(model, samples)
+            streamed = in_scenes(model, samples, alone)
+            whole = np.ones(len(samples), dtype=bool)
+            looks = [("", streamed, whole), ("by itself", alone, whole)]
+            if np.isfinite(window_s) and samples.moving.any():
+                looks.append(("moving", streamed, samples.moving))
+            for about, probability, chosen in looks:
+                part = samples.where(chosen)
                 variation = ", ".join(filter(None, (traffic, about)))
                 keys = _keys("shipped", scenario, OURS, window_s, variation)
-                rows += score_rows(part, probability, majority_of(part), keys)
+                rows += score_rows(part, probability[chosen], majority_of(part), keys)
                 if window_s == MAIN_S and not variation:
-                    rows += reliability_rows(part, probability, keys)
+                    rows += reliability_rows(part, probability[chosen], keys)
     return rows
+
+
+def in_scenes(model: Model, samples: Samples, probability: FloatArray) -> FloatArray:
+    """Answers corrected for the mix of each episode, moment by moment.
+
+    Args:
+        model: whose answers they are.
+        samples: n, one of a driver and moment at most.
+        probability: (n, 6) the answers, each driver's by itself.
+
+    Returns:
+        (n, 6) what a stream would answer that observed no longer than the samples.
+    """
+    corrected = np.empty_like(probability)
+    for episode in np.unique(samples.episode):
+        mix = SceneMix(np.array(model.shares))
+        here = np.flatnonzero(samples.episode == episode)
+        for moment in np.unique(samples.time_s[here]):
+            now = here[samples.time_s[here] == moment]
+            mix.observe(float(moment), samples.agent[now], probability[now])
+            corrected[now] = mix.corrected(probability[now])
+    return corrected
 
 
 def random_rows(recordings: Recordings, methods: Sequence[str]) -> list[Row]:

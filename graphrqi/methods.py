@@ -11,7 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic_core import PydanticCustomError
 
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
@@ -31,8 +32,8 @@ from sim.atomic import whole_folder
 
 FloatArray = NDArray[np.float64]
 
-SCHEMA_VERSION: Final = 1
-"""Of model folders; a newer one is refused."""
+SCHEMA_VERSION: Final = 2
+"""Of model folders; any other one is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +138,14 @@ class Model:
         method: what was trained.
         solver: which eigenvalue algorithm its observer uses.
         classifier: what was learned.
+        shares: of each behaviour among the training windows; sum to 1.
         card: what it was trained on and how it scored, in words and numbers.
     """
 
     method: Method
     solver: str
     classifier: Classifier
+    shares: tuple[float, ...]
     card: Mapping[str, Any]
 
     def observer(self) -> Observer:
@@ -150,7 +153,7 @@ class Model:
         return self.method.observer(self.solver)
 
     def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, 6) probabilities of feature vectors (n, F)."""
+        """(n, 6) probabilities of feature vectors (n, F), each row by itself."""
         return self.classifier.posterior(features)
 
 
@@ -181,7 +184,9 @@ def train(
     if validation is not None:
         held = (validation.features.astype(np.float64), validation.codes)
     classifier.fit(training.features.astype(np.float64), training.codes, held, seed)
-    return Model(chosen, solver, classifier, dict(card or {}))
+    count = np.bincount(training.codes, minlength=len(BEHAVIORS))
+    shares = tuple((count / count.sum()).tolist())
+    return Model(chosen, solver, classifier, shares, dict(card or {}))
 
 
 class _ModelFile(BaseModel):
@@ -194,7 +199,16 @@ class _ModelFile(BaseModel):
     solver: str
     classes: tuple[str, ...]
     features: tuple[str, ...]
+    shares: tuple[float, ...]
     card: dict[str, Any]
+
+    @field_validator("schema_version")
+    @classmethod
+    def _of_this_version(cls, found: int) -> int:
+        if found != SCHEMA_VERSION:
+            said = f"found {found}, expected {SCHEMA_VERSION}; train the model again"
+            raise PydanticCustomError("schema_version", said)
+        return found
 
 
 def check_model_folder(folder: Path) -> None:
@@ -210,8 +224,8 @@ def check_model_folder(folder: Path) -> None:
 def save_model(model: Model, folder: Path) -> None:
     """Write a model folder: ``model.json`` and ``weights.safetensors``.
 
-    The JSON holds method, class order, feature names and card. The folder appears whole; a model
-    that stands there is replaced.
+    The JSON holds method, class order, feature names, the classes' shares and card. The folder
+    appears whole; a model that stands there is replaced.
 
     Raises:
         InputError: if the folder holds something that is not a model.
@@ -225,6 +239,7 @@ def save_model(model: Model, folder: Path) -> None:
         solver=model.solver,
         classes=tuple(b.value for b in BEHAVIORS),
         features=model.observer().feature_names,
+        shares=model.shares,
         card=dict(model.card),
     )
     arrays = {k: np.ascontiguousarray(v) for k, v in model.classifier.arrays().items()}
@@ -247,7 +262,7 @@ def load_model(name_or_folder: str | Path) -> Model:
         The model.
 
     Raises:
-        InputError: if there is no such model, or it is broken, newer, or of other classes.
+        InputError: if there is no such model, or it is broken, of another version or other classes.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
@@ -268,11 +283,8 @@ def load_model(name_or_folder: str | Path) -> Model:
         first = error.errors()[0]
         where = ".".join(str(x) for x in first["loc"]) or "content"
         raise InputError(f"{path}: {where}: {first['msg']}") from None
-    if file.schema_version > SCHEMA_VERSION:
-        raise InputError(
-            f"{path}: schema_version: found {file.schema_version}, expected at most "
-            f"{SCHEMA_VERSION}: written by a newer version of this package"
-        )
+    if len(file.shares) != len(BEHAVIORS):
+        raise InputError(f"{path}: shares: found {len(file.shares)}, expected {len(BEHAVIORS)}")
     if file.classes != tuple(b.value for b in BEHAVIORS):
         raise InputError(f"{path}: classes: found {file.classes}, expected {tuple(BEHAVIORS)}")
     method = lookup(METHODS, file.method, "method")
@@ -290,4 +302,4 @@ def load_model(name_or_folder: str | Path) -> Model:
     except (SafetensorError, OSError, KeyError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{weights}: found weights that do not load ({reason})") from None
-    return Model(method, file.solver, classifier, file.card)
+    return Model(method, file.solver, classifier, file.shares, file.card)

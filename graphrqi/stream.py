@@ -5,13 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
+from graphrqi.scene_mix import SceneMix
 from sim.buffer import FrameBuffer
 from sim.frames import Frame, Tracks
 
 MIN_SECONDS: Final = 1.0
 """Time after which a driver is classified (our choice: before it, velocity is hardly known)."""
+
+MIX_EVERY_S: Final = 1.0
+"""Time between estimates of how common each behaviour is here (our choice: drivers come and go more
+slowly)."""
 
 HISTORY_STEPS: Final = 50
 """Frames remembered for prediction (our choice: 5 s at 10 Hz)."""
@@ -24,7 +32,8 @@ class BehaviorStream:
     """Classifies drivers as they drive.
 
     Uses nothing of a frame but its time and the ids, positions and kinds (driving or walking).
-    Evidence on a driver accumulates for as long as it stays in sight.
+    Evidence on a driver accumulates for as long as it stays in sight, and how common each behaviour
+    is here is learned of all drivers (`graphrqi.scene_mix`).
 
     Args:
         model: a trained model.
@@ -36,6 +45,9 @@ class BehaviorStream:
         self.min_seconds = min_seconds
         self._observer = model.observer()
         self._buffer = FrameBuffer(HISTORY_STEPS)
+        self._mix = SceneMix(np.array(model.shares))
+        self._mixed_s = -np.inf
+        self._answered: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
 
     def update(self, frame: Frame) -> Posterior:
         """Take the next frame and classify.
@@ -56,15 +68,26 @@ class BehaviorStream:
         """Take the next frame; see `update`."""
         self._buffer.push(frame)
         self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        self._answered = None
+        if frame.time_s >= self._mixed_s + MIX_EVERY_S - 1e-6:
+            self._mix.observe(frame.time_s, *self._answers())
+            self._mixed_s = frame.time_s
+
+    def _answers(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Ids of those seen long enough, and what the model alone says of them now."""
+        if self._answered is None:
+            seen = self._observer.observation()
+            ready = seen.seconds >= self.min_seconds - 1e-6
+            features = self._observer.features(
+                seen.seconds[ready], seen.sums[ready], seen.instant[ready]
+            )
+            self._answered = seen.ids[ready], self.model.posterior(features)
+        return self._answered
 
     def posterior(self) -> Posterior:
         """Belief about every driver present and seen long enough, now."""
-        seen = self._observer.observation()
-        ready = seen.seconds >= self.min_seconds - 1e-6
-        features = self._observer.features(
-            seen.seconds[ready], seen.sums[ready], seen.instant[ready]
-        )
-        return Posterior(ids=seen.ids[ready], probability=self.model.posterior(features))
+        ids, probability = self._answers()
+        return Posterior(ids=ids, probability=self._mix.corrected(probability))
 
     @property
     def history(self) -> Tracks:

@@ -109,6 +109,31 @@ def test_stream_refuses_to_go_back_in_time(tracks, model):
         stream.update(tracks.frame(3))
 
 
+def test_beliefs_do_not_depend_on_when_they_are_asked_for(tracks, model):
+    asked, silent = BehaviorStream(model), BehaviorStream(model)
+    for frame in tracks.window(250, 250).frames():
+        asked.update(frame)
+        silent.push(frame)
+    assert np.array_equal(asked.posterior().probability, silent.posterior().probability)
+
+
+def test_beliefs_are_the_models_under_the_mix_of_the_scene(tracks):
+    """Every driver's odds against the model's own answer are shifted alike."""
+    model = load_model("graphrqi-plus")
+    stream, observer = BehaviorStream(model), model.observer()
+    for frame in tracks.window(250, 250).frames():
+        posterior = stream.update(frame)
+        observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+    seen = observer.observation()
+    ready = seen.seconds >= 1.0 - 1e-6
+    alone = model.posterior(observer.features(*(x[ready] for x in (
+        seen.seconds, seen.sums, seen.instant))))  # fmt: skip
+    ratio = np.log(posterior.probability / alone)
+    shift = ratio - ratio[:, :1]
+    np.testing.assert_allclose(shift, np.tile(shift[0], (len(shift), 1)), atol=1e-6)
+    assert np.abs(shift[0]).max() > 1e-3
+
+
 def test_stream_survives_an_empty_frame(model):
     none = np.empty(0)
     empty = Frame(1.0, none.astype(int), np.empty((0, 2)), none, none, none, none, none.astype(int))
@@ -138,6 +163,7 @@ def broken(folder: Path, **changes) -> Path:
         ({"schema_version": 99}, "schema_version: found 99"),
         ({"method": "graphrqi-pluss"}, "did you mean 'graphrqi-plus'"),
         ({"features": ["x"]}, "another version"),
+        ({"shares": [1.0]}, "shares: found 1, expected 6"),
         ({"classes": ["timid"]}, "classes: found"),
         ({"surprise": 1}, "surprise"),
     ],
