@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.frames import Signal
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -211,6 +212,38 @@ class Road:
             # our choice: a lane is some 3 m wide
             np.where([self.lanes[i].internal for i in np.concatenate(lane)], 4.0, 0.7),
         )
+
+    def green_together(self, one: int, other: int) -> bool:
+        """Whether two signal groups ever let go at the same time.
+
+        Args:
+            one: index of a signal group; -1, without a signal, lets go always.
+            other: likewise.
+        """
+        if one < 0 or other < 0:
+            return True
+        green = Signal.GREEN.code
+        return any(
+            states[plan.groups.index(one)] == green == states[plan.groups.index(other)]
+            for plan in self.signal_plans
+            if one in plan.groups and other in plan.groups
+            for states in plan.states
+        )
+
+    def first_come(self, one: int, two: int) -> bool:
+        """Whether of two connections neither has priority: who comes first goes first.
+
+        So it is where signals never let both go, and where each yields to the other (all-way
+        stops).
+
+        Args:
+            one: index of a connection.
+            two: likewise.
+        """
+        first, second = self.connections[one], self.connections[two]
+        if not self.green_together(first.signal, second.signal):
+            return True
+        return two in first.yields_to and one in second.yields_to
 
     def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
         """Lane coordinates of points, on the drivable lane that fits place and heading best.

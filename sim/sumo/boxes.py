@@ -24,6 +24,9 @@ TURNING, KEEPING = 0.8, 0.25
 elsewhere (our choice: about 40 degrees, the full lock of ordinary cars, and 14 degrees, a hasty
 change of lanes); SUMO's cars slide sideways beyond it while they crawl or stand."""
 
+STRAIGHTENING_M: Final = 6.0
+"""A car is still straightening up this far after a turn (our choice: a car's length and more)."""
+
 
 @numba.njit(cache=True)
 def draw(
@@ -78,8 +81,12 @@ def draw(
             old_east, old_north = (fx - ax) / reach, (fy - ay) / reach
             ahead = (x - fx) * old_east + (y - fy) * old_north
             aside = (y - fy) * old_east - (x - fx) * old_north
-            inside = turns[0, 0] < x < turns[1, 0] and turns[0, 1] < y < turns[1, 1]
-            most = (TURNING if inside else KEEPING) * max(ahead, 0.0)
+            # a box about the turns, and around it how far a car leaving them straightens up
+            out_x = x - min(max(x, turns[0, 0]), turns[1, 0])
+            out_y = y - min(max(y, turns[0, 1]), turns[1, 1])
+            leaves = out_x * old_east + out_y * old_north >= 0.0
+            turning = leaves and max(abs(out_x), abs(out_y)) < STRAIGHTENING_M
+            most = (TURNING if turning else KEEPING) * max(ahead, 0.0)
             slid = aside - min(max(aside, -most), most)
             east, north = x - ax + slid * old_north, y - ay - slid * old_east
             far = max(math.hypot(east, north), 1e-9)

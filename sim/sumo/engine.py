@@ -56,10 +56,6 @@ takes 2.5 s (observed: 1 to 13 s, mostly 2 to 5; Toledo and Zohar 2007, Transpor
 Record 1999)."""
 
 
-TURN_MARGIN_M: Final = 6.0
-"""A car is still straightening up this far after a turn (our choice: a car's length and more)."""
-
-
 class SumoError(InputError):
     """SUMO could not run: one line with SUMO's own reason."""
 
@@ -287,7 +283,7 @@ def _turns(road: Road) -> FloatArray:
     if not lines:
         return np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
     points = np.concatenate(lines)
-    return np.stack([points.min(axis=0) - TURN_MARGIN_M, points.max(axis=0) + TURN_MARGIN_M])
+    return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,11 @@ def four_way():
 
 
 @pytest.fixture(scope="module")
+def all_way_stop():
+    return read_road(net_of(SHIPPED["four_way_allway_stop"]), "all_way_stop")
+
+
+@pytest.fixture(scope="module")
 def straight():
     return read_road(net_of(SHIPPED["straight_road"]), "straight")
 
@@ -175,6 +180,36 @@ def test_a_left_turn_that_takes_priority_is_at_fault(four_way):
     oncoming = follow(lane_xy(four_way, ":centre_9_0"), 0.9)
     agent, other, rule = blamed(four_way, [oncoming, turner])
     assert (agent, other, rule) == (1, 0, "took another's priority")
+
+
+def test_where_each_yields_to_the_other_the_second_to_enter_is_at_fault(all_way_stop):
+    road = all_way_stop
+    left, straight_on = (
+        next(
+            link
+            for link in road.connections
+            if link.direction == direction and link.from_lane.startswith(edge)
+        )
+        for edge, direction in (("north_in", "left"), ("east_in", "straight"))
+    )
+    turner = follow(np.concatenate([lane_xy(road, name) for name in left.via]), 0.6)
+    end = lane_xy(road, straight_on.from_lane)[-1]
+    # its front is 1.5 m beyond the line when they touch, its centre still before it
+    nosing = line((end[0] + 5.75, end[1]), (-0.5, 0.0))
+    for paths, later in (([turner, nosing], 1), ([nosing, turner], 0)):
+        agent, _, rule = blamed(road, paths)
+        assert (agent, rule) == (later, "entered a junction not yet clear")
+
+
+def test_priority_does_not_help_who_could_have_stopped_for_one_that_stood(four_way):
+    through = lane_xy(four_way, ":centre_9_0")
+    turner = np.tile(lane_xy(four_way, ":centre_17_0")[3], (200, 1))
+    oncoming = line(through[0] - (0.0, 60.0), (0.0, 7.0))
+    agent, other, rule = blamed(four_way, [oncoming, turner])
+    assert (agent, other, rule) == (0, 1, "ran into somebody who stood")
+    late = np.concatenate([follow(lane_xy(four_way, ":centre_17_0"), 0.7)[:95], turner[:105]])
+    agent, _, rule = blamed(four_way, [oncoming, late])
+    assert (agent, rule) == (1, "took another's priority")
 
 
 def test_hitting_a_pedestrian_on_a_zebra_or_a_jaywalker(straight):

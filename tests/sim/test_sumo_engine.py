@@ -190,6 +190,21 @@ def test_the_conservative_cause_no_collision_with_a_vehicle():
     ]
 
 
+@pytest.mark.parametrize(("lets", "at_once"), [(1.0, False), (0.0, True)])
+def test_who_lets_others_finish_stays_before_the_line_until_the_junction_is_clear(lets, at_once):
+    scenario = get_scenario("all_way_stop")(duration_s=40.0)
+    careful = dataclasses.replace(PROFILES[Behavior.CAREFUL], yield_probability=lets)
+    turning = lone(
+        scenario, id=0, kind=AgentKind.TRUCK, route=("north_in", "east_out"), length_m=12.0,
+        behavior=Behavior.TIMID, profile=PROFILES[Behavior.TIMID], depart_s=0.0,
+    )  # fmt: skip
+    crossing = lone(scenario, id=1, route=("east_in", "west_out"), profile=careful, depart_s=7.0)
+    tracks = Tracks.from_frames(run(scenario, [turning, crossing], 0))
+    inside = observe(tracks, scenario.road).stop_distance < 0
+    assert inside.any(axis=1).all()
+    assert inside.all(axis=0).any() == at_once
+
+
 def test_cars_neither_slide_nor_spin_on_the_spot():
     scenario = short(duration_s=120.0)
     tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.frames import Signal
 from sim.road import Connection, Road
 
 
@@ -43,22 +42,9 @@ def approaches(road: Road) -> dict[tuple[str, str], Approach]:
                 crossing.id
                 for crossing in road.crossings
                 if set(edges) & set(crossing.edges)
-                and any(_green_together(road, link.signal, crossing.signal) for link in ways)
+                and any(road.green_together(link.signal, crossing.signal) for link in ways)
             ),
             on_red=frozenset(c.id for c in road.crossings if set(edges) & set(c.edges)),
         )
         for edges, ways in links.items()
     }
-
-
-def _green_together(road: Road, one: int, other: int) -> bool:
-    """Whether two signal groups ever let go at the same time; without signals one always goes."""
-    if one < 0 or other < 0:
-        return True
-    green = Signal.GREEN.code
-    return any(
-        states[plan.groups.index(one)] == green and states[plan.groups.index(other)] == green
-        for plan in road.signal_plans
-        if one in plan.groups and other in plan.groups
-        for states in plan.states
-    )

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from sim.road import Road
 from sim.scenario import AgentSpec
+from sim.sumo.control.clearing import Clearing
 from sim.sumo.control.cutting_in import CuttingIn
 from sim.sumo.control.jaywalking import Jaywalking
 from sim.sumo.control.obedience import Obedience
@@ -33,9 +34,13 @@ class Controls:
         self._vehicles: Sequence[str] = ()
         self._every = max(2, round(DRIVERS_ACT_S / step_s))
         self._obedience = Obedience(sumo, road, agents)
+        self._clearing = Clearing(sumo, road, agents, self._every * step_s)
         self._cutting_in = CuttingIn(sumo, road, agents)
         self._stopping = Stopping(sumo, road, agents)
         self._wrong_way = WrongWay(sumo, road, agents)
+        self._drivers = (
+            self._obedience, self._clearing, self._cutting_in, self._stopping, self._wrong_way,
+        )  # fmt: skip
         self._jaywalking = Jaywalking(sumo, road, agents, step_s)
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
@@ -49,11 +54,12 @@ class Controls:
         self._step += 1
         if vehicles is not self._vehicles:
             self._vehicles = vehicles
-            for drivers in (self._obedience, self._cutting_in, self._stopping, self._wrong_way):
+            for drivers in self._drivers:
                 drivers.look_round(vehicles)
         self._jaywalking.step(time_s, vehicles, persons)
         if self._step % self._every == 0:
             self._obedience.step(time_s, persons)
+            self._clearing.step(time_s)
             self._stopping.step(time_s)
         elif self._step % self._every == 1:
             self._cutting_in.step(time_s)
