@@ -28,7 +28,7 @@ from experiments.prediction import (
 )
 from experiments.tables import Row
 from experiments.yield_picture import Case, clearest, draw_cases
-from experiments.yielding import Asked, ask, score_chances
+from experiments.yielding import NOTHING_ASKED, Asked, ask, score_chances
 from graphrqi.methods import load_model
 from graphrqi.predict import PREDICTORS
 from graphrqi.predict.drivers import default_table
@@ -164,7 +164,7 @@ def bench_episode(
         errors=evaluate(tracks, moments, road, predictors),
         mapless=evaluate(tracks, moments, None, MAPLESS),
         shifted=evaluate(late, moments, None, MAPLESS),
-        asked=Asked({}, np.empty(0)) if road is None else ask(tracks, road, posteriors, predictors),
+        asked=NOTHING_ASKED if road is None else ask(tracks, road, posteriors, predictors),
     )
 
 

@@ -1,9 +1,15 @@
 """Will it let the pedestrian go first? The paper's pedestrian figure, as numbers.
 
 An encounter is a driver that reaches a crossing in about two seconds, at its present speed, while
-someone is or will be in its way there, and with no red light before it. It yielded if it has not
-entered the crossing `DECIDED_S` later. What a predictor says of it is the share of its futures
-that have not entered either.
+someone is or will be in its way there, and with no red light before it. Two things are asked.
+
+- Will it let the pedestrian go first? Asked where the simulator's own rule tells what it did
+  (`sim.incidents`): somebody was in its way or would have been, it could have stopped, and nothing
+  but the pedestrian held it. Beliefs about who drives how answer it with what the behaviours'
+  profiles say of yielding; predictors with their futures.
+- Will it have entered the crossing `DECIDED_S` later? Asked of every encounter: others hold who
+  would not have yielded, and who would may find the crossing free again when it gets there. What a
+  predictor says of it is the share of its futures that have not entered.
 """
 
 from __future__ import annotations
@@ -19,10 +25,11 @@ from experiments.prediction import HISTORY_S, future
 from experiments.yield_picture import Case, clearest
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
+from graphrqi.predict.drivers import YIELDS
 from graphrqi.predict.gates import OPEN
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.scene import LEARNED_S, Scene, make_scene
-from sim.frames import FloatArray, IntArray, Tracks
+from sim.frames import EventKind, FloatArray, IntArray, Tracks
 from sim.road import Road
 
 BEFORE_S: Final = (1.5, 2.5)
@@ -36,6 +43,13 @@ LEAST_SPEED_MPS: Final = 2.0
 
 ENTERED_M: Final = 1.0
 """So far into the crossing counts as having entered it (our choice)."""
+
+SAME_PLACE_M: Final = 3.0
+"""An event counts as that of an encounter if it happens within this of where the crossing was, m
+(our choice: less than lies between two crossings)."""
+
+BELIEFS: Final = "beliefs"
+"""What stands for the beliefs alone where predictors are named."""
 
 EVERY_S: Final = 0.5
 """How often encounters are looked for, s, so that hardly any is missed."""
@@ -54,13 +68,16 @@ class Encounters:
     Attributes:
         row: (m,) rows of the scene.
         room: (m,) front bumper to the crossing's near edge, m.
-        yielded: (m,) whether they let the pedestrian go first.
+        yielded: (m,) 1 who let the pedestrian go first, 0 who did not, NaN where the simulator's
+            rule tells neither.
+        waited: (m,) 1 who has not entered the crossing `DECIDED_S` later, else 0.
         went: (m, H, 2) where they went, every half second, m.
     """
 
     row: IntArray
     room: FloatArray
     yielded: FloatArray
+    waited: FloatArray
     went: FloatArray
 
 
@@ -99,7 +116,7 @@ def travelled(xy: FloatArray, start: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
 
 
-def yield_chance(
+def wait_chance(
     prediction: Prediction, scene: Scene, row: IntArray, room: FloatArray
 ) -> FloatArray:
     """(m,) predicted chance that each driver has not entered the crossing at `DECIDED_S`."""
@@ -143,8 +160,36 @@ def encounters(
         row, room, truth = row[new], room[new], truth[new]
         met |= {int(i) for i in history.ids[row]}
         gone = travelled(truth, scene.xy[row])
-        yielded = (gone < room + ENTERED_M).astype(np.float64)
-        yield scene, posterior, Encounters(row, room, yielded, truth)
+        waited = (gone < room + ENTERED_M).astype(np.float64)
+        yielded = outcome(tracks, stop - 1, np.searchsorted(tracks.ids, history.ids[row]), room)
+        yield scene, posterior, Encounters(row, room, yielded, waited, truth)
+
+
+def outcome(tracks: Tracks, column: int, rows: IntArray, room: FloatArray) -> FloatArray:
+    """(m,) whether drivers went on to yield, 1 or 0, by the events of the episode; NaN: none.
+
+    Args:
+        tracks: the episode.
+        column: the present.
+        rows: (m,) drivers.
+        room: (m,) way left to the crossing, m.
+    """
+    found = np.full(len(rows), np.nan)
+    now_s = float(tracks.time_s[column])
+    for k, row in enumerate(rows):
+        events = [
+            e for e in tracks.events
+            if e.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED)
+            and e.agent == tracks.ids[row] and e.time_s > now_s
+        ]  # fmt: skip
+        if not events:
+            continue
+        first = min(events, key=lambda event: event.time_s)
+        until = int(np.searchsorted(tracks.time_s, first.time_s - 1e-6))
+        way = tracks.xy[row, column : until + 1]
+        if abs(travelled(way[1:], way[0]) - room[k]) <= SAME_PLACE_M:
+            found[k] = first.kind == EventKind.YIELDED
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,14 +197,20 @@ class Asked:
     """What predictors said of the encounters of an episode.
 
     Attributes:
-        chance: (m,) chance of yielding by predictor.
-        happened: (m,) 1 where the driver yielded.
+        chance: (m,) chance of not having entered by predictor, and of yielding by `BELIEFS`.
+        yielded: (m,) 1 where the driver yielded, 0 where it did not, NaN where that was not asked.
+        waited: (m,) 1 where it has not entered.
         cases: the clearest two by the default predictor, to be drawn.
     """
 
     chance: Mapping[str, FloatArray]
-    happened: FloatArray
+    yielded: FloatArray
+    waited: FloatArray
     cases: tuple[Case, ...] = ()
+
+
+NOTHING_ASKED: Final = Asked({}, np.empty(0), np.empty(0))
+"""Of an episode without encounters."""
 
 
 def ask(
@@ -176,25 +227,30 @@ def ask(
     Returns:
         Chances and outcomes.
     """
-    chance: dict[str, list[FloatArray]] = {name: [] for name in predictors}
-    happened: list[FloatArray] = []
+    chance: dict[str, list[FloatArray]] = {name: [] for name in (*predictors, BELIEFS)}
+    yielded: list[FloatArray] = []
+    waited: list[FloatArray] = []
     cases: list[Case] = []
     for scene, posterior, met in encounters(tracks, road, posteriors):
-        happened.append(met.yielded)
+        yielded.append(met.yielded)
+        waited.append(met.waited)
+        believed = posterior.of(scene.ids[met.row]) @ YIELDS
+        chance[BELIEFS].append(believed)
         for name in predictors:
             prediction = get_predictor(name)(scene, posterior)
-            told = yield_chance(prediction, scene, met.row, met.room)
-            chance[name].append(told)
+            chance[name].append(wait_chance(prediction, scene, met.row, met.room))
             if name == DRAWN:
                 cases += [
-                    Case.of(scene, prediction, int(i), float(p), bool(y > 0.5), went, name)
-                    for i, p, y, went in zip(met.row, told, met.yielded, met.went, strict=True)
+                    Case.of(scene, prediction, int(i), float(p), bool(y), went, name)
+                    for i, p, y, went in zip(met.row, believed, met.yielded, met.went, strict=True)
+                    if not np.isnan(y)
                 ]
-    if not happened:
-        return Asked({name: np.empty(0) for name in predictors}, np.empty(0))
+    if not waited:
+        return NOTHING_ASKED
     return Asked(
         {n: np.concatenate(c) for n, c in chance.items()},
-        np.concatenate(happened),
+        np.concatenate(yielded),
+        np.concatenate(waited),
         tuple(clearest(cases)),
     )
 
@@ -208,29 +264,38 @@ def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[
         split: which part of the data, for the rows.
 
     Returns:
-        Flat rows; none if there is no encounter, or all yielded, or none did.
+        Flat rows, ``yield_auc`` and ``yield_brier`` of who yielded, ``wait_auc`` and ``wait_brier``
+        of who had not entered; none of a question that has but one answer.
     """
-    episodes = [e for e in episodes if e.happened.size]
+    episodes = [e for e in episodes if e.waited.size]
     if not episodes:
         return []
-    happened = np.concatenate([e.happened for e in episodes])
-    if happened.min() == happened.max():
-        return []
-    rows = []
-    draws = np.random.default_rng(0).integers(0, happened.size, (RESAMPLES // 4, happened.size))
-    for name in episodes[0].chance:
-        told = np.concatenate([e.chance[name] for e in episodes])
-        for metric, score in (("yield_auc", auc), ("yield_brier", brier)):
-            drawn = [score(told[d], happened[d]) for d in draws]
-            low, high = np.nanquantile(drawn, [0.025, 0.975])
-            rows.append(
-                {
-                    "scenario": scenario, "predictor": name, "horizon_s": DECIDED_S,
-                    "behavior": "all", "split": split, "metric": metric,
-                    "value": score(told, happened), "low": float(low), "high": float(high),
-                    "n": int(happened.size),
-                }
-            )  # fmt: skip
+    rows: list[dict[str, Any]] = []
+    for question, answers in (
+        ("yield", [e.yielded for e in episodes]),
+        ("wait", [e.waited for e in episodes]),
+    ):
+        happened = np.concatenate(answers)
+        asked = ~np.isnan(happened)
+        happened = happened[asked]
+        if not happened.size or happened.min() == happened.max():
+            continue
+        shape = RESAMPLES // 4, happened.size
+        draws = np.random.default_rng(0).integers(0, happened.size, shape)
+        for name in episodes[0].chance:
+            told = np.concatenate([e.chance[name] for e in episodes])[asked]
+            for metric, score in (("auc", auc), ("brier", brier)):
+                low, high = np.nanquantile(
+                    [score(told[d], happened[d]) for d in draws], [0.025, 0.975]
+                )
+                rows.append(
+                    {
+                        "scenario": scenario, "predictor": name, "horizon_s": DECIDED_S,
+                        "behavior": "all", "split": split, "metric": f"{question}_{metric}",
+                        "value": score(told, happened), "low": float(low), "high": float(high),
+                        "n": int(happened.size),
+                    }
+                )  # fmt: skip
     return rows
 
 

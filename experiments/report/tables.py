@@ -42,7 +42,7 @@ _LESS: Final = frozenset(
 _MORE: Final = frozenset(
     {
         "weighted_accuracy", "balanced_accuracy", "macro_f1", "style_balanced_accuracy", "auc",
-        "yield_auc", "agent_steps_per_s", "speedup", "real_time_factor",
+        "yield_auc", "wait_auc", "agent_steps_per_s", "speedup", "real_time_factor",
     }
 )  # fmt: skip
 """Figures of which more is better."""

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS
+from behaviors.profiles import PROFILES
 from experiments.yield_picture import clearest, draw_cases
-from experiments.yielding import Asked, approaching, ask, auc, brier, score_chances, travelled
+from experiments.yielding import (
+    BELIEFS,
+    Asked,
+    approaching,
+    ask,
+    auc,
+    brier,
+    score_chances,
+    travelled,
+)
 from graphrqi.posterior import Posterior
 from graphrqi.predict.scene import make_scene
 from scenarios import SCENARIOS
-from sim.frames import PEDESTRIAN, Frame, Tracks
+from sim.frames import PEDESTRIAN, Event, EventKind, Frame, Tracks
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 
@@ -57,15 +69,33 @@ def test_an_encounter_and_its_outcome_are_seen(road, brakes):
         episode(road, brakes=brakes), road, dict.fromkeys(range(55, 65), NOBODY),
         ["constant-velocity"],
     )  # fmt: skip
-    assert asked.happened.tolist() == [float(brakes)]
+    assert asked.waited.tolist() == [float(brakes)]
+    assert np.isnan(asked.yielded).all()  # no event, no answer
     assert asked.chance["constant-velocity"][0] < 0.05
+
+
+def with_event(tracks: Tracks, yielded: bool, time_s: float = 8.0, agent: int = 0) -> Tracks:
+    """The same, and that the agent yielded or did not at that time."""
+    kind = EventKind.YIELDED if yielded else EventKind.NOT_YIELDED
+    return replace(tracks, events=(Event(kind, time_s, agent=agent, other=1),))
+
+
+@pytest.mark.parametrize("yielded", [True, False])
+def test_who_yielded_is_what_the_events_at_that_crossing_say(road, yielded):
+    tracks = episode(road, brakes=False)
+    stops = dict.fromkeys(range(55, 65), Posterior(np.array([0]), np.eye(len(BEHAVIORS))[1:2]))
+    asked = ask(with_event(tracks, yielded), road, stops, [])
+    assert asked.yielded.tolist() == [float(yielded)]
+    assert asked.chance[BELIEFS] == pytest.approx(PROFILES[BEHAVIORS[1]].yield_probability)
+    for elsewhere in (with_event(tracks, yielded, 12.0), with_event(tracks, yielded, agent=7)):
+        assert np.isnan(ask(elsewhere, road, stops, []).yielded).all()
 
 
 def test_nobody_on_the_crossing_is_no_encounter(road):
     tracks = episode(road, brakes=False, walker=False)
     assert not approaching(make_scene(tracks.window(61, 50), road))[0].size
     asked = ask(tracks, road, {61: NOBODY}, ["constant-velocity"])
-    assert asked.happened.size == 0
+    assert asked.waited.size == 0
 
 
 def test_travelled_adds_up_the_way():
@@ -79,19 +109,21 @@ def test_auc_and_brier_by_hand():
 
 
 def test_rows_need_both_outcomes():
-    both = Asked({"a": np.array([0.9, 0.2, 0.7])}, np.array([1.0, 0.0, 1.0]))
+    both = Asked({"a": np.array([0.9, 0.2, 0.7])}, np.array([1.0, 0.0, np.nan]), np.ones(3))
     rows = score_chances([both], "somewhere", "test")
-    assert {r["metric"]: r["value"] for r in rows}["yield_auc"] == 1.0
-    assert score_chances([Asked({"a": np.ones(2)}, np.ones(2))], "somewhere", "test") == []
+    assert {(r["metric"], r["n"]): r["value"] for r in rows}["yield_auc", 2] == 1.0
+    assert {r["metric"] for r in rows} == {"yield_auc", "yield_brier"}  # all waited
+    one = Asked({"a": np.ones(2)}, np.ones(2), np.ones(2))
+    assert score_chances([one], "somewhere", "test") == []
 
 
 def test_the_clearest_cases_are_drawn(road, tmp_path):
     asked = [
         ask(
-            episode(road, brakes=brakes), road, dict.fromkeys(range(55, 65), NOBODY),
-            ["graphrqi-predict"],
+            with_event(episode(road, brakes=False), yielded), road,
+            dict.fromkeys(range(55, 65), NOBODY), ["graphrqi-predict"],
         )
-        for brakes in (True, False)
+        for yielded in (True, False)
     ]  # fmt: skip
     cases = clearest([case for one in asked for case in one.cases])
     assert [case.yielded for case in cases] == [True, False]
