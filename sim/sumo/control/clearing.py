@@ -16,10 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from behaviors.profiles import Profile
 from sim.road import Connection, Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.drivers import Steered
-from sim.sumo.control.obedience import FASTEST
 
 APART_M: Final = 2.5
 """Ways that come closer than this cross or join (our choice: a car's width and some room)."""
@@ -60,7 +60,6 @@ class Clearing(Steered[_Driver]):
         self._length = {lane.id: lane.length_m for lane in road.lanes if not lane.internal}
         self._edge = {lane.id: lane.edge for lane in road.lanes if not lane.internal}
         self._foes = _foes(road)
-        self._fastest_mps = FASTEST * max(lane.speed_limit_mps for lane in road.lanes)
         self._acts_s = acts_s
         self._drivers = {
             str(a.id): _Driver(
@@ -81,9 +80,11 @@ class Clearing(Steered[_Driver]):
             if time_s < driver.look_s:
                 continue
             lane = sumo.vehicle_getLaneID(name)
-            foes = self._foes.get((lane, driver.following.get(self._edge.get(lane, ""), "")))
-            if foes is None or not self._lets(driver, lane):
-                driver.look_s = time_s + ELSEWHERE_S
+            edge = self._edge.get(lane, "")
+            foes = self._foes.get((lane, driver.following.get(edge, "")))
+            if foes is None or not self._lets(driver, edge):
+                last = edge == driver.agent.route[-1]
+                driver.look_s = math.inf if last else time_s + ELSEWHERE_S
                 self._go(name, driver)
                 continue
             profile = driver.agent.profile
@@ -94,7 +95,7 @@ class Clearing(Steered[_Driver]):
             if not driver.waits:
                 spare_m = away_m - needs_m - 2 * BEFORE_LINE_M - 2 * speed * self._acts_s
                 if spare_m > 0:
-                    driver.look_s = time_s + spare_m / (3.0 * self._fastest_mps)
+                    driver.look_s = time_s + self._until_s(profile, speed, spare_m)
                     continue
                 if away_m < needs_m:
                     continue  # too late to stop comfortably
@@ -105,14 +106,21 @@ class Clearing(Steered[_Driver]):
             sumo.vehicle_setSpeed(name, math.sqrt(2.0 * brake * left_m))
             driver.waits = True
 
-    def _lets(self, driver: _Driver, lane: str) -> bool:
-        """Whether a driver lets others finish at the junction that its lane leads to."""
+    def _lets(self, driver: _Driver, edge: str) -> bool:
+        """Whether a driver lets others finish at the junction that an edge leads to."""
         profile = driver.agent.profile
         assert profile is not None
-        if driver.edge != self._edge[lane]:
-            driver.edge = self._edge[lane]
+        if driver.edge != edge:
+            driver.edge = edge
             driver.lets = bool(driver.rng.random() < profile.yield_probability)
         return driver.lets
+
+    def _until_s(self, profile: Profile, speed: float, spare_m: float) -> float:
+        """How long spare room lasts at least, s: for who accelerates all the while."""
+        accel = profile.max_accel_mps2
+        longer = 1.0 + accel / profile.comfort_decel_mps2  # braking takes longer, too
+        square, linear = 0.5 * accel * longer, speed * longer + 2.0 * self._acts_s * accel
+        return (math.sqrt(linear**2 + 4.0 * square * spare_m) - linear) / (2.0 * square)
 
     def _go(self, name: str, driver: _Driver) -> None:
         if driver.waits:

@@ -6,6 +6,7 @@ encounter for which the driver's probability says otherwise, and again after the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -96,7 +97,8 @@ class Obedience(Steered[_Driver]):
                 away_m = self._length[lane] - sumo.vehicle_getLanePosition(name) if edge else 0.0
                 away_m = away_m if ahead is None else away_m - SIGHT_M
                 driver.near = ahead is not None and away_m <= 0
-                driver.look_s = time_s + max(away_m, 0.0) / self._fastest_mps
+                last = edge == driver.agent.route[-1]
+                driver.look_s = math.inf if last else time_s + max(away_m, 0.0) / self._fastest_mps
             if driver.near and ahead is not None:
                 if occupied is None:
                     occupied = self._occupied(persons)
