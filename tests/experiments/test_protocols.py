@@ -29,6 +29,7 @@ from experiments.protocols import (
     across_scenarios,
     ceiling,
     difference_rows,
+    in_scenes,
     inductive,
     interpretability,
     leak_probe,
@@ -38,7 +39,7 @@ from experiments.protocols import (
     speed_rows,
     transductive,
 )
-from graphrqi.methods import METHODS
+from graphrqi.methods import METHODS, load_model
 from graphrqi.samples import Samples
 from sim.dataset import open_dataset
 from sim.frames import Tracks
@@ -184,6 +185,26 @@ def test_a_method_differs_from_itself_by_nothing():
     assert table["macro_f1"] == table["recall_timid"] == 1.0
     assert table["majority_weighted_accuracy"] == pytest.approx(1 / 6)
     assert table["ece"] == 0.0
+
+
+def test_scenes_are_corrected_one_by_one_and_in_order_of_time():
+    """An episode of one careful driver after another; a second one without any."""
+    careful, n = 3, 400
+    some = dataclasses.replace(
+        samples(np.full(n, careful), np.repeat([0, 1], n // 2)),
+        agent=np.arange(n), time_s=np.tile(np.arange(n // 2) * 5.0, 2),
+    )  # fmt: skip
+    model = load_model(OURS)
+    unsure = np.array(model.shares) * np.where(np.arange(6) == careful, 4.0, 1.0)
+    answers = np.where(some.episode[:, None] == 0, unsure / unsure.sum(), np.full(6, 1 / 6))
+    corrected = in_scenes(model, some, answers)[:, careful]
+    assert (np.diff(corrected[: n // 2]) > 0).all()
+    assert corrected[n // 2 - 1] > corrected[0] + 0.2
+    order = np.random.default_rng(0).permutation(n)
+    shuffled = some.where(order)
+    np.testing.assert_allclose(
+        in_scenes(model, shuffled, answers[order])[:, careful], corrected[order]
+    )
 
 
 # --- protocols ----------------------------------------------------------------------------------
