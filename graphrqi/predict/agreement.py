@@ -53,12 +53,10 @@ def agreement(
         drivers of whom something is believed, and its scaled sum over them.
     """
     seen = scene.seen
-    own, known = agreement_kernel.gained(
-        probability, LEAST_BELIEF, (scene.accel - asked) / ACCELERATION_SD, scene.on_path,
-        seen.free_factor, seen.least_factor, np.log(table.behavior[:, 0]), WISH_SD, OVER,
-        MOST_ACCELERATION, MOST_WISH,
+    return np.asarray(
+        agreement_kernel.agreement(
+            probability, LEAST_BELIEF, scene.accel, asked, ACCELERATION_SD, scene.on_path,
+            seen.free_factor, seen.least_factor, np.log(table.behavior[:, 0]), WISH_SD, OVER,
+            MOST_ACCELERATION, MOST_WISH, SUM_SCALE,
+        )
     )  # fmt: skip
-    rest = own.sum() - own
-    mean = rest / np.maximum(known.sum() - known, 1)
-    total = np.clip(rest / SUM_SCALE, -SUM_SCALE, SUM_SCALE)
-    return np.stack([own, mean, total], axis=1)

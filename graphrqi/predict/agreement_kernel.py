@@ -11,10 +11,12 @@ from graphrqi.compiled import compiled
 
 
 @compiled
-def gained(
+def agreement(
     probability: NDArray[np.float64],
     least_belief: float,
-    miss: NDArray[np.float64],
+    accel: NDArray[np.float64],
+    asked: NDArray[np.float64],
+    accel_sd: float,
     on_path: NDArray[np.bool_],
     free_factor: NDArray[np.float64],
     least_factor: NDArray[np.float64],
@@ -23,13 +25,16 @@ def gained(
     over: float,
     most_miss: float,
     most_wish: float,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Logarithm of how much more likely beliefs make what is seen of each driver than none.
+    sum_scale: float,
+) -> NDArray[np.float64]:
+    """How much more likely beliefs make what is seen; see `graphrqi.predict.agreement`.
 
     Args:
         probability: (n, B) beliefs.
         least_belief: no behaviour is believed in less.
-        miss: (B, n) acceleration seen less that of each behaviour, in standard deviations.
+        accel: (n,) acceleration seen, m/s2.
+        asked: (B, n) that of each behaviour, m/s2.
+        accel_sd: how far the two are apart, m/s2.
         on_path: (n,) whose acceleration counts.
         free_factor: (n,) speed over limit driven freely; NaN if never.
         least_factor: (n,) largest speed over limit.
@@ -38,12 +43,14 @@ def gained(
         over: excess over it that says nothing.
         most_miss: log-likelihood lost at most for the acceleration.
         most_wish: the same for a wish.
+        sum_scale: what sums over the others are divided by, and the most that they then are.
 
     Returns:
-        (n,) logarithms, and (n,) whether anything is believed; the logarithm is 0 where not.
+        (n, 3) logarithm of the ratio for the driver itself, its mean and its scaled sum over all
+        others of whom something is believed.
     """
     n, count = probability.shape
-    out, known = np.zeros(n), np.zeros(n, np.bool_)
+    out, known = np.zeros((n, 3)), np.zeros(n, np.bool_)
     lost = np.empty(count)
     for i in range(n):
         if not probability[i].max() > 1.0 / count + 1e-6:
@@ -52,7 +59,8 @@ def gained(
         fastest = math.log(max(least_factor[i], 0.1))
         free = math.log(max(free_factor[i], 0.1))
         for b in range(count):
-            lost[b] = min(0.5 * miss[b, i] * miss[b, i], most_miss) if on_path[i] else 0.0
+            miss = (accel[i] - asked[b, i]) / accel_sd
+            lost[b] = min(0.5 * (miss * miss), most_miss) if on_path[i] else 0.0
             if not math.isnan(free_factor[i]):
                 apart = (free - wish[b]) / wish_sd
                 lost[b] += min(0.5 * apart * apart, most_wish)
@@ -64,5 +72,10 @@ def gained(
             likelihood = math.exp(least - lost[b])
             believed += max(probability[i, b], least_belief) * likelihood
             blind += likelihood / count
-        out[i] = math.log(believed / blind)
-    return out, known
+        out[i, 0] = math.log(believed / blind)
+    total, drivers = out[:, 0].sum(), known.sum()
+    for i in range(n):
+        rest = total - out[i, 0]
+        out[i, 1] = rest / max(drivers - known[i], 1)
+        out[i, 2] = min(max(rest / sum_scale, -sum_scale), sum_scale)
+    return out

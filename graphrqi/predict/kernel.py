@@ -390,6 +390,52 @@ def roll_each(
     return lane, along, side, gone, asked
 
 
+@numba.njit(cache=True)
+def beside(
+    which: int, other_ways: bool, lane: Any, path: Any, on_path: Any, offset: Any, sideways: Any,
+    beside: Any, apart: Any, way: Any, path_turn: Any,
+) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
+    """Everyone on its way to the lane beside, where there is one.
+
+    Args:
+        which: 0: to the left, 1: to the right.
+        other_ways: whether a lane counts that leads elsewhere than the path does.
+        lane: (n,) lane of each driver, -1 off the road.
+        path: (n,) path of each; this and the rest as in `roll`.
+        on_path: (n,) who is on a path.
+        offset: (n,) m.
+        sideways: (n,) m/s.
+        beside: (2, L).
+        apart: (2, L) m.
+        way: (L, D).
+        path_turn: (Q,).
+
+    Returns:
+        (n,) lanes, paths, offsets and speeds sideways then, unchanged where there is no such lane,
+        and (n,) whether there is one.
+    """
+    new_lane, new_path = lane.copy(), path.copy()
+    new_offset, new_sideways = offset.copy(), sideways.copy()
+    there = np.zeros(lane.size, np.bool_)
+    sign = 1.0 - 2.0 * which
+    for i in range(lane.size):
+        if not on_path[i]:
+            continue
+        to = beside[which, lane[i]]
+        if to < 0:
+            continue
+        onward = way[to, path_turn[path[i]]]
+        if onward < 0 and other_ways:
+            onward = way[to].max()
+        if onward < 0:
+            continue
+        there[i] = True
+        wide = sign * apart[which, lane[i]]
+        new_lane[i], new_path[i] = to, onward
+        new_offset[i], new_sideways[i] = offset[i] - wide, wide / CHANGE_S
+    return new_lane, new_path, new_offset, new_sideways, there
+
+
 @numba.njit(cache=True, fastmath=True)
 def along_path(path: Any, x: Any, path_lane: Any, path_start: Any) -> tuple[Any, Any]:
     """(n, H) lanes and (n, H) distances along them, of distances x (n, H) along paths (n,)."""

@@ -109,9 +109,10 @@ class Perceptron:
         hidden = np.clip((data.inputs - self.mean) / self.scale, -8.0, 8.0).astype(np.float32)
         last = len(self.weights) - 1
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = hidden @ weight + bias
+            hidden = hidden @ weight
+            hidden += bias
             if i < last:
-                hidden /= 1.0 + np.exp(np.minimum(-hidden, 80.0))  # SiLU; exp overflows beyond
+                hidden /= _one_and_exp(-hidden)  # SiLU
         return decode(hidden, data.bases, self.spread_scale)
 
     def arrays(self) -> dict[str, NDArray[np.floating]]:
@@ -120,6 +121,14 @@ class Perceptron:
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             found |= {f"weight_{i}": weight, f"bias_{i}": bias}
         return found
+
+
+def _one_and_exp(x: NDArray[np.float32]) -> NDArray[np.float32]:
+    """1 + exp(x), written over x; beyond 80 the exponential would overflow."""
+    np.minimum(x, np.float32(80.0), out=x)
+    np.exp(x, out=x)
+    x += np.float32(1.0)
+    return x
 
 
 def save_network(network: Perceptron, path: Path, card: dict[str, Any]) -> None:
@@ -212,7 +221,8 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
         futures.own, matrix, start, speed, heading, now, history.kind == PEDESTRIAN, STEP_S
     )
     time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
-    spread = futures.spread @ np.abs(matrix)
+    n, modes, knots = futures.spread.shape
+    spread = (futures.spread.reshape(-1, knots) @ np.abs(matrix)).reshape(n, modes, steps)
     return Prediction(history.ids, time_s, xy, futures.probability, spread)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Style
+from graphrqi.predict import manners_kernel
 from graphrqi.predict.drivers import RUNS_RED, YIELDS, DriverTable
 from graphrqi.predict.scene import Scene
 
@@ -46,7 +47,7 @@ class Manners:
 
 def believed(scene: Scene, probability: FloatArray, table: DriverTable) -> Manners:
     """The manners expected under (n, 6) beliefs about who drives how."""
-    following = personal(scene, table.expected(probability))
+    following = personal(scene, table.expected(probability)[None])[0]
     return Manners(
         following=following,
         changing=table.changing(probability),
@@ -78,7 +79,7 @@ def average(scene: Scene, table: DriverTable) -> Manners:
     n = scene.ids.size
     unknown = np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
     return Manners(
-        following=personal(scene, np.tile(table.average, (n, 1))),
+        following=personal(scene, table.average[None, None])[0],
         changing=table.changing(unknown),
         ignores=np.zeros((n, scene.closed.shape[0]), dtype=np.bool_),
         wary=np.zeros(n),
@@ -102,14 +103,8 @@ def gates_ignored(scene: Scene, runs_red: FloatArray, yields: FloatArray) -> Boo
 
 
 def personal(scene: Scene, following: FloatArray) -> FloatArray:
-    """Numbers (..., n or 1, 5), each of n drivers' wished speed corrected by what it has driven."""
-    free = scene.seen.free_factor
-    seen = ~np.isnan(free)
-    wished = np.log(following[..., 0])
-    shown = np.log(np.maximum(np.where(seen, free, 1.0), 0.1))
-    corrected = (FREE_WEIGHT * wished + shown) / (1.0 + FREE_WEIGHT)
-    factor = np.maximum(np.exp(np.where(seen, corrected, wished)), scene.seen.least_factor)
-    out = np.empty((*factor.shape, following.shape[-1]))
-    out[:] = following
-    out[..., 0] = factor
-    return out
+    """Numbers (M, n or 1, 5), each of n drivers' wished speed corrected by what it has driven."""
+    seen = scene.seen
+    return np.asarray(
+        manners_kernel.personal(following, seen.free_factor, seen.least_factor, FREE_WEIGHT)
+    )

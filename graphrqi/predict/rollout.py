@@ -207,19 +207,11 @@ def beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, Boo
         The scene, and (n,) who has such a lane; the others are left where they are.
     """
     table, which = scene.paths, 0 if side > 0 else 1
-    lane = np.maximum(scene.lane, 0)
-    to = np.maximum(table.beside[which, lane], 0)
-    way = table.way[to, table.turn[scene.path]]
-    if other_ways:
-        way = np.where(way >= 0, way, table.way[to].max(axis=1))
-    there = scene.on_path & (table.beside[which, lane] >= 0) & (way >= 0)
-    apart = side * table.apart[which, lane]
-    moving = scene.but(
-        lane=np.where(there, to, scene.lane),
-        path=np.where(there, way, scene.path),
-        offset=np.where(there, scene.offset - apart, scene.offset),
-        sideways=np.where(there, apart / kernel.CHANGE_S, scene.sideways),
-    )
+    lane, path, offset, sideways, there = kernel.beside(
+        which, other_ways, scene.lane, scene.path, scene.on_path, scene.offset, scene.sideways,
+        table.beside, table.apart, table.way, table.turn,
+    )  # fmt: skip
+    moving = scene.but(lane=lane, path=path, offset=offset, sideways=sideways)
     return moving, there
 
 
