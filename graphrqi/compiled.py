@@ -34,7 +34,25 @@ def compiled(function: F) -> F:
         The same function, compiled: divisions follow IEEE 754 and nothing is reassociated, so
         results equal those of the same arithmetic in numpy to the bit.
     """
-    kernel = njit(cache=True, error_model="numpy", **_LEFT_OUT)(function)
+    return _compiled(function, **_LEFT_OUT)
+
+
+def inner(function: F) -> F:
+    """Compile ``function`` for the calls of other kernels only.
+
+    Without an entry for Python, which takes as long to compile as a short kernel does.
+
+    Args:
+        function: a function in numba's subset of Python.
+
+    Returns:
+        As `compiled`; not to be called from Python.
+    """
+    return _compiled(function, no_cpython_wrapper=True, **_LEFT_OUT)
+
+
+def _compiled(function: F, **options: Any) -> F:
+    kernel = njit(cache=True, error_model="numpy", **options)(function)
     index = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if index is not None:  # none where nothing is compiled (NUMBA_DISABLE_JIT)
         index._source_stamp = _stamp(Path(function.__code__.co_filename).parent)

@@ -79,9 +79,6 @@ EXTRA = 8
 """Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
 
 
-_SAME_ROWS = np.empty(0, np.int64)
-
-
 @dataclass(frozen=True, eq=False)
 class Found:
     """What the next step starts from.
@@ -90,11 +87,13 @@ class Found:
         vectors: (d, m) all eigenvectors found, m >= k, without the null space.
         order: (d,) elimination order to use again, or None to find a new one.
         fill: entries of the factor to one of the matrix when that order was found.
+        product: (d,) a number per row of the Laplacian, see `tracking.Analysis`, if known.
     """
 
     vectors: Floats
     order: NDArray[np.int32] | None = None
     fill: float = 0.0
+    product: Floats | None = None
 
 
 def solve(
@@ -163,9 +162,8 @@ def _track(
     from graphrqi.spectrum import tracking
 
     d = graph.ids.size
-    matrix = (graph.indptr, graph.indices, graph.values)
     start = _start(graph, previous)
-    analysis = tracking.analyse(*matrix, start.order)
+    analysis = tracking.analyse(graph, start.order)
     smallest = end == "smallest"
     zeros, k = 0, num_pairs
     if smallest and not nonzero:
@@ -190,19 +188,17 @@ def _track(
         low, high = -high, 0.0
         analysis = analysis._replace(entries=-analysis.entries, diagonal=-analysis.diagonal)
     warm = start.vectors
-    changed = tracking.changed_rows(
-        start.rows, start.indptr, start.indices, start.values, *matrix, previous is not None
-    )
+    changed = np.abs(analysis.product - start.product) > 1e-9
     if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
-        warm = tracking.track_lively(*matrix, analysis.order, warm, changed, k, scale, tol, EXTRA)
-    certified, values, residuals, found = tracking.track(
-        *analysis, smallest, warm, changed, k, scale, tol, low, high,
+        warm = tracking.track_lively(graph, analysis.order, warm, changed, k, scale, tol, EXTRA)
+    certified, pairs, found = tracking.track(
+        *analysis[:-1], smallest, warm, changed, k, scale, tol, low, high,
         MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA,
     )  # fmt: skip
     if not certified:
         return None
     gram = found.T @ found
-    values, residuals = values[:k], residuals[:k]
+    values, residuals = pairs[0, :k].copy(), pairs[1, :k].copy()
     if smallest:
         values = -values
     if np.abs(gram - np.eye(len(gram))).max() > 1e-12:
@@ -216,7 +212,7 @@ def _track(
         values = np.concatenate([np.zeros(zeros), values])
         residuals = np.concatenate([np.zeros(zeros), residuals])
         vectors = np.hstack([null, vectors])
-    carried = Found(found, order, first_fill)
+    carried = Found(found, order, first_fill, analysis.product)
     return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
 
 
@@ -242,25 +238,25 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     if not measured.certified or k == 0:
         return measured
     scale = max(1.0, lambda_max_floor(graph))
-    analysis = tracking.analyse(graph.indptr, graph.indices, graph.values)
+    analysis = tracking.analyse(graph)
     if analysis.work > MAX_WORK:
         return replace(measured, certified=False)
     away = -1.0 if spectrum.end == "largest" else 1.0
     floor = 1e-13 * scale
     delta = min(tol * scale, max(floor, 1e-2 * abs(values[-1])))
     steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
-    shifts = (values[-1] + away * steps)[None, :]
-    above, growth = np.empty((1, 8)), np.empty((1, 8))
+    lanes = np.empty((5, 8))
+    lanes[factorization.SHIFT] = values[-1] + away * steps
     factorization.factor_and_solve(
-        *analysis[1:8], shifts, 1e-15 * scale, True, 0, np.empty((analysis.rows.size, 8)),
-        np.empty((d, 8)), np.empty((d, 8)), np.zeros((d, 8)), above, growth,
+        *analysis[1:8], lanes, 1e-15 * scale, True, 0, np.empty((analysis.rows.size, 8)),
+        np.empty((d, 8)), np.empty((d, 8)), np.zeros((d, 8)),
     )  # fmt: skip
     zeros = 0
     if spectrum.end == "smallest":
         has_null = np.abs(vectors.T @ null_space(graph)).max(initial=0.0) > 0.5
         zeros = 0 if has_null else analysis.components
     complete = False
-    for s, n, g in zip(shifts[0], above[0], growth[0], strict=True):
+    for s, n, g in lanes[: factorization.GROWTH + 1].T:
         error = 4.0 * 2.2e-16 * g
         if (np.abs(values - s) <= error + measured.residuals).any():
             continue
@@ -281,38 +277,33 @@ class _Start(NamedTuple):
 
     Attributes:
         vectors: (d, m) earlier vectors, by row of the new graph; m may be 0.
-        rows: (d,) row in the earlier graph, -1 for none; empty if the rows are the same.
-        indptr: the earlier Laplacian: row starts,
-        indices: columns,
-        values: and values.
+        product: (d,) its numbers per row, infinite where there is none.
         order: (d,) its elimination order, None if it will not do,
         fill: and its fill.
     """
 
     vectors: Floats
-    rows: NDArray[np.int64]
-    indptr: NDArray[np.int32]
-    indices: NDArray[np.int32]
-    values: Floats
+    product: Floats
     order: NDArray[np.int32] | None
     fill: float
 
 
 def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
-    matrix = (graph.indptr, graph.indices, graph.values)
+    d = graph.ids.size
     if previous is None:
-        return _Start(np.empty((graph.ids.size, 0)), _SAME_ROWS, *matrix, None, 0.0)
-    before = previous.graph
-    carried = previous.carried
-    if not isinstance(carried, Found):
-        carried = Found(previous.eigenvectors)
-    vectors, rows, order = carried.vectors, _SAME_ROWS, carried.order
+        return _Start(np.empty((d, 0)), np.full(d, np.inf), None, 0.0)
+    found = previous.carried
+    if not isinstance(found, Found):
+        found = Found(previous.eigenvectors)
+    vectors, product, order = found.vectors, found.product, found.order
+    if product is None:
+        product = np.full(previous.ids.size, np.inf)
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
-        vectors = carry_rows(previous, graph, vectors)
-        rows, order = rows_before(before, graph), None
+        vectors, order = carry_rows(previous, graph, vectors), None
+        product = np.append(product, np.inf)[rows_before(previous.graph, graph)]
     # one memory layout, writable: for any other the kernel would be compiled anew
     vectors = np.require(vectors, np.float64, ["C", "W"])
-    return _Start(vectors, rows, before.indptr, before.indices, before.values, order, carried.fill)
+    return _Start(vectors, product, order, found.fill)
 
 
 def rows_before(before: TrafficGraph, graph: TrafficGraph) -> NDArray[np.int64]:

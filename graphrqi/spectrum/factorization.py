@@ -37,110 +37,80 @@ from graphrqi.spectrum.lanes import (
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
 
+SHIFT, ABOVE, GROWTH = 0, 1, 2  # rows of `lanes`
+
 
 @compiled
 def order_rows(indptr: Ints, indices: Ints) -> tuple[Ints, Ints, int]:
-    """Reverse Cuthill-McKee order and connected components.
+    """Cuthill-McKee order and connected components.
 
     Args:
         indptr: (d + 1,) row starts of a symmetric pattern.
         indices: its columns.
 
     Returns:
-        (d,) row at each place of the order, (d,) component of each row, number of components.
+        (d,) row at each place of the order, to be reversed for elimination; (d,) component of
+        each row; number of components.
     """
     d = indptr.size - 1
-    order = np.empty(d, np.int32)
-    label = np.empty(d, np.int32)
-    mark = np.empty(d, np.int32)
+    order, label = np.empty(d, np.int32), np.empty(d, np.int32)
+    degree, walked = np.empty(d, np.int32), np.empty(d, np.int32)
     for i in range(d):
-        label[i] = -1
-        mark[i] = -1
-    placed = 0
-    count = 0
-    stamp = 0
+        walked[i] = 0
+    first = count = 0
     for seed in range(d):
-        if label[seed] >= 0:
+        if walked[seed] > 0:
             continue
         root = seed
-        depth = -1
-        for _ in range(3):  # walk towards the rim: a far vertex of small degree
-            head, tail, level_end, levels = placed, placed + 1, placed + 1, 0
-            order[placed] = root
-            mark[root] = stamp
-            last = placed
+        for walk in range(1, 4):  # twice towards the rim, then for good
+            order[first], walked[root] = root, walk
+            head, tail = first, first + 1
             while head < tail:
                 i = order[head]
+                label[i] = count
                 head += 1
+                begin = tail
                 for p in range(indptr[i], indptr[i + 1]):
                     j = indices[p]
-                    if mark[j] != stamp:
-                        mark[j] = stamp
-                        order[tail] = j
+                    if walked[j] < walk:
+                        walked[j] = walk
+                        degree[j] = indptr[j + 1] - indptr[j]
+                        q = tail
+                        while q > begin and degree[order[q - 1]] > degree[j]:
+                            order[q] = order[q - 1]
+                            q -= 1
+                        order[q] = j
                         tail += 1
-                if head == level_end and head < tail:
-                    last = head
-                    level_end = tail
-                    levels += 1
-            stamp += 1
-            if levels <= depth:
-                break
-            depth = levels
-            best = order[last]
-            for p in range(last, tail):
-                j = order[p]
-                if indptr[j + 1] - indptr[j] < indptr[best + 1] - indptr[best]:
-                    best = j
-            root = best
-        head, tail = placed, placed + 1
-        order[placed] = root
-        label[root] = count
-        while head < tail:
-            i = order[head]
-            head += 1
-            first = tail
-            for p in range(indptr[i], indptr[i + 1]):
-                j = indices[p]
-                if label[j] < 0:
-                    label[j] = count
-                    degree = indptr[j + 1] - indptr[j]
-                    q = tail
-                    while q > first:
-                        other = order[q - 1]
-                        if indptr[other + 1] - indptr[other] <= degree:
-                            break
-                        order[q] = other
-                        q -= 1
-                    order[q] = j
-                    tail += 1
-        placed = tail
+            root = order[tail - 1]
+        first = tail
         count += 1
-    for p in range(d // 2):
-        order[p], order[d - 1 - p] = order[d - 1 - p], order[p]
     return order, label, count
 
 
 @compiled
 def factor_pattern(
-    indptr: Ints, indices: Ints, values: Floats, order: Ints
-) -> tuple[Ints, Ints, Ints, Ints, Ints, Floats, Floats, Ints, int, float]:
+    indptr: Ints, indices: Ints, values: Floats, probe: Floats, order: Ints
+) -> tuple[Ints, Ints, Ints, Ints, Ints, Floats, Floats, Ints, int, float, Floats]:
     """Pattern of the factor, with the matrix's entries in it.
 
     Args:
-        indptr: (d + 1,) row starts of the symmetric matrix, every diagonal entry stored.
+        indptr: row starts of the symmetric matrix, every diagonal entry stored.
         indices: its columns.
         values: its values.
-        order: (d,) row at each place.
+        probe: a number per row.
+        order: (d,) row at each place; rows it does not name, and their columns, are left out.
 
     Returns:
         (d + 1,) column starts and (f,) rows of the factor (places, ascending in each column);
         (d + 1,) row starts, (f,) columns by row and (f,) where those entries are in the columns;
         (f,) entries of the matrix (0 where it fills in) and (d,) its diagonal; (d,) connected
-        component of each row, numbered by their first rows, and how many there are; and the
-        number of multiplications a factorisation takes.
+        component of each place and how many there are; the number of multiplications a
+        factorisation takes; and (n,) the matrix times the probe, in the rows named.
     """
     d = order.size
-    place = np.empty(d, np.int32)
+    place = np.empty(indptr.size - 1, np.int32)
+    for i in range(place.size):
+        place[i] = -1
     low_starts = np.empty(d + 1, np.int32)
     low_starts[0] = 0
     for k in range(d):
@@ -148,13 +118,16 @@ def factor_pattern(
         place[r] = k
         low_starts[k + 1] = low_starts[k] + indptr[r + 1] - indptr[r]
     # The lower triangle by rows, columns ascending. The loop does not branch: an entry that is
-    # not below the diagonal is overwritten by the next one.
-    low, low_values = np.empty(indices.size, np.int32), np.empty(indices.size, np.float64)
+    # not below the diagonal is overwritten by the next one, and one that is left out (place -1)
+    # is written behind the last.
+    low, low_values = np.empty(indices.size + 1, np.int32), np.empty(indices.size + 1, np.float64)
     diagonal = np.empty(d, np.float64)
-    low_ends = low_starts.copy()
+    low_ends, product = low_starts.copy(), np.empty(place.size, np.float64)
     for k in range(d):
         r = order[k]
+        product[r] = 0.0
         for p in range(indptr[r], indptr[r + 1]):
+            product[r] += values[p] * probe[indices[p]]
             i = place[indices[p]]
             t = low_ends[i]
             low[t], low_values[t] = k, values[p]
@@ -200,18 +173,11 @@ def factor_pattern(
             free[j] += 1
         for p in range(low_starts[k], low_ends[k]):
             entries[free[low[p]] - 1] = low_values[p]
-    label = np.empty(d, np.int32)
-    count = 0
-    for k in range(d - 1, -1, -1):  # components: the roots of the elimination forest
-        mark[k] = k if parent[k] < 0 else mark[parent[k]]
-        free[k] = -1
-    for i in range(d):
-        root = mark[place[i]]
-        if free[root] < 0:
-            free[root] = count
-            count += 1
-        label[i] = free[root]
-    return starts, rows, row_starts, columns, spots, entries, diagonal, label, count, work
+    label, count = mark, 0
+    for k in range(d - 1, -1, -1):  # components: the trees of the elimination forest
+        label[k] = count if parent[k] < 0 else label[parent[k]]
+        count += parent[k] < 0
+    return starts, rows, row_starts, columns, spots, entries, diagonal, label, count, work, product
 
 
 @compiled
@@ -223,7 +189,7 @@ def factor_and_solve(
     spots: Ints,
     entries: Floats,
     diagonal: Floats,
-    shifts: Floats,
+    lanes: Floats,
     tiny: float,
     factorise: bool,
     solves: int,
@@ -231,8 +197,6 @@ def factor_and_solve(
     pivots: Floats,
     column: Floats,
     x: Floats,
-    above: Floats,
-    growth: Floats,
 ) -> None:
     """Factorise M - s I for eight shifts s and solve one system with each.
 
@@ -246,20 +210,19 @@ def factor_and_solve(
         spots: (f,) where those entries are in the columns.
         entries: (f,) the matrix's entries.
         diagonal: (d,) its diagonal.
-        shifts: (1, 8).
+        lanes: the shifts in row SHIFT; ABOVE is overwritten by the number of eigenvalues above
+            each, GROWTH by the largest pivot: times 2.2e-16, the size of the error.
         tiny: size of the smallest pivot allowed.
         factorise: whether to; if not, ``factor`` and ``pivots`` are those of an earlier call with
-            the same shifts, and ``above`` and ``growth`` stay as they are.
+            the same shifts, and ``lanes`` stays as it is.
         solves: how often each inverse is applied; 0 only counts.
         factor: (f, 8) room for the factor times its pivots.
         pivots: (d, 8) room for the inverse pivots.
         column: (d, 8) room for a dense column.
         x: (d, 8) right-hand sides in elimination order; the solutions afterwards.
-        above: (1, 8) afterwards the number of eigenvalues above each shift.
-        growth: (1, 8) afterwards the largest pivot: times 2.2e-16, the size of the error.
     """
     d = diagonal.size
-    shift = load(shifts, 0)
+    shift = load(lanes, SHIFT)
     number, size = spread(0.0), spread(0.0)
     for i in range(d if factorise else 0):
         for m in range(starts[i], starts[i + 1]):
@@ -290,8 +253,8 @@ def factor_and_solve(
         if solves > 0:
             store(x, i, times(xi, r))
     if factorise:
-        store(above, 0, number)
-        store(growth, 0, size)
+        store(lanes, ABOVE, number)
+        store(lanes, GROWTH, size)
     for again in range(solves):
         if again or not factorise:
             for i in range(d):

@@ -12,22 +12,26 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.compiled import compiled
+from graphrqi.compiled import compiled, inner
+from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.factorization import (
+    ABOVE,
+    GROWTH,
+    SHIFT,
     factor_and_solve,
     factor_pattern,
     order_rows,
 )
-from graphrqi.spectrum.lanes import less, load, more, plus, spread, store
+from graphrqi.spectrum.lanes import aligned, less, load, more, plus, spread, store
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
 Bools: TypeAlias = NDArray[np.bool_]
 
 ROUNDING = 2.220446049250313e-16
-INDEPENDENT = 1e-3
-"""A column is kept if this much of it is outside the span of the others (our choice: orthogonality
-is then lost by a factor 1000 at most, and won back at the end)."""
+INDEPENDENT_SQUARED = 1e-6
+"""A column is kept if the thousandth part of it is outside the span of the others (our choice:
+orthogonality is then lost by a factor 1000 at most, and won back at the end)."""
 MAX_AGE = 2
 """Tries with one vector at an eigenvalue that its Rayleigh quotient does not come near (our
 choice)."""
@@ -54,42 +58,32 @@ fill, were all evenly spread (our choice)."""
 SPARE = 24
 """Vectors kept beyond twice the wanted number (our choice: three factorisations' worth)."""
 
-THETA, RES, HOME = 0, 1, 2  # rows of `number`: Ritz value, residual, shift it came from
-STATUS, AGE, USE = 0, 1, 2  # rows of `mark`
-FREE, CANDIDATE, FOUND, NEW = 0, 1, 2, 3  # values of STATUS
+# rows of `number`: Ritz value, residual, shift it came from, what it is, tries, whether in a lane
+THETA, RES, HOME, STATUS, AGE, USE = 0, 1, 2, 3, 4, 5
+FREE, CANDIDATE, FOUND, NEW = 0.0, 1.0, 2.0, 3.0  # values of STATUS
 COUNT, IDLE = -1, -2  # values of `lane` that are no vector
+VALUE, RESIDUAL = 3, 4  # further rows of `lanes`
 
 
-@compiled
-def eights(n: int) -> Floats:
-    """Return an (n, 8) array, its rows in cache lines of their own (a quarter quicker)."""
-    flat = np.empty(8 * n + 8, np.float64)
-    skip = (64 - flat.ctypes.data % 64) % 64 // 8
-    return flat[skip : skip + 8 * n].reshape(n, 8)
-
-
-@compiled
-def jacobi(h: Floats, t: Floats, m: int) -> None:
-    """Diagonalise a small symmetric matrix by cyclic Jacobi rotations.
+@inner
+def jacobi(h: Floats, w: Floats) -> None:
+    """Diagonalise a symmetric (8, 8) matrix by cyclic Jacobi rotations.
 
     Args:
-        h: its leading (m, m) part is overwritten by its diagonal form.
-        t: its leading (m, m) part is overwritten by the eigenvectors in columns.
-        m: size.
+        h: overwritten by its diagonal form.
+        w: (8, 8), whose rows are turned along.
     """
-    for a in range(m):
-        for b in range(m):
-            t[a, b] = 1.0 if a == b else 0.0
+    nothing = spread(0.0)
     for _ in range(12):
         off = total = 0.0
-        for a in range(m):
+        for a in range(8):
             total += h[a, a] * h[a, a]
             for b in range(a):
                 off += h[a, b] * h[a, b]
         if off <= 1e-26 * total:
             break
-        for a in range(m - 1):
-            for b in range(a + 1, m):
+        for a in range(7):
+            for b in range(a + 1, 8):
                 if h[a, b] * h[a, b] <= 1e-30 * total:
                     continue
                 tau = (h[b, b] - h[a, a]) / (2.0 * h[a, b])
@@ -98,29 +92,30 @@ def jacobi(h: Floats, t: Floats, m: int) -> None:
                     r = -r
                 c = 1.0 / math.sqrt(1.0 + r * r)
                 s = r * c
-                for i in range(m):
+                for i in range(8):
                     u, v = h[i, a], h[i, b]
                     h[i, a], h[i, b] = c * u - s * v, s * u + c * v
-                for i in range(m):
-                    u, v = h[a, i], h[b, i]
-                    h[a, i], h[b, i] = c * u - s * v, s * u + c * v
-                    u, v = t[i, a], t[i, b]
-                    t[i, a], t[i, b] = c * u - s * v, s * u + c * v
+                y, z = load(h, a), load(h, b)
+                store(h, a, plus(plus(nothing, c, y), -s, z))
+                store(h, b, plus(plus(nothing, s, y), c, z))
+                y, z = load(w, a), load(w, b)
+                store(w, a, plus(plus(nothing, c, y), -s, z))
+                store(w, b, plus(plus(nothing, s, y), c, z))
 
 
-@compiled
+@inner
 def rayleigh_ritz(
     starts: Ints,
     rows: Ints,
     entries: Floats,
     diagonal: Floats,
     pool: Floats,
-    mark: Ints,
+    number: Floats,
     x: Floats,
     ax: Floats,
-    ritz: Floats,
+    lanes: Floats,
     source: Ints,
-) -> int:
+) -> None:
     """Ritz pairs of M in the span of eight columns, outside the span of given vectors.
 
     Args:
@@ -129,16 +124,15 @@ def rayleigh_ritz(
         entries: its values.
         diagonal: (d,) of M.
         pool: (n, d) vectors; those found are orthonormal.
-        mark: (3, n) which are found, to stay orthogonal to.
+        number: which are found, to stay orthogonal to.
         x: (d, 8) columns, some perhaps 0; overwritten by the Ritz vectors.
         ax: (d, 8) room.
-        ritz: (2, 8) overwritten by the Ritz values theta and the norms of M x - theta x.
-        source: (8,) overwritten by the column that has the largest part in each Ritz vector.
-
-    Returns:
-        How many Ritz pairs there are.
+        lanes: VALUE is overwritten by the Ritz values theta, RESIDUAL by the norms of
+            M x - theta x.
+        source: (8,) overwritten by the column that has the largest part in each Ritz vector; -1
+            where the columns had a smaller span and there is none.
     """
-    d = diagonal.size
+    d, slots = diagonal.size, number.shape[1]
     g, h = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
     w, t = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
     nothing = spread(0.0)
@@ -147,14 +141,13 @@ def rayleigh_ritz(
         y = load(x, j)
         yy = more(yy, y, y)
     store(t, 0, yy)
-    slots = mark.shape[1]
     share = np.empty((slots, 8), np.float64)
     for _ in range(2):  # Gram-Schmidt, in chunks that stay in the cache
         for b in range(slots):
             store(share, b, nothing)
         for start in range(0, d, CHUNK):
             for b in range(slots):
-                if mark[STATUS, b] == FOUND:
+                if number[STATUS, b] == FOUND:
                     part = load(share, b)
                     for j in range(start, min(start + CHUNK, d)):
                         part = plus(part, -pool[b, j], load(x, j))
@@ -162,7 +155,7 @@ def rayleigh_ritz(
         yy = nothing
         for start in range(0, d, CHUNK):
             for b in range(slots):
-                if mark[STATUS, b] == FOUND:
+                if number[STATUS, b] == FOUND:
                     part = load(share, b)
                     for j in range(start, min(start + CHUNK, d)):
                         store(x, j, plus(load(x, j), pool[b, j], part))
@@ -189,6 +182,8 @@ def rayleigh_ritz(
     for a in range(8):
         store(g, a, nothing)
         store(h, a, nothing)
+        store(w, a, nothing)
+        w[a, a] = 1.0
     for start in range(0, d, CHUNK):
         for a in range(8):
             ga, ha = load(g, a), load(h, a)
@@ -198,136 +193,63 @@ def rayleigh_ritz(
                 ha = plus(ha, v, load(ax, j))
             store(g, a, ga)
             store(h, a, ha)
-    # Gram-Schmidt in coefficients: columns w with w^T g w = I, a Cholesky factorisation of g.
-    rank = int(np.int64(0))  # a literal would be compiled for once more
+    # Elimination turns the identity into rows w with w g w^T = I, and h into w h; a column with
+    # too little outside the span of the others gets a row of zeros.
     for a in range(8):
-        before = t[0, a]
-        if not (0.0 < before < math.inf) or g[a, a] < INDEPENDENT**2 * before:
-            continue
-        for i in range(8):
-            w[i, rank] = 0.0
-        for c in range(rank):
-            s = 0.0
-            for i in range(a):
-                s += w[i, c] * g[i, a]
-            for i in range(a):
-                w[i, rank] -= s * w[i, c]
         s = g[a, a]
-        for c in range(rank):
-            inner = 0.0
-            for i in range(a):
-                inner += w[i, c] * g[i, a]
-            s -= inner * inner
-        if s > INDEPENDENT**2 * g[a, a]:
-            w[a, rank] = 1.0
+        kept = 0.0 < t[0, a] < math.inf and t[1, a] >= INDEPENDENT_SQUARED * t[0, a]
+        r = 0.0
+        if kept and s > INDEPENDENT_SQUARED * t[1, a]:
             r = 1.0 / math.sqrt(s)
-            for i in range(a + 1):
-                w[i, rank] *= r
-            rank += 1
-    for c in range(rank, 8):
-        for i in range(8):
-            w[i, c] = 0.0
-    for i in range(8):
-        for c in range(8):
-            s = 0.0
-            for b in range(8):
-                s += h[i, b] * w[b, c]
-            t[i, c] = s
+        source[a] = 0 if r > 0.0 else -1
+        row_g, row_h = plus(nothing, r, load(g, a)), plus(nothing, r, load(h, a))
+        row_w = plus(nothing, r, load(w, a))
+        store(h, a, row_h)
+        store(w, a, row_w)
+        for b in range(a + 1, 8):
+            v = -r * g[a, b]
+            store(g, b, plus(load(g, b), v, row_g))
+            store(h, b, plus(load(h, b), v, row_h))
+            store(w, b, plus(load(w, b), v, row_w))
     for a in range(8):
-        for c in range(8):
+        for b in range(8):
             s = 0.0
             for i in range(8):
-                s += w[i, a] * t[i, c]
-            g[a, c] = s
-    jacobi(g, t, rank)
-    for i in range(8):
-        for c in range(8):
-            s = 0.0
-            for b in range(rank):
-                s += w[i, b] * t[b, c]
-            h[i, c] = s if c < rank else 0.0
+                s += h[a, i] * w[b, i]
+            g[a, b] = s
+    jacobi(g, w)
     for c in range(8):
-        ritz[0, c] = g[c, c]
-        source[c] = 0
+        lanes[VALUE, c] = g[c, c]
         for b in range(8):
-            if abs(h[b, c]) > abs(h[source[c], c]):
+            t[b, c] = w[c, b]
+            if source[c] >= 0 and abs(w[c, b]) > abs(w[c, source[c]]):
                 source[c] = b
-    value = load(ritz, 0)
+    value = load(lanes, VALUE)
     yy = nothing
     for j in range(d):
         y = z = nothing
         for a in range(8):
-            turned = load(h, a)
+            turned = load(t, a)
             y = plus(y, x[j, a], turned)
             z = plus(z, ax[j, a], turned)
         store(x, j, y)
         z = less(z, value, y)
         yy = more(yy, z, z)
-    store(ritz, 1, yy)
+    store(lanes, RESIDUAL, yy)
     for c in range(8):
-        ritz[1, c] = math.sqrt(ritz[1, c])
-    return rank
+        lanes[RESIDUAL, c] = math.sqrt(lanes[RESIDUAL, c])
 
 
-@compiled
-def changed_rows(
-    old_row: NDArray[np.int64],
-    old_indptr: Ints,
-    old_indices: Ints,
-    old_values: Floats,
-    indptr: Ints,
-    indices: Ints,
-    values: Floats,
-    known: bool,
-) -> Bools:
-    """Find the rows in which two matrices differ.
-
-    Args:
-        old_row: (d,) row in the earlier matrix of every row, or -1; empty if they are the same.
-        old_indptr: the earlier matrix in CSR: row starts,
-        old_indices: columns,
-        old_values: and values.
-        indptr: (d + 1,) the matrix in CSR: row starts,
-        indices: columns,
-        values: and values.
-        known: whether there is an earlier matrix at all.
-
-    Returns:
-        (d,) whether the row differs.
-    """
-    d = indptr.size - 1
-    same_rows = old_row.size == 0
-    differs = np.empty(d, np.bool_)
-    for i in range(d):
-        differs[i] = known
-        if not known:
-            continue
-        r = i if same_rows else old_row[i]
-        if r < 0 or old_indptr[r + 1] - old_indptr[r] != indptr[i + 1] - indptr[i]:
-            continue
-        same = True
-        first, last = old_indptr[r], old_indptr[r + 1]
-        for p in range(indptr[i], indptr[i + 1]):
-            column = indices[p] if same_rows else old_row[indices[p]]
-            q = first + p - indptr[i]
-            if old_indices[q] != column:  # another order of the rows: search
-                q = first
-                while q < last and old_indices[q] != column:
-                    q += 1
-            if q == last or old_values[q] != values[p]:
-                same = False
-                break
-        differs[i] = not same
-    return differs
-
-
-@compiled
-def random_start(v: Floats, is_changed: Bools, narrow: bool, seed: np.uint64) -> np.uint64:
+@inner
+def random_start(
+    v: Floats, order: Ints, changed: Bools, narrow: bool, seed: np.uint64
+) -> np.uint64:
     """Fill a vector with uniform noise, mostly where the matrix changed.
 
     Args:
         v: (d,) overwritten.
-        is_changed: (d,) places where the matrix changed.
+        order: (d,) row at each place.
+        changed: rows where the matrix changed.
         narrow: whether to look at them.
         seed: state of a xorshift generator, not 0.
 
@@ -342,15 +264,14 @@ def random_start(v: Floats, is_changed: Bools, narrow: bool, seed: np.uint64) ->
         seed ^= seed >> np.uint64(7)
         seed ^= seed << np.uint64(17)
         v[j] = float(seed >> np.uint64(11)) * 2.0**-52 - 1.0
-        if narrow and not is_changed[j]:
+        if narrow and not changed[order[j]]:
             v[j] *= SPARK
     return seed
 
 
-@compiled
+@inner
 def find_clear(
     number: Floats,
-    mark: Ints,
     points: Floats,
     above: Ints,
     n: int,
@@ -361,8 +282,7 @@ def find_clear(
     """Find the counts that no rounding error can have spoilt; one may be the certificate.
 
     Args:
-        number: Ritz values and residuals.
-        mark: which vectors are found.
+        number: Ritz values, residuals, and which vectors are found.
         points: (2, m) shifts, descending, and their uncertainties.
         above: (m,) eigenvalues above each.
         n: how many points.
@@ -373,8 +293,8 @@ def find_clear(
     Returns:
         How many are clear, and whether k pairs are certified.
     """
-    slots = mark.shape[1]
-    kth = kth_largest(number, mark, k)
+    slots = number.shape[1]
+    kth = kth_largest(number, k)
     n_clear = 0
     certified = False
     for i in range(n):
@@ -382,7 +302,7 @@ def find_clear(
         near = False
         found = 0
         for b in range(slots):
-            if mark[STATUS, b] == FOUND:
+            if number[STATUS, b] == FOUND:
                 near = near or abs(number[THETA, b] - s) <= error + number[RES, b]
                 found += number[THETA, b] > s
         if not near or i == 0 or i == n - 1:
@@ -393,38 +313,36 @@ def find_clear(
     return n_clear, certified
 
 
-@compiled
-def kth_largest(number: Floats, mark: Ints, k: int) -> float:
+@inner
+def kth_largest(number: Floats, k: int) -> float:
     """Return the k-th largest Ritz value of those found and in use, or -inf if there are fewer.
 
     Args:
-        number: Ritz values.
-        mark: which vectors are found, or in use as candidates.
+        number: Ritz values, and which are found, or in use as candidates.
         k: which.
     """
-    slots = mark.shape[1]
+    slots = number.shape[1]
     bound = math.inf
     left = k
     while left > 0:
         best = -math.inf
         for b in range(slots):
-            if mark[STATUS, b] == FOUND or mark[USE, b] > 0:
+            if number[STATUS, b] == FOUND or number[USE, b] > 0:
                 v = number[THETA, b]
                 if best < v < bound:
                     best = v
         if best == -math.inf:
             return best
         for b in range(slots):
-            if mark[STATUS, b] == FOUND or mark[USE, b] > 0:
+            if number[STATUS, b] == FOUND or number[USE, b] > 0:
                 left -= number[THETA, b] == best
         bound = best
     return bound
 
 
-@compiled
+@inner
 def choose_lanes(
     number: Floats,
-    mark: Ints,
     points: Floats,
     above: Ints,
     clear: Ints,
@@ -435,14 +353,13 @@ def choose_lanes(
     delta: float,
     first: bool,
     low: float,
-    shifts: Floats,
+    lanes: Floats,
     lane: Ints,
 ) -> tuple[int, int]:
     """Decide where to factorise next.
 
     Args:
-        number: Ritz values, residuals and where they came from.
-        mark: what each vector is; a new vector to be filled with noise is marked NEW.
+        number: what is known of each vector; a new one to be filled with noise is marked NEW.
         points: (2, m) shifts that were counted, descending.
         above: (m,) their counts.
         clear: the reliable ones among them.
@@ -453,29 +370,27 @@ def choose_lanes(
         delta: values this close count as equal.
         first: whether this is the first factorisation after a change.
         low: below all eigenvalues.
-        shifts: (1, 8) overwritten.
+        lanes: the row SHIFT is overwritten.
         lane: (8,) overwritten by the vector of each lane, COUNT or IDLE.
 
     Returns:
         Lanes that have a vector, and the count at the first clear point that is not below
         ``wanted``.
     """
-    slots = mark.shape[1]
-    used = 0
+    slots = number.shape[1]
+    used = int(np.int64(0))  # for a literal callees would be compiled once more
     beyond = wanted
-    holder = -1
-    open_top = open_bottom = middle = 0.0
+    open_top = open_bottom = middle = deep_top = deep_bottom = 0.0
     for i in range(n_clear - 1):
         top, bottom = points[0, clear[i]], points[0, clear[i + 1]]
         n, n_below = above[clear[i]], above[clear[i + 1]]
         if n >= wanted:
             break
         if n_below >= wanted:
-            beyond = n_below
-            holder = i
-        missing = min(n_below, wanted) - n
+            beyond, deep_top, deep_bottom = n_below, top, bottom
+        missing = (wanted if n_below > wanted else n_below) - n
         for b in range(slots):
-            if mark[STATUS, b] == FOUND:
+            if number[STATUS, b] == FOUND:
                 missing -= bottom < number[THETA, b] < top
         half = 0.5 * (top + bottom)
         # Of n_below - n eigenvalues in between, those wanted are at the top.
@@ -483,131 +398,129 @@ def choose_lanes(
             part = min(1.0, ZONE * missing / max(n_below - n, 1))
             bottom = top - part * (top - bottom)
         unmet = missing
-        for _ in range(missing):  # candidates inside; next vectors that were aimed here
+        for _ in range(missing):  # candidates inside
             best = -1
             for b in range(slots):
-                if mark[STATUS, b] != CANDIDATE or mark[USE, b] > 0:
-                    continue
-                if not bottom < number[THETA, b] < top:
-                    continue
-                better = best < 0
-                if not better and n_below > wanted:
-                    better = number[THETA, b] > number[THETA, best]
-                elif not better:
-                    better = number[RES, b] < number[RES, best]
-                if better:
-                    best = b
+                inside = bottom < number[THETA, b] < top
+                if inside and number[STATUS, b] == CANDIDATE and number[USE, b] == 0:
+                    rank = THETA if n_below > wanted else RES
+                    sign = 1.0 if n_below > wanted else -1.0
+                    if best < 0 or sign * number[rank, b] > sign * number[rank, best]:
+                        best = b
             if best < 0:
                 break
-            mark[USE, best] = 1
+            number[USE, best] = 1
             unmet -= 1
             if used < 8:
-                shifts[0, used], lane[used] = number[THETA, best], best
+                lanes[SHIFT, used], lane[used] = number[THETA, best], best
                 used += 1
         if unmet > 0 and open_bottom == open_top:
             open_top, open_bottom, middle = top, bottom, half
-        for r in range(unmet):
-            if used == 8:
-                break
-            if deflate and top == 0.0:
-                shift = bottom * math.exp(-1.2 * (r + 1))
-            else:
-                shift = bottom + (top - bottom) * (unmet - r) / (unmet + 1.0)
-            best = -1
-            for b in range(slots):
-                if mark[STATUS, b] != CANDIDATE or mark[USE, b] > 0 or mark[AGE, b] >= MAX_AGE:
-                    continue
-                aimed = bottom < number[HOME, b] < top
-                if aimed and (best < 0 or number[RES, b] < number[RES, best]):
-                    best = b
-            if best >= 0:
-                mark[AGE, best] += 1
-            else:
-                best = new_vector(mark)
-                if best < 0:
-                    break
-            number[THETA, best], number[RES, best], mark[USE, best] = shift, math.inf, 1
-            shifts[0, used], lane[used] = shift, best
-            used += 1
+        used = aim(number, lanes, lane, used, min(unmet, 8 - used), bottom, top)
     solving = used
 
     # Spare lanes: new starts after a change, counts below the k-th value, division.
-    last = kth_largest(number, mark, wanted)
+    last = kth_largest(number, wanted)
     if last > -math.inf:
         doubt = 0.0
         for b in range(slots):
-            if mark[USE, b] > 0 and number[THETA, b] == last and number[RES, b] < math.inf:
+            if number[USE, b] > 0 and number[THETA, b] == last and number[RES, b] < math.inf:
                 doubt = min(1.5 * number[RES, b], 50.0 * number[RES, b] ** 2 / scale)
         if first and solving > 0:
             highest = last
             for b in range(slots):
-                if mark[STATUS, b] == FOUND or mark[USE, b] > 0:
+                if number[STATUS, b] == FOUND or number[USE, b] > 0:
                     highest = max(highest, number[THETA, b])
             free = 8 - used if doubt > 0.0 else 7 - used  # a count below the k-th is worth one
-            for r in range(free):
-                best = new_vector(mark)
-                if best >= 0:
-                    shift = last + (highest - last) * (r + 0.5) / free
-                    number[THETA, best], number[RES, best], mark[USE, best] = shift, math.inf, 1
-                    shifts[0, used], lane[used] = shift, best
-                    used += 1
-            solving = used
+            used = solving = aim(number, lanes, lane, used, free, last, highest)
         elif open_top > open_bottom:  # what is missing is sooner found from several places
             free = 8 - used if deflate else 7 - used
-            for r in range(free):
-                best = new_vector(mark)
-                if best >= 0:
-                    shift = open_bottom + (open_top - open_bottom) * (r + 0.5) / free
-                    if deflate and open_top == 0.0:
-                        shift = open_bottom * math.exp(-0.6 * (r + 1))
-                    number[THETA, best], number[RES, best], mark[USE, best] = shift, math.inf, 1
-                    shifts[0, used], lane[used] = shift, best
-                    used += 1
-            solving = used
+            used = solving = aim(number, lanes, lane, used, free, open_bottom, open_top)
             if not deflate and used < 8:  # should it be far down: halve the interval at least
-                shifts[0, used], lane[used] = middle, COUNT
+                lanes[SHIFT, used], lane[used] = middle, COUNT
                 used += 1
         unit = min(scale, 100.0 * abs(last)) if deflate else scale
         margin = max(doubt, 1e-4 * unit)
         while used < 8 and margin >= doubt and margin >= 1e-9 * unit:
-            shifts[0, used], lane[used] = last - margin, COUNT
+            lanes[SHIFT, used], lane[used] = last - margin, COUNT
             used += 1
             margin *= 0.03
         if doubt < 0.5 * delta and used < 8:
-            shifts[0, used], lane[used] = last + 0.5 * delta, COUNT
+            lanes[SHIFT, used], lane[used] = last + 0.5 * delta, COUNT
             used += 1
-    if holder >= 0 and beyond > wanted:
-        top, bottom = points[0, clear[holder]], points[0, clear[holder + 1]]
-        free = 8 - used
-        for r in range(free):
-            if deflate and top == 0.0:
-                shift = bottom * math.exp(-1.0 * (r + 1))
-            else:
-                shift = bottom + (top - bottom) * (free - r) / (free + 1.0)
-            shifts[0, used], lane[used] = shift, COUNT
+    if beyond > wanted:
+        for r in range(8 - used):
+            lanes[SHIFT, used], lane[used] = deep_bottom * math.exp(-1.0 - r), COUNT
+            if deep_top != 0.0:
+                lanes[SHIFT, used] = deep_top - (deep_top - deep_bottom) * (r + 1.0) / 8.0
             used += 1
     for q in range(used, 8):
-        shifts[0, q], lane[q] = low - scale, IDLE
+        lanes[SHIFT, q], lane[q] = low - scale, IDLE
     return solving, beyond
 
 
-@compiled
-def new_vector(mark: Ints) -> int:
-    """Return a free place, marked NEW, or -1 if there is none."""
-    for b in range(mark.shape[1]):
-        if mark[STATUS, b] == FREE:
-            mark[STATUS, b] = NEW
-            mark[AGE, b] = 0
-            return b
-    return -1
-
-
-@compiled
-def add_points(
-    shifts: Floats,
+@inner
+def aim(
+    number: Floats,
+    lanes: Floats,
     lane: Ints,
-    counts: Floats,
-    growth: Floats,
+    used: int,
+    n: int,
+    bottom: float,
+    top: float,
+) -> int:
+    """Spread shifts over an interval, geometrically where it ends at 0.
+
+    Each gets the best candidate that was aimed at the interval before, or a new vector.
+
+    Args:
+        number: what is known of each vector.
+        lanes: shifts.
+        lane: the vector of each.
+        used: how many lanes are in use.
+        n: shifts wanted.
+        bottom: the interval from here
+        top: to here.
+
+    Returns:
+        How many lanes are in use now.
+    """
+    for r in range(n):
+        shift = bottom + (top - bottom) * (n - r) / (n + 1.0)
+        if top == 0.0:
+            shift = bottom * math.exp(-1.0 - r)
+        best = new_vector(number, bottom, top)
+        if best < 0:
+            break
+        number[THETA, best], number[RES, best], number[USE, best] = shift, math.inf, 1.0
+        lanes[SHIFT, used], lane[used] = shift, best
+        used += 1
+    return used
+
+
+@inner
+def new_vector(number: Floats, bottom: float, top: float) -> int:
+    """Return the best vector that was aimed at an interval, else a free place, or -1 if none."""
+    best = free = -1
+    for b in range(number.shape[1] - 1, -1, -1):
+        if number[STATUS, b] == FREE:
+            free = b
+        elif number[STATUS, b] == CANDIDATE and number[USE, b] == 0 and number[AGE, b] < MAX_AGE:
+            aimed = bottom < number[HOME, b] < top
+            if aimed and (best < 0 or number[RES, b] < number[RES, best]):
+                best = b
+    if best >= 0:
+        number[AGE, best] += 1
+    elif free >= 0:
+        best = free
+        number[STATUS, best], number[AGE, best] = NEW, 0
+    return best
+
+
+@inner
+def add_points(
+    lanes: Floats,
+    lane: Ints,
     ignored: int,
     scale: float,
     points: Floats,
@@ -617,10 +530,8 @@ def add_points(
     """Enter the counts of a factorisation among the others.
 
     Args:
-        shifts: (1, 8).
+        lanes: shifts, counts and largest pivots, as of `factor_and_solve`.
         lane: (8,) which lanes were used.
-        counts: (1, 8) eigenvalues above each shift.
-        growth: (1, 8) largest pivots.
         ignored: zero eigenvalues, which do not count.
         scale: lower bound on the norm of M.
         points: (2, m) shifts, descending, and uncertainties.
@@ -631,9 +542,9 @@ def add_points(
         How many there are now. A count that contradicts its neighbours is left out.
     """
     for q in range(8):
-        s = shifts[0, q]
-        count = int(counts[0, q]) - ignored
-        uncertain = 4.0 * ROUNDING * growth[0, q]
+        s = lanes[SHIFT, q]
+        count = int(lanes[ABOVE, q]) - ignored
+        uncertain = 4.0 * ROUNDING * lanes[GROWTH, q]
         if lane[q] == IDLE or n == MAX_POINTS or uncertain > 1e-4 * scale:
             continue
         if not points[0, n - 1] < s < points[0, 0]:
@@ -650,7 +561,7 @@ def add_points(
     return n
 
 
-@compiled
+@inner
 def take_out_means(x: Floats, part: Ints, size: Floats, mean: Floats, before: Floats) -> None:
     """Make every column of an (d, 8) block orthogonal to the indicators of the components.
 
@@ -703,11 +614,11 @@ def track(
     high: float,
     max_sweeps: int,
     extra: int,
-) -> tuple[bool, Floats, Floats, Floats]:
+) -> tuple[bool, Floats, Floats]:
     """Find and certify the k largest eigenpairs of M.
 
     Args:
-        order: (d,) row at each place of the elimination order.
+        order: (d,) row at each place of the elimination order, perhaps not of all n rows.
         starts: (d + 1,) column starts of the factor.
         rows: its rows.
         row_starts: (d + 1,) row starts of the factor.
@@ -715,13 +626,13 @@ def track(
         spots: where those are by column.
         entries: M in the factor's pattern.
         diagonal: (d,) of M.
-        label: (d,) component of each row (not place).
+        label: (d,) component of each place.
         components: how many.
         work: multiplications a factorisation takes.
         deflate: keep out of the null space, the indicators of the components; M is then -L, and k
             counts pairs outside it.
-        warm: (d, m) vectors to start from, by row; m may be 0.
-        changed: (d,) rows in which M differs from the matrix ``warm`` is from.
+        warm: (n, m) vectors to start from, by row; m may be 0.
+        changed: (n,) rows in which M differs from the matrix ``warm`` is from.
         k: wanted pairs, at least 1.
         scale: lower bound on the norm of M, at least 1.
         tol: residuals up to tol * scale count as converged.
@@ -731,41 +642,40 @@ def track(
         extra: pairs found beyond the k-th that are answered too where they equal it.
 
     Returns:
-        Whether none of the k was missed, (m,) eigenvalues of M, descending, (m,) residuals and (d,
-        m) vectors by row; m >= k if certified.
+        Whether none of the k was missed; (2, m) eigenvalues of M, descending, and residuals; and
+        (n, m) vectors by row; m >= k if certified.
     """
     d = order.size
     ignored = components if deflate else 0
     slots = 2 * k + SPARE
     pool = np.empty((slots, d), np.float64)
-    number, mark = np.empty((3, slots), np.float64), np.empty((3, slots), np.int32)
+    number = np.empty((6, slots), np.float64)
     for b in range(slots):
-        mark[STATUS, b] = FREE
-        mark[USE, b] = 0
+        number[STATUS, b] = FREE
+        number[USE, b] = 0
     points = np.empty((2, MAX_POINTS), np.float64)
     above, clear = np.empty(MAX_POINTS, np.int32), np.empty(MAX_POINTS, np.int32)
     points[0, 0], points[1, 0], above[0] = high, 0.0, 0
     points[0, 1], points[1, 1], above[1] = low, 0.0, d - ignored
     n_points = int(np.int64(2))  # a literal would be compiled for once more
-    factor, pivots, x, ax = eights(rows.size), eights(d), eights(d), eights(d)
-    shifts, growth = np.empty((1, 8), np.float64), np.empty((1, 8), np.float64)
-    counts, ritz = np.empty((1, 8), np.float64), np.empty((2, 8), np.float64)
+    # in cache lines of their own, a quarter quicker; there is a row too many
+    factor = aligned(np.empty((rows.size + 1, 8), np.float64))
+    pivots = aligned(np.empty((d + 1, 8), np.float64))
+    x, ax = aligned(np.empty((d + 1, 8), np.float64)), aligned(np.empty((d + 1, 8), np.float64))
+    lanes = np.empty((5, 8), np.float64)
     lane, source, ages = np.empty(8, np.int32), np.empty(8, np.int32), np.empty(8, np.int32)
     size, mean = np.empty(components, np.float64), np.empty((components, 8), np.float64)
-    part, is_changed = np.empty(d, np.int32), np.empty(d, np.bool_)
     for c in range(components):
         size[c] = 0.0
     for j in range(d):
-        part[j] = label[order[j]]
-        is_changed[j] = changed[order[j]]
-        size[part[j]] += 1.0
+        size[label[j]] += 1.0
     narrow = warm.shape[1] > 0
     first = narrow
     seed = np.uint64(88172645463325252)
     goal0, delta0, floor = 0.9 * tol * scale, tol * scale, 1e-13 * scale
     sweeps = 0
     before, again = np.empty(8, np.float64), np.empty(8, np.int32)
-    factorise = True
+    factorise = sweeps == 0  # no literal: see above
     most_reuses = 2 if work > DEAR * rows.size else 1
     reuses = most_reuses
     certified = stuck = False
@@ -776,7 +686,7 @@ def track(
         warming = warm_done < warm_columns
         if warming:  # first, Rayleigh-Ritz in the span of the given vectors
             for q in range(8):
-                shifts[0, q], before[q], ages[q] = math.inf, math.inf, 0
+                lanes[SHIFT, q], before[q], ages[q] = math.inf, math.inf, 0
             for j in range(d):
                 for q in range(8):
                     c = warm_done + q
@@ -784,22 +694,22 @@ def track(
             warm_done += 8
         else:
             for b in range(slots):
-                mark[USE, b] = 0
+                number[USE, b] = 0
             delta = delta0
             if deflate:
-                kth = kth_largest(number, mark, k)
+                kth = kth_largest(number, k)
                 delta = min(delta0, max(1e-2 * abs(kth), floor))
-            n_clear, certified = find_clear(number, mark, points, above, n_points, k, delta, clear)
+            n_clear, certified = find_clear(number, points, above, n_points, k, delta, clear)
             if certified or sweeps >= max_sweeps:
                 break
             if factorise:
                 solving, beyond = choose_lanes(
-                    number, mark, points, above, clear, n_clear, wanted,
-                    deflate, scale, delta, first, low, shifts, lane,
+                    number, points, above, clear, n_clear, wanted,
+                    deflate, scale, delta, first, low, lanes, lane,
                 )  # fmt: skip
             else:
                 for b in range(slots):
-                    mark[USE, b] = mark[STATUS, b] == CANDIDATE
+                    number[USE, b] = number[STATUS, b] == CANDIDATE
             if solving == 0 and stuck:  # equal eigenvalues follow the k-th: find them all
                 if beyond == wanted or beyond > slots - 12:
                     break
@@ -810,52 +720,49 @@ def track(
             first = False
             if solving > 0:
                 for q in range(8):
-                    if lane[q] >= 0 and mark[STATUS, lane[q]] == NEW:
-                        seed = random_start(pool[lane[q]], is_changed, narrow, seed)
+                    if lane[q] >= 0 and number[STATUS, lane[q]] == NEW:
+                        seed = random_start(pool[lane[q]], order, changed, narrow, seed)
                     before[q] = number[RES, lane[q]] if lane[q] >= 0 else math.inf
                 for start in range(0, d, CHUNK):
                     for q in range(8):
                         for j in range(start, min(start + CHUNK, d)):
                             x[j, q] = pool[lane[q], j] if lane[q] >= 0 else 0.0
             factor_and_solve(
-                starts, rows, row_starts, columns, spots, entries, diagonal, shifts,
-                1e-15 * scale, factorise, 2 if solving > 0 else 0, factor, pivots, ax, x, counts,
-                growth,
+                starts, rows, row_starts, columns, spots, entries, diagonal, lanes,
+                1e-15 * scale, factorise, 2 * (solving > 0), factor, pivots, ax, x,
             )  # fmt: skip
             if factorise:
                 sweeps += 1
-                n_points = add_points(
-                    shifts, lane, counts, growth, ignored, scale, points, above, n_points
-                )
+                n_points = add_points(lanes, lane, ignored, scale, points, above, n_points)
             if solving == 0:
                 continue
             for q in range(8):  # the Ritz pairs will take the place of the vectors in the lanes
                 ages[q] = 0
                 if lane[q] >= 0:
-                    ages[q] = mark[AGE, lane[q]]
-                    mark[USE, lane[q]] = 0
+                    ages[q] = number[AGE, lane[q]]
+                    number[USE, lane[q]] = 0
             for b in range(slots):
-                if mark[STATUS, b] != FOUND and mark[USE, b] == 0:
-                    mark[STATUS, b] = FREE
+                if number[STATUS, b] != FOUND and number[USE, b] == 0:
+                    number[STATUS, b] = FREE
         if deflate:
-            take_out_means(x, part, size, mean, ax)
-        rank = rayleigh_ritz(starts, rows, entries, diagonal, pool, mark, x, ax, ritz, source)
+            take_out_means(x, label, size, mean, ax)
+        rayleigh_ritz(starts, rows, entries, diagonal, pool, number, x, ax, lanes, source)
         for c in range(8):
             lane[c] = IDLE  # from here on, the place of each Ritz vector
             again[c] = IDLE
         in_sight = 0  # pairs found, and those that these factors will do for
-        for c in range(rank):
-            value, residual = ritz[0, c], ritz[1, c]
-            if deflate and value > -0.1 * floor:
+        for c in range(8):
+            value, residual = lanes[VALUE, c], lanes[RESIDUAL, c]
+            if source[c] < 0 or (deflate and value > -0.1 * floor):
                 continue
-            b = new_vector(mark)
+            b = new_vector(number, high, high)
             if b < 0:
                 break
             goal = min(goal0, max(1e-3 * abs(value), floor)) if deflate else goal0
-            mark[STATUS, b] = FOUND if residual <= goal else CANDIDATE
-            mark[AGE, b], mark[USE, b] = ages[source[c]], 0
+            number[STATUS, b] = FOUND if residual <= goal else CANDIDATE
+            number[AGE, b], number[USE, b] = ages[source[c]], 0
             number[THETA, b], number[RES, b] = value, residual
-            number[HOME, b] = shifts[0, source[c]]
+            number[HOME, b] = lanes[SHIFT, source[c]]
             lane[c] = b
             earlier = before[source[c]]
             if again[source[c]] == IDLE and residual > goal:
@@ -870,7 +777,7 @@ def track(
                         pool[lane[c], j] = x[j, c]
         sought = in_sight
         for b in range(slots):
-            in_sight += mark[STATUS, b] == FOUND
+            in_sight += number[STATUS, b] == FOUND
         if warming or sought == 0 or in_sight < wanted or reuses == 0:
             factorise, reuses = True, most_reuses
         else:
@@ -882,40 +789,39 @@ def track(
     # Answer with the largest.
     found = 0
     for b in range(slots):
-        found += mark[STATUS, b] == FOUND
+        found += number[STATUS, b] == FOUND
     found = min(found, k + extra)
-    values, residuals = np.empty(found, np.float64), np.empty(found, np.float64)
+    pairs = np.empty((2, found), np.float64)
+    kept = 0
     for c in range(found):
         best = -1
         for b in range(slots):
-            if mark[STATUS, b] != FOUND:
-                continue
-            if best < 0 or number[THETA, b] > number[THETA, best]:
+            if number[STATUS, b] == FOUND and (best < 0 or number[THETA, b] > number[THETA, best]):
                 best = b
-        mark[STATUS, best] = FREE
-        values[c], residuals[c] = number[THETA, best], number[RES, best]
-        clear[c] = best
-    kept = min(found, k)
-    while kept < found and values[kept] >= values[k - 1] - 1e-6 * scale:
-        kept += 1
-    answer = np.empty((d, kept), np.float64)
+        number[STATUS, best] = FREE
+        pairs[0, c], pairs[1, c], clear[c] = number[THETA, best], number[RES, best], best
+        if c < k or pairs[0, c] >= pairs[0, k - 1] - 1e-6 * scale:
+            kept += 1
+    answer = np.empty((changed.size, kept), np.float64)
+    for i in range(changed.size if d < changed.size else 0):
+        for c in range(kept):
+            answer[i, c] = 0.0
     for j in range(d):
         for c in range(kept):
             answer[order[j], c] = pool[clear[c], j]
-    return certified, values[:kept].copy(), residuals[:kept].copy(), answer
+    return certified, pairs, answer
 
 
 @compiled
-def lively_part(
+def lively_rows(
     indptr: Ints,
     indices: Ints,
     values: Floats,
-    order: Ints,
     vectors: Floats,
     k: int,
     changed: Bools,
     most: int,
-) -> tuple[Ints, Ints, Ints, Floats]:
+) -> Bools:
     """Rows in which eigenvectors of the largest eigenvalues are not negligible, probably.
 
     Those of vertices of high degree are localised there. These are the rows that matter in the
@@ -927,94 +833,65 @@ def lively_part(
         indptr: (d + 1,) the Laplacian in CSR: row starts,
         indices: columns,
         values: and values.
-        order: (d,) row at each place of the elimination order.
         vectors: (d, m) earlier eigenvectors.
         k: how many of them matter.
         changed: (d,) rows that are not as they were.
-        most: give up if there are more rows.
+        most: stop when there are more rows.
 
     Returns:
-        (n,) rows in elimination order, none if given up; and the matrix of these rows and columns:
-        row starts, columns and values.
+        (d,) whether a row is one of them.
     """
-    d = indptr.size - 1
-    degree, queue = np.empty(d, np.float64), np.empty(d, np.int32)
-    steps = np.empty(d, np.int32)
+    d = changed.size
+    degree, steps = np.empty(d, np.float64), np.empty(d, np.int32)
+    queue, peak = np.empty(d + 1, np.int32), np.empty(k, np.int32)
+    lively = np.empty(d, np.bool_)
+    for c in range(k):
+        peak[c] = 0
+    n = 0
     for i in range(d):
         for p in range(indptr[i], indptr[i + 1]):
             if indices[p] == i:
                 degree[i] = values[p]
-        steps[i] = -1
-    n = 0
-    for i in range(d):
         largest = 0.0
         for c in range(k):
-            largest = max(largest, abs(vectors[i, c]))
-        if largest > NEGLIGIBLE:
-            steps[i] = 1
-            queue[n] = i
-            n += 1
-    peak = np.empty(k, np.int32)
-    for c in range(k):
-        peak[c] = 0
-        for i in range(d):
-            if abs(vectors[i, c]) > abs(vectors[peak[c], c]):
+            size = abs(vectors[i, c])
+            largest = max(largest, size)
+            if size > abs(vectors[peak[c], c]):
                 peak[c] = i
-    level, least = math.inf, math.inf
+        lively[i] = largest > NEGLIGIBLE
+        steps[i] = 1
+        queue[n] = i
+        n += lively[i]
+    level = least = math.inf
     for c in range(k):
         level = min(level, degree[peak[c]] + 1.0)
-    for again in range(2):
-        for t in range(k if again == 0 else d):
-            i = peak[t] if again == 0 else t
-            if again and (not changed[i] or degree[i] + 1.0 < 0.5 * level):
-                continue
-            value = degree[i]
-            for p in range(indptr[i], indptr[i + 1]):
-                if indices[p] != i:
-                    value += values[p] * values[p] / max(level - degree[indices[p]], 1.0)
-            if again == 0:
-                least = min(least, value)
-            elif value >= least:
-                if steps[i] < 0:
-                    queue[n] = i
-                    n += 1
-                steps[i] = max(steps[i], AROUND)
+    for t in range(k + d):
+        i = peak[t] if t < k else t - k
+        if t >= k and (not changed[i] or degree[i] + 1.0 < 0.5 * level):
+            continue
+        value = degree[i]
+        for p in range(indptr[i], indptr[i + 1]):
+            if indices[p] != i:
+                value += values[p] * values[p] / max(level - degree[indices[p]], 1.0)
+        if t < k:
+            least = min(least, value)
+        elif value >= least:
+            steps[i] = AROUND
+            queue[n] = i
+            n += not lively[i]
+            lively[i] = True
     head = 0
     while head < n and n <= most:
         i = queue[head]
         head += 1
-        if steps[i] == 0:
-            continue
         for p in range(indptr[i], indptr[i + 1]):
             j = indices[p]
-            if steps[j] < 0:
+            if steps[i] > 0 and not lively[j]:
+                lively[j] = True
                 steps[j] = steps[i] - 1
                 queue[n] = j
                 n += 1
-    if n > most:
-        n = 0
-    lively, place = np.empty(n, np.int32), queue
-    room = n = 0
-    for t in range(d):
-        i = order[t]
-        place[i] = -1
-        if steps[i] >= 0 and n < lively.size:
-            lively[n] = i
-            place[i] = n
-            n += 1
-            room += indptr[i + 1] - indptr[i]
-    starts, columns = np.empty(n + 1, np.int32), np.empty(room, np.int32)
-    entries = np.empty(room, np.float64)
-    m = 0
-    for t in range(n):
-        starts[t] = m
-        for p in range(indptr[lively[t]], indptr[lively[t] + 1]):
-            j = place[indices[p]]
-            if j >= 0:
-                columns[m], entries[m] = j, values[p]
-                m += 1
-    starts[n] = m
-    return lively, starts, columns[:m].copy(), entries[:m].copy()
+    return lively
 
 
 class Analysis(NamedTuple):
@@ -1022,7 +899,7 @@ class Analysis(NamedTuple):
 
     Attributes:
         order: (d,) row at each place of the elimination order; then as of
-            `factor_pattern`.
+            `factor_pattern`; the product tells rows that changed.
     """
 
     order: Ints
@@ -1036,29 +913,28 @@ class Analysis(NamedTuple):
     label: Ints
     components: int
     work: float
+    product: Floats
 
 
-def analyse(indptr: Ints, indices: Ints, values: Floats, order: Ints | None = None) -> Analysis:
-    """Prepare a sparse symmetric matrix for factorisations.
+def analyse(graph: TrafficGraph, order: Ints | None = None) -> Analysis:
+    """Prepare a Laplacian for factorisations.
 
     Args:
-        indptr: (d + 1,) the matrix in CSR, every diagonal entry stored: row starts,
-        indices: columns,
-        values: and values; all read-only.
-        order: (d,) elimination order; a new one if not given.
+        graph: its Laplacian is the matrix.
+        order: elimination order, perhaps not of all rows; a new one of all if not given.
 
     Returns:
         Its pattern.
     """
     if order is None:
-        order, _, _ = order_rows(indptr, indices)
-    return Analysis(order, *factor_pattern(indptr, indices, values, order))
+        order = order_rows(graph.indptr, graph.indices)[0][::-1].copy()
+    probe = np.sin(graph.ids)  # as good as random, and the same for the same vehicle
+    matrix = (graph.indptr, graph.indices, graph.values)
+    return Analysis(order, *factor_pattern(*matrix, probe, order))
 
 
 def track_lively(
-    indptr: Ints,
-    indices: Ints,
-    values: Floats,
+    graph: TrafficGraph,
     order: Ints,
     warm: Floats,
     changed: Bools,
@@ -1070,9 +946,7 @@ def track_lively(
     """Better vectors to start from: those of the part of the matrix where they are.
 
     Args:
-        indptr: (d + 1,) the Laplacian in CSR: row starts,
-        indices: columns,
-        values: and values.
+        graph: d vehicles.
         order: (d,) row at each place of the elimination order.
         warm: (d, m) vectors to start from.
         changed: (d,) rows that are not as they were.
@@ -1084,23 +958,14 @@ def track_lively(
     Returns:
         (d, m) the part's eigenvectors, 0 in the other rows; ``warm`` if they were not found.
     """
-    d = order.size
-    lively, part_indptr, part_indices, part_values = lively_part(
-        indptr, indices, values, order, warm, k, changed, d // 2
-    )
-    n = lively.size
-    if n < 8 * k:
+    matrix = (graph.indptr, graph.indices, graph.values)
+    lively = lively_rows(*matrix, warm, k, changed, order.size // 2)
+    lively_order = order[lively[order]]
+    if not 8 * k <= lively_order.size <= order.size // 2:
         return warm
-    for array in (part_indptr, part_indices, part_values):
-        array.setflags(write=False)  # one type for the kernels
-    in_order = np.arange(n, dtype=np.int32)
-    part = analyse(part_indptr, part_indices, part_values, in_order)
-    certified, _, _, vectors = track(
-        *part, False, np.ascontiguousarray(warm[lively]), changed[lively], k, scale,
-        0.5 * tol, -1.0, 2.0 * scale + 1.0, MAX_LIVELY_SWEEPS, extra,
+    part = analyse(graph, lively_order)
+    certified, _, vectors = track(
+        *part[:-1], False, warm, changed, k, scale, 0.5 * tol, -1.0, 2.0 * scale + 1.0,
+        MAX_LIVELY_SWEEPS, extra,
     )  # fmt: skip
-    if not certified:
-        return warm
-    better = np.zeros((d, vectors.shape[1]))
-    better[lively] = vectors
-    return better
+    return vectors if certified else warm
