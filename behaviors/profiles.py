@@ -42,7 +42,8 @@ class Profile:
             average.
         gap_acceptance_s: time gap demanded in traffic with priority, s.
         crossing_gap_s: time gap demanded to pedestrians on or near a crossing, s.
-        yield_probability: chance to let pedestrians go first, drawn once per encounter.
+        yield_probability: chance to let pedestrians go first, drawn once per encounter, and to let
+            vehicles that are still in a junction leave it, drawn once per junction.
         red_run_probability: chance to run a red light when first in line, drawn per encounter.
         stop_roll_probability: chance to roll over a stop line without stopping, drawn per
             encounter.
