@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.compiled import compiled
+from graphrqi.compiled import compiled, inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -29,6 +29,15 @@ CROWDED = 8.0
 """Vehicles in a vehicle's cell, on average, above which cells are halved (our choice)."""
 MAX_CELLS_PER_VEHICLE = 16
 """Bound on the grid's memory (our choice)."""
+
+
+@inner
+def cell_at(at: float, origin: float, width: float, cells: int) -> int:
+    """Column of cells in which a coordinate lies; the nearest for one outside, m."""
+    column = (at - origin) / width
+    if column < 1.0:
+        return 0
+    return int(column) if column < cells else cells - 1
 
 
 @compiled
@@ -65,17 +74,18 @@ def cell_grid(xy: Floats, smallest: float) -> Grid:
         x0, x1, y0, y1 = max(ax, mx - sx), min(bx, mx + sx), max(ay, my - sy), min(by, my + sy)
     width, height = max(x1 - x0, 0.0), max(y1 - y0, 0.0)
     extent = max(width, height)
-    h = max(math.sqrt(2.0 * width * height / n), 2.0 * extent / n, smallest)
-    if h <= 1e-9 * max(abs(x0), abs(x1), abs(y0), abs(y1)) or h <= 0.0:
+    h = max(max(math.sqrt(2.0 * width * height / n), 2.0 * extent / n), smallest)
+    if h <= 1e-9 * (abs(x0) + abs(y0) + extent) or h <= 0.0:
         h = max(extent, 1.0)
     cell_of = np.empty(n, np.int32)
     while True:
         columns, rows = int(width / h) + 1, int(height / h) + 1
-        start = np.zeros(columns * rows + 1, np.int32)
+        start = np.empty(columns * rows + 1, np.int32)
+        for c in range(start.size):
+            start[c] = 0
         for i in range(n):
-            cx = int(min(max((xy[i, 0] - x0) / h, 0.0), columns - 1.0))
-            cy = int(min(max((xy[i, 1] - y0) / h, 0.0), rows - 1.0))
-            cell_of[i] = cy * columns + cx
+            column, row = cell_at(xy[i, 0], x0, h, columns), cell_at(xy[i, 1], y0, h, rows)
+            cell_of[i] = row * columns + column
             start[cell_of[i] + 1] += 1
         crowd = 0.0
         for c in range(columns * rows):
@@ -108,23 +118,23 @@ def nearest_neighbors(ids: Ids, xy: Floats, neighbors: int, grid: Grid) -> tuple
         grid: `cell_grid` of the positions.
 
     Returns:
-        (n + 1,) starts and the (n * k,) positions of the neighbours, nearest first.
+        (n + 1,) starts and the (n * k,) positions of the neighbours, nearest first, and one more
+        number.
     """
     n = ids.size
     k = max(min(neighbors, n - 1), 0)
     starts = np.empty(n + 1, np.int32)
     for i in range(n + 1):
         starts[i] = i * k
-    target = np.empty(n * k, np.int32)
+    target = np.empty(n * k + 1, np.int32)
     if k == 0:
         return starts, target
     x0, y0, h, columns, rows, slack, start, items = grid
-    distance = np.empty(k, np.float64)
+    distance = np.empty(k + 1, np.float64)
     for i in range(n):
         base = i * k
         x, y = xy[i, 0], xy[i, 1]
-        cx = int(min(max((x - x0) / h, 0.0), columns - 1.0))
-        cy = int(min(max((y - y0) / h, 0.0), rows - 1.0))
+        cx, cy = cell_at(x, x0, h, columns), cell_at(y, y0, h, rows)
         found = 0
         ring = 0
         while True:
@@ -140,27 +150,22 @@ def nearest_neighbors(ids: Ids, xy: Floats, neighbors: int, grid: Grid) -> tuple
                                 continue
                             dx, dy = xy[j, 0] - x, xy[j, 1] - y
                             square = dx * dx + dy * dy
-                            if found == k:
-                                last = target[base + k - 1]
-                                if square > distance[k - 1] or (
-                                    square == distance[k - 1] and ids[j] > ids[last]
-                                ):
-                                    continue
-                                q = k - 1
-                            else:
-                                q = found
-                                found += 1
-                            while q > 0 and (
-                                square < distance[q - 1]
+                            if found == k and square > distance[k - 1]:
+                                continue
+                            # behind the k-th is room for one that is not among them
+                            q = base + found
+                            while q > base and (
+                                square < distance[q - base - 1]
                                 or (
-                                    square == distance[q - 1] and ids[j] < ids[target[base + q - 1]]
+                                    square == distance[q - base - 1] and ids[j] < ids[target[q - 1]]
                                 )
                             ):
-                                distance[q] = distance[q - 1]
-                                target[base + q] = target[base + q - 1]
+                                distance[q - base] = distance[q - base - 1]
+                                target[q] = target[q - 1]
                                 q -= 1
-                            distance[q] = square
-                            target[base + q] = j
+                            distance[q - base] = square
+                            target[q] = j
+                            found += found < k
                     gx += 1 if edge or ring == 0 else 2 * ring
             bound = math.inf  # how near an unvisited vehicle can be
             if cx - ring > 0:
@@ -202,10 +207,8 @@ def within_radius(xy: Floats, radius_m: float, grid: Grid) -> tuple[Ints, Ints]:
         m = 0
         for i in range(n):
             x, y = xy[i, 0], xy[i, 1]
-            left = int(min(max((x - reach - x0) / h, 0.0), columns - 1.0))
-            right = int(min(max((x + reach - x0) / h, 0.0), columns - 1.0))
-            low = int(min(max((y - reach - y0) / h, 0.0), rows - 1.0))
-            high = int(min(max((y + reach - y0) / h, 0.0), rows - 1.0))
+            left, right = cell_at(x - reach, x0, h, columns), cell_at(x + reach, x0, h, columns)
+            low, high = cell_at(y - reach, y0, h, rows), cell_at(y + reach, y0, h, rows)
             for gy in range(low, high + 1):
                 for p in range(start[gy * columns + left], start[gy * columns + right + 1]):
                     j = items[p]
@@ -222,71 +225,44 @@ def within_radius(xy: Floats, radius_m: float, grid: Grid) -> tuple[Ints, Ints]:
 
 @compiled
 def join(
-    ids: Ids,
-    order: Ids,
+    row_of: Ids,
+    d: int,
     xy: Floats,
     starts: Ints,
     target: Ints,
     scale_m: float,
-    old_ids: Ids,
-    old_order: Ids,
     old_indptr: Ints,
     old_indices: Ints,
     old_values: Floats,
-) -> tuple[int, Ids, Ints, Ints, Floats]:
+) -> tuple[Ints, Ints, Floats]:
     """Laplacian of the graph that one observation adds to an earlier one.
 
     Args:
-        ids: (n,) ids of the vehicles seen.
-        order: (n,) positions that sort ``ids``.
+        row_of: (n,) row of every vehicle seen.
+        d: rows of the new graph; those of the earlier one come first.
         xy: (n, 2) positions, m.
         starts: (n + 1,) where each vehicle's list of others begins.
         target: the positions of the vehicles it is joined to.
         scale_m: edges weigh exp(-distance / scale_m); 1 where it is not positive, m.
-        old_ids: (c,) ids of the earlier graph, whose rows come first and in its order.
-        old_order: (c,) positions that sort ``old_ids``.
         old_indptr: (c + 1,) the earlier Laplacian in CSR.
         old_indices: its column numbers, sorted in each row.
         old_values: its values.
 
     Returns:
-        Position of an id that occurs twice, or -1; then ids, row starts, columns and values of
-        the new Laplacian (every diagonal entry is stored, columns sorted); the last two have
-        room to spare.
+        Row starts, columns and values of the new Laplacian (every diagonal entry is stored,
+        columns sorted); the last two have room to spare.
     """
-    n, c = ids.size, old_ids.size
-    for p in range(1, n):
-        if ids[order[p]] == ids[order[p - 1]]:
-            none = np.empty(0, np.int32)
-            return order[p], np.empty(0, np.int64), none, none, np.empty(0, np.float64)
-    row_of = np.empty(n, np.int32)
-    for i in range(n):
-        row_of[i] = -1
-    p = 0
-    for q in range(c):
-        while p < n and ids[order[p]] < old_ids[old_order[q]]:
-            p += 1
-        if p < n and ids[order[p]] == old_ids[old_order[q]]:
-            row_of[order[p]] = old_order[q]
-    d = c
-    for i in range(n):
-        if row_of[i] < 0:
-            row_of[i] = d
-            d += 1
-    all_ids = np.empty(d, np.int64)
-    for q in range(c):
-        all_ids[q] = old_ids[q]
+    n, m, c = row_of.size, starts[row_of.size], old_indptr.size - 1
     seen = np.empty(d, np.int32)
-    for q in range(c):
-        seen[q] = -1
-    for i in range(n):
-        all_ids[row_of[i]] = ids[i]
-        seen[row_of[i]] = i
-
     # Transposing twice sorts the lists: `a` holds who chose a row, `b` whom the row chose.
-    m = target.size
-    a_start, b_start = np.zeros(d + 2, np.int32), np.zeros(d + 2, np.int32)
+    a_start, b_start = np.empty(d + 2, np.int32), np.empty(d + 2, np.int32)
     a, b = np.empty(m, np.int32), np.empty(m, np.int32)
+    for r in range(d):
+        seen[r] = -1
+    for i in range(n):
+        seen[row_of[i]] = i
+    for r in range(d + 2):
+        a_start[r] = b_start[r] = 0
     for p in range(m):
         a_start[row_of[target[p]] + 2] += 1
     for r in range(d):
@@ -307,7 +283,8 @@ def join(
             b_start[t + 1] += 1
 
     room = 2 * m + d + old_indices.size
-    indptr = np.zeros(d + 1, np.int32)
+    indptr = np.empty(d + 1, np.int32)
+    indptr[0] = 0
     indices, values = np.empty(room, np.int32), np.empty(room, np.float64)
     z = 0
     for r in range(d):
@@ -320,11 +297,11 @@ def join(
         while True:
             t = d
             if pa < ea:
-                t = min(t, a[pa])
-            if pb < eb:
-                t = min(t, b[pb])
-            if po < eo:
-                t = min(t, old_indices[po])
+                t = a[pa]
+            if pb < eb and b[pb] < t:
+                t = b[pb]
+            if po < eo and old_indices[po] < t:
+                t = old_indices[po]
             if diagonal < 0 and t >= r:
                 diagonal = z
                 indices[z] = r
@@ -357,4 +334,4 @@ def join(
                 z += 1
         values[diagonal] = degree
         indptr[r + 1] = z
-    return -1, all_ids, indptr, indices, values
+    return indptr, indices, values

@@ -241,6 +241,10 @@ class TrafficGraph:
         if rule is None:
             raise InputError("graph: found one made from edges, expected TrafficGraph.empty(...)")
         new_ids = _checked_ids(ids)
+        ordered = np.sort(new_ids)
+        twice = ordered[:-1][ordered[1:] == ordered[:-1]]
+        if twice.size:
+            raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
         positions = np.ascontiguousarray(_checked_floats(xy, "xy"))
         if positions.size == 0 and new_ids.size == 0:
             positions = np.empty((0, 2))
@@ -261,20 +265,22 @@ class TrafficGraph:
             radius = float(rule.radius_m)
             grid = cell_grid.cell_grid(positions, 0.5 * radius)
             lists = cell_grid.within_radius(positions, radius, grid)
-        twice, all_ids, indptr, indices, values = cell_grid.join(
-            new_ids,
-            np.argsort(new_ids),
+        row_of, all_ids = np.arange(new_ids.size), new_ids
+        if keep and not np.array_equal(self.ids, new_ids):
+            row_of = self.rows_of(new_ids)
+            unseen = row_of < 0
+            row_of[unseen] = np.arange(unseen.sum()) + self.ids.size
+            all_ids = np.concatenate([self.ids, new_ids[unseen]])
+        indptr, indices, values = cell_grid.join(
+            row_of,
+            all_ids.size,
             positions,
             *lists,
             -1.0 if rule.scale_m is None else float(rule.scale_m),
-            base.ids,
-            np.argsort(base.ids),
             base.indptr,
             base.indices,
             base.values,
         )
-        if twice >= 0:
-            raise InputError(f"ids: found {new_ids[twice]} twice, expected each vehicle once")
         if np.array_equal(all_ids, self.ids):
             all_ids = self.ids  # one array for a sequence of the same vehicles
         size = indptr[-1]
@@ -287,9 +293,13 @@ class TrafficGraph:
         )
 
     def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Rows (n,) of vehicles ``ids`` (n,), all of which must be in the graph."""
+        """Rows (n,) of vehicles ``ids`` (n,), -1 for those that are not in the graph."""
+        if not self.ids.size:
+            return np.full(ids.size, -1)
         order = np.argsort(self.ids)  # rows are in order of first sight
-        return order[np.searchsorted(self.ids, ids, sorter=order)]
+        place = np.searchsorted(self.ids, ids, sorter=order)
+        rows = order[np.minimum(place, order.size - 1)]
+        return np.where(self.ids[rows] == ids, rows, -1)
 
     @property
     def laplacian(self) -> csr_array[Any, tuple[int, int]]:

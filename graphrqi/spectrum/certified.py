@@ -300,30 +300,10 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
         product = np.full(previous.ids.size, np.inf)
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
         vectors, order = carry_rows(previous, graph, vectors), None
-        product = np.append(product, np.inf)[rows_before(previous.graph, graph)]
+        product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
     # one memory layout, writable: for any other the kernel would be compiled anew
     vectors = np.require(vectors, np.float64, ["C", "W"])
     return _Start(vectors, product, order, found.fill)
-
-
-def rows_before(before: TrafficGraph, graph: TrafficGraph) -> NDArray[np.int64]:
-    """Row of every vehicle in an earlier graph.
-
-    Args:
-        before: the earlier graph.
-        graph: d vehicles.
-
-    Returns:
-        (d,) rows, -1 for a vehicle it does not have.
-    """
-    rows = np.full(graph.ids.size, -1)
-    if before.ids.size:
-        order = np.argsort(before.ids)
-        place = np.searchsorted(before.ids[order], graph.ids)
-        place[place == order.size] = 0
-        known = before.ids[order[place]] == graph.ids
-        rows[known] = order[place[known]]
-    return rows
 
 
 def _dense(

@@ -155,12 +155,8 @@ def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None =
     """
     old = previous.eigenvectors if vectors is None else vectors
     rows = np.zeros((graph.ids.size, old.shape[1]))
-    if previous.ids.size and graph.ids.size:
-        order = np.argsort(previous.ids)
-        place = np.searchsorted(previous.ids[order], graph.ids)
-        place[place == order.size] = 0
-        known = previous.ids[order[place]] == graph.ids
-        rows[known] = old[order[place[known]]]
+    place = previous.graph.rows_of(graph.ids)
+    rows[place >= 0] = old[place[place >= 0]]
     return rows
 
 
