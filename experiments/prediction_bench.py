@@ -42,7 +42,7 @@ from sim.schema import EpisodeEntry
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
-SEED: Final = 8_411_003
+SEED: Final = 9_172_026
 """Seed of the episodes predicted on: no shipped model was trained on them."""
 
 EPISODES, QUICK_EPISODES = 10, 2

@@ -41,7 +41,7 @@ CALIBRATE_EVERY_S: Final = 6.0
 EXAMPLES_EVERY_S: Final = 1.5
 """Time between instants that networks are trained on, s (our choice)."""
 
-UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.35
+UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
 """Shares of instants at which, in an epoch, nobody is believed to be anything, and everybody what
 another driver is believed to be (our choice on episodes of a set apart)."""
 
