@@ -175,9 +175,8 @@ def _track(
         return _dense(graph, num_pairs, end, tol, nonzero, "")
     if analysis.work > MAX_WORK:
         return None
-    null = null_space(graph)[:, :zeros] if zeros else np.empty((d, 0))
     if k == 0:
-        carried = Found(np.empty((d, 0)))
+        null, carried = null_space(graph)[:, :zeros], Found(np.empty((d, 0)))
         return answer(graph, np.zeros(zeros), null, end, tol, True, "", carried)
     fill = (analysis.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
     first_fill = fill if start.order is None else start.fill
@@ -197,13 +196,14 @@ def _track(
     )  # fmt: skip
     if not certified:
         return None
-    gram = found.T @ found
+    excess = found.T @ found
+    excess.ravel()[:: len(excess) + 1] -= 1.0
     values, residuals = pairs[0, :k].copy(), pairs[1, :k].copy()
     if smallest:
         values = -values
-    if np.abs(gram - np.eye(len(gram))).max() > 1e-12:
+    if np.abs(excess).max() > 1e-12:
         # Newton's step to the nearest orthonormal block squares the departure
-        found = 1.5 * found - 0.5 * found @ gram
+        found = found - 0.5 * found @ excess
         residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
         if residuals.max() > tol * scale:
             return None
@@ -211,7 +211,7 @@ def _track(
     if zeros:
         values = np.concatenate([np.zeros(zeros), values])
         residuals = np.concatenate([np.zeros(zeros), residuals])
-        vectors = np.hstack([null, vectors])
+        vectors = np.hstack([null_space(graph)[:, :zeros], vectors])
     carried = Found(found, order, first_fill, analysis.product)
     return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
 
@@ -301,8 +301,8 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
         vectors, order = carry_rows(previous, graph, vectors), None
         product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
-    # one memory layout, writable: for any other the kernel would be compiled anew
-    vectors = np.require(vectors, np.float64, ["C", "W"])
+    if not vectors.flags.writeable:  # for another type the kernel would be compiled anew
+        vectors = vectors.copy()
     return _Start(vectors, product, order, found.fill)
 
 

@@ -17,6 +17,7 @@ from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
 
 End: TypeAlias = Literal["largest", "smallest"]
+ENDS = get_args(End)
 Floats: TypeAlias = NDArray[np.float64]
 
 
@@ -101,8 +102,8 @@ def check_arguments(num_pairs: int, end: str, tol: float) -> None:
         raise InputError(f"num_pairs: found {num_pairs!r}, expected a whole number")
     if num_pairs < 1:
         raise InputError(f"num_pairs: found {num_pairs}, expected at least 1")
-    if end not in get_args(End):
-        raise InputError(f"end: found {end!r}, expected one of {', '.join(get_args(End))}")
+    if end not in ENDS:
+        raise InputError(f"end: found {end!r}, expected one of {', '.join(ENDS)}")
     if not 0.0 < tol < math.inf:
         raise InputError(f"tol: found {tol!r}, expected a positive number")
 

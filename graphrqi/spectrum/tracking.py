@@ -392,6 +392,8 @@ def choose_lanes(
         for b in range(slots):
             if number[STATUS, b] == FOUND:
                 missing -= bottom < number[THETA, b] < top
+        if missing > 0 and n_below > wanted and points[0, clear[i + 1]] > low:
+            missing += 1  # one that is not wanted may be among the candidates here
         half = 0.5 * (top + bottom)
         # Of n_below - n eigenvalues in between, those wanted are at the top.
         if not deflate and clear[i] > 0 and points[0, clear[i + 1]] > low:
