@@ -31,8 +31,9 @@ def differences(
         (n, scales); NaN where the vertex does not count or has no neighbour that does.
     """
     n = signal.size
-    out = np.full((n, scales), np.nan)
-    level, mean = np.where(known, signal, 0.0), np.empty(n)
+    out, level, mean = np.empty((n, scales)), np.empty(n), np.empty(n)
+    for i in range(n):
+        level[i] = signal[i] if known[i] else 0.0
     for scale in range(scales):
         for i in range(n):
             total, weighted = 0.0, 0.0
@@ -41,11 +42,8 @@ def differences(
                 if j != i and known[j]:
                     total -= values[e]
                     weighted -= values[e] * level[j]
-            if total > 0.0:
-                mean[i] = weighted / total
-                if known[i]:
-                    out[i, scale] = level[i] - mean[i]
-            else:
-                mean[i] = level[i]
-        level[:] = mean
+            mean[i] = weighted / total if total > 0.0 else level[i]
+            out[i, scale] = level[i] - mean[i] if total > 0.0 and known[i] else np.nan
+        for i in range(n):
+            level[i] = mean[i]
     return out

@@ -53,11 +53,13 @@ def agreement(
     out, known = np.zeros((n, 3)), np.zeros(n, np.bool_)
     lost = np.empty(count)
     for i in range(n):
-        if not probability[i].max() > 1.0 / count + 1e-6:
+        for b in range(count):
+            known[i] |= probability[i, b] > 1.0 / count + 1e-6
+        if not known[i]:
             continue
-        known[i] = True
         fastest = math.log(max(least_factor[i], 0.1))
         free = math.log(max(free_factor[i], 0.1))
+        least = np.inf
         for b in range(count):
             miss = (accel[i] - asked[b, i]) / accel_sd
             lost[b] = min(0.5 * (miss * miss), most_miss) if on_path[i] else 0.0
@@ -66,14 +68,17 @@ def agreement(
                 lost[b] += min(0.5 * apart * apart, most_wish)
             excess = max(fastest - wish[b] - over, 0.0) / wish_sd
             lost[b] += min(0.5 * excess * excess, most_wish)
-        least = lost.min()
+            least = min(least, lost[b])
         believed, blind = 0.0, 0.0
         for b in range(count):
             likelihood = math.exp(least - lost[b])
             believed += max(probability[i, b], least_belief) * likelihood
             blind += likelihood / count
         out[i, 0] = math.log(believed / blind)
-    total, drivers = out[:, 0].sum(), known.sum()
+    total, drivers = 0.0, 0
+    for i in range(n):
+        total += out[i, 0]
+        drivers += known[i]
     for i in range(n):
         rest = total - out[i, 0]
         out[i, 1] = rest / max(drivers - known[i], 1)

@@ -60,10 +60,10 @@ def features(scene: Scene) -> FloatArray:
     past = np.searchsorted(history.time_s, when - 1e-6)
     past[history.time_s[0] > when + 1e-6] = -1
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
-    valid, speed, heading, length = (
-        np.ascontiguousarray(x)
-        for x in (history.valid, history.speed, history.heading, history.length)
+    valid, speed, heading = (
+        np.ascontiguousarray(x) for x in (history.valid, history.speed, history.heading)
     )
+    length = history.length.copy()  # what is read-only only sometimes is compiled for twice
     out = np.zeros((scene.ids.size, FEATURES))
     features_kernel.describe(
         valid, speed, heading, length,

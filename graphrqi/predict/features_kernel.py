@@ -88,14 +88,15 @@ def describe(
                 out[i, c + 2] = math.sin(heading[i, now] - heading[i, past[k]])
             c += 3
 
-        who[:], far[:] = -1, np.inf
         who[0], far[0] = leader[i], gap[i]
+        who[1] = who[2] = -1
         if leader[i] >= 0 and leader[leader[i]] >= 0:
             who[1] = leader[leader[i]]
             far[1] = gap[i] + gap[leader[i]] + length[leader[i]]
         if follower[i] >= 0:
             who[2], far[2] = follower[i], gap[follower[i]]
-        who[3:], far[3:] = beside[i], beside_gap[i]
+        for k in range(4):
+            who[3 + k], far[3 + k] = beside[i, k], beside_gap[i, k]
         for k in range(7):
             other = who[k]
             if other >= 0:

@@ -381,12 +381,17 @@ def roll_each(
     along, side, asked = np.empty((m, n, steps)), np.empty((m, n, steps)), np.empty((m, n))
     keep, calm = np.empty((0, 4)), np.zeros(n)
     for k in range(m):
-        lane[k], along[k], side[k], _, gone[k], asked[k] = roll(
+        rolled = roll(
             path[k], s, v, seen_accel, half_length, driver[k], keep, calm, calm, offset[k],
             pace[k], moving, ignores[k], closed, path_lane, path_start, path_limit, path_turn,
             gate_x, gate_row, beside, apart, way, lane_length, step_s, shown, steps, decay_s,
             given_lane, given_s, given_v,
         )  # fmt: skip
+        for i in range(n):  # a slice to assign to takes seconds to compile
+            asked[k, i] = rolled[5][i]
+            for h in range(steps):
+                lane[k, i, h], along[k, i, h] = rolled[0][i, h], rolled[1][i, h]
+                side[k, i, h], gone[k, i, h] = rolled[2][i, h], rolled[4][i, h]
     return lane, along, side, gone, asked
 
 
@@ -426,7 +431,8 @@ def beside(
             continue
         onward = way[to, path_turn[path[i]]]
         if onward < 0 and other_ways:
-            onward = way[to].max()
+            for turn in range(way.shape[1]):
+                onward = max(onward, way[to, turn])
         if onward < 0:
             continue
         there[i] = True

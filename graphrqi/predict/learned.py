@@ -214,9 +214,8 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
         steps: how many, `STEP_S` apart.
     """
     matrix, start = _spline(steps)
-    now, speed, heading = (
-        np.ascontiguousarray(x[:, -1]) for x in (history.xy, history.speed, history.heading)
-    )
+    # copies: what is read-only only sometimes is compiled for twice
+    now, speed, heading = (x[:, -1].copy() for x in (history.xy, history.speed, history.heading))
     xy = decode_kernel.every_place(
         futures.own, matrix, start, speed, heading, now, history.kind == PEDESTRIAN, STEP_S
     )

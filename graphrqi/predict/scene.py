@@ -80,17 +80,17 @@ class Scene:
     @cached_property
     def xy(self) -> FloatArray:
         """(n, 2) present places, m."""
-        return np.ascontiguousarray(self.history.xy[:, -1], dtype=np.float64)
+        return self.history.xy[:, -1].copy()
 
     @cached_property
     def speed(self) -> FloatArray:
         """(n,) present speeds, m/s."""
-        return np.ascontiguousarray(self.history.speed[:, -1], dtype=np.float64)
+        return self.history.speed[:, -1].copy()
 
     @cached_property
     def heading(self) -> FloatArray:
         """(n,) present headings, rad."""
-        return np.ascontiguousarray(self.history.heading[:, -1], dtype=np.float64)
+        return self.history.heading[:, -1].copy()
 
     @cached_property
     def time_s(self) -> FloatArray:

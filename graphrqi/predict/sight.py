@@ -71,12 +71,13 @@ def look(history: Tracks, road: Road) -> Sight:
     drives = history.kind != PEDESTRIAN
     valid, xy = np.ascontiguousarray(history.valid), np.ascontiguousarray(history.xy)
     heading, speed = np.ascontiguousarray(history.heading), np.ascontiguousarray(history.speed)
-    agent, instant = np.nonzero(valid[:, columns] & drives[:, None])
+    # copies: what is strided or read-only only sometimes is compiled for twice
+    agent, instant = (x.copy() for x in np.nonzero(valid[:, columns] & drives[:, None]))
     column = columns[instant]
     found = project(road, xy[agent, column], heading[agent, column])
     return Sight(
         *sight_kernel.look(
-            history.time_s, valid, xy, heading, speed, np.ascontiguousarray(history.length),
+            history.time_s, valid, xy, heading, speed, history.length.copy(),
             drives, columns, agent, instant, found.lane,
             found.s, found.offset, graph.length, graph.width, graph.limit, graph.internal,
             graph.signal, graph.ahead, graph.behind, graph.left, graph.right, graph.cross_lane,

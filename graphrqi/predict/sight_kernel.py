@@ -33,6 +33,28 @@ so little acceleration (our choice; HCM calls a headway over 3 to 4 s free)."""
 
 
 @numba.njit(cache=True)
+def _in_order(key: Any, s: Any, keys: int) -> Any:
+    """Those of key 0 and up, by key, then by s, then as they come: few share a key."""
+    begin = np.zeros(keys + 1, np.int64)
+    for j in range(key.size):
+        if key[j] >= 0:
+            begin[key[j] + 1] += 1
+    for k in range(keys):
+        begin[k + 1] += begin[k]
+    order, filled = np.empty(begin[keys], np.int64), begin[:keys].copy()
+    for j in range(key.size):
+        if key[j] < 0:
+            continue
+        k = filled[key[j]]
+        filled[key[j]] += 1
+        while k > begin[key[j]] and s[order[k - 1]] > s[j]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = j
+    return order
+
+
+@numba.njit(cache=True)
 def look(
     time_s: Any, valid: Any, xy: Any, heading: Any, speed: Any, length: Any, drives: Any,
     columns: Any, agent: Any, instant: Any, lane: Any, s: Any, offset: Any, lane_length: Any,
@@ -129,12 +151,13 @@ def look(
                 on_lane[i] = to
                 on_offset[i] = offset[j] - sign * (lane_width[on] + lane_width[to]) / 2
 
-    known = np.flatnonzero(key >= 0)
-    known = known[np.argsort(s[known], kind="mergesort")]
-    known = known[np.argsort(key[known], kind="mergesort")]
-    sorted_key, sorted_s = key[known], s[known]
+    known = _in_order(key, s, lanes * columns.size)
+    sorted_key, sorted_s = np.empty(known.size, np.int64), np.empty(known.size)
+    for k in range(known.size):
+        sorted_key[k], sorted_s[k] = key[known[k]], s[known[k]]
+    forward = m >= 0  # not the literal True, for which the search would be compiled once more
     leader_of, distance = lane_search.nearest(
-        sorted_key, sorted_s, known, lane_length, onward, instant, ahead_lane, s, True,
+        sorted_key, sorted_s, known, lane_length, onward, instant, ahead_lane, s, forward,
         MAX_LANES_AHEAD, LOOK_AHEAD_M,
     )  # fmt: skip
     stop, _, _, to_crossing = lane_search.stops_ahead(
@@ -169,7 +192,10 @@ def look(
             now_behind = follower[leader[i]]
             if now_behind < 0 or gap[i] <= gap[now_behind]:
                 follower[leader[i]] = i
-    wished = np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
+    wished = np.full(n, np.nan)
+    for i in range(n):
+        if count[i] > 0:
+            wished[i] = total[i] / count[i]
 
     beside, beside_gap = np.full((n, 4), -1), np.full((n, 4), np.inf)
     last = np.full(n, now)
