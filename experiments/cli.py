@@ -434,7 +434,11 @@ def bench_spectrum(
     quick: Quick = False,
     json: Json = None,
 ) -> None:
-    """Measure every eigenvalue algorithm on the same graphs, in one process."""
+    """Measure every eigenvalue algorithm on the same graphs, in one process.
+
+    FILE is written after every sequence: a run that is stopped keeps what it has measured.
+    """
+    from functools import partial
     from typing import cast
 
     from behaviors.errors import InputError
@@ -451,6 +455,7 @@ def bench_spectrum(
     rows = run_spectrum_bench(
         numbers, pairs, cast("list[End]", _words(ends)), _words(graphs), _words(kinds), steps,
         progress=lambda line: typer.echo(line, err=True),
+        keep=None if json is None or str(json) == "-" else partial(write_json, json_path=json),
     )  # fmt: skip
     if json is not None:
         write_json(rows, json)

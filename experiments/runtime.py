@@ -171,6 +171,7 @@ def run_spectrum_bench(
     seed: int = 0,
     budget_s: float = BUDGET_S,
     progress: Callable[[str], None] | None = None,
+    keep: Callable[[Sequence[Row]], None] | None = None,
 ) -> list[Row]:
     """Measure every solver on every kind of graph.
 
@@ -187,6 +188,7 @@ def run_spectrum_bench(
         budget_s: CPU seconds a solver gets per sequence; it always gets a step, and COMPARED get
             all of them while they are quick.
         progress: called with a line of text before each sequence.
+        keep: called with all rows so far after each sequence.
 
     Returns:
         Flat rows keyed ``solver d graph kind end`` with ``metric, value, low, high, n, reason``. A
@@ -243,6 +245,8 @@ def run_spectrum_bench(
                             if row["metric"] == "cpu_ms":
                                 costs[row["solver"]].append((d, row["value"]))
                         rows += measured
+                        if keep is not None:
+                            keep(rows)
                 for d in sorted(sizes):
                     if solvers is None or "graphrqi" in solvers:
                         rows += _measure_path(layout, kind, d, pairs, steps, seed, budget_s)

@@ -46,10 +46,13 @@ def test_rows_table_and_plot(tmp_path: Path) -> None:
 
 
 def test_what_would_take_too_long_is_skipped_and_says_why() -> None:
+    kept: list[list[object]] = []
     rows = run_spectrum_bench(
         (25, 1100), 4, ("largest",), ("road",), ("instantaneous",), steps=1,
-        solvers=("graphrqi", "svd"),
+        solvers=("graphrqi", "svd"), keep=lambda so_far: kept.append(list(so_far)),
     )  # fmt: skip
+    assert [part == rows[: len(part)] for part in kept] == [True, True]
+    assert 0 < len(kept[0]) < len(kept[1]) < len(rows)
     skipped = [row for row in rows if row["reason"] is not None]
     assert [(row["solver"], row["d"], row["value"]) for row in skipped] == [("svd", 1100, None)]
     assert {line["1100 (ms)"] for line in spectrum_table(rows) if line["solver"] == "svd"} == {
