@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
+from graphrqi.compiled import compiled, reordered
 
-@numba.njit(cache=True)
+
+@compiled
 def decode(
     raw: Any, bases: Any, time_s: Any, spread_scale: float, least_spread: float
 ) -> tuple[Any, Any, Any]:
@@ -62,7 +63,7 @@ def decode(
     return own, spread, probability
 
 
-@numba.njit(cache=True, fastmath=True)
+@reordered
 def every_place(
     own: Any, matrix: Any, start: Any, speed: Any, heading: Any, now: Any, walks: Any, step_s: float
 ) -> Any:

@@ -5,21 +5,21 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
+from graphrqi.compiled import compiled, inner
 from graphrqi.predict.gates import CLOSED, CLOSING
 
 FAR_M = 100.0
 """Distances are cut off here and divided by it (our choice)."""
 
 
-@numba.njit(cache=True, inline="always")
+@inner
 def _near(gap: float) -> float:
     return 1.0 - min(max(gap, -5.0), FAR_M) / FAR_M
 
 
-@numba.njit(cache=True)
+@compiled
 def describe(
     valid: Any, speed: Any, heading: Any, length: Any, past: Any, on_path: Any, lane: Any, s: Any,
     offset: Any, sideways: Any, accel: Any, free: Any, least: Any, place: Any, leader: Any,

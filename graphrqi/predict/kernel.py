@@ -24,9 +24,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from graphrqi.compiled import compiled, reordered
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,7 +57,7 @@ WARY_M = 30.0
 """Neighbours are kept away from within this distance, m (our choice: 2 s in town)."""
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@reordered
 def _safe_speed(gap: float, leader_speed: float, headway: float, decel: float) -> float:
     if gap <= 0.0:
         return 0.0
@@ -66,7 +67,7 @@ def _safe_speed(gap: float, leader_speed: float, headway: float, decel: float) -
     )
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@reordered
 def _idm(speed: float, wish: float, gap: float, leader_speed: float, driver: Any) -> Any:
     accel = driver[3]
     ratio = speed / max(wish, 0.1)
@@ -80,7 +81,7 @@ def _idm(speed: float, wish: float, gap: float, leader_speed: float, driver: Any
     return max(free - accel * (wanted / gap) * (wanted / gap), -HARD_DECEL)
 
 
-@numba.njit(cache=True, fastmath=True)
+@reordered
 def roll(
     path: Any, s: Any, v: Any, seen_accel: Any, half_length: Any, driver: Any, changing: Any,
     wary: Any, feared: Any, offset: Any, pace: Any, moving: Any, ignores: Any, closed: Any,
@@ -359,7 +360,7 @@ def roll(
     return out_lane, out_s, out_side, out_v, out_gone, asked
 
 
-@numba.njit(cache=True, fastmath=True)
+@reordered
 def roll_each(
     path: Any, s: Any, v: Any, seen_accel: Any, half_length: Any, driver: Any, offset: Any,
     pace: Any, moving: Any, ignores: Any, closed: Any, path_lane: Any, path_start: Any,
@@ -395,7 +396,7 @@ def roll_each(
     return lane, along, side, gone, asked
 
 
-@numba.njit(cache=True)
+@compiled
 def beside(
     which: int, other_ways: bool, lane: Any, path: Any, on_path: Any, offset: Any, sideways: Any,
     beside: Any, apart: Any, way: Any, path_turn: Any,
@@ -442,7 +443,7 @@ def beside(
     return new_lane, new_path, new_offset, new_sideways, there
 
 
-@numba.njit(cache=True, fastmath=True)
+@reordered
 def along_path(path: Any, x: Any, path_lane: Any, path_start: Any) -> tuple[Any, Any]:
     """(n, H) lanes and (n, H) distances along them, of distances x (n, H) along paths (n,)."""
     n, steps = x.shape
@@ -460,7 +461,7 @@ def along_path(path: Any, x: Any, path_lane: Any, path_start: Any) -> tuple[Any,
     return lane, s
 
 
-@numba.njit(cache=True, fastmath=True)
+@reordered
 def place(
     lane: Any, s: Any, side: Any, segment_start: Any, segment_direction: Any, segment_at: Any,
     segment_first: Any, segment_last: Any,
@@ -488,7 +489,7 @@ def place(
     return out
 
 
-@numba.njit(cache=True, fastmath=True)
+@reordered
 def from_own_seat(
     xy: Any, now: Any, heading: Any, speed: Any, on_path: Any, every: int, step_s: float
 ) -> Any:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
+from graphrqi.compiled import compiled
 from sim import lane_search
 from sim.observables import LOOK_AHEAD_M, MAX_LANES_AHEAD
 
@@ -32,7 +32,7 @@ FREE_HEADWAY_S, FREE_GAP_M, STEADY_MPS2 = 4.0, 40.0, 0.4
 so little acceleration (our choice; HCM calls a headway over 3 to 4 s free)."""
 
 
-@numba.njit(cache=True)
+@compiled
 def _in_order(key: Any, s: Any, keys: int) -> Any:
     """Those of key 0 and up, by key, then by s, then as they come: few share a key."""
     begin = np.zeros(keys + 1, np.int64)
@@ -54,7 +54,7 @@ def _in_order(key: Any, s: Any, keys: int) -> Any:
     return order
 
 
-@numba.njit(cache=True)
+@compiled
 def look(
     time_s: Any, valid: Any, xy: Any, heading: Any, speed: Any, length: Any, drives: Any,
     columns: Any, agent: Any, instant: Any, lane: Any, s: Any, offset: Any, lane_length: Any,
