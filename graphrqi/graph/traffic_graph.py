@@ -256,6 +256,8 @@ class TrafficGraph:
                 f"xy: found {positions[row].tolist()} for vehicle {new_ids[row]}, "
                 f"expected finite metres below {MAX_COORDINATE_M:g}"
             )
+        positions = positions.view()
+        positions.flags.writeable = False  # always: kernels would be compiled for either
         keep = rule.kind == "accumulated" and 0 < self.observations < rule.reset
         base = self if keep else _NOTHING
         if rule.radius_m is None:
