@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from behaviors.profiles import Profile
+from sim.frames import FloatArray
 from sim.road import Connection, Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.drivers import Steered
@@ -131,36 +132,36 @@ class Clearing(Steered[_Driver]):
 def _foes(road: Road) -> dict[tuple[str, str], tuple[str, ...]]:
     """By lane and next edge, the lanes inside a junction on which others have to finish first."""
     edge = {lane.id: lane.edge for lane in road.lanes}
-    ways = road.connections
-    paths = [_points(road, way) for way in ways]
+    ways = [(number, way) for number, way in enumerate(road.connections) if way.via]
+    if not ways:
+        return {}
+    paths = [_points(road, way) for _, way in ways]
+    low = np.array([path.min(axis=0) for path in paths]) - APART_M
+    high = np.array([path.max(axis=0) for path in paths])
     found: dict[tuple[str, str], tuple[str, ...]] = {}
-    for one, way in enumerate(ways):
+    for k, (one, way) in enumerate(ways):
+        close = ((low <= high[k]) & (low[k] <= high)).all(axis=1)
         lanes = [
             lane
-            for two, other in enumerate(ways)
-            if other.from_lane != way.from_lane
-            and road.first_come(one, two)
-            and _meet(paths[one], paths[two])
-            for lane in other.via
+            for m in np.flatnonzero(close).tolist()
+            if ways[m][1].from_lane != way.from_lane
+            and road.first_come(one, ways[m][0])
+            and _apart_m(paths[k], paths[m]) < APART_M
+            for lane in ways[m][1].via
         ]
         if lanes:
             found[way.from_lane, edge[way.to_lane]] = tuple(dict.fromkeys(lanes))
     return found
 
 
-def _points(road: Road, way: Connection) -> np.ndarray:
+def _points(road: Road, way: Connection) -> FloatArray:
     """(P, 2) points at most a metre apart along a way through a junction, m."""
-    lines = [road.lanes[road.lane_index[name]].centerline for name in way.via]
-    if not lines:
-        return np.empty((0, 2))
-    line = np.concatenate(lines)
+    line = np.concatenate([road.lanes[road.lane_index[name]].centerline for name in way.via])
     at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     fine = np.linspace(0.0, at[-1], math.ceil(at[-1]) + 1)
     return np.stack([np.interp(fine, at, line[:, k]) for k in (0, 1)], axis=1)
 
 
-def _meet(one: np.ndarray, two: np.ndarray) -> bool:
-    if not (one.size and two.size):
-        return False
-    apart = np.hypot(*(one[:, None] - two[None]).transpose(2, 0, 1))
-    return bool(apart.min() < APART_M)
+def _apart_m(one: FloatArray, two: FloatArray) -> float:
+    """The least distance between points of two lines, m."""
+    return float(np.hypot(*(one[:, None] - two[None]).transpose(2, 0, 1)).min())
