@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from graphrqi.predict import bases_kernel
 from graphrqi.predict.agreement import agreement
+from graphrqi.predict.constant import inertial_distance
 from graphrqi.predict.drivers import DriverTable
 from graphrqi.predict.features import features
 from graphrqi.predict.manners import believed, if_each
@@ -107,7 +108,7 @@ def known(scene: Scene, probability: FloatArray, table: DriverTable) -> Known:
     for way, (_, there) in enumerate(ways):
         seen = from_own_seat(first, each.lane[way], each.s[way], each.side[way], 1, KNOT_S)
         bases[:, 2 + way] = np.where(there[:, None, None], seen, bases[:, 0])
-    bases_kernel.inertia(scene.speed, scene.accel, TIME_S, bases[:, 4])
+    _inertia(scene, bases[:, 4])
     half = KNOTS // 2 - 1
     ahead = each.gone[2:, :, [half, -1]] - main.gone[:, [half, -1]]
     ahead = np.where(scene.on_path[:, None], ahead, 0.0) / (5.0, 10.0)
@@ -152,7 +153,7 @@ def unlabelled(scene: Scene) -> Known:
         moving, there = beside(first, side)
         seen = _at_knots(moving, steady(moving))
         bases[:, 2 + way] = np.where(there[:, None, None], seen, bases[:, 0])
-    bases_kernel.inertia(scene.speed, scene.accel, TIME_S, bases[:, 4])
+    _inertia(scene, bases[:, 4])
     inputs = np.concatenate([features(scene), _relative(scene, bases)], axis=1)
     return Known(inputs, bases)
 
@@ -161,6 +162,12 @@ def _at_knots(scene: Scene, rollout: Rollout) -> FloatArray:
     """(n, KNOTS, 2) a rollout's places at the knots, in the drivers' frames, m."""
     every = round(KNOT_S / rollout.step_s)
     return from_own_seat(scene, rollout.lane, rollout.s, rollout.side, every, rollout.step_s)
+
+
+def _inertia(scene: Scene, out: FloatArray) -> None:
+    """Write (n, KNOTS, 2) everyone straight on at constant acceleration, m."""
+    out[..., 0] = inertial_distance(scene.speed[:, None], scene.accel[:, None], TIME_S)
+    out[..., 1] = 0.0
 
 
 def _relative(scene: Scene, bases: FloatArray) -> FloatArray:

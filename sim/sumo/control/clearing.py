@@ -8,9 +8,8 @@ probability, drawn once per junction.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -20,7 +19,7 @@ from behaviors.profiles import Profile
 from sim.frames import FloatArray
 from sim.road import Connection, Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.drivers import Steered
+from sim.sumo.control.drivers import OnRoute, Steered
 
 APART_M: Final = 2.5
 """Ways that come closer than this cross or join (our choice: a car's width and some room)."""
@@ -33,16 +32,11 @@ BEFORE_LINE_M: Final = 1.0
 
 
 @dataclass(slots=True)
-class _Driver:
+class _Driver(OnRoute):
     """One driver who lets others finish."""
 
-    agent: AgentSpec
-    following: Mapping[str, str]
-    rng: np.random.Generator
-    edge: str = ""
     lets: bool = False
     waits: bool = False
-    look_s: float = 0.0
 
 
 class Clearing(Steered[_Driver]):
@@ -63,9 +57,7 @@ class Clearing(Steered[_Driver]):
         self._foes = _foes(road)
         self._acts_s = acts_s
         self._drivers = {
-            str(a.id): _Driver(
-                a, dict(itertools.pairwise(a.route)), np.random.default_rng((a.seed, 6))
-            )
+            str(a.id): _Driver(a, np.random.default_rng((a.seed, 6)))
             for a in agents
             if self._foes and a.profile is not None and a.profile.yield_probability > 0
         }

@@ -7,7 +7,7 @@ encounter for which the driver's probability says otherwise, and again after the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ import numpy as np
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.approaches import Approach, approaches
-from sim.sumo.control.drivers import Steered
+from sim.sumo.control.drivers import OnRoute, Steered
 
 ORDINARY: Final = 31
 """SUMO's default speed mode: safe speed, limits of the vehicle, right of way, red lights."""
@@ -34,18 +34,13 @@ most), so nobody comes into sight of a junction sooner."""
 
 
 @dataclass(slots=True)
-class _Driver:
+class _Driver(OnRoute):
     """One rule breaker's decisions at the approach it is on."""
 
-    agent: AgentSpec
-    following: Mapping[str, str]
-    rng: np.random.Generator
-    edge: str = ""
     red: bool = False
     rolls: bool = False
     cuts: bool = False
     mode: int = ORDINARY
-    look_s: float = 0.0
     near: bool = False
     decided: set[str] = field(default_factory=set)
 
@@ -68,9 +63,7 @@ class Obedience(Steered[_Driver]):
         self._crossings = frozenset(c.id for c in road.crossings)
         self._fastest_mps = FASTEST * max(lane.speed_limit_mps for lane in road.lanes)
         self._drivers = {
-            str(a.id): _Driver(
-                a, dict(zip(a.route, a.route[1:], strict=False)), np.random.default_rng((a.seed, 1))
-            )
+            str(a.id): _Driver(a, np.random.default_rng((a.seed, 1)))
             for a in agents
             if breaks_rules(a)
         }
