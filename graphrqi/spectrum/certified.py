@@ -88,12 +88,14 @@ class Found:
         order: (d,) elimination order to use again, or None to find a new one.
         fill: entries of the factor to one of the matrix when that order was found.
         product: (d,) a number per row of the Laplacian, see `tracking.Analysis`, if known.
+        room: (r, 8) memory that a factor fitted into; its numbers mean nothing.
     """
 
     vectors: Floats
     order: NDArray[np.int32] | None = None
     fill: float = 0.0
     product: Floats | None = None
+    room: Floats | None = None
 
 
 def solve(
@@ -163,8 +165,8 @@ def _track(
 
     d = graph.ids.size
     start = _start(graph, previous)
-    analysis = tracking.analyse(graph, start.order)
     smallest = end == "smallest"
+    analysis = tracking.analyse(graph, start.order, -1.0 if smallest else 1.0, start.product)
     zeros, k = 0, num_pairs
     if smallest and not nonzero:
         zeros = min(analysis.components, num_pairs)
@@ -181,18 +183,17 @@ def _track(
     fill = (analysis.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
     first_fill = fill if start.order is None else start.fill
     order = analysis.order if fill <= STALE * first_fill else None
-    scale = max(1.0, float(analysis.diagonal.max()))
+    scale = analysis.scale
     low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
     if smallest:
         low, high = -high, 0.0
-        analysis = analysis._replace(entries=-analysis.entries, diagonal=-analysis.diagonal)
     warm = start.vectors
-    changed = np.abs(analysis.product - start.product) > 1e-9
+    room = tracking.room_for(analysis, start.room)
     if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
-        warm = tracking.track_lively(graph, analysis.order, warm, changed, k, scale, tol, EXTRA)
+        warm = tracking.track_lively(graph, analysis, warm, k, tol, EXTRA, room)
     certified, pairs, found = tracking.track(
-        *analysis[:-1], smallest, warm, changed, k, scale, tol, low, high,
-        MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA,
+        *analysis[:11], smallest, warm, analysis.changed, k, scale, tol, low, high,
+        MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA, room,
     )  # fmt: skip
     if not certified:
         return None
@@ -212,7 +213,7 @@ def _track(
         values = np.concatenate([np.zeros(zeros), values])
         residuals = np.concatenate([np.zeros(zeros), residuals])
         vectors = np.hstack([null_space(graph)[:, :zeros], vectors])
-    carried = Found(found, order, first_fill, analysis.product)
+    carried = Found(found, order, first_fill, analysis.product, room)
     return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
 
 
@@ -280,18 +281,20 @@ class _Start(NamedTuple):
         product: (d,) its numbers per row, infinite where there is none.
         order: (d,) its elimination order, None if it will not do,
         fill: and its fill.
+        room: memory for a factor, if there is any.
     """
 
     vectors: Floats
     product: Floats
     order: NDArray[np.int32] | None
     fill: float
+    room: Floats | None
 
 
 def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
     d = graph.ids.size
     if previous is None:
-        return _Start(np.empty((d, 0)), np.full(d, np.inf), None, 0.0)
+        return _Start(np.empty((d, 0)), np.full(d, np.inf), None, 0.0, None)
     found = previous.carried
     if not isinstance(found, Found):
         found = Found(previous.eigenvectors)
@@ -303,7 +306,7 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
         product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
     if not vectors.flags.writeable:  # for another type the kernel would be compiled anew
         vectors = vectors.copy()
-    return _Start(vectors, product, order, found.fill)
+    return _Start(vectors, product, order, found.fill, found.room)
 
 
 def _dense(

@@ -36,7 +36,15 @@ from graphrqi.spectrum.lanes import (
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
+Ids: TypeAlias = NDArray[np.int64]
+Bools: TypeAlias = NDArray[np.bool_]
 
+GOLDEN = -0x61C8864680B583EB
+"""2^64 over the golden ratio, less 2^64: its multiples look random (Knuth, The Art of Computer
+Programming 3, section 6.4)."""
+UNCHANGED = 1e-9
+"""How much a row's number may differ and the row count as the same (our choice; rounding makes
+1e-14)."""
 SHIFT, ABOVE, GROWTH = 0, 1, 2  # rows of `lanes`
 
 
@@ -89,28 +97,39 @@ def order_rows(indptr: Ints, indices: Ints) -> tuple[Ints, Ints, int]:
 
 @compiled
 def factor_pattern(
-    indptr: Ints, indices: Ints, values: Floats, probe: Floats, order: Ints
-) -> tuple[Ints, Ints, Ints, Ints, Ints, Floats, Floats, Ints, int, float, Floats]:
+    ids: Ids,
+    indptr: Ints,
+    indices: Ints,
+    values: Floats,
+    sign: float,
+    order: Ints,
+    earlier: Floats,
+) -> tuple[Ints, Ints, Ints, Ints, Ints, Floats, Floats, Ints, int, float, float, Floats, Bools]:
     """Pattern of the factor, with the matrix's entries in it.
 
     Args:
+        ids: (n,) the vehicle of each row.
         indptr: row starts of the symmetric matrix, every diagonal entry stored.
         indices: its columns.
         values: its values.
-        probe: a number per row.
+        sign: 1 or -1, which the entries in the pattern are multiplied with.
         order: (d,) row at each place; rows it does not name, and their columns, are left out.
+        earlier: (n,) numbers that tell each row of an earlier matrix, infinite for a new row.
 
     Returns:
         (d + 1,) column starts and (f,) rows of the factor (places, ascending in each column);
         (d + 1,) row starts, (f,) columns by row and (f,) where those entries are in the columns;
         (f,) entries of the matrix (0 where it fills in) and (d,) its diagonal; (d,) connected
         component of each place and how many there are; the number of multiplications a
-        factorisation takes; and (n,) the matrix times the probe, in the rows named.
+        factorisation takes; the largest entry of the diagonal, at least 1; and in the rows named,
+        (n,) the matrix times noise that depends on the ids only, which tells a row, and (n,)
+        whether it is not as it was.
     """
-    d = order.size
-    place = np.empty(indptr.size - 1, np.int32)
-    for i in range(place.size):
+    d, n = order.size, ids.size
+    place, noise = np.empty(n, np.int32), np.empty(n, np.float64)
+    for i in range(n):
         place[i] = -1
+        noise[i] = float((ids[i] * GOLDEN) >> 11) * 2.0**-52
     low_starts = np.empty(d + 1, np.int32)
     low_starts[0] = 0
     for k in range(d):
@@ -122,18 +141,21 @@ def factor_pattern(
     # is written behind the last.
     low, low_values = np.empty(indices.size + 1, np.int32), np.empty(indices.size + 1, np.float64)
     diagonal = np.empty(d, np.float64)
-    low_ends, product = low_starts.copy(), np.empty(place.size, np.float64)
+    low_ends, product, changed = low_starts.copy(), np.empty(n, np.float64), np.empty(n, np.bool_)
+    largest = 1.0
     for k in range(d):
         r = order[k]
-        product[r] = 0.0
+        told = 0.0
         for p in range(indptr[r], indptr[r + 1]):
-            product[r] += values[p] * probe[indices[p]]
+            told += values[p] * noise[indices[p]]
             i = place[indices[p]]
             t = low_ends[i]
-            low[t], low_values[t] = k, values[p]
+            low[t], low_values[t] = k, sign * values[p]
             low_ends[i] = t + (i > k)
             if i == k:
-                diagonal[k] = values[p]
+                diagonal[k] = sign * values[p]
+                largest = max(largest, values[p])
+        product[r], changed[r] = told, abs(told - earlier[r]) > UNCHANGED
     # The columns of every row of the factor, along the elimination tree.
     parent, mark = np.empty(d, np.int32), np.empty(d, np.int32)
     starts, row_starts = np.zeros(d + 1, np.int32), np.empty(d + 1, np.int32)
@@ -177,7 +199,10 @@ def factor_pattern(
     for k in range(d - 1, -1, -1):  # components: the trees of the elimination forest
         label[k] = count if parent[k] < 0 else label[parent[k]]
         count += parent[k] < 0
-    return starts, rows, row_starts, columns, spots, entries, diagonal, label, count, work, product
+    return (
+        starts, rows, row_starts, columns, spots, entries, diagonal, label, count, work,
+        largest, product, changed,
+    )  # fmt: skip
 
 
 @compiled

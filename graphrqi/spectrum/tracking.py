@@ -616,6 +616,7 @@ def track(
     high: float,
     max_sweeps: int,
     extra: int,
+    room: Floats,
 ) -> tuple[bool, Floats, Floats]:
     """Find and certify the k largest eigenpairs of M.
 
@@ -642,6 +643,7 @@ def track(
         high: above all eigenvalues that count; 0 with ``deflate``.
         max_sweeps: factorisations to give up after.
         extra: pairs found beyond the k-th that are answered too where they equal it.
+        room: (r, 8) memory for the factor, r > number of its entries; overwritten.
 
     Returns:
         Whether none of the k was missed; (2, m) eigenvalues of M, descending, and residuals; and
@@ -661,7 +663,7 @@ def track(
     points[0, 1], points[1, 1], above[1] = low, 0.0, d - ignored
     n_points = int(np.int64(2))  # a literal would be compiled for once more
     # in cache lines of their own, a quarter quicker; there is a row too many
-    factor = aligned(np.empty((rows.size + 1, 8), np.float64))
+    factor = aligned(room)
     pivots = aligned(np.empty((d + 1, 8), np.float64))
     x, ax = aligned(np.empty((d + 1, 8), np.float64)), aligned(np.empty((d + 1, 8), np.float64))
     lanes = np.empty((5, 8), np.float64)
@@ -816,6 +818,8 @@ def track(
 
 @compiled
 def lively_rows(
+    order: Ints,
+    diagonal: Floats,
     indptr: Ints,
     indices: Ints,
     values: Floats,
@@ -832,6 +836,8 @@ def lively_rows(
     compared with that of the vertices that have one.
 
     Args:
+        order: (d,) row at each place of the elimination order.
+        diagonal: (d,) of the Laplacian, by place.
         indptr: (d + 1,) the Laplacian in CSR: row starts,
         indices: columns,
         values: and values.
@@ -846,20 +852,19 @@ def lively_rows(
     d = changed.size
     degree, steps = np.empty(d, np.float64), np.empty(d, np.int32)
     queue, peak = np.empty(d + 1, np.int32), np.empty(k, np.int32)
-    lively = np.empty(d, np.bool_)
+    height, lively = np.empty(k, np.float64), np.empty(d, np.bool_)
     for c in range(k):
-        peak[c] = 0
+        peak[c], height[c] = 0, 0.0
     n = 0
+    for j in range(d):
+        degree[order[j]] = diagonal[j]
     for i in range(d):
-        for p in range(indptr[i], indptr[i + 1]):
-            if indices[p] == i:
-                degree[i] = values[p]
         largest = 0.0
         for c in range(k):
             size = abs(vectors[i, c])
             largest = max(largest, size)
-            if size > abs(vectors[peak[c], c]):
-                peak[c] = i
+            if size > height[c]:
+                peak[c], height[c] = i, size
         lively[i] = largest > NEGLIGIBLE
         steps[i] = 1
         queue[n] = i
@@ -901,7 +906,7 @@ class Analysis(NamedTuple):
 
     Attributes:
         order: (d,) row at each place of the elimination order; then as of
-            `factor_pattern`; the product tells rows that changed.
+            `factor_pattern`.
     """
 
     order: Ints
@@ -915,59 +920,87 @@ class Analysis(NamedTuple):
     label: Ints
     components: int
     work: float
+    scale: float
     product: Floats
+    changed: Bools
 
 
-def analyse(graph: TrafficGraph, order: Ints | None = None) -> Analysis:
-    """Prepare a Laplacian for factorisations.
+def analyse(
+    graph: TrafficGraph,
+    order: Ints | None = None,
+    sign: float = 1.0,
+    earlier: Floats | None = None,
+) -> Analysis:
+    """Prepare a Laplacian, or its negative, for factorisations.
 
     Args:
         graph: its Laplacian is the matrix.
         order: elimination order, perhaps not of all rows; a new one of all if not given.
+        sign: 1, or -1 for its negative.
+        earlier: (d,) the product of the matrix before, by row; infinite where there was none.
 
     Returns:
         Its pattern.
     """
     if order is None:
         order = order_rows(graph.indptr, graph.indices)[0][::-1].copy()
-    probe = np.sin(graph.ids)  # as good as random, and the same for the same vehicle
-    matrix = (graph.indptr, graph.indices, graph.values)
-    return Analysis(order, *factor_pattern(*matrix, probe, order))
+    if earlier is None:
+        earlier = np.full(graph.ids.size, np.inf)
+    matrix = (graph.ids, graph.indptr, graph.indices, graph.values)
+    return Analysis(order, *factor_pattern(*matrix, sign, order, earlier))
+
+
+def room_for(analysis: Analysis, room: Floats | None) -> Floats:
+    """Memory that a factor fits into: the one given, or more.
+
+    A factor's memory asked for anew at every step is given back to the system at every step, and
+    touching it the first time costs as much as the factorisation.
+
+    Args:
+        analysis: the matrix.
+        room: (r, 8) memory of an earlier step, if there is any.
+
+    Returns:
+        (m, 8) memory, m > number of the factor's entries.
+    """
+    entries = analysis.rows.size
+    if room is not None and len(room) > entries:
+        return room
+    return np.empty((entries + entries // 4 + 1, 8))
 
 
 def track_lively(
     graph: TrafficGraph,
-    order: Ints,
+    whole: Analysis,
     warm: Floats,
-    changed: Bools,
     k: int,
-    scale: float,
     tol: float,
     extra: int,
+    room: Floats,
 ) -> Floats:
     """Better vectors to start from: those of the part of the matrix where they are.
 
     Args:
         graph: d vehicles.
-        order: (d,) row at each place of the elimination order.
+        whole: of its Laplacian.
         warm: (d, m) vectors to start from.
-        changed: (d,) rows that are not as they were.
         k: wanted pairs.
-        scale: lower bound on the norm.
         tol: residuals up to tol * scale will count as converged.
         extra: pairs beyond the k-th that are kept.
+        room: memory for the factor, as of `room_for` the whole matrix.
 
     Returns:
         (d, m) the part's eigenvectors, 0 in the other rows; ``warm`` if they were not found.
     """
+    order, changed, scale = whole.order, whole.changed, whole.scale
     matrix = (graph.indptr, graph.indices, graph.values)
-    lively = lively_rows(*matrix, warm, k, changed, order.size // 2)
+    lively = lively_rows(order, whole.diagonal, *matrix, warm, k, changed, order.size // 2)
     lively_order = order[lively[order]]
     if not 8 * k <= lively_order.size <= order.size // 2:
         return warm
     part = analyse(graph, lively_order)
     certified, _, vectors = track(
-        *part[:-1], False, warm, changed, k, scale, 0.5 * tol, -1.0, 2.0 * scale + 1.0,
-        MAX_LIVELY_SWEEPS, extra,
+        *part[:11], False, warm, changed, k, scale, 0.5 * tol, -1.0, 2.0 * scale + 1.0,
+        MAX_LIVELY_SWEEPS, extra, room_for(part, room),
     )  # fmt: skip
     return vectors if certified else warm
