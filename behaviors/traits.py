@@ -7,7 +7,7 @@ number behind it. Thresholds stand at the top, each with its source.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import Trait
+from behaviors.presence import Presence
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -117,36 +118,38 @@ class RuleEncounter:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What was seen of N agents at T times. Distances are +inf and indices -1 where nothing is.
+    """What was seen of N agents, one row per agent and time (`Presence`).
+
+    Distances are +inf and rows -1 where nothing is.
 
     Attributes:
+        presence: the m rows: which agent, when.
         time_s: (T,) s, evenly spaced.
-        valid: (N, T) whether the agent was seen.
         drives: (N,) whether it is a vehicle.
         length: (N,) m.
         width: (N,) m.
-        speed: (N, T) m/s.
-        limit: (N, T) speed limit, m/s.
-        edge: (N, T) number of the stretch of road.
-        lane: (N, T) number of the lane.
-        offset: (N, T) signed distance to the left of the lane's centre line, m.
-        lane_width: (N, T) m.
-        lane_heading: (N, T) heading relative to the lane's, rad.
-        leader: (N, T) row of the vehicle ahead.
-        follower: (N, T) row of the vehicle behind.
-        gap: (N, T) bumper to bumper to the leader, m.
-        closing: (N, T) own speed minus the leader's, m/s.
-        stop_distance: (N, T) front bumper to the next junction, m; negative inside one.
-        stop_ahead: (N, T) whether a red signal, a stop sign or a lack of priority holds there.
-        crossing_distance: (N, T) front bumper to the next crossing, m.
-        crossing_used: (N, T) whether somebody is on that crossing or about to be.
-        off_crossing: (N, T) whether a pedestrian is on the carriageway, off any crossing.
-        on_red: (N, T) whether a pedestrian is on a crossing entered on red.
+        speed: (m,) m/s.
+        limit: (m,) speed limit, m/s.
+        edge: (m,) number of the stretch of road.
+        lane: (m,) number of the lane.
+        offset: (m,) signed distance to the left of the lane's centre line, m.
+        lane_width: (m,) m.
+        lane_heading: (m,) heading relative to the lane's, rad.
+        leader: (m,) row of the vehicle ahead at that time.
+        follower: (m,) row of the vehicle behind at that time.
+        gap: (m,) bumper to bumper to the leader, m.
+        closing: (m,) own speed minus the leader's, m/s.
+        stop_distance: (m,) front bumper to the next junction, m; negative inside one.
+        stop_ahead: (m,) whether a red signal, a stop sign or a lack of priority holds there.
+        crossing_distance: (m,) front bumper to the next crossing, m.
+        crossing_used: (m,) whether somebody is on that crossing or about to be.
+        off_crossing: (m,) whether a pedestrian is on the carriageway, off any crossing.
+        on_red: (m,) whether a pedestrian is on a crossing entered on red.
         encounters: rules met, kept or broken.
     """
 
+    presence: Presence
     time_s: FloatArray
-    valid: BoolArray
     drives: BoolArray
     length: FloatArray
     width: FloatArray
@@ -176,50 +179,32 @@ class Seen:
 
     @property
     def headway(self) -> FloatArray:
-        """(N, T) gap over own speed, s; +inf without leader or below ``FOLLOWING_MPS``."""
-        moving = self.valid & (self.speed > FOLLOWING_MPS)
+        """(m,) gap over own speed, s; +inf without leader or below ``FOLLOWING_MPS``."""
         headway = np.full(self.gap.shape, np.inf)
-        np.divide(self.gap, self.speed, out=headway, where=moving)
+        np.divide(self.gap, self.speed, out=headway, where=self.speed > FOLLOWING_MPS)
         return headway
 
+    @property
+    def driving(self) -> BoolArray:
+        """(m,) whether the agent is a vehicle."""
+        return self.drives[self.presence.agent]
 
-def runs(flags: BoolArray, shortest: int = 1) -> Iterator[tuple[int, int, int]]:
-    """Unbroken stretches of True in each row.
-
-    Args:
-        flags: (N, T).
-        shortest: leave out stretches shorter than this.
-
-    Yields:
-        Row, first column, and one past the last column.
-
-    Examples:
-        >>> list(runs(np.array([[False, True, True, False], [True, False, True, True]]), 2))
-        [(0, 1, 3), (1, 2, 4)]
-    """
-    width = flags.shape[1]
-    at = np.flatnonzero(flags)  # few are set, so all else is done on those
-    new = np.ones(at.size, dtype=bool)
-    new[1:] = (np.diff(at) > 1) | (at[1:] % width == 0)
-    first = np.flatnonzero(new)
-    count = np.diff(first, append=at.size)
-    long = count >= shortest
-    rows, begins = np.divmod(at[first[long]], width)
-    for row, begin, steps in zip(rows, begins, count[long], strict=True):
-        yield int(row), int(begin), int(begin + steps)
+    def when(self, row: int) -> float:
+        """The time of a row, s."""
+        return float(self.time_s[self.presence.step[row]])
 
 
-def lane_changes(seen: Seen) -> tuple[IntArray, IntArray]:
-    """Who changed lanes and in which column the centre was first on the new one.
+def lane_changes(seen: Seen) -> IntArray:
+    """Who changed lanes and when.
 
     Returns:
-        (m,) rows and (m,) columns. Going from one stretch of road to the next is no lane change.
+        (k,) rows in which a centre was first on the new lane. Going from one stretch of road to
+        the next is no lane change.
     """
-    rows, before = np.nonzero(seen.lane[:, :-1] != seen.lane[:, 1:])
-    after = before + 1
-    changed = (seen.edge[rows, before] == seen.edge[rows, after]) & seen.drives[rows]
-    changed &= (seen.lane[rows, before] >= 0) & (seen.lane[rows, after] >= 0)
-    return rows[changed], after[changed]
+    rows = np.flatnonzero(seen.lane[1:] != seen.lane[:-1]) + 1
+    changed = (seen.edge[rows - 1] == seen.edge[rows]) & ~seen.presence.begins[rows]
+    changed &= (seen.lane[rows - 1] >= 0) & (seen.lane[rows] >= 0) & seen.driving[rows]
+    return np.asarray(rows[changed], dtype=np.int64)
 
 
 def _exhibits(
@@ -227,61 +212,54 @@ def _exhibits(
     trait: Trait,
     flags: BoolArray,
     shortest_s: float,
-    value: Callable[[int, slice], float],
+    value: Callable[[slice], float],
 ) -> list[Exhibit]:
-    """One exhibit for every long enough stretch of ``flags``."""
+    """One exhibit for every long enough stretch of ``flags``; its value is that of its rows."""
     shortest = max(1, round(shortest_s / seen.step_s))
     return [
         Exhibit(
             trait=trait,
-            agent=row,
-            begin_s=float(seen.time_s[begin]),
-            end_s=float(seen.time_s[end - 1]),
-            value=value(row, slice(begin, end)),
+            agent=int(seen.presence.agent[run.start]),
+            begin_s=seen.when(run.start),
+            end_s=seen.when(run.stop - 1),
+            value=value(run),
         )
-        for row, begin, end in runs(flags, shortest)
+        for run in seen.presence.runs(flags, shortest)
     ]
 
 
 def over_speeding(seen: Seen) -> list[Exhibit]:
     """Faster than the limit allows for 3 s; the value is the largest speed over the limit."""
-    flags = seen.valid & seen.drives[:, None] & (seen.speed > OVER_LIMIT * seen.limit)
+    flags = seen.driving & (seen.speed > OVER_LIMIT * seen.limit)
     return _exhibits(
-        seen,
-        Trait.OVER_SPEEDING,
-        flags,
-        3.0,
-        lambda i, at: float(np.max(seen.speed[i, at] / seen.limit[i, at])),
-    )
+        seen, Trait.OVER_SPEEDING, flags, 3.0,
+        lambda at: float(np.max(seen.speed[at] / seen.limit[at])),
+    )  # fmt: skip
 
 
 def tailgating(seen: Seen) -> list[Exhibit]:
     """Following at a headway that is too short, for 3 s; the value is the median headway, s."""
     headway = seen.headway
     flags = (headway < TAILGATING_HEADWAY_S) & (headway >= CLOSE_HEADWAY_S)
-    return _exhibits(
-        seen, Trait.TAILGATING, flags, 3.0, lambda i, at: float(np.median(headway[i, at]))
-    )
+    return _exhibits(seen, Trait.TAILGATING, flags, 3.0, lambda at: float(np.median(headway[at])))
 
 
 def driving_close(seen: Seen) -> list[Exhibit]:
     """Following extremely close for 2 s; the value is the median headway, s."""
     headway = seen.headway
     return _exhibits(
-        seen,
-        Trait.DRIVING_CLOSE,
-        headway < CLOSE_HEADWAY_S,
-        2.0,
-        lambda i, at: float(np.median(headway[i, at])),
-    )
+        seen, Trait.DRIVING_CLOSE, headway < CLOSE_HEADWAY_S, 2.0,
+        lambda at: float(np.median(headway[at])),
+    )  # fmt: skip
 
 
 def weaving(seen: Seen) -> list[Exhibit]:
     """Several lane changes in a short time; the value is how many."""
-    rows, columns = lane_changes(seen)
+    rows = lane_changes(seen)
+    who, when_s = seen.presence.agent[rows], seen.time_s[seen.presence.step[rows]]
     found = []
-    for row in np.unique(rows):
-        times = seen.time_s[np.sort(columns[rows == row])]
+    for agent in np.unique(who):
+        times = when_s[who == agent]
         first = 0
         while first < times.size:
             last = first
@@ -290,7 +268,9 @@ def weaving(seen: Seen) -> list[Exhibit]:
             count = last - first + 1
             if count >= WEAVING_CHANGES:
                 found.append(
-                    Exhibit(Trait.WEAVING, int(row), float(times[first]), float(times[last]), count)
+                    Exhibit(
+                        Trait.WEAVING, int(agent), float(times[first]), float(times[last]), count
+                    )
                 )
             first = last + 1
     return found
@@ -302,28 +282,32 @@ def overtaking(seen: Seen) -> list[Exhibit]:
     The distance passed is the former gap made up by the difference of the speeds, so it needs no
     common coordinate along the road.
     """
-    rows, columns = lane_changes(seen)
+    presence, speed = seen.presence, seen.speed
     ahead = round(OVERTAKING_S / seen.step_s)
     found = []
-    for row, column in zip(rows, columns, strict=True):
-        leader = seen.leader[row, column - 1]
+    for row in lane_changes(seen).tolist():
+        leader = int(seen.leader[row - 1])
         if leader < 0:
             continue
-        span = slice(column, min(column + ahead, seen.time_s.size))
-        both = seen.valid[row, span] & seen.valid[leader, span]
-        faster = np.where(both, seen.speed[row, span] - seen.speed[leader, span], 0.0)
-        to_pass = seen.gap[row, column - 1] + seen.length[row] + seen.length[leader]
+        agent, other = int(presence.agent[row]), int(presence.agent[leader])
+        begin = int(presence.step[row])
+        end = min(begin + ahead, seen.time_s.size)
+        faster = presence.over(speed, agent, begin, end, np.nan) - presence.over(
+            speed, other, begin, end, np.nan
+        )
+        both = np.isfinite(faster)
+        faster = np.where(both, faster, 0.0)
+        to_pass = seen.gap[row - 1] + seen.length[agent] + seen.length[other]
         passed = np.flatnonzero((np.cumsum(faster) * seen.step_s > to_pass) & both)
         if passed.size:
-            end = column + int(passed[0])
             found.append(
                 Exhibit(
                     trait=Trait.OVERTAKING,
-                    agent=int(row),
-                    begin_s=float(seen.time_s[column]),
-                    end_s=float(seen.time_s[end]),
+                    agent=agent,
+                    begin_s=float(seen.time_s[begin]),
+                    end_s=float(seen.time_s[begin + int(passed[0])]),
                     value=float(faster[: passed[0] + 1].mean()),
-                    other=int(leader),
+                    other=other,
                 )
             )
     return found
@@ -335,34 +319,34 @@ def cutting_in(seen: Seen) -> list[Exhibit]:
     The headway is the new follower's when the box of the one who changes first touches the new
     lane: from then on others must react (UN Regulation 157 sets its reference point there too).
     """
-    rows, columns = lane_changes(seen)
+    begins, agent = seen.presence.begins, seen.presence.agent
     found = []
-    for row, column in zip(rows, columns, strict=True):
-        follower = seen.follower[row, column]
-        if follower < 0:
+    for row in lane_changes(seen).tolist():
+        follower = int(seen.follower[row])
+        if follower < 0 or begins[follower]:
             continue
-        touch = column - 1
-        reach = seen.lane_width[row, touch] / 2 - seen.width[row] / 2
+        back = 1  # how many times ago the box touched the new lane
+        reach = seen.lane_width[row - 1] / 2 - seen.width[agent[row]] / 2
         while (
-            touch > 0
-            and seen.lane[row, touch - 1] == seen.lane[row, column - 1]
-            and abs(seen.offset[row, touch - 1]) >= reach
-            and seen.valid[follower, touch - 1]
+            not begins[row - back]
+            and seen.lane[row - back - 1] == seen.lane[row - 1]
+            and abs(seen.offset[row - back - 1]) >= reach
+            and not begins[follower - back]
         ):
-            touch -= 1
-        since = slice(touch, column)
-        gained = float(np.sum(seen.speed[row, since] - seen.speed[follower, since])) * seen.step_s
-        gap = float(seen.gap[follower, column]) - gained
-        speed = float(seen.speed[follower, touch])
+            back += 1
+        mine, theirs = slice(row - back, row), slice(follower - back, follower)
+        gained = float(np.sum(seen.speed[mine] - seen.speed[theirs])) * seen.step_s
+        gap = float(seen.gap[follower]) - gained
+        speed = float(seen.speed[follower - back])
         if speed > FOLLOWING_MPS and gap / speed < CUT_IN_HEADWAY_S:
             found.append(
                 Exhibit(
                     trait=Trait.CUTTING_IN,
-                    agent=int(row),
-                    begin_s=float(seen.time_s[touch]),
-                    end_s=float(seen.time_s[column]),
+                    agent=int(agent[row]),
+                    begin_s=seen.when(row - back),
+                    end_s=seen.when(row),
                     value=max(gap, 0.0) / speed,
-                    other=int(follower),
+                    other=int(agent[follower]),
                 )
             )
     return found
@@ -370,32 +354,24 @@ def cutting_in(seen: Seen) -> list[Exhibit]:
 
 def wrong_direction(seen: Seen) -> list[Exhibit]:
     """Driving against the lane's direction; the value is the distance driven so, m."""
-    flags = (
-        seen.valid
-        & seen.drives[:, None]
-        & (seen.lane >= 0)
-        & (np.abs(seen.lane_heading) > np.pi / 2)
-        & (seen.speed > STANDING_MPS)
-    )
+    flags = seen.driving & (seen.lane >= 0) & (np.abs(seen.lane_heading) > np.pi / 2)
+    flags &= seen.speed > STANDING_MPS
     return _exhibits(
-        seen,
-        Trait.WRONG_DIRECTION,
-        flags,
-        WRONG_WAY_S,
-        lambda i, at: float(seen.speed[i, at].sum()) * seen.step_s,
-    )
+        seen, Trait.WRONG_DIRECTION, flags, WRONG_WAY_S,
+        lambda at: float(seen.speed[at].sum()) * seen.step_s,
+    )  # fmt: skip
 
 
 def jaywalking(seen: Seen) -> list[Exhibit]:
     """Walking on the road where or when one may not; the value is for how long, s."""
-    flags = seen.valid & ~seen.drives[:, None] & (seen.off_crossing | seen.on_red)
-    return _exhibits(
-        seen,
-        Trait.JAYWALKING,
-        flags,
-        JAYWALKING_S,
-        lambda _, at: (at.stop - at.start) * seen.step_s,
-    )
+    flags = ~seen.driving & (seen.off_crossing | seen.on_red)
+    return _exhibits(seen, Trait.JAYWALKING, flags, JAYWALKING_S, _how_long(seen))
+
+
+def _how_long(seen: Seen) -> Callable[[slice], float]:
+    """The value of a stretch that is its length, s."""
+    step_s = seen.step_s
+    return lambda at: (at.stop - at.start) * step_s
 
 
 def breaking_rules(seen: Seen) -> list[Exhibit]:
@@ -409,11 +385,11 @@ def breaking_rules(seen: Seen) -> list[Exhibit]:
 
 def following_rules(seen: Seen) -> list[Exhibit]:
     """Every rule met was kept, the limit included; the value is how many rules were met."""
-    fast = seen.valid & (seen.speed > OVER_LIMIT * seen.limit)
+    fast = seen.speed > OVER_LIMIT * seen.limit
     found = []
     for agent in sorted({e.agent for e in seen.encounters}):
         met = [e for e in seen.encounters if e.agent == agent]
-        if all(e.kept for e in met) and not fast[agent].any():
+        if all(e.kept for e in met) and not fast[seen.presence.rows(agent)].any():
             times = [e.time_s for e in met]
             found.append(
                 Exhibit(Trait.FOLLOWING_RULES, agent, min(times), max(times), float(len(met)))
@@ -423,49 +399,42 @@ def following_rules(seen: Seen) -> list[Exhibit]:
 
 def keeping_neighbors(seen: Seen) -> list[Exhibit]:
     """Staying on the lane behind the same leader; the value is for how long, s."""
-    follows = seen.valid & (seen.leader >= 0) & (seen.gap < 4.0 * np.maximum(seen.speed, 5.0))
-    same = np.zeros_like(follows)
-    same[:, 1:] = follows[:, 1:] & (seen.leader[:, 1:] == seen.leader[:, :-1])
-    rows, columns = lane_changes(seen)
-    same[rows, columns] = False
-    return _exhibits(
-        seen,
-        Trait.KEEPING_NEIGHBORS,
-        same,
-        KEEPING_S,
-        lambda _, at: (at.stop - at.start) * seen.step_s,
-    )
+    lead, presence = seen.leader, seen.presence
+    follows = (lead >= 0) & (seen.gap < 4.0 * np.maximum(seen.speed, 5.0))
+    whom = np.where(lead >= 0, presence.agent[lead], -1)
+    same = follows & ~presence.begins
+    same[1:] &= whom[1:] == whom[:-1]
+    same[lane_changes(seen)] = False
+    return _exhibits(seen, Trait.KEEPING_NEIGHBORS, same, KEEPING_S, _how_long(seen))
 
 
 def uniform_speed(seen: Seen) -> list[Exhibit]:
     """Driving at an even speed; the value is the coefficient of variation."""
-    steps = round(UNIFORM_S / seen.step_s)
-    if seen.time_s.size < steps:
-        return []
-    at = np.flatnonzero(seen.valid & seen.drives[:, None])
+    presence, steps = seen.presence, round(UNIFORM_S / seen.step_s)
+    at = np.flatnonzero(seen.driving)
     if at.size < steps:
         return []
-    width = seen.time_s.size
-    speed = seen.speed.ravel()[at]
+    speed = seen.speed[at]
     total = np.concatenate([[0.0], np.cumsum(speed)])
     square = np.concatenate([[0.0], np.cumsum(speed**2)])
     mean = (total[steps:] - total[:-steps]) / steps
     variance = np.maximum((square[steps:] - square[:-steps]) / steps - mean**2, 0.0)
     first, last = at[: at.size - steps + 1], at[steps - 1 :]
-    whole = (last - first == steps - 1) & (first // width == last // width)
+    whole = (presence.step[last] - presence.step[first] == steps - 1) & (
+        presence.agent[first] == presence.agent[last]
+    )
     steady = whole & (mean > FOLLOWING_MPS) & (np.sqrt(variance) < UNIFORM_VARIATION * mean)
-    even = np.zeros(seen.valid.shape, dtype=bool)
-    even.ravel()[first[steady]] = True
+    even = np.zeros(seen.speed.size, dtype=bool)
+    even[first[steady]] = True
     found = []
-    for row, begin, end in runs(even):
-        span = slice(begin, end - 1 + steps)
-        values = seen.speed[row, span]
+    for run in presence.runs(even):
+        values = seen.speed[run.start : run.stop - 1 + steps]
         found.append(
             Exhibit(
                 trait=Trait.UNIFORM_SPEED,
-                agent=row,
-                begin_s=float(seen.time_s[begin]),
-                end_s=float(seen.time_s[span.stop - 1]),
+                agent=int(presence.agent[run.start]),
+                begin_s=seen.when(run.start),
+                end_s=seen.when(run.stop - 2 + steps),
                 value=float(values.std() / values.mean()),
             )
         )
@@ -473,48 +442,41 @@ def uniform_speed(seen: Seen) -> list[Exhibit]:
 
 
 def _no_reason(seen: Seen) -> BoolArray:
-    """(N, T) whether nothing ahead explains slowing down or standing."""
+    """(m,) whether nothing ahead explains slowing down or standing."""
     near = (seen.gap < REASON_GAP_M) | (seen.gap < REASON_GAP_S * seen.speed)
     junction = (seen.stop_distance < REASON_STOP_M) & seen.stop_ahead
     junction |= seen.stop_distance < REASON_JUNCTION_M
     crossing = (seen.crossing_distance < REASON_STOP_M) & seen.crossing_used
     wrong_side = np.abs(seen.lane_heading) > np.pi / 2  # somebody comes the other way
-    return seen.valid & seen.drives[:, None] & ~(near | junction | crossing | wrong_side)
+    return seen.driving & ~(near | junction | crossing | wrong_side)
 
 
 def not_moving(seen: Seen) -> list[Exhibit]:
     """Standing without a reason; the value is for how long, s."""
     flags = _no_reason(seen) & (seen.speed < STANDING_MPS)
-    return _exhibits(
-        seen,
-        Trait.NOT_MOVING,
-        flags,
-        NOT_MOVING_S,
-        lambda _, at: (at.stop - at.start) * seen.step_s,
-    )
+    return _exhibits(seen, Trait.NOT_MOVING, flags, NOT_MOVING_S, _how_long(seen))
 
 
 def slowing(seen: Seen) -> list[Exhibit]:
     """Slowing down a lot without a reason; the value is the speed lost, m/s."""
-    steps = round(SLOWING_S / seen.step_s)
-    if seen.time_s.size <= steps:
+    presence, steps = seen.presence, round(SLOWING_S / seen.step_s)
+    if seen.speed.size <= steps:
         return []
-    free = _no_reason(seen)
-    steady = np.cumsum(np.pad(free.astype(np.int64), ((0, 0), (1, 0))), axis=1)
-    whole = (steady[:, steps + 1 :] - steady[:, : -steps - 1]) == steps + 1
-    before, after = seen.speed[:, :-steps], seen.speed[:, steps:]
-    lost = whole & (before > FOLLOWING_MPS) & (after < SLOWING_SHARE * before)
-    flags = np.zeros_like(free)
-    flags[:, steps:] = lost
+    before, after = seen.speed[:-steps], seen.speed[steps:]
+    lost = np.flatnonzero((before > FOLLOWING_MPS) & (after < SLOWING_SHARE * before)) + steps
+    # all that time seen, with no reason: every row since continues the one before
+    going_on = _no_reason(seen)
+    unbroken = going_on & ~presence.begins
+    so_far = np.cumsum(unbroken)
+    lost = lost[(so_far[lost] - so_far[lost - steps] == steps) & going_on[lost - steps]]
+    flags = np.zeros(seen.speed.size, dtype=bool)
+    flags[lost] = True
     return _exhibits(
-        seen,
-        Trait.SLOWING,
-        flags,
-        seen.step_s,
-        lambda i, at: float(
-            seen.speed[i, max(at.start - steps, 0) : at.stop].max() - seen.speed[i, at].min()
+        seen, Trait.SLOWING, flags, seen.step_s,
+        lambda at: float(
+            seen.speed[at.start - steps : at.stop].max() - seen.speed[at].min()
         ),
-    )
+    )  # fmt: skip
 
 
 def waits(seen: Seen) -> list[Exhibit]:
@@ -525,14 +487,14 @@ def waits(seen: Seen) -> list[Exhibit]:
     """
     first = (seen.gap > seen.crossing_distance) | (seen.gap > seen.stop_distance)
     crossing = (seen.crossing_distance < 8.0) & (seen.crossing_distance >= -1.0)
-    flags = (
-        seen.valid & seen.drives[:, None] & first & crossing & (seen.speed < STANDING_MPS)
-    ) & ~((seen.stop_distance < 12.0) & seen.stop_ahead)
-    for broken in (e for e in seen.encounters if not e.kept):
-        flags[broken.agent] &= np.abs(seen.time_s - broken.time_s) > CROSSING_S
-    return _exhibits(
-        seen, Trait.WAITING, flags, seen.step_s, lambda _, at: (at.stop - at.start) * seen.step_s
+    flags = (seen.driving & first & crossing & (seen.speed < STANDING_MPS)) & ~(
+        (seen.stop_distance < 12.0) & seen.stop_ahead
     )
+    for broken in (e for e in seen.encounters if not e.kept):
+        mine = seen.presence.rows(broken.agent)
+        when_s = seen.time_s[seen.presence.step[mine]]
+        flags[mine] &= np.abs(when_s - broken.time_s) > CROSSING_S
+    return _exhibits(seen, Trait.WAITING, flags, seen.step_s, _how_long(seen))
 
 
 def waiting(seen: Seen) -> list[Exhibit]:

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Trait
 from behaviors.shown_label import shown_label
-from behaviors.traits import FOLLOWING_MPS, Exhibit, Seen, lane_changes, runs, waits
+from behaviors.traits import FOLLOWING_MPS, Exhibit, Seen, lane_changes, waits
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.frames import Event, EventKind, Tracks
 from sim.scenario import sample_agents
+from sim.steps import Steps
 from sim.watching import watch
 
 FREE_HEADWAY_S: Final = 6.0
@@ -126,7 +127,7 @@ def count_episode(
     tracks = Tracks.from_frames(
         get_engine(engine)(made, agents, seed), {a.id: a.behavior for a in agents}
     )
-    watched = watch(tracks, made.road)
+    watched = watch(Steps.of(tracks), made.road)
     return count(tracks, watched.seen, watched.events, watched.exhibits)
 
 
@@ -148,25 +149,30 @@ def count(
     table = {name: np.zeros(tracks.ids.size) for name in COUNTS}
     row = {int(agent): i for i, agent in enumerate(tracks.ids)}
     table["drivers"][:] = 1.0
-    table["km"] = np.where(seen.valid, seen.speed, 0.0).sum(axis=1) * seen.step_s / 1000.0
-    headway = np.where(np.isfinite(seen.headway), seen.headway, np.nan)
+    presence, headway = seen.presence, seen.headway
+
+    def in_all(values: NDArray[np.float64] | NDArray[np.bool_]) -> NDArray[np.float64]:
+        counts = np.bincount(presence.agent, values, minlength=tracks.ids.size)
+        return np.asarray(counts, dtype=np.float64)
+
+    table["km"] = in_all(seen.speed) * seen.step_s / 1000.0
     steady = (np.abs(seen.closing) < 1.5) & (headway < FREE_HEADWAY_S)
     for i in range(tracks.ids.size):
-        values = headway[i, steady[i]]
+        rows = presence.rows(i)
+        values = headway[rows][steady[rows]]
         table["headway"][i] = np.median(values) if values.size else np.nan
-    changed, _ = lane_changes(seen)
-    np.add.at(table["lane_changes"], changed, 1.0)
+    np.add.at(table["lane_changes"], presence.agent[lane_changes(seen)], 1.0)
     free = _free(seen)
-    table["free_s"] = free.sum(axis=1) * seen.step_s
-    table["over_limit_s"] = (free & (seen.speed > seen.limit)).sum(axis=1) * seen.step_s
+    table["free_s"] = in_all(free) * seen.step_s
+    table["over_limit_s"] = in_all(free & (seen.speed > seen.limit)) * seen.step_s
     for exhibit in waits(seen):
         table["waits"][exhibit.agent] += 1.0
         table["wait_s"][exhibit.agent] += exhibit.value
-    stands = list(runs(seen.valid & seen.drives[:, None] & (seen.speed < 0.1)))
-    longest_s = max((end - begin for _, begin, end in stands), default=0) * seen.step_s
-    for i, begin, end in stands:
-        if (end - begin) * seen.step_s > LONGEST_STAND_S:
-            table["halted"][i] = 1.0
+    stands = list(presence.runs(seen.driving & (seen.speed < 0.1)))
+    longest_s = max((run.stop - run.start for run in stands), default=0) * seen.step_s
+    for run in stands:
+        if (run.stop - run.start) * seen.step_s > LONGEST_STAND_S:
+            table["halted"][presence.agent[run.start]] = 1.0
     for event in events:
         i = row[event.agent]
         if event.kind is EventKind.RED_RUN:
@@ -209,11 +215,13 @@ def count(
 
 
 def _free(seen: Seen) -> NDArray[np.bool_]:
-    """(N, T) who drives at the speed chosen, with nobody and nothing near ahead."""
-    change = np.abs(np.diff(seen.speed, axis=1, prepend=seen.speed[:, :1])) / seen.step_s
+    """(m,) whether an agent drives at the speed chosen, with nobody and nothing near ahead."""
+    before = np.roll(seen.speed, 1)
+    before[seen.presence.begins] = 0.0  # who has just come is not known to drive evenly
+    change = np.abs(seen.speed - before) / seen.step_s
     near = seen.gap < FREE_HEADWAY_S * np.maximum(seen.speed, FOLLOWING_MPS)
     near |= seen.stop_distance < 60.0
-    return np.asarray(seen.valid & seen.drives[:, None] & ~near & (change < STEADY_MPS2))
+    return np.asarray(seen.driving & ~near & (change < STEADY_MPS2))
 
 
 def rows_of(

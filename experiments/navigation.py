@@ -27,6 +27,7 @@ from sim.frames import FloatArray, Frame, IntArray, Tracks
 from sim.observables import observe
 from sim.road import Road
 from sim.scenario import sample_agents
+from sim.steps import Steps
 
 ENVIRONMENTS: Final[dict[str, str]] = {
     "straight_road": "graphrqi/StraightRoad-v0",
@@ -265,17 +266,19 @@ def near_misses(driven: Tracks, road: Road, ego_id: int) -> tuple[int, int]:
         Those with the leader and those with the follower.
     """
     me = int(np.searchsorted(driven.ids, ego_id))
-    seen = observe(driven, road)
-    time = np.where(driven.valid & (seen.gap >= 0.0), seen.time_to_collision, np.inf)
-    behind = np.where(seen.leader == me, time, np.inf).min(axis=0)
-    return _events(time[me] < NEAR_MISS_S, driven.step_s), _events(
-        behind < NEAR_MISS_S, driven.step_s
+    steps = Steps.of(driven)
+    seen, presence = observe(steps, road), steps.presence
+    close = (seen.gap >= 0.0) & (seen.time_to_collision < NEAR_MISS_S)
+    mine = presence.agent == me
+    behind = mine[seen.leader] & (seen.leader >= 0)
+    return (
+        _events(presence.step[close & mine], driven.step_s),
+        _events(np.unique(presence.step[close & behind]), driven.step_s),
     )
 
 
-def _events(near: np.ndarray[Any, np.dtype[np.bool_]], step_s: float) -> int:
-    """How many runs of True, those closer than `APART_S` taken as one."""
-    at = np.flatnonzero(near)
+def _events(at: np.ndarray[Any, np.dtype[np.int64]], step_s: float) -> int:
+    """How many events make up these times' indices: those closer than `APART_S` are one."""
     return int(at.size > 0) + int((np.diff(at) > APART_S / step_s).sum())
 
 

@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.traits import runs
-from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
+from sim.frames import FloatArray, IntArray
+from sim.steps import Steps
 
 GRAZE_M: Final = 0.15
 """Boxes may overlap by this much without touching (our choice: a corner rounded with a radius of
@@ -30,82 +30,90 @@ class Contact:
     """Two agents that touch.
 
     Attributes:
-        rows: the two agents' rows, the smaller first.
-        begin: first column in which they touch.
+        agents: the two, the smaller first, as in ``Steps.ids``.
+        begin: index of the first time at which they touch.
         end: one past the last.
     """
 
-    rows: tuple[int, int]
+    agents: tuple[int, int]
     begin: int
     end: int
 
 
-def contacts(tracks: Tracks) -> tuple[Contact, ...]:
+def contacts(steps: Steps) -> tuple[Contact, ...]:
     """Every unbroken stretch of time for which two agents touch, pedestrians with each other aside.
 
     Args:
-        tracks: an episode or a recording.
+        steps: an episode or a recording.
 
     Returns:
-        Contacts in order of their beginning, then of rows.
+        Contacts in order of their beginning, then of agents.
 
     Examples:
+        >>> from sim.frames import Tracks
         >>> time_s = np.array([0.1, 0.2, 0.3])
         >>> xy = np.array([[[0.0, 0.0]] * 3, [[9.0, 0.0], [4.0, 0.0], [9.0, 0.0]]])
         >>> still = np.zeros((2, 3))
-        >>> contacts(Tracks(
+        >>> contacts(Steps.of(Tracks(
         ...     ids=np.arange(2), names=("a", "b"), kind=np.zeros(2), length=np.full(2, 5.0),
         ...     width=np.full(2, 2.0), time_s=time_s, xy=xy, heading=still, speed=still,
-        ...     valid=np.ones((2, 3)), signals=np.zeros((0, 3))))
-        (Contact(rows=(0, 1), begin=1, end=2),)
+        ...     valid=np.ones((2, 3)), signals=np.zeros((0, 3)))))
+        (Contact(agents=(0, 1), begin=1, end=2),)
     """
-    first, second, column = _near(tracks)
-    depth = _overlap(tracks, first, second, column)
-    touch = depth > GRAZE_M
-    first, second, column = first[touch], second[touch], column[touch]
-    pair, number = np.unique(np.stack([first, second], axis=1), axis=0, return_inverse=True)
-    flags = np.zeros((len(pair), tracks.time_s.size), dtype=bool)
-    flags[number.reshape(-1), column] = True
-    found = [Contact((int(pair[k, 0]), int(pair[k, 1])), b, e) for k, b, e in runs(flags)]
-    return tuple(sorted(found, key=lambda c: (c.begin, c.rows)))
+    first, second = _near(steps)
+    touch = _overlap(steps, first, second) > GRAZE_M
+    first, second = first[touch], second[touch]
+    one, two = steps.presence.agent[first], steps.presence.agent[second]
+    at = steps.presence.step[first]
+    order = np.lexsort((at, two, one))
+    one, two, at = one[order], two[order], at[order]
+    new = np.ones(at.size, dtype=bool)
+    new[1:] = (np.diff(one) != 0) | (np.diff(two) != 0) | (np.diff(at) != 1)
+    begin = np.flatnonzero(new)
+    end = begin + np.diff(begin, append=at.size)
+    found = [
+        Contact((int(one[b]), int(two[b])), int(at[b]), int(at[e - 1]) + 1)
+        for b, e in zip(begin, end, strict=True)
+    ]
+    return tuple(sorted(found, key=lambda c: (c.begin, c.agents)))
 
 
-def _near(tracks: Tracks) -> tuple[IntArray, IntArray, IntArray]:
-    """(m,) rows of both of a pair and the column, wherever their circles about the boxes meet."""
-    row, column = np.nonzero(tracks.valid)
-    reach = 0.5 * np.hypot(tracks.length, tracks.width)
+def _near(steps: Steps) -> tuple[IntArray, IntArray]:
+    """(k,) rows of both of a pair, wherever their circles about the boxes meet."""
+    agent, x, y = steps.presence.agent, steps.xy[:, 0], steps.xy[:, 1]
+    reach = 0.5 * np.hypot(steps.length, steps.width)[agent]
     widest = float(reach.max(initial=0.0))
-    x, y = tracks.xy[row, column].T
     # along x, one instant after the other, far enough apart that instants never meet
     span = float(np.ptp(x)) + 4.0 * widest + 1.0 if x.size else 1.0
-    key = x + span * column
+    key = x + span * steps.presence.step
     order = np.argsort(key)
-    key, row, column, x, y = key[order], row[order], column[order], x[order], y[order]
+    key = key[order]
     until = np.searchsorted(key, key + 2.0 * widest, side="right")
     count = until - np.arange(key.size) - 1
     one = np.repeat(np.arange(key.size), count)
     begin = np.cumsum(count) - count
     other = np.arange(one.size) - np.repeat(begin, count) + one + 1
-    a, b = row[one], row[other]
-    walks = tracks.kind == PEDESTRIAN
-    near = np.hypot(x[one] - x[other], y[one] - y[other]) < reach[a] + reach[b]
-    near &= ~(walks[a] & walks[b])
-    a, b, at = a[near], b[near], column[one[near]]
-    return np.minimum(a, b), np.maximum(a, b), at
+    a, b = order[one], order[other]
+    near = np.hypot(x[a] - x[b], y[a] - y[b]) < reach[a] + reach[b]
+    near &= ~(steps.walking[a] & steps.walking[b])
+    a, b = a[near], b[near]
+    return np.minimum(a, b), np.maximum(a, b)
 
 
-def _overlap(tracks: Tracks, first: IntArray, second: IntArray, column: IntArray) -> FloatArray:
-    """(m,) how deep the boxes of each pair overlap, m; negative when apart."""
-    apart = tracks.xy[second, column] - tracks.xy[first, column]
-    turned = [tracks.heading[agent, column] for agent in (first, second)]
+def _overlap(steps: Steps, first: IntArray, second: IntArray) -> FloatArray:
+    """(k,) how deep the boxes of each pair of rows overlap, m; negative when apart."""
+    apart = steps.xy[second] - steps.xy[first]
+    turned = [steps.heading[row] for row in (first, second)]
     axes = [np.stack([np.cos(h), np.sin(h)], axis=1) for h in turned]
     axes += [np.stack([-u[:, 1], u[:, 0]], axis=1) for u in axes]
+    length, width = steps.length, steps.width
     depth = np.full(first.size, np.inf)
     for axis in axes:
         reach = np.zeros(first.size)
-        for agent, along in ((first, axes[0]), (second, axes[1])):
+        for row, along in ((first, axes[0]), (second, axes[1])):
+            agent = steps.presence.agent[row]
             cos = (along * axis).sum(axis=1)
             sin = along[:, 0] * axis[:, 1] - along[:, 1] * axis[:, 0]
-            reach += 0.5 * (tracks.length[agent] * abs(cos) + tracks.width[agent] * abs(sin))
+            reach += 0.5 * (length[agent] * abs(cos) + width[agent] * abs(sin))
         depth = np.minimum(depth, reach - np.abs((apart * axis).sum(axis=1)))
     return depth

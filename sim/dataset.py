@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Trait
+from behaviors.presence import Presence
 from behaviors.profiles import PROFILE_FIELDS, Profile
 from behaviors.traits import Exhibit
 from sim.atomic import whole_folder, write_whole
@@ -50,7 +51,8 @@ from sim.schema import (
     Split,
     steps_schema,
 )
-from sim.watching import watch
+from sim.steps import Steps
+from sim.watching import Watched, watch
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -384,39 +386,32 @@ def write_episode(
         raise InputError(f"frames: found agent {strangers[0]}, expected one of {len(agents)} given")
     exhibits: tuple[Exhibit, ...] = ()
     if road is not None and steps.time_s.size > 2:
-        watched = watch(_dense_tracks(steps, ordered), read_road(road))
+        watched = _watched(steps, ordered, road)
         steps, exhibits = dataclasses.replace(steps, events=watched.events), watched.exhibits
     agents_table = _agents_table(ordered, {})
     return _write(folder, meta, steps, agents_table, int(seen.size), road, exhibits)
 
 
-def _dense_tracks(steps: _Steps, agents: Sequence[AgentSpec]) -> Tracks:
-    """The tracks that reading the steps back would give."""
+def _watched(steps: _Steps, agents: Sequence[AgentSpec], road: Path) -> Watched:
+    """What is told of the steps as they are read back."""
     every = np.array([a.id for a in agents], dtype=np.int64)
-    ids = np.unique(steps.agent)
-    sizes = [agents[i] for i in np.searchsorted(every, ids)]
-    row = np.searchsorted(ids, steps.agent)
-    shape = (ids.size, steps.time_s.size)
-    xy = np.full((*shape, 2), np.nan)
-    heading, speed = np.full(shape, np.nan), np.full(shape, np.nan)
-    valid = np.zeros(shape, dtype=bool)
-    xy[row, steps.step, 0], xy[row, steps.step, 1] = steps.x, steps.y
-    heading[row, steps.step], speed[row, steps.step] = steps.heading, steps.speed
-    valid[row, steps.step] = True
-    return Tracks(
+    ids, row = np.unique(steps.agent, return_inverse=True)
+    specs = [agents[i] for i in np.searchsorted(every, ids)]
+    told = Steps(
+        presence=Presence.of_rows(row, steps.step.astype(np.int64), ids.size, steps.time_s.size),
         ids=ids,
-        names=tuple(str(a.id) for a in sizes),
-        kind=np.array([a.kind.code for a in sizes], dtype=np.int8),
-        length=np.array([a.length_m for a in sizes]),
-        width=np.array([a.width_m for a in sizes]),
+        kind=np.array([a.kind.code for a in specs], dtype=np.int8),
+        length=np.array([a.length_m for a in specs]),
+        width=np.array([a.width_m for a in specs]),
         time_s=steps.time_s,
-        xy=xy,
-        heading=heading,
-        speed=speed,
-        valid=valid,
+        step_s=float(np.median(np.diff(steps.time_s))),
+        xy=np.stack([steps.x, steps.y], axis=1).astype(np.float64),
+        heading=steps.heading.astype(np.float64),
+        speed=steps.speed.astype(np.float64),
         signals=steps.signals,
         events=steps.events,
     )
+    return watch(told, read_road(road))
 
 
 def write_recording(

@@ -1,4 +1,4 @@
-"""The traits that agents of an episode or recording showed: `behaviors.traits` on `Tracks`."""
+"""The traits that agents of an episode or recording showed: `behaviors.traits` on `Steps`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from behaviors.traits import Exhibit, RuleEncounter, Seen, detect
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal
 from sim.lane_graph import LaneGraph, project
 from sim.observables import Observables, along, observe
 from sim.road import Road
+from sim.steps import Steps
 
 RULES = {
     EventKind.RED_RUN: False,
@@ -24,11 +25,11 @@ RULES = {
 """Events that are rules met, and whether they were kept."""
 
 
-def exhibited(tracks: Tracks, seen: Seen) -> tuple[Exhibit, ...]:
+def exhibited(ids: IntArray, seen: Seen) -> tuple[Exhibit, ...]:
     """Every trait that was shown.
 
     Args:
-        tracks: an episode or a recording.
+        ids: (N,) ids of the agents.
         seen: what the detectors look at, with the rules that were met (`met`).
 
     Returns:
@@ -37,22 +38,22 @@ def exhibited(tracks: Tracks, seen: Seen) -> tuple[Exhibit, ...]:
     return tuple(
         dataclasses.replace(
             exhibit,
-            agent=int(tracks.ids[exhibit.agent]),
-            other=int(tracks.ids[exhibit.other]) if exhibit.other >= 0 else -1,
+            agent=int(ids[exhibit.agent]),
+            other=int(ids[exhibit.other]) if exhibit.other >= 0 else -1,
         )
         for exhibit in detect(seen)
     )
 
 
-def met(tracks: Tracks, seen: Seen, events: Sequence[Event]) -> Seen:
+def met(ids: IntArray, seen: Seen, events: Sequence[Event]) -> Seen:
     """What the detectors look at, with the rules that were met.
 
     Args:
-        tracks: an episode or a recording.
+        ids: (N,) ids of the agents.
         seen: what `see` gives.
         events: what `sim.incidents.incidents` found in it.
     """
-    rows = {int(i): row for row, i in enumerate(tracks.ids)}
+    rows = {int(i): row for row, i in enumerate(ids)}
     encounters = tuple(
         RuleEncounter(rows[e.agent], e.time_s, RULES[e.kind])
         for e in events
@@ -61,21 +62,22 @@ def met(tracks: Tracks, seen: Seen, events: Sequence[Event]) -> Seen:
     return dataclasses.replace(seen, encounters=encounters)
 
 
-def see(tracks: Tracks, road: Road, observed: Observables | None = None) -> Seen:
+def see(steps: Steps, road: Road, observed: Observables | None = None) -> Seen:
     """What the detectors look at, before anything is known of the rules that were met.
 
     Args:
-        tracks: an episode or a recording.
+        steps: an episode or a recording.
         road: where it happened.
         observed: its observables, if they are at hand.
 
     Returns:
-        Arrays with the rows of ``tracks``.
+        Arrays with the rows of ``steps``.
     """
-    observed = observe(tracks, road) if observed is None else observed
+    observed = observe(steps, road) if observed is None else observed
     graph = LaneGraph.of(road)
     edges = {edge: i for i, edge in enumerate(dict.fromkeys(lane.edge for lane in road.lanes))}
-    edge_of = np.array([edges[lane.edge] for lane in road.lanes], dtype=np.int64)
+    edge_of = np.array([*(edges[lane.edge] for lane in road.lanes), -1], dtype=np.int64)
+    width_of = np.append(graph.width, np.inf)
     lane = observed.lane
     known = lane >= 0
     held = np.zeros(len(road.lanes) + 1, dtype=bool)
@@ -83,19 +85,19 @@ def see(tracks: Tracks, road: Road, observed: Observables | None = None) -> Seen
         at = road.lane_index[link.from_lane]
         held[at] |= link.must_stop or (link.must_yield and link.signal < 0)
     red = (observed.signal == Signal.RED.code) | (observed.signal == Signal.YELLOW.code)
-    off_crossing, on_red = _walkers(tracks, road)
+    off_crossing, on_red = _walkers(steps, road)
     return Seen(
-        time_s=tracks.time_s,
-        valid=tracks.valid,
-        drives=np.asarray(tracks.kind != PEDESTRIAN),
-        length=tracks.length,
-        width=tracks.width,
-        speed=np.where(tracks.valid, tracks.speed, 0.0),
+        presence=steps.presence,
+        time_s=steps.time_s,
+        drives=np.asarray(steps.kind != PEDESTRIAN),
+        length=steps.length,
+        width=steps.width,
+        speed=steps.speed,
         limit=np.where(known, observed.limit, np.inf),
-        edge=np.where(known, edge_of[np.maximum(lane, 0)], -1),
+        edge=edge_of[lane],
         lane=lane,
         offset=np.where(known, observed.offset, 0.0),
-        lane_width=np.where(known, graph.width[np.maximum(lane, 0)], np.inf),
+        lane_width=width_of[lane],
         lane_heading=np.where(known, observed.lane_heading, 0.0),
         leader=observed.leader,
         follower=observed.follower,
@@ -110,16 +112,15 @@ def see(tracks: Tracks, road: Road, observed: Observables | None = None) -> Seen
     )
 
 
-def _walkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
-    """(N, T) who walks on the carriageway off any crossing, and on one entered on red."""
-    off, on_red = np.zeros(tracks.valid.shape, dtype=bool), np.zeros(tracks.valid.shape, dtype=bool)
-    walkers = np.flatnonzero(tracks.kind == PEDESTRIAN)
-    row, column = np.nonzero(tracks.valid[walkers])
-    if not row.size:
+def _walkers(steps: Steps, road: Road) -> tuple[BoolArray, BoolArray]:
+    """(m,) who walks on the carriageway off any crossing, and on one entered on red."""
+    presence = steps.presence
+    off, on_red = np.zeros(steps.speed.size, dtype=bool), np.zeros(steps.speed.size, dtype=bool)
+    rows = np.flatnonzero(steps.walking)
+    if not rows.size:
         return off, on_red
-    agent = walkers[row]
-    xy, heading = tracks.xy[agent, column], tracks.heading[agent, column]
-    place = project(road, xy, heading)
+    xy = steps.xy[rows]
+    place = project(road, xy, steps.heading[rows])
     width = np.array([lane.width_m for lane in road.lanes])
     internal = np.array([lane.internal for lane in road.lanes])
     on_road = (np.abs(place.offset) < width[place.lane] / 2) & ~internal[place.lane]
@@ -129,15 +130,12 @@ def _walkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
         on_road &= ~near
         if crossing.signal < 0:
             continue
-        inside = near & (u > 0.3) & (u < total - 0.3)
-        flags = np.zeros((walkers.size, tracks.time_s.size), dtype=bool)
-        flags[row[inside], column[inside]] = True
-        entered = np.zeros_like(flags)
-        entered[:, 1:] = flags[:, 1:] & ~flags[:, :-1]
-        for i, begin in zip(*np.nonzero(entered), strict=True):
-            if tracks.signals[crossing.signal, begin] == Signal.RED.code:
-                rest = flags[i, begin:]
-                end = begin + (int(np.argmin(rest)) if not rest.all() else rest.size)
-                on_red[walkers[i], begin:end] = True
-    off[agent[on_road], column[on_road]] = True
+        inside = np.zeros(steps.speed.size, dtype=bool)
+        inside[rows] = near & (u > 0.3) & (u < total - 0.3)
+        for run in presence.runs(inside):
+            entered = int(presence.step[run.start])
+            # who is there from the first frame on was not seen to enter
+            if entered > 0 and steps.signals[crossing.signal, entered] == Signal.RED.code:
+                on_red[run] = True
+    off[rows[on_road]] = True
     return off, on_red

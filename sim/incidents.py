@@ -1,7 +1,7 @@
 """What happened in an episode or recording: rules kept and broken, near misses, who caused what.
 
-Found from tracks and the road alone; collisions come from the tracks' own events, and are given a
-cause here.
+Found from positions and the road alone; collisions come from the engine's own events too, and are
+given a cause here.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.traits import Exhibit, Seen, cutting_in, runs
+from behaviors.presence import Presence
+from behaviors.traits import Exhibit, Seen, cutting_in
 from sim.contacts import Contact, contacts
 from sim.exhibits import see
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal
 from sim.observables import Observables, along, observe
 from sim.road import Crossing, Road
+from sim.steps import Steps
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 NEAR_MISS_TTC_S: Final = 1.5
 """A time to collision below this is critical in towns (van der Horst and Hogema 1993)."""
@@ -87,7 +90,7 @@ _STOP_SIGNALS: Final = (Signal.RED.code, Signal.YELLOW.code)
 
 
 def incidents(
-    tracks: Tracks,
+    steps: Steps,
     road: Road,
     observed: Observables | None = None,
     arrays: Seen | None = None,
@@ -97,7 +100,7 @@ def incidents(
     """All events of an episode or recording.
 
     Args:
-        tracks: what was seen; its own events (collisions, removals) are kept.
+        steps: what was seen; its own events (collisions, removals) are kept.
         road: where it happened.
         observed: its observables, if they are at hand.
         arrays: what the trait detectors look at (`sim.exhibits.see`), if it is at hand.
@@ -108,107 +111,105 @@ def incidents(
         Events in order of time; of each collision, ``agent`` is the party that caused it and
         ``rule`` says why.
     """
-    seen = observe(tracks, road) if observed is None else observed
+    seen = observe(steps, road) if observed is None else observed
     found = [
-        *_lines_passed(tracks, road, seen),
-        *_crossings_passed(tracks, road, seen),
-        *_wrong_way(tracks, seen),
-        *_near_misses(tracks, seen),
+        *_lines_passed(steps, road, seen),
+        *_crossings_passed(steps, road, seen),
+        *_wrong_way(steps, seen),
+        *_near_misses(steps, seen),
     ]
-    collisions = _collisions(tracks, () if recorded else contacts(tracks))
+    collisions = _collisions(steps, () if recorded else contacts(steps))
     if collisions:
-        arrays = see(tracks, road, seen) if arrays is None else arrays
+        arrays = see(steps, road, seen) if arrays is None else arrays
         cuts, forbidden = cutting_in(arrays), arrays.off_crossing | arrays.on_red
     for pair, columns in collisions:
-        first = Event(EventKind.COLLISION, float(tracks.time_s[columns[0]]), *pair)
-        collision = _blame(tracks, road, seen, first, found, cuts, forbidden)
+        first = Event(EventKind.COLLISION, float(steps.time_s[columns[0]]), *pair)
+        collision = _blame(steps, road, seen, first, found, cuts, forbidden)
         found.append(collision)
         found += [
             dataclasses.replace(collision, kind=EventKind.CONTACT, time_s=float(time_s))
-            for time_s in tracks.time_s[columns[1:]]
+            for time_s in steps.time_s[columns[1:]]
         ]
     # an engine's other events are found here, alike
-    found += [event for event in tracks.events if event.kind is EventKind.REMOVAL]
+    found += [event for event in steps.events if event.kind is EventKind.REMOVAL]
     return tuple(sorted(found, key=lambda e: (e.time_s, e.agent, e.kind)))
 
 
-def _lines_passed(tracks: Tracks, road: Road, seen: Observables) -> list[Event]:
+def _lines_passed(steps: Steps, road: Road, seen: Observables) -> list[Event]:
     """Red lights run, stop lines rolled over, and both obeyed."""
     stops = np.zeros(len(road.lanes) + 1, dtype=bool)
     for link in road.connections:
         stops[road.lane_index[link.from_lane]] |= link.must_stop
-    distance, red = seen.stop_distance, seen.signal == Signal.RED.code
-    grace = round(GRACE_S / tracks.step_s)
-    near = (distance[:, :-1] >= 0) & (distance[:, :-1] < 10.0)
-    passed = near & ((distance[:, 1:] < 0) | (distance[:, 1:] > 30.0)) & tracks.valid[:, 1:]
+    presence, distance = steps.presence, seen.stop_distance
+    red = seen.signal == Signal.RED.code
+    grace = round(GRACE_S / steps.step_s)
+    passed = (distance[:-1] >= 0) & (distance[:-1] < 10.0) & ~presence.begins[1:]
+    passed &= (distance[1:] < 0) | (distance[1:] > 30.0)
     found = []
-    for row, column in zip(*np.nonzero(passed), strict=True):
-        agent, time_s = int(tracks.ids[row]), float(tracks.time_s[column + 1])
-        before = slice(max(column - grace, 0), column + 1)
-        if red[row, before].all():
+    for row in np.flatnonzero(passed).tolist():  # the last before the line
+        number, column = int(presence.agent[row]), int(presence.step[row])
+        agent, time_s = int(steps.ids[number]), float(steps.time_s[column + 1])
+        zone = _zone(presence, distance, row)
+        if presence.over(red, number, max(column - grace, 0), column + 1, False).all():
             found.append(Event(EventKind.RED_RUN, time_s, agent))
-        elif _stood_at_red(tracks, seen, int(row), int(column)):
+        elif _stood_at_red(steps, seen, zone):
             found.append(Event(EventKind.STOPPED, time_s, agent, rule="red light"))
-        if stops[seen.lane[row, column]]:
-            zone = _zone(distance[row], int(column), STOP_ZONE_M)
-            rolled = tracks.speed[row, zone].min() > ROLLING_MPS
+        if stops[seen.lane[row]]:
+            rolled = steps.speed[zone].min() > ROLLING_MPS
             kind = EventKind.STOP_ROLLED if rolled else EventKind.STOPPED
             found.append(Event(kind, time_s, agent, rule="" if rolled else "stop line"))
     return found
 
 
-def _zone(distance: FloatArray, column: int, reach_m: float) -> slice:
-    """The columns up to ``column`` in which the line was within reach."""
-    begin = column
-    while begin > 0 and 0 <= distance[begin - 1] < reach_m:
+def _zone(presence: Presence, distance: FloatArray, row: int) -> slice:
+    """The rows up to ``row`` in which the line was within reach."""
+    begin = row
+    while not presence.begins[begin] and 0 <= distance[begin - 1] < STOP_ZONE_M:
         begin -= 1
-    return slice(begin, column + 1)
+    return slice(begin, row + 1)
 
 
-def _stood_at_red(tracks: Tracks, seen: Observables, row: int, column: int) -> bool:
+def _stood_at_red(steps: Steps, seen: Observables, zone: slice) -> bool:
     """Whether somebody stood first in line at a red light before passing the line."""
-    zone = _zone(seen.stop_distance[row], column, STOP_ZONE_M)
-    red = seen.signal[row, zone] == Signal.RED.code
-    first = seen.gap[row, zone] > seen.stop_distance[row, zone]
-    return bool((red & first & (tracks.speed[row, zone] < ROLLING_MPS)).any())
+    red = seen.signal[zone] == Signal.RED.code
+    first = seen.gap[zone] > seen.stop_distance[zone]
+    return bool((red & first & (steps.speed[zone] < ROLLING_MPS)).any())
 
 
-def _crossings_passed(tracks: Tracks, road: Road, seen: Observables) -> list[Event]:
+def _crossings_passed(steps: Steps, road: Road, seen: Observables) -> list[Event]:
     """Pedestrians let go first or not, at every passing of a crossing that they have a right to."""
-    walkers = np.flatnonzero(tracks.kind == PEDESTRIAN)
+    walking, presence = steps.walking, steps.presence
+    walkers = np.flatnonzero(walking)
     if not walkers.size:
         return []
     found = []
-    driving = np.flatnonzero(tracks.valid & (tracks.kind != PEDESTRIAN)[:, None])
-    xy = tracks.xy.reshape(-1, 2)[driving]
-    longest, step_s = float(tracks.length.max()), tracks.step_s
+    driving = np.flatnonzero(~walking)
+    xy = steps.xy[driving]
+    longest = float(steps.length.max())
+    ways = _ways(road)[seen.lane]
     for crossing in road.crossings:
         if crossing.signal < 0 and not crossing.priority:
             continue
-        people = _people(tracks, crossing, walkers)
+        people = _people(steps, crossing, walkers)
         if not people:
             continue
-        near = _near(crossing, xy, longest / 2)
-        row, column = np.divmod(driving[near], tracks.time_s.size)
-        facing = tracks.heading[row, column]
+        near = driving[_near(crossing, xy, longest / 2)]
+        facing = steps.heading[near]
         forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
-        front = xy[near] + 0.5 * tracks.length[row, None] * forward
+        front = steps.xy[near] + 0.5 * steps.length[presence.agent[near], None] * forward
         u, across, total = along(crossing.centerline, front)
         inside = (np.abs(across) <= crossing.width_m / 2) & (u >= 0) & (u <= total)
-        on = np.zeros(tracks.valid.shape, dtype=bool)
-        on[row[inside], column[inside]] = True
-        comers = np.flatnonzero(on.any(axis=1))
-        for k, begin, _ in runs(on[comers]):
-            agent = int(comers[k])
-            if begin == 0 or not tracks.valid[agent, begin - 1]:
+        on = np.zeros(steps.speed.size, dtype=bool)
+        on[near[inside]] = True
+        for run in presence.runs(on):
+            if presence.begins[run.start]:
                 continue
-            here = (row == agent) & (column == begin)
-            path = float(u[here][0])
-            verdict = _verdict(tracks, road, seen, people, agent, begin, path, step_s)
+            path = float(u[np.searchsorted(near, run.start)])
+            verdict = _verdict(steps, road, seen, people, run.start, path, ways)
             if verdict is not None:
                 kind, other = verdict
-                time_s = float(tracks.time_s[begin])
-                found.append(Event(kind, time_s, int(tracks.ids[agent]), other))
+                agent, time_s = _who_and_when(steps, run.start)
+                found.append(Event(kind, time_s, agent, other))
     return found
 
 
@@ -220,36 +221,44 @@ def _near(crossing: Crossing, xy: FloatArray, beyond_m: float) -> NDArray[np.int
 
 
 _Person = tuple[int, int, int, FloatArray, float]
-"""Row, first and last column on a crossing, distance along it at all times, and direction."""
+"""Id, first and last column on a crossing, distance along it at all times, and direction."""
 
 
-def _people(tracks: Tracks, crossing: Crossing, walkers: NDArray[np.int64]) -> list[_Person]:
-    """Everyone who walks over a crossing and may: who enters it on red may not."""
-    shape = (walkers.size, tracks.time_s.size)
-    u, across = np.full(shape, np.nan), np.full(shape, np.nan)
-    seen = np.nonzero(tracks.valid[walkers])
-    u[seen], across[seen], total = along(crossing.centerline, tracks.xy[walkers][seen])
-    on = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > ON_CROSSING_M)
-    on &= u < total - ON_CROSSING_M
+def _people(steps: Steps, crossing: Crossing, walkers: IntArray) -> list[_Person]:
+    """Everyone who walks over a crossing and may: who enters it on red may not.
+
+    Args:
+        steps: the episode.
+        crossing: the crossing.
+        walkers: (k,) rows of pedestrians.
+    """
+    presence = steps.presence
+    u = np.full(steps.speed.size, np.nan)
+    u[walkers], across, total = along(crossing.centerline, steps.xy[walkers])
+    on = np.zeros(u.size, dtype=bool)
+    on[walkers] = np.abs(across) <= crossing.width_m / 2 + 1.0
+    on &= (u > ON_CROSSING_M) & (u < total - ON_CROSSING_M)
     found = []
-    for k, begin, end in runs(on & tracks.valid[walkers], 10):
-        if crossing.signal >= 0 and tracks.signals[crossing.signal, begin] == Signal.RED.code:
+    for run in presence.runs(on, 10):
+        agent, begin = int(presence.agent[run.start]), int(presence.step[run.start])
+        if crossing.signal >= 0 and steps.signals[crossing.signal, begin] == Signal.RED.code:
             continue
-        way = float(np.sign(u[k, end - 1] - u[k, begin]))
+        way = float(np.sign(u[run.stop - 1] - u[run.start]))
         if way != 0.0:
-            found.append((int(walkers[k]), begin, end - 1, u[k], way))
+            at = presence.over(u, agent, 0, presence.times, np.nan)
+            last = int(presence.step[run.stop - 1])
+            found.append((int(steps.ids[agent]), begin, last, at, way))
     return found
 
 
 def _verdict(
-    tracks: Tracks,
+    steps: Steps,
     road: Road,
     seen: Observables,
     people: Sequence[_Person],
     row: int,
-    entry: int,
     path: float,
-    step_s: float,
+    ways: IntArray,
 ) -> tuple[EventKind, int] | None:
     """Whether a vehicle that enters a crossing let those on it go first; None if nobody was.
 
@@ -259,46 +268,49 @@ def _verdict(
     crosses or joins its own.
 
     Args:
-        tracks: the episode.
+        steps: the episode.
         road: where it happened.
         seen: its observables.
         people: who walked over the crossing.
-        row: the vehicle.
-        entry: the column in which its front comes to the crossing.
+        row: in which the vehicle's front comes to the crossing.
         path: where it drives, as a distance along the crossing, m.
-        step_s: time between two columns, s.
+        ways: (m,) what `_ways` says of the lane of each row.
     """
-    half = tracks.width[row] / 2 + 0.3
+    presence, step_s = steps.presence, steps.step_s
+    agent, entry = int(presence.agent[row]), int(presence.step[row])
+    half = steps.width[agent] / 2 + 0.3
     yielded: tuple[EventKind, int] | None = None
     for one in people:
         person, begin, end, u, way = one
-        if not begin < entry or end < entry - round(20.0 / step_s) or not tracks.valid[row, begin]:
+        if not begin < entry or end < entry - round(20.0 / step_s):
             continue
+        come = row - (entry - begin)  # the row of when the person stepped on the crossing,
+        if come < presence.first[agent] or presence.step[come] != begin:
+            continue  # if the vehicle was seen ever since
 
-        speed = tracks.speed[row, begin : entry + 1]
+        speed = steps.speed[come : row + 1]
         left_m = float(speed.sum()) * step_s - np.cumsum(speed) * step_s
         if _in_the_way(one, path, half, entry):
             if _could_stop(float(speed[0]), float(left_m[0])):
-                return EventKind.NOT_YIELDED, int(tracks.ids[person])
+                return EventKind.NOT_YIELDED, person
             continue
         walked = np.flatnonzero((path - u[begin : entry + 1]) * way + half <= 0)
         if not walked.size:
             continue
         clear = int(walked[0])  # counted from begin: when the person had left the vehicle's path
-        span = slice(begin, begin + clear + 1)
-        held = (seen.stop_distance[row, span] >= 0) & np.isin(seen.signal[row, span], _STOP_SIGNALS)
-        held |= seen.gap[row, span] < left_m[: clear + 1]
+        span = slice(come, come + clear + 1)
+        held = (seen.stop_distance[span] >= 0) & np.isin(seen.signal[span], _STOP_SIGNALS)
+        held |= seen.gap[span] < left_m[: clear + 1]
         since = int(np.flatnonzero(held)[-1]) + 1 if held.any() else 0
         if since >= clear or not _could_stop(float(speed[since]), float(left_m[since])):
             continue
-        limit = float(seen.limit[row, begin + since : entry + 1].min(initial=np.inf))
+        limit = float(seen.limit[come + since : row + 1].min(initial=np.inf))
         pulled_s = _unhindered_s(float(speed[since]), float(left_m[since]), limit)
-        come = begin + since + round(pulled_s / step_s)
-        if not _in_the_way(one, path, half, come):
+        if not _in_the_way(one, path, half, begin + since + round(pulled_s / step_s)):
             continue
-        until = min(begin + clear + round(FORESIGHT_S / step_s), tracks.time_s.size - 1)
-        if not _others_cross(tracks, road, seen, row, slice(begin + since, until + 1), entry):
-            yielded = EventKind.YIELDED, int(tracks.ids[person])
+        until = begin + clear + round(FORESIGHT_S / step_s)
+        if not _others_cross(steps, road, ways, come + since, row, until):
+            yielded = EventKind.YIELDED, person
     return yielded
 
 
@@ -329,11 +341,22 @@ def _unhindered_s(speed: float, distance: float, limit: float) -> float:
 
 
 def _others_cross(
-    tracks: Tracks, road: Road, seen: Observables, row: int, span: slice, entry: int
+    steps: Steps, road: Road, ways: IntArray, since: int, entry: int, until: int
 ) -> bool:
-    """Whether a vehicle was on a way through the junction that crosses or joins this one's."""
-    ways = _ways(road)
-    near = ways[seen.lane[row, span.start : entry + round(5.0 / tracks.step_s)]]
+    """Whether a vehicle was on a way through the junction that crosses or joins another's.
+
+    Args:
+        steps: the episode.
+        road: where it happened.
+        ways: (m,) as in `_verdict`.
+        since: row of the vehicle from which on others count.
+        entry: row in which it enters the crossing.
+        until: last column in which others count.
+    """
+    presence = steps.presence
+    agent, begin = int(presence.agent[entry]), int(presence.step[since])
+    soon = int(presence.step[entry]) + round(5.0 / steps.step_s)
+    near = ways[presence.rows(agent, begin, soon)]
     mine = near[near >= 0]
     if not mine.size:
         return False
@@ -343,9 +366,9 @@ def _others_cross(
         for index, link in enumerate(road.connections)
         if own in link.yields_to or index in road.connections[own].yields_to
     }
-    others = ways[seen.lane[:, span]]
-    others[row] = -1
-    return bool(np.isin(others, list(foes)).any()) if foes else False
+    inside = np.flatnonzero((ways >= 0) & (presence.step >= begin) & (presence.step <= until))
+    inside = inside[presence.agent[inside] != agent]
+    return bool(np.isin(ways[inside], list(foes)).any()) if foes else False
 
 
 @functools.lru_cache(maxsize=32)
@@ -359,43 +382,36 @@ def _ways(road: Road) -> NDArray[np.int64]:
     return ways
 
 
-def _wrong_way(tracks: Tracks, seen: Observables) -> list[Event]:
-    wrong = (
-        tracks.valid
-        & (seen.lane >= 0)
-        & (np.abs(np.nan_to_num(seen.lane_heading)) > np.pi / 2)
-        & (np.nan_to_num(tracks.speed) > ROLLING_MPS)
-    )
+def _wrong_way(steps: Steps, seen: Observables) -> list[Event]:
+    wrong = (np.abs(seen.lane_heading) > np.pi / 2) & (steps.speed > ROLLING_MPS)
     found = []
-    for row, begin, end in runs(wrong, round(1.0 / tracks.step_s)):
-        metres = float(tracks.speed[row, begin:end].sum()) * tracks.step_s
-        time_s = float(tracks.time_s[begin])
-        agent = int(tracks.ids[row])
+    for run in steps.presence.runs(wrong, round(1.0 / steps.step_s)):
+        metres = float(steps.speed[run].sum()) * steps.step_s
+        agent, time_s = _who_and_when(steps, run.start)
         found.append(Event(EventKind.WRONG_WAY, time_s, agent, rule=f"{metres:.0f} m"))
     return found
 
 
-def _near_misses(tracks: Tracks, seen: Observables) -> list[Event]:
-    close = (
-        tracks.valid
-        & (seen.time_to_collision < NEAR_MISS_TTC_S)
-        & (np.nan_to_num(tracks.speed) > NEAR_MISS_MPS)
-        & (seen.gap > 0)
-    )
-    return [
-        Event(
-            kind=EventKind.NEAR_MISS,
-            time_s=float(tracks.time_s[begin]),
-            agent=int(tracks.ids[row]),
-            other=int(tracks.ids[seen.leader[row, begin]]),
-            rule=f"time to collision {seen.time_to_collision[row, begin:end].min():.2f} s",
-        )
-        for row, begin, end in runs(close)
-    ]
+def _near_misses(steps: Steps, seen: Observables) -> list[Event]:
+    close = seen.time_to_collision < NEAR_MISS_TTC_S
+    close &= (steps.speed > NEAR_MISS_MPS) & (seen.gap > 0)
+    found = []
+    for run in steps.presence.runs(close):
+        agent, time_s = _who_and_when(steps, run.start)
+        other, _ = _who_and_when(steps, int(seen.leader[run.start]))
+        least = f"time to collision {seen.time_to_collision[run].min():.2f} s"
+        found.append(Event(EventKind.NEAR_MISS, time_s, agent, other, rule=least))
+    return found
+
+
+def _who_and_when(steps: Steps, row: int) -> tuple[int, float]:
+    """The agent's id and the time, s, of a row."""
+    presence = steps.presence
+    return int(steps.ids[presence.agent[row]]), float(steps.time_s[presence.step[row]])
 
 
 def _collisions(
-    tracks: Tracks, touches: Sequence[Contact]
+    steps: Steps, touches: Sequence[Contact]
 ) -> list[tuple[tuple[int, int], NDArray[np.int64]]]:
     """Who collided, and the columns in which they touch: by the engine's word or by their boxes.
 
@@ -404,30 +420,28 @@ def _collisions(
     """
     flags: dict[tuple[int, int], NDArray[np.bool_]] = {}
     pairs: dict[tuple[int, int], tuple[int, int]] = {}
-    for event in tracks.events:
+    for event in steps.events:
         if event.kind in (EventKind.COLLISION, EventKind.CONTACT) and event.other is not None:
             pair = (min(event.agent, event.other), max(event.agent, event.other))
             pairs.setdefault(pair, (event.agent, event.other))
-            at = min(
-                int(np.searchsorted(tracks.time_s, event.time_s - 1e-6)), tracks.time_s.size - 1
-            )
-            flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))[at] = True
+            at = min(int(np.searchsorted(steps.time_s, event.time_s - 1e-6)), steps.time_s.size - 1)
+            flags.setdefault(pair, np.zeros(steps.time_s.size, dtype=bool))[at] = True
     for contact in touches:
-        pair = (int(tracks.ids[contact.rows[0]]), int(tracks.ids[contact.rows[1]]))
-        if pair not in flags and PEDESTRIAN in tracks.kind[list(contact.rows)]:
+        pair = (int(steps.ids[contact.agents[0]]), int(steps.ids[contact.agents[1]]))
+        if pair not in flags and PEDESTRIAN in steps.kind[list(contact.agents)]:
             continue
-        flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))
+        flags.setdefault(pair, np.zeros(steps.time_s.size, dtype=bool))
         flags[pair][contact.begin : contact.end] = True
     found = []
     for pair, touch in flags.items():
         columns = np.flatnonzero(touch)
-        anew = np.flatnonzero(np.diff(columns) > round(APART_S / tracks.step_s)) + 1
+        anew = np.flatnonzero(np.diff(columns) > round(APART_S / steps.step_s)) + 1
         found += [(pairs.get(pair, pair), part) for part in np.split(columns, anew)]
     return sorted(found, key=lambda one: (int(one[1][0]), one[0]))
 
 
 def _blame(
-    tracks: Tracks,
+    steps: Steps,
     road: Road,
     seen: Observables,
     collision: Event,
@@ -447,8 +461,8 @@ def _blame(
     assert collision.other is not None
     pair = (collision.agent, collision.other)
     time_s = collision.time_s
-    rows = {agent: int(np.searchsorted(tracks.ids, agent)) for agent in pair}
-    column = min(int(np.searchsorted(tracks.time_s, time_s - 1e-6)), tracks.time_s.size - 1)
+    rows = {agent: int(np.searchsorted(steps.ids, agent)) for agent in pair}
+    column = min(int(np.searchsorted(steps.time_s, time_s - 1e-6)), steps.time_s.size - 1)
     for kind, rule, recent_s in (
         (EventKind.RED_RUN, "ran a red light", RECENT_S),
         (EventKind.STOP_ROLLED, "rolled over a stop line", RECENT_S),
@@ -457,23 +471,23 @@ def _blame(
         for event in reversed(events):
             if event.kind is not kind or event.agent not in pair or event.time_s > time_s + 0.5:
                 continue
-            still_inside = _way(tracks, road, seen, rows[event.agent], column) is not None
+            still_inside = _way(steps, road, seen, rows[event.agent], column) is not None
             if still_inside or time_s - event.time_s <= recent_s:
                 return _caused(collision, event.agent, rule)
     for agent, other in (pair, pair[::-1]):
-        if tracks.kind[rows[agent]] == PEDESTRIAN:
-            walks = slice(max(column - 1, 0), column + 1)
-            if forbidden[rows[agent], walks].any():
+        if steps.kind[rows[agent]] == PEDESTRIAN:
+            walks = steps.presence.rows(rows[agent], column - 1, column + 1)
+            if forbidden[walks].any():
                 return _caused(collision, agent, "walked where or when one may not")
-            second = slice(max(column - round(1.0 / tracks.step_s), 0), column + 1)
-            if (tracks.speed[rows[other], second] < ROLLING_MPS).all():
+            second = max(column - round(1.0 / steps.step_s), 0), column + 1
+            if (_speed(steps, rows[other], *second) < ROLLING_MPS).all():
                 return _caused(collision, agent, "walked into a vehicle that stood")
             return _caused(collision, other, "did not yield to a pedestrian")
     for cut in reversed(cuts):
-        cutter, victim = int(tracks.ids[cut.agent]), int(tracks.ids[cut.other])
+        cutter, victim = int(steps.ids[cut.agent]), int(steps.ids[cut.other])
         if {cutter, victim} == set(pair) and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
             return _caused(collision, cutter, f"cut in {cut.value:.2f} s before the other")
-    return _priority_or_follower(tracks, road, seen, collision, rows, column)
+    return _priority_or_follower(steps, road, seen, collision, rows, column)
 
 
 def _caused(collision: Event, agent: int, rule: str) -> Event:
@@ -482,7 +496,7 @@ def _caused(collision: Event, agent: int, rule: str) -> Event:
 
 
 def _priority_or_follower(
-    tracks: Tracks,
+    steps: Steps,
     road: Road,
     seen: Observables,
     collision: Event,
@@ -491,17 +505,17 @@ def _priority_or_follower(
 ) -> Event:
     assert collision.other is not None
     pair = (collision.agent, collision.other)
-    ways = {agent: _way(tracks, road, seen, rows[agent], column) for agent in pair}
+    ways = {agent: _way(steps, road, seen, rows[agent], column) for agent in pair}
     one, two = (ways[agent] for agent in pair)
     if one is not None and two is not None and one != two and road.first_come(one, two):
-        entered = [_entered(seen, rows[agent], column) for agent in pair]
+        entered = [_entered(steps, seen, rows[agent], column) for agent in pair]
         later = pair[int(entered[1] > entered[0])]
         return _caused(collision, later, "entered a junction not yet clear")
-    outside = [_over_marking(tracks, road, seen, rows[agent], column) for agent in pair]
+    outside = [_over_marking(steps, road, seen, rows[agent], column) for agent in pair]
     if outside[0] != outside[1]:
         return _caused(collision, pair[int(outside[1])], "was between lanes")
     for agent, other in (pair, pair[::-1]):
-        if _could_have_stopped(tracks, rows[agent], rows[other], column):
+        if _could_have_stopped(steps, rows[agent], rows[other], column):
             return _caused(collision, agent, "ran into somebody who stood")
     for agent, other in (pair, pair[::-1]):
         mine, theirs = ways[agent], ways[other]
@@ -509,54 +523,64 @@ def _priority_or_follower(
             continue
         if theirs in road.connections[mine].yields_to:
             return _caused(collision, agent, "took another's priority")
-    standing = [tracks.speed[rows[agent], column] < ROLLING_MPS for agent in pair]
+    presence = steps.presence
+    standing = [_speed(steps, rows[agent], column, column + 1)[0] < ROLLING_MPS for agent in pair]
     if standing[0] != standing[1]:
         return _caused(collision, pair[int(standing[0])], "ran into somebody who stood")
-    a, b = (rows[agent] for agent in pair)
-    facing = np.array([np.cos(tracks.heading[a, column]), np.sin(tracks.heading[a, column])])
-    ahead = float((tracks.xy[b, column] - tracks.xy[a, column]) @ facing)
-    follower = pair[0] if not ahead < 0 else pair[1]
-    return _caused(collision, follower, "followed too closely")
+    a, b = (presence.row(rows[agent], column) for agent in pair)
+    behind = False  # as it is where one of the two was not seen
+    if a >= 0 and b >= 0:
+        facing = np.array([np.cos(steps.heading[a]), np.sin(steps.heading[a])])
+        behind = float((steps.xy[b] - steps.xy[a]) @ facing) < 0
+    return _caused(collision, pair[int(behind)], "followed too closely")
 
 
-def _could_have_stopped(tracks: Tracks, row: int, other: int, column: int) -> bool:
+def _speed(steps: Steps, agent: int, begin: int, end: int) -> FloatArray:
+    """(end - begin,) speeds of one agent, m/s, NaN where it was not seen."""
+    return steps.presence.over(steps.speed, agent, begin, end, np.nan)
+
+
+def _could_have_stopped(steps: Steps, agent: int, other: int, column: int) -> bool:
     """Whether somebody ran into another who stood there long enough to be braked for."""
-    if not tracks.speed[row, column - 1] > tracks.speed[other, column - 1]:
+    speed = _speed(steps, agent, 0, column + 1)
+    if column == 0 or not speed[-2] > _speed(steps, other, column - 1, column)[0]:
         return False
-    away = tracks.xy[other, : column + 1] - tracks.xy[other, column]
-    there = tracks.valid[row, : column + 1] & (np.hypot(away[:, 0], away[:, 1]) < STOOD_M)
+    xy = steps.presence.over(steps.xy, other, 0, column + 1, np.nan)
+    away = xy - xy[-1]
+    there = np.isfinite(speed) & (np.hypot(away[:, 0], away[:, 1]) < STOOD_M)
     before = np.flatnonzero(~there)
-    seen_at = (int(before[-1]) + 1 if before.size else 0) + round(REACTION_S / tracks.step_s)
+    seen_at = (int(before[-1]) + 1 if before.size else 0) + round(REACTION_S / steps.step_s)
     if seen_at >= column:
         return False
-    left_m = float(tracks.speed[row, seen_at:column].sum()) * tracks.step_s
-    return _could_stop(float(tracks.speed[row, seen_at]), left_m)
+    left_m = float(speed[seen_at:column].sum()) * steps.step_s
+    return _could_stop(float(speed[seen_at]), left_m)
 
 
-def _entered(seen: Observables, row: int, column: int) -> int:
+def _entered(steps: Steps, seen: Observables, agent: int, column: int) -> int:
     """The column in which a vehicle's front came into the junction that it is in."""
-    outside = np.flatnonzero(~(seen.stop_distance[row, : column + 1] < 0))
+    inside = steps.presence.over(seen.stop_distance, agent, 0, column + 1, np.inf) < 0
+    outside = np.flatnonzero(~inside)
     return int(outside[-1]) + 1 if outside.size else 0
 
 
-def _over_marking(tracks: Tracks, road: Road, seen: Observables, row: int, column: int) -> bool:
+def _over_marking(steps: Steps, road: Road, seen: Observables, agent: int, column: int) -> bool:
     """Whether a vehicle's box reaches over the marking of the lane that it is on."""
-    lane = int(seen.lane[row, column])
+    row = steps.presence.row(agent, column)
+    lane = int(seen.lane[row]) if row >= 0 else -1
     if lane < 0 or road.lanes[lane].internal:
         return False
-    if seen.s[row, column] < tracks.length[row] / 2 + TURNED_M:
+    length, width = steps.length[agent], steps.width[agent]
+    if seen.s[row] < length / 2 + TURNED_M:
         return False
-    tilt = abs(float(np.sin(seen.lane_heading[row, column])))
-    half = (tracks.width[row] + tracks.length[row] * tilt) / 2
-    reach = abs(float(seen.offset[row, column])) + float(half)
+    half = (width + length * abs(float(np.sin(seen.lane_heading[row])))) / 2
+    reach = abs(float(seen.offset[row])) + float(half)
     return reach > road.lanes[lane].width_m / 2 + BETWEEN_LANES_M
 
 
-def _way(tracks: Tracks, road: Road, seen: Observables, row: int, column: int) -> int | None:
+def _way(steps: Steps, road: Road, seen: Observables, agent: int, column: int) -> int | None:
     """The connection that a vehicle drives at a junction; None if no part of it is inside one."""
-    until = (
-        column + round(RECENT_S / tracks.step_s) if seen.stop_distance[row, column] < 0 else column
-    )
-    ways = _ways(road)[seen.lane[row, column : until + 1]]
+    row = steps.presence.row(agent, column)
+    soon = round(RECENT_S / steps.step_s) if row >= 0 and seen.stop_distance[row] < 0 else 0
+    ways = _ways(road)[seen.lane[steps.presence.rows(agent, column, column + soon + 1)]]
     inside = np.flatnonzero(ways >= 0)
     return int(ways[inside[0]]) if inside.size else None

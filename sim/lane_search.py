@@ -109,6 +109,58 @@ def nearest(
 
 
 @numba.njit(cache=True)
+def leaders(
+    by_time: Any, begins: Any, lane: Any, forward: Any, s: Any, lane_length: Any, onward: Any,
+    most_lanes: int, look_ahead: float,
+) -> tuple[Any, Any]:  # fmt: skip
+    """The vehicle ahead of each, instant by instant.
+
+    Args:
+        by_time: (m,) rows in order of time.
+        begins: (T + 1,) where in them those of each time begin, and m.
+        lane: (m,) lane of each row, -1: none.
+        forward: (m,) the same where the vehicle drives along it, -1 elsewhere.
+        s: (m,) distance along it, m.
+        lane_length: as in `nearest`.
+        onward: as in `nearest`.
+        most_lanes: as in `nearest`.
+        look_ahead: as in `nearest`.
+
+    Returns:
+        (m,) rows or -1, and (m,) distances between centres, m, or +inf.
+    """
+    m = by_time.size
+    found, distance = np.full(m, -1, np.int64), np.full(m, np.inf)
+    most = 0
+    for t in range(begins.size - 1):
+        most = max(most, begins[t + 1] - begins[t])
+    row, key, at = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    asked, place, now = np.empty(most, np.int64), np.empty(most), np.zeros(most, np.int64)
+    ahead = m >= 0  # not the literal True, for which the search would be compiled once more
+    for t in range(begins.size - 1):
+        count, first = 0, begins[t]
+        here = begins[t + 1] - first
+        for j in range(here):
+            i = by_time[first + j]
+            asked[j], place[j] = forward[i], s[i]
+            if lane[i] < 0:
+                continue
+            k = count  # sorted in as they come: they are few, and mostly in order
+            while k > 0 and (key[k - 1] > lane[i] or (key[k - 1] == lane[i] and at[k - 1] > s[i])):
+                row[k], key[k], at[k] = row[k - 1], key[k - 1], at[k - 1]
+                k -= 1
+            row[k], key[k], at[k] = i, lane[i], s[i]
+            count += 1
+        who, far = nearest(
+            key[:count], at[:count], row[:count], lane_length, onward, now[:here], asked[:here],
+            place[:here], ahead, most_lanes, look_ahead,
+        )  # fmt: skip
+        for j in range(here):
+            found[by_time[first + j]], distance[by_time[first + j]] = who[j], far[j]
+    return found, distance
+
+
+@numba.njit(cache=True)
 def stops_ahead(
     lane: Any, front: Any, lane_length: Any, ahead: Any, internal: Any, signal: Any,
     cross_lane: Any, cross_id: Any, cross_s: Any, cross_exit_s: Any, most_lanes: int,

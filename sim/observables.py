@@ -2,7 +2,7 @@
 
 Who is on which lane, who follows whom and how closely, what limit holds, which signal, stop line
 or crossing lies ahead and whether someone walks there. One function serves a single frame and a
-whole recording: every instant is worked on at once.
+whole episode: every instant is worked on at once.
 
 Leaders are looked for along the lane and onward over the junctions. Where a lane goes on in
 several ways the straightest one is followed, because a frame does not say where a driver wants to
@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim import lane_search
-from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal
 from sim.lane_graph import LaneGraph, project
 from sim.road import Road
+from sim.steps import Steps
 
 LOOK_AHEAD_M: Final = 200.0
 """Leaders, signals and crossings farther than this are not seen (our choice: 14 s at 14 m/s)."""
@@ -42,30 +42,29 @@ and the width of the kerb)."""
 
 @dataclass(frozen=True, slots=True)
 class Observables:
-    """What is seen of each agent; all arrays share the shape of the agents' speeds.
+    """What is seen of n agents of a `Frame`, or in the n rows of `Steps`.
 
-    For a `Frame` that shape is (n,), for `Tracks` (N, T). Distances are +inf and indices -1 where
-    there is nothing; for pedestrians and unseen agents everything is.
+    Distances are +inf and indices -1 where there is nothing; for pedestrians everything is.
 
     Attributes:
-        on_road: whether the agent drives on a lane (its centre within the lane's width).
-        lane: index into ``Road.lanes``.
-        s: distance along the lane, m.
-        offset: signed distance to the left of the lane's centre line, m.
-        lane_heading: heading relative to the lane's, rad in (-pi, pi]; near pi: the wrong way.
-        limit: speed limit, m/s.
-        leader: row of the vehicle ahead.
-        gap: bumper to bumper to the leader, m; negative when boxes overlap.
-        closing: own speed minus the leader's, m/s; 0 without leader.
-        headway: gap over own speed, s.
-        time_to_collision: gap over closing speed, s; +inf when not closing.
-        follower: row of the nearest vehicle that has this one as its leader.
-        stop_distance: front bumper to the next junction entry, m; negative when inside one.
-        signal: code into ``SIGNALS`` of the signal there; ``OFF`` if none.
-        crossing: the next crossing on the way, index into ``Road.crossings``.
-        crossing_distance: front bumper to the near edge of it, m.
-        crossing_occupied: whether a pedestrian is on that crossing.
-        crossing_waiting: whether one stands within reach of either end of it.
+        on_road: (n,) whether the agent drives on a lane (its centre within the lane's width).
+        lane: (n,) index into ``Road.lanes``.
+        s: (n,) distance along the lane, m.
+        offset: (n,) signed distance to the left of the lane's centre line, m.
+        lane_heading: (n,) heading relative to the lane's, rad in (-pi, pi]; near pi: the wrong way.
+        limit: (n,) speed limit, m/s.
+        leader: (n,) row of the vehicle ahead.
+        gap: (n,) bumper to bumper to the leader, m; negative when boxes overlap.
+        closing: (n,) own speed minus the leader's, m/s; 0 without leader.
+        headway: (n,) gap over own speed, s.
+        time_to_collision: (n,) gap over closing speed, s; +inf when not closing.
+        follower: (n,) row of the nearest vehicle that has this one as its leader.
+        stop_distance: (n,) front bumper to the next junction entry, m; negative when inside one.
+        signal: (n,) code into ``SIGNALS`` of the signal there; ``OFF`` if none.
+        crossing: (n,) the next crossing on the way, index into ``Road.crossings``.
+        crossing_distance: (n,) front bumper to the near edge of it, m.
+        crossing_occupied: (n,) whether a pedestrian is on that crossing.
+        crossing_waiting: (n,) whether one stands within reach of either end of it.
     """
 
     on_road: BoolArray
@@ -88,70 +87,15 @@ class Observables:
     crossing_waiting: BoolArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LaneTraffic:
-    """Vehicles sorted along their lanes, at one or many instants, ready to be searched.
-
-    Attributes:
-        graph: the lanes.
-        key: (m,) instant times number of lanes plus lane, of the sorted vehicles.
-        s: (m,) their distance along the lane, m.
-        row: (m,) their row among those given.
-    """
-
-    graph: LaneGraph
-    key: IntArray
-    s: FloatArray
-    row: IntArray
-
-    @classmethod
-    def of(cls, graph: LaneGraph, instant: IntArray, lane: IntArray, s: FloatArray) -> LaneTraffic:
-        """Sort vehicles; those with lane -1 are left out."""
-        keep = np.flatnonzero(lane >= 0)
-        key = instant[keep] * graph.length.size + lane[keep]
-        order = np.lexsort((s[keep], key))
-        return cls(graph, key[order], s[keep][order], keep[order])
-
-    def ahead(
-        self, instant: IntArray, lane: IntArray, s: FloatArray
-    ) -> tuple[IntArray, FloatArray]:
-        """The first vehicle strictly ahead of each place, along the lane and straight on.
-
-        Args:
-            instant: (q,) instant of each question.
-            lane: (q,) lane asked about, -1 for none.
-            s: (q,) distance along it, m.
-
-        Returns:
-            (q,) row of the vehicle or -1, and (q,) distance between centres, m, or +inf.
-        """
-        return self._chain(instant, lane, s, forward=True)
-
-    def behind(
-        self, instant: IntArray, lane: IntArray, s: FloatArray
-    ) -> tuple[IntArray, FloatArray]:
-        """The last vehicle strictly behind each place; see `ahead`."""
-        return self._chain(instant, lane, s, forward=False)
-
-    def _chain(
-        self, instant: IntArray, lane: IntArray, s: FloatArray, *, forward: bool
-    ) -> tuple[IntArray, FloatArray]:
-        onward = self.graph.ahead if forward else self.graph.behind
-        return lane_search.nearest(
-            self.key, self.s, self.row, self.graph.length, onward, instant, lane,
-            s.astype(np.float64), forward, MAX_LANES_AHEAD, LOOK_AHEAD_M,
-        )  # fmt: skip
-
-
-def observe(traffic: Frame | Tracks, road: Road) -> Observables:
-    """Everything `Observables` lists, for one frame or a whole recording.
+def observe(traffic: Frame | Steps, road: Road) -> Observables:
+    """Everything `Observables` lists, for one frame or a whole episode.
 
     Args:
-        traffic: a frame, or tracks (a history or an episode).
+        traffic: a frame, or the steps of an episode or a recording.
         road: where it happens.
 
     Returns:
-        Arrays of shape (n,) for a frame, (N, T) for tracks; rows as in ``traffic``.
+        Arrays in the order of the frame's agents, or of the rows; so are the indices in them.
 
     Examples:
         >>> from pathlib import Path
@@ -167,34 +111,16 @@ def observe(traffic: Frame | Tracks, road: Road) -> Observables:
     """
     if isinstance(traffic, Frame):
         n = len(traffic)
-        every = np.arange(n)
         return _observe(
-            road,
-            agent=every,
-            instant=np.zeros(n, np.int64),
-            shape=(n,),
-            flat=every,
-            xy=traffic.xy,
-            heading=traffic.heading,
-            speed=traffic.speed,
-            length=traffic.length,
-            kind=traffic.kind,
-            signals=traffic.signals[:, None],
-        )
-    agent, instant = np.nonzero(traffic.valid)
+            road, traffic.xy, traffic.heading, traffic.speed, traffic.length,
+            traffic.kind == PEDESTRIAN, traffic.signals[:, None],
+            np.zeros(n, np.int64), np.arange(n), np.array([0, n]),
+        )  # fmt: skip
+    presence = traffic.presence
     return _observe(
-        road,
-        agent=agent,
-        instant=instant,
-        shape=traffic.valid.shape,
-        flat=agent * traffic.time_s.size + instant,
-        xy=traffic.xy[agent, instant],
-        heading=traffic.heading[agent, instant],
-        speed=traffic.speed[agent, instant],
-        length=traffic.length[agent],
-        kind=traffic.kind[agent],
-        signals=traffic.signals,
-    )
+        road, traffic.xy, traffic.heading, traffic.speed, traffic.length[presence.agent],
+        traffic.walking, traffic.signals, presence.step, *presence.by_time(),
+    )  # fmt: skip
 
 
 def crossing_people(
@@ -256,32 +182,44 @@ def along(line: FloatArray, xy: FloatArray) -> tuple[FloatArray, FloatArray, flo
 
 def _observe(
     road: Road,
-    *,
-    agent: IntArray,
-    instant: IntArray,
-    shape: tuple[int, ...],
-    flat: IntArray,
     xy: FloatArray,
     heading: FloatArray,
     speed: FloatArray,
     length: FloatArray,
-    kind: CodeArray,
+    walking: BoolArray,
     signals: CodeArray,
+    instant: IntArray,
+    by_time: IntArray,
+    begins: IntArray,
 ) -> Observables:
+    """What is seen in m rows.
+
+    Args:
+        road: where it happens.
+        xy: (m, 2) m.
+        heading: (m,) rad.
+        speed: (m,) m/s.
+        length: (m,) m.
+        walking: (m,) whether the row is a pedestrian's.
+        signals: (S, T) codes.
+        instant: (m,) index of the row's time.
+        by_time: (m,) the rows in order of time.
+        begins: (T + 1,) where in ``by_time`` those of each time begin, and m.
+    """
     graph = LaneGraph.of(road)
-    m = agent.size
-    instants = int(signals.shape[1])
-    walking = kind == PEDESTRIAN
+    m = speed.size
     place = project(road, xy, heading)
     xy_of_place, facing = graph.position(place.lane, place.s, place.offset)
     lane_heading = np.pi - (np.pi - (heading - facing)) % (2 * np.pi)
     inside = np.abs(place.offset) <= graph.width[place.lane] / 2 + 0.5  # half a metre: our choice
     on_road = ~walking & inside & (np.hypot(*(xy - xy_of_place).T) < 5.0)
     lane = np.where(on_road, place.lane, -1)
-    forward = on_road & (np.abs(lane_heading) < np.pi / 2)
+    forward = np.where(on_road & (np.abs(lane_heading) < np.pi / 2), lane, -1)
 
-    traffic = LaneTraffic.of(graph, instant, lane, place.s)
-    leader, distance = traffic.ahead(instant, np.where(forward, lane, -1), place.s)
+    leader, distance = lane_search.leaders(
+        by_time, begins, lane, forward, place.s, graph.length, graph.ahead, MAX_LANES_AHEAD,
+        LOOK_AHEAD_M,
+    )  # fmt: skip
     has = leader >= 0
     gap = np.full(m, np.inf)
     closing = np.zeros(m)
@@ -299,52 +237,35 @@ def _observe(
 
     signal = np.full(m, Signal.OFF.code, dtype=np.int8)
     stop_distance, group, crossing, crossing_distance = lane_search.stops_ahead(
-        np.where(forward, lane, -1), place.s + length / 2, graph.length, graph.ahead,
-        graph.internal, graph.signal, graph.cross_lane, graph.cross_id, graph.cross_s,
-        graph.cross_exit_s, MAX_LANES_AHEAD, LOOK_AHEAD_M,
+        forward, place.s + length / 2, graph.length, graph.ahead, graph.internal, graph.signal,
+        graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, MAX_LANES_AHEAD,
+        LOOK_AHEAD_M,
     )  # fmt: skip
     lit = np.flatnonzero((group >= 0) & (group < signals.shape[0]))
     signal[lit] = signals[group[lit], instant[lit]]
 
-    occupied, waiting = crossing_people(road, instant[walking], xy[walking], instants)
+    occupied, waiting = crossing_people(road, instant[walking], xy[walking], signals.shape[1])
     meets = crossing >= 0
     is_occupied, is_waiting = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
     is_occupied[meets] = occupied[crossing[meets], instant[meets]]
     is_waiting[meets] = waiting[crossing[meets], instant[meets]]
-
-    def spread(values: NDArray[np.generic], empty: float | bool) -> NDArray[np.generic]:
-        out = np.full(int(np.prod(shape)), empty, dtype=values.dtype)
-        out[flat] = values
-        return out.reshape(shape)
-
-    def floats(values: FloatArray, empty: float = np.inf) -> FloatArray:
-        return np.asarray(spread(values, empty), dtype=np.float64)
-
-    def rows(values: IntArray) -> IntArray:
-        named = np.where(values >= 0, agent[np.maximum(values, 0)], -1)
-        return np.asarray(spread(named, -1), dtype=np.int64)
-
-    def flags(values: BoolArray) -> BoolArray:
-        return np.asarray(spread(values, False), dtype=np.bool_)
-
-    seen = on_road
     return Observables(
-        on_road=flags(on_road),
-        lane=np.asarray(spread(lane, -1), dtype=np.int64),
-        s=floats(np.where(seen, place.s, np.nan), np.nan),
-        offset=floats(np.where(seen, place.offset, np.nan), np.nan),
-        lane_heading=floats(np.where(seen, lane_heading, np.nan), np.nan),
-        limit=floats(np.where(seen, graph.limit[place.lane], np.nan), np.nan),
-        leader=rows(leader),
-        gap=floats(gap),
-        closing=floats(closing, 0.0),
-        headway=floats(headway),
-        time_to_collision=floats(collision),
-        follower=rows(follower),
-        stop_distance=floats(stop_distance),
-        signal=np.asarray(spread(signal, Signal.OFF.code), dtype=np.int8),
-        crossing=np.asarray(spread(crossing, -1), dtype=np.int64),
-        crossing_distance=floats(crossing_distance),
-        crossing_occupied=flags(is_occupied),
-        crossing_waiting=flags(is_waiting),
+        on_road=on_road,
+        lane=lane,
+        s=np.where(on_road, place.s, np.nan),
+        offset=np.where(on_road, place.offset, np.nan),
+        lane_heading=np.where(on_road, lane_heading, np.nan),
+        limit=np.where(on_road, graph.limit[place.lane], np.nan),
+        leader=leader,
+        gap=gap,
+        closing=closing,
+        headway=headway,
+        time_to_collision=collision,
+        follower=follower,
+        stop_distance=stop_distance,
+        signal=signal,
+        crossing=crossing,
+        crossing_distance=crossing_distance,
+        crossing_occupied=is_occupied,
+        crossing_waiting=is_waiting,
     )

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 from behaviors.traits import Exhibit, Seen
 from sim.exhibits import exhibited, met, see
-from sim.frames import Event, Tracks
+from sim.frames import Event
 from sim.incidents import incidents
 from sim.observables import observe
 from sim.road import Road
+from sim.steps import Steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +28,16 @@ class Watched:
     exhibits: tuple[Exhibit, ...]
 
 
-def watch(tracks: Tracks, road: Road, *, recorded: bool = False) -> Watched:
+def watch(steps: Steps, road: Road, *, recorded: bool = False) -> Watched:
     """Find every event and every trait.
 
     Args:
-        tracks: an episode or a recording.
+        steps: an episode or a recording.
         road: where it happened.
         recorded: as in `sim.incidents.incidents`.
     """
-    observed = observe(tracks, road)
-    seen = see(tracks, road, observed)
-    events = incidents(tracks, road, observed, seen, recorded=recorded)
-    seen = met(tracks, seen, events)
-    return Watched(seen, events, exhibited(tracks, seen))
+    observed = observe(steps, road)
+    seen = see(steps, road, observed)
+    events = incidents(steps, road, observed, seen, recorded=recorded)
+    seen = met(steps.ids, seen, events)
+    return Watched(seen, events, exhibited(steps.ids, seen))

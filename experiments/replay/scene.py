@@ -22,6 +22,7 @@ from sim.frames import Tracks
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.schema import EpisodeEntry
+from sim.steps import Steps
 from sim.watching import watch
 
 SHOWN_EVERY_S: Final = 0.1
@@ -139,7 +140,7 @@ def gather(
         )
     exhibits = episode.exhibits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
-        watched = watch(tracks, road, recorded=True)
+        watched = watch(Steps.of(tracks), road, recorded=True)
         exhibits = watched.exhibits
         tracks = dataclasses.replace(tracks, events=watched.events)
     forecasts: list[Forecast] = []

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from behaviors.labels import TRAITS, Behavior, Trait
+from behaviors.presence import Presence
 from behaviors.shown_label import ENOUGH, characteristic_traits, shown_label
-from behaviors.traits import DETECTORS, Exhibit, RuleEncounter, Seen, detect, runs
+from behaviors.traits import DETECTORS, Exhibit, RuleEncounter, Seen, detect, lane_changes
 
 T = 600
 STEP_S = 0.1
@@ -13,11 +14,11 @@ STEP_S = 0.1
 
 def scene(agents: int = 2) -> Seen:
     """Everybody drives at 10 m/s, alone, in the middle of an endless lane; the limit is 14 m/s."""
-    shape = (agents, T)
+    shape = (agents * T,)
     far, none = np.full(shape, np.inf), np.full(shape, -1)
     return Seen(
+        presence=Presence.of(np.ones((agents, T), dtype=bool)),
         time_s=np.arange(1, T + 1) * STEP_S,
-        valid=np.ones(shape, dtype=bool),
         drives=np.ones(agents, dtype=bool),
         length=np.full(agents, 4.5),
         width=np.full(agents, 1.8),
@@ -41,6 +42,18 @@ def scene(agents: int = 2) -> Seen:
     )
 
 
+def of(agent: int, begin: int = 0, end: int = T) -> slice:
+    """The rows of an agent in a scene."""
+    return slice(agent * T + begin, agent * T + end)
+
+
+def follow(seen: Seen, leader: int, follower: int, begin: int, end: int, gap: float) -> None:
+    """Let one agent be the other's leader for some time."""
+    ahead, behind = of(leader, begin, end), of(follower, begin, end)
+    seen.leader[behind], seen.gap[behind] = np.arange(ahead.start, ahead.stop), gap
+    seen.follower[ahead] = np.arange(behind.start, behind.stop)
+
+
 def traits_of(seen: Seen, agent: int = 0) -> set[Trait]:
     return {e.trait for e in detect(seen) if e.agent == agent}
 
@@ -55,11 +68,11 @@ def test_driving_along_shows_an_even_speed_and_nothing_else():
 
 def test_over_speeding():
     seen = scene()
-    seen.speed[0, 100:150] = 16.0
+    seen.speed[of(0, 100, 150)] = 16.0
     found = DETECTORS[Trait.OVER_SPEEDING](seen)
     assert [(e.agent, round(e.begin_s, 1), round(e.end_s, 1)) for e in found] == [(0, 10.1, 15.0)]
     assert found[0].value == pytest.approx(16 / 14)
-    seen.speed[0, 100:150] = 15.0  # inside the tolerance
+    seen.speed[of(0, 100, 150)] = 15.0  # inside the tolerance
     assert not DETECTORS[Trait.OVER_SPEEDING](seen)
 
 
@@ -68,26 +81,26 @@ def test_over_speeding():
 )
 def test_headways(gap, trait):
     seen = scene()
-    seen.leader[0], seen.gap[0] = 1, gap
+    follow(seen, 1, 0, 0, T, gap)
     close = traits_of(seen) & {Trait.TAILGATING, Trait.DRIVING_CLOSE}
     assert close == ({trait} if trait else set())
 
 
 def change(seen: Seen, agent: int, column: int) -> None:
     """From the lane 0 to the lane 1 on the left, the centre being there at ``column``."""
-    seen.lane[agent, column:] = 1
+    seen.lane[of(agent, column)] = 1
     drift = np.linspace(0.0, 1.6, 12, endpoint=False)
-    seen.offset[agent, column - 12 : column] = drift
-    seen.offset[agent, column : column + 12] = drift - 1.6
+    seen.offset[of(agent, column - 12, column)] = drift
+    seen.offset[of(agent, column, column + 12)] = drift - 1.6
 
 
 def test_one_lane_change_is_no_weaving_two_are():
     seen = scene()
     change(seen, 0, 200)
     assert Trait.WEAVING not in traits_of(seen)
-    seen.lane[0, 300:] = 2
+    seen.lane[of(0, 300)] = 2
     assert Trait.WEAVING in traits_of(seen)
-    seen.edge[0, 300:] = 1  # onto the next road: no lane change
+    seen.edge[of(0, 300)] = 1  # onto the next road: no lane change
     assert Trait.WEAVING not in traits_of(seen)
 
 
@@ -95,10 +108,8 @@ def test_one_lane_change_is_no_weaving_two_are():
 def test_cutting_in_is_told_by_the_headway_left_when_the_box_touches_the_lane(gap, found):
     seen = scene()
     change(seen, 0, 200)
-    seen.lane[1] = 1
-    seen.follower[0, 200:] = 1
-    seen.leader[1, 200:] = 0
-    seen.gap[1, 200:] = gap
+    seen.lane[of(1)] = 1
+    follow(seen, 0, 1, 200, T, gap)
     exhibits = DETECTORS[Trait.CUTTING_IN](seen)
     assert bool(exhibits) is found
     if found:
@@ -110,9 +121,9 @@ def test_cutting_in_is_told_by_the_headway_left_when_the_box_touches_the_lane(ga
 def test_a_gap_that_opened_during_the_change_counts_as_it_was_at_the_touch():
     seen = scene()
     change(seen, 0, 200)
-    seen.lane[1], seen.follower[0, 200:], seen.leader[1, 200:] = 1, 1, 0
-    seen.gap[1, 200:] = 11.0
-    seen.speed[0, 150:200] = 18.0  # 8 m/s faster, about 0.6 s from touching to the centre
+    seen.lane[of(1)] = 1
+    follow(seen, 0, 1, 200, T, 11.0)
+    seen.speed[of(0, 150, 200)] = 18.0  # 8 m/s faster, about 0.6 s from touching to the centre
     exhibits = DETECTORS[Trait.CUTTING_IN](seen)
     assert exhibits
     assert exhibits[0].value < 0.8
@@ -120,10 +131,10 @@ def test_a_gap_that_opened_during_the_change_counts_as_it_was_at_the_touch():
 
 def test_overtaking_means_passing_the_former_leader():
     seen = scene()
-    seen.leader[0, :200], seen.gap[0, :200] = 1, 15.0
+    follow(seen, 1, 0, 0, 200, 15.0)
     change(seen, 0, 200)
     assert Trait.OVERTAKING not in traits_of(seen)
-    seen.speed[0, 200:] = 14.0  # 4 m/s faster: 24 m are made up in 6 s
+    seen.speed[of(0, 200)] = 14.0  # 4 m/s faster: 24 m are made up in 6 s
     found = DETECTORS[Trait.OVERTAKING](seen)
     assert [(e.agent, e.other) for e in found] == [(0, 1)]
     assert found[0].end_s - found[0].begin_s == pytest.approx(6.0, abs=0.3)
@@ -131,7 +142,7 @@ def test_overtaking_means_passing_the_former_leader():
 
 def test_wrong_direction_measures_metres():
     seen = scene()
-    seen.lane_heading[0, 100:200] = np.pi
+    seen.lane_heading[of(0, 100, 200)] = np.pi
     found = DETECTORS[Trait.WRONG_DIRECTION](seen)
     assert [(e.agent, round(e.value)) for e in found] == [(0, 100)]
 
@@ -139,7 +150,7 @@ def test_wrong_direction_measures_metres():
 @pytest.mark.parametrize("flag", ["off_crossing", "on_red"])
 def test_only_pedestrians_jaywalk(flag):
     seen = scene()
-    getattr(seen, flag)[0, 100:150] = True
+    getattr(seen, flag)[of(0, 100, 150)] = True
     assert not DETECTORS[Trait.JAYWALKING](seen)
     seen.drives[0] = False
     assert DETECTORS[Trait.JAYWALKING](seen)[0].value == pytest.approx(5.0)
@@ -155,18 +166,19 @@ def test_rules_kept_and_broken():
 
 def test_stopping_needs_to_be_unprovoked():
     seen = scene()
-    seen.speed[0, 200:260] = 0.0
+    seen.speed[of(0, 200, 260)] = 0.0
     assert {Trait.NOT_MOVING, Trait.SLOWING} <= traits_of(seen)
     for name, value in (("gap", 10.0), ("stop_distance", 20.0)):
         reason = scene()
-        reason.speed[0, 200:260] = 0.0
-        getattr(reason, name)[0] = value
+        reason.speed[of(0, 200, 260)] = 0.0
+        getattr(reason, name)[of(0)] = value
         assert not traits_of(reason) & {Trait.NOT_MOVING, Trait.SLOWING}
 
 
 def test_waiting_at_a_crossing():
     seen = scene()
-    seen.speed[0, 200:260], seen.crossing_distance[0], seen.crossing_used[0] = 0.0, 3.0, True
+    seen.speed[of(0, 200, 260)] = 0.0
+    seen.crossing_distance[of(0)], seen.crossing_used[of(0)] = 3.0, True
     found = DETECTORS[Trait.WAITING](seen)
     assert [round(e.value, 1) for e in found] == [6.0]
     assert Trait.NOT_MOVING not in traits_of(seen)
@@ -174,20 +186,62 @@ def test_waiting_at_a_crossing():
 
 def test_keeping_the_leader():
     seen = scene()
-    seen.leader[0], seen.gap[0] = 1, 25.0
+    follow(seen, 1, 0, 0, T, 25.0)
     assert Trait.KEEPING_NEIGHBORS in traits_of(seen)
-    seen.leader[0, ::100] = -1
+    seen.leader[:T:100] = -1
     assert Trait.KEEPING_NEIGHBORS not in traits_of(seen)
 
 
-def test_runs_find_stretches_at_both_ends():
-    flags = np.array([[True, True, False, True]])
-    assert list(runs(flags)) == [(0, 0, 2), (0, 3, 4)]
+def test_runs_find_stretches_at_both_ends_and_end_with_an_agent_or_a_gap():
+    seen = Presence.of(np.array([[1, 1, 1, 1], [1, 1, 0, 1]], dtype=bool))
+    flags = np.array([1, 1, 0, 1, 1, 1, 1], dtype=bool)
+    assert [(run.start, run.stop) for run in seen.runs(flags)] == [(0, 2), (3, 4), (4, 6), (6, 7)]
+    assert [(run.start, run.stop) for run in seen.runs(flags, 2)] == [(0, 2), (4, 6)]
+    assert list(seen.runs(np.zeros(7, dtype=bool))) == []
+    assert [run.start for run in seen.runs(np.arange(7) == 2)] == [2]  # not where a track begins
+
+
+def test_rows_of_agents_and_times():
+    seen = Presence.of(np.array([[0, 0, 0], [0, 1, 1], [1, 0, 1]], dtype=bool))
+    assert seen.agents == 3
+    assert [seen.rows(agent) for agent in range(3)] == [slice(0, 0), slice(0, 2), slice(2, 4)]
+    assert seen.rows(2, 1, 3) == slice(3, 4)
+    assert [seen.row(2, time) for time in range(3)] == [2, -1, 3]
+    order, begins = seen.by_time()
+    assert order.tolist() == [2, 0, 1, 3]
+    assert begins.tolist() == [0, 1, 2, 4]
+
+
+def test_what_lies_in_a_gap_is_no_lane_change_and_no_cutting_in():
+    whole = scene()
+    change(whole, 0, 200)
+    whole.lane[of(1)] = 1
+    follow(whole, 0, 1, 200, T, 6.0)
+    assert lane_changes(whole).tolist() == [200]
+    assert DETECTORS[Trait.CUTTING_IN](whole)
+    for agent, changes in ((0, 0), (1, 1)):  # who is not seen just before
+        valid = np.ones((2, T), dtype=bool)
+        valid[agent, 199] = False
+        kept = valid.reshape(-1)
+        number = np.where(kept, np.cumsum(kept) - 1, -1)
+        seen = dataclasses.replace(
+            whole,
+            presence=Presence.of(valid),
+            **{
+                name: getattr(whole, name)[kept]
+                for name in Seen.__dataclass_fields__
+                if getattr(getattr(whole, name), "shape", ()) == (2 * T,)
+            },
+        )
+        for rows in (seen.leader, seen.follower):
+            rows[:] = np.where(rows >= 0, number[rows], -1)
+        assert lane_changes(seen).size == changes
+        assert not DETECTORS[Trait.CUTTING_IN](seen)
 
 
 def test_exhibits_come_in_order_of_time():
     seen = scene()
-    seen.speed[0, 300:400], seen.speed[1, 100:200] = 17.0, 17.0
+    seen.speed[of(0, 300, 400)], seen.speed[of(1, 100, 200)] = 17.0, 17.0
     begins = [e.begin_s for e in detect(seen)]
     assert begins == sorted(begins)
 

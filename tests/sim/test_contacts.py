@@ -5,6 +5,7 @@ import pytest
 
 from sim.contacts import Contact, contacts
 from sim.frames import PEDESTRIAN, Tracks
+from sim.steps import Steps
 
 
 def scene(xy, heading=None, **changes):
@@ -24,7 +25,7 @@ def scene(xy, heading=None, **changes):
         valid=np.ones((n, t), dtype=bool),
         signals=np.zeros((0, t)),
     )
-    return dataclasses.replace(tracks, **changes)
+    return Steps.of(dataclasses.replace(tracks, **changes))
 
 
 @pytest.mark.parametrize(
@@ -41,36 +42,35 @@ def scene(xy, heading=None, **changes):
     ],
 )
 def test_two_boxes(xy, heading, touch):
-    tracks = scene([[(0.0, 0.0)], [xy]], [[0.0], [heading]])
-    assert contacts(tracks) == ((Contact((0, 1), 0, 1),) if touch else ())
+    steps = scene([[(0.0, 0.0)] * 2, [xy] * 2], [[0.0] * 2, [heading] * 2])
+    assert contacts(steps) == ((Contact((0, 1), 0, 2),) if touch else ())
 
 
 def test_every_stretch_is_told_and_only_of_those_seen():
     away, there = (50.0, 0.0), (2.0, 0.0)
     xy = [[(0.0, 0.0)] * 6, [away, there, there, away, there, there], [there] * 6]
-    tracks = scene(xy)
-    valid = tracks.valid.copy()
+    valid = np.ones((3, 6), dtype=bool)
     valid[2] = False
     valid[1, 5] = False
-    found = contacts(dataclasses.replace(tracks, valid=valid))
+    found = contacts(scene(xy, valid=valid))
     assert found == (Contact((0, 1), 1, 3), Contact((0, 1), 4, 5))
 
 
 def test_pedestrians_may_touch_each_other():
-    tracks = scene([[(0.0, 0.0)], [(0.1, 0.0)]], kind=np.full(2, PEDESTRIAN))
-    assert contacts(tracks) == ()
+    steps = scene([[(0.0, 0.0)] * 2, [(0.1, 0.0)] * 2], kind=np.full(2, PEDESTRIAN))
+    assert contacts(steps) == ()
 
 
 def test_as_many_as_by_looking_at_every_pair():
     rng = np.random.default_rng(0)
     n, t = 30, 20
-    tracks = scene(rng.uniform(0, 40, (n, t, 2)), rng.uniform(-3, 3, (n, t)))
-    found = {(*c.rows, k) for c in contacts(tracks) for k in range(c.begin, c.end)}
+    xy, heading = rng.uniform(0, 40, (n, t, 2)), rng.uniform(-3, 3, (n, t))
+    found = {(*c.agents, k) for c in contacts(scene(xy, heading)) for k in range(c.begin, c.end)}
     alone = {
         (i, j, k)
         for i in range(n)
         for j in range(i + 1, n)
         for k in range(t)
-        if contacts(scene(tracks.xy[[i, j]][:, [k]], tracks.heading[[i, j]][:, [k]]))
+        if contacts(scene(xy[[i, j]][:, [k, k]], heading[[i, j]][:, [k, k]]))
     }
     assert found == alone

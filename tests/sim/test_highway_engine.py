@@ -20,6 +20,7 @@ from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Walker, find_footway
 from sim.observables import observe
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
+from sim.steps import Steps
 
 STRAIGHT = ("east_in", "east_out")
 
@@ -155,11 +156,12 @@ def test_timid_drivers_keep_a_longer_headway_than_threatening_ones(engine):
     seen = Tracks.from_frames(
         get_engine(engine)(scenario, agents, 0), {a.id: a.behavior for a in agents}
     )
-    facts = observe(seen, scenario.road)
+    steps = Steps.of(seen)
+    facts = observe(steps, scenario.road)
     headway = {}
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
-        rows = seen.behavior == behavior.code
-        near = facts.on_road[rows] & (facts.headway[rows] < 8.0) & (seen.speed[rows] > 2.0)
+        rows = (seen.behavior == behavior.code)[steps.presence.agent]
+        near = facts.on_road[rows] & (facts.headway[rows] < 8.0) & (steps.speed[rows] > 2.0)
         headway[behavior] = float(np.median(facts.headway[rows][near]))
     assert headway[Behavior.TIMID] > 1.5 * headway[Behavior.THREATENING]
 
@@ -313,9 +315,9 @@ def test_keeps_to_its_path_through_the_junction(turn):
     agent = driver(Behavior.CAREFUL, route=("east_in", turn))
     scenario = SCENARIOS["four_way_intersection"](duration_s=75.0)
     seen = Tracks.from_frames(run(scenario, [agent], 0))
-    facts = observe(seen, scenario.road)
-    assert np.nanmax(np.abs(facts.offset[0])) < 0.9
-    assert np.isin(turn, [scenario.road.lanes[i].edge for i in facts.lane[0] if i >= 0])
+    facts = observe(Steps.of(seen), scenario.road)
+    assert np.nanmax(np.abs(facts.offset)) < 0.9
+    assert np.isin(turn, [scenario.road.lanes[i].edge for i in facts.lane if i >= 0])
 
 
 def test_a_left_turner_lets_oncoming_traffic_pass_first():

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ from sim.exhibits import exhibited, met, see
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.incidents import incidents
 from sim.net import read_road
+from sim.steps import Steps
 
 STEP_S = 0.1
 SOUTH = -math.pi / 2
@@ -39,19 +41,21 @@ def tracks_of(road, paths, *, kinds=None, signal=Signal.GREEN, events=()):
     for i, k in (kinds or {}).items():
         kind[i] = k.code
     walks = kind == AgentKind.PEDESTRIAN.code
-    return Tracks(
-        ids=np.arange(n),
-        names=tuple(map(str, range(n))),
-        kind=kind,
-        length=np.where(walks, 0.3, 4.5),
-        width=np.where(walks, 0.5, 1.8),
-        time_s=np.arange(1, t + 1) * STEP_S,
-        xy=xy,
-        heading=np.where(moving > 0.05, heading, heading[:, :1]),
-        speed=moving,
-        valid=np.ones((n, t), dtype=bool),
-        signals=np.full((len(road.signal_groups), t), signal.code),
-        events=events,
+    return Steps.of(
+        Tracks(
+            ids=np.arange(n),
+            names=tuple(map(str, range(n))),
+            kind=kind,
+            length=np.where(walks, 0.3, 4.5),
+            width=np.where(walks, 0.5, 1.8),
+            time_s=np.arange(1, t + 1) * STEP_S,
+            xy=xy,
+            heading=np.where(moving > 0.05, heading, heading[:, :1]),
+            speed=moving,
+            valid=np.ones((n, t), dtype=bool),
+            signals=np.full((len(road.signal_groups), t), signal.code),
+            events=events,
+        )
     )
 
 
@@ -85,10 +89,7 @@ def test_standing_at_red_and_going_at_green_is_a_rule_kept(four_way):
     tracks = tracks_of(four_way, [np.concatenate([coming, standing, going])], signal=Signal.RED)
     signals = tracks.signals.copy()
     signals[:, 100:] = Signal.GREEN.code
-    tracks = Tracks(
-        **{f: getattr(tracks, f) for f in tracks.__dataclass_fields__ if f != "signals"},
-        signals=signals,
-    )
+    tracks = dataclasses.replace(tracks, signals=signals)
     events = incidents(tracks, four_way)
     assert [(e.kind, e.rule) for e in events] == [(EventKind.STOPPED, "red light")]
 
@@ -232,7 +233,7 @@ def test_events_make_rule_traits_and_ids_are_agents(four_way):
     x = lane_xy(four_way, "north_in_1")[0, 0]
     tracks = tracks_of(four_way, [line((x, 80.0), (0.0, -10.0))], signal=Signal.RED)
     events = incidents(tracks, four_way)
-    found = exhibited(tracks, met(tracks, see(tracks, four_way), events))
+    found = exhibited(tracks.ids, met(tracks.ids, see(tracks, four_way), events))
     assert [e.agent for e in found if e.trait == "not following rules"] == [0]
 
 

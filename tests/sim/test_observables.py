@@ -9,8 +9,10 @@ import pytest
 
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 from sim.lane_graph import DIRECTIONS, LaneGraph
-from sim.observables import CROSSING_MARGIN_M, LaneTraffic, along, crossing_people, observe
+from sim.lane_search import nearest
+from sim.observables import CROSSING_MARGIN_M, along, crossing_people, observe
 from sim.road import Connection, Crossing, Lane, Road
+from sim.steps import Steps
 
 
 def lane(name, points, edge=None, index=0, limit=10.0, internal=False, walking=False):
@@ -145,41 +147,55 @@ def test_tracks_give_at_each_instant_what_each_frame_gives(junction):
             frame(xy, rng.uniform(0, 14, 20), rng.normal(0, 0.1, 20), time_s=0.1 * step,
                   kind=(np.arange(20) % 7 == 0) * PEDESTRIAN, signals=rng.integers(0, 3, 2))
         )  # fmt: skip
-    together = observe(Tracks.from_frames(frames), junction)
+    steps = Steps.of(Tracks.from_frames(frames))
+    together, agent = observe(steps, junction), steps.presence.agent
     for step, one in enumerate(frames):
         alone = observe(one, junction)
-        for name in ("leader", "gap", "follower", "lane", "signal", "crossing_occupied", "s"):
+        here = steps.presence.step == step
+        for name in ("gap", "lane", "signal", "crossing_occupied", "s"):
             assert np.array_equal(
-                getattr(together, name)[:, step], getattr(alone, name), equal_nan=name == "s"
+                getattr(together, name)[here], getattr(alone, name), equal_nan=name == "s"
             ), name
+        for name in ("leader", "follower"):
+            rows = getattr(together, name)[here]
+            assert np.where(rows >= 0, agent[rows], -1).tolist() == getattr(alone, name).tolist()
 
 
-def test_unseen_agents_observe_nothing(junction):
+def test_who_is_not_seen_leads_nobody(junction):
     tracks = Tracks.from_frames(
         [frame([[60, 0], [90, 0]], [5, 5]), frame([[61, 0]], [5], time_s=1.0)]
     )
-    seen = observe(tracks, junction)
-    assert seen.leader.tolist() == [[1, -1], [-1, -1]]
-    assert np.isnan(seen.s[1, 1])
+    seen = observe(Steps.of(tracks), junction)
+    assert seen.leader.tolist() == [2, -1, -1]  # agent 0 twice, then agent 1
 
 
 def test_leader_search_equals_brute_force():
-    road = Road("ring road", (lane("a", [[0, 0], [500, 0]]),), (), (), (), Path("none"))
+    road = Road("long road", (lane("a", [[0, 0], [500, 0]]),), (), (), (), Path("none"))
     rng = np.random.default_rng(0)
-    s = rng.uniform(0, 500, 60)
-    traffic = LaneTraffic.of(LaneGraph.of(road), np.zeros(60, int), np.zeros(60, int), s)
-    ask = rng.uniform(0, 500, 200)
-    zero = np.zeros(200, dtype=np.int64)
-    for found, distance, sign in (
-        (*traffic.ahead(zero, zero, ask), 1.0),
-        (*traffic.behind(zero, zero, ask), -1.0),
-    ):
-        for i, place in enumerate(ask):
-            ahead = sign * (s - place)
-            ahead[(ahead <= 0) | (ahead > 200.0)] = np.inf
-            expected = -1 if np.isinf(ahead).all() else int(ahead.argmin())
-            assert found[i] == expected
-            assert distance[i] == ahead.min()
+    s = np.concatenate([rng.uniform(0, 500, 60), [100.0, 100.0]])
+    seen = observe(frame(np.column_stack([s, 0 * s]), np.ones(s.size), length=0.0), road)
+    for i, place in enumerate(s):
+        ahead = s - place
+        ahead[(ahead <= 0) | (ahead > 200.0)] = np.inf
+        assert seen.leader[i] == (-1 if np.isinf(ahead).all() else ahead.argmin())
+        assert seen.gap[i] == ahead.min()
+
+
+def test_lanes_are_searched_backward_too():
+    length, none = np.array([100.0, 50.0]), np.array([0])
+    at, row = np.array([20.0, 60.0, 10.0]), np.array([7, 8, 9])
+    found = [
+        nearest(
+            np.array([0, 0, 1]), at, row, length, np.array([-1, 0]), none, np.array([lane]),
+            np.array([s]), False, 8, 200.0,
+        )
+        for lane, s in ((0, 60.0), (1, 10.0), (0, 20.0))
+    ]  # fmt: skip
+    assert [(int(who[0]), float(far[0])) for who, far in found] == [
+        (7, 40.0),
+        (8, 50.0),
+        (-1, np.inf),
+    ]
 
 
 def test_nobody_is_seen_on_an_empty_road(junction):
