@@ -67,6 +67,7 @@ MAX_CELLS: Final = 10**8
 
 _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "sumo": ("libsumo",),
+    "sumo-idm": ("libsumo",),
     "highway": ("highway-env",),
 }
 """Which packages, beside ours, numpy and pyarrow, determine an engine's bytes."""

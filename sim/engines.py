@@ -19,6 +19,7 @@ Engine: TypeAlias = Callable[[Scenario, Sequence[AgentSpec], int], Iterator[Fram
 
 ENGINES: Final[dict[str, str]] = {
     "sumo": "sim.sumo.engine:run",
+    "sumo-idm": "sim.sumo.engine:run_idm",
     "highway": "sim.highway.engine:run",
 }
 """Where each engine lives, as "module:function"."""

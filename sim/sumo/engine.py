@@ -31,7 +31,7 @@ from sim.scenario import AgentSpec, Scenario
 from sim.sumo.boxes import draw
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
-from sim.sumo.vehicle_types import route_file
+from sim.sumo.vehicle_types import CarFollowing, route_file
 
 LONGEST_STEP_S: Final = 0.1
 """SUMO's own step is at most this long; frames further apart are made of several steps."""
@@ -147,8 +147,23 @@ def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[
             in this process.
         InputError: if the net is missing or the agents or the seed are not usable.
     """
+    return _run(scenario, agents, seed, "Krauss")
+
+
+def run_idm(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
+    """Drive a scenario in SUMO where everybody follows by IDM instead of Krauss's law; see `run`.
+
+    For drivers of the same profiles whose car-following is another one: what is learned from both
+    is less of either law's signature.
+    """
+    return _run(scenario, agents, seed, "IDM")
+
+
+def _run(
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, law: CarFollowing
+) -> Iterator[Frame]:
     _check(scenario, agents, seed)
-    return _frames(scenario, tuple(sorted(agents, key=lambda a: a.id)), seed)
+    return _frames(scenario, tuple(sorted(agents, key=lambda a: a.id)), seed, law)
 
 
 def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
@@ -181,11 +196,16 @@ def _substeps(step_s: float) -> tuple[int, int]:
 
 
 def _start(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, step_ms: int, scratch: Path
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    seed: int,
+    step_ms: int,
+    scratch: Path,
+    law: CarFollowing = "Krauss",
 ) -> tuple[Any, Path]:
     """Start the simulation; returns libsumo's C module and where the log is."""
     routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
-    lines = route_file(agents, jaywalking_places(scenario.road, agents))
+    lines = route_file(agents, jaywalking_places(scenario.road, agents), law)
     try:
         routes.write_text("\n".join(lines), encoding="utf-8")
     except OSError as error:
@@ -236,10 +256,12 @@ def step_bare(
             _SIMULATION.close()
 
 
-def _frames(scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> Iterator[Frame]:
+def _frames(
+    scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int, law: CarFollowing
+) -> Iterator[Frame]:
     substeps, step_ms = _substeps(scenario.step_s)
     with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
-        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch))
+        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), law)
         controls: Controls | None = None
         try:
             reader = _Reader(sumo, scenario.road, agents)

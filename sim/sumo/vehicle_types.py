@@ -1,11 +1,13 @@
 """Turns drawn agents into SUMO's route file: one vehicle type per driver.
 
-Everybody drives by Krauss's car-following model and SUMO's LC2013 lane-change model with the same
-imperfection; only what a `Profile` says differs. SUMO accepts a misspelled attribute silently, so
-attributes are written from the one table below and from nowhere else.
+Everybody drives by the same car-following model (Krauss's, or IDM in another run) and SUMO's LC2013
+lane-change model with the same imperfection; only what a `Profile` says differs. SUMO accepts a
+misspelled attribute silently, so attributes are written from the one table below and from nowhere
+else.
 
 References:
     Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08.
+    Treiber, Hennecke, Helbing (2000), Phys. Rev. E 62, 1805: IDM.
     Erdmann (2015), SUMO's lane-changing model, Modeling Mobility with Open Data.
 """
 
@@ -13,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import Final, Literal
 from xml.sax.saxutils import quoteattr
 
 from behaviors.errors import InputError
@@ -21,8 +23,11 @@ from behaviors.profiles import Profile
 from sim.frames import AgentKind
 from sim.scenario import KIND_LIMITS, WALK_START_M, AgentSpec
 
+CarFollowing = Literal["Krauss", "IDM"]
+"""SUMO's name of the law that everybody on a road follows their leader by."""
+
 IMPERFECTION: Final = 0.2
-"""Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5)."""
+"""Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5). IDM has none."""
 
 VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
     AgentKind.CAR: "passenger",
@@ -75,8 +80,8 @@ def driver_attributes(profile: Profile) -> dict[str, str]:
     }
 
 
-def vehicle_type(agent: AgentSpec) -> dict[str, str]:
-    """All vType attributes of one agent.
+def vehicle_type(agent: AgentSpec, law: CarFollowing = "Krauss") -> dict[str, str]:
+    """All vType attributes of one agent, who follows its leader by this law.
 
     Raises:
         InputError: if a driver has no profile.
@@ -103,7 +108,7 @@ def vehicle_type(agent: AgentSpec) -> dict[str, str]:
         | cruise
         | {
             "maxSpeed": _number(limits.max_speed_mps),
-            "carFollowModel": "Krauss",
+            "carFollowModel": law,
             "laneChangeModel": "LC2013",
             "sigma": _number(IMPERFECTION),
             "emergencyDecel": _number(
@@ -118,13 +123,16 @@ def vehicle_type(agent: AgentSpec) -> dict[str, str]:
 
 
 def route_file(
-    agents: Sequence[AgentSpec], jaywalking: Mapping[int, float] | None = None
+    agents: Sequence[AgentSpec],
+    jaywalking: Mapping[int, float] | None = None,
+    law: CarFollowing = "Krauss",
 ) -> Iterator[str]:
     """The lines of a SUMO route file, in order of departure.
 
     Args:
         agents: who travels; any order.
         jaywalking: where along their first edge, m, those who jaywalk cross the road, by id.
+        law: by which everybody follows their leader.
 
     Yields:
         Lines of XML, without line ends.
@@ -132,7 +140,7 @@ def route_file(
     yield "<routes>"
     ordered = sorted(agents, key=lambda a: (a.depart_s, a.id))
     for agent in ordered:
-        yield f"<vType{_attributes(vehicle_type(agent))}/>"
+        yield f"<vType{_attributes(vehicle_type(agent, law))}/>"
     for agent in ordered:
         edges = quoteattr(" ".join(agent.route))
         depart = f"{agent.depart_s:.3f}"
