@@ -428,6 +428,9 @@ def bench_spectrum(
     graphs: Annotated[str, typer.Option(help="Where the vehicles are.")] = "road,crossing",
     kinds: Annotated[str, typer.Option(help="Kinds of graph.")] = "instantaneous,accumulated",
     steps: Annotated[int, typer.Option(min=1, help="Steps of each sequence.")] = 60,
+    solvers: Annotated[
+        str, typer.Option(metavar="A,B", help="Algorithms to measure [default: all].")
+    ] = "",
     plot: Annotated[
         Path | None, typer.Option(dir_okay=False, metavar="FILE", help="Draw cost against size.")
     ] = None,
@@ -454,6 +457,7 @@ def bench_spectrum(
         numbers, steps = [25, 50], 10
     rows = run_spectrum_bench(
         numbers, pairs, cast("list[End]", _words(ends)), _words(graphs), _words(kinds), steps,
+        _words(solvers) or None,
         progress=lambda line: typer.echo(line, err=True),
         keep=None if json is None or str(json) == "-" else partial(write_json, json_path=json),
     )  # fmt: skip

@@ -16,7 +16,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, Final, TypeAlias, cast
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError, lookup
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
-from graphrqi.spectrum.contract import End, Solver, answer, null_space
+from graphrqi.spectrum.contract import End, Solver, answer, check_arguments, null_space
 
 Floats: TypeAlias = NDArray[np.float64]
 Row: TypeAlias = dict[str, Any]
@@ -214,6 +214,9 @@ def run_spectrum_bench(
         name: lookup(everything, name, "solver")
         for name in (everything if solvers is None else solvers)
     }
+    for layout, kind, end in product(graphs, kinds, ends):  # all words, before hours of work
+        next(graph_sequence(layout, kind, 1, 1))
+        check_arguments(pairs, end, tol)
     rows: list[Row] = []
     with threadpool_limits(1):
         for end in ends:  # load and compile everything once, untimed

@@ -71,6 +71,11 @@ def test_help_imports_nothing_heavy() -> None:
         (["classify", "{tmp}/none.csv", "--out", "{tmp}/l"], "found nothing there"),
         (["classify", "{tmp}", "--out", "{tmp}"], "is a directory"),
         (["list", "--json", "{tmp}"], "is a directory"),
+        (["bench", "spectrum", "--solvers", "eig"], "did you mean 'eigh'"),
+        (["bench", "spectrum", "--graphs", "road,x"], "graph: found 'x'"),
+        (["bench", "spectrum", "--kinds", "x"], "kind: found 'x'"),
+        (["bench", "spectrum", "--ends", "largest,x"], "end: found 'x'"),
+        (["bench", "spectrum", "--sizes", "x"], "expected whole numbers"),
     ],
 )
 def test_every_mistake_is_one_line_and_exit_code_2(
@@ -114,6 +119,17 @@ def test_run_sums_up(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None
     assert rows["simulated, s"] == 15.0
     assert rows["agents that entered"] > 3
     assert "mean speed" in out
+
+
+def test_bench_of_some_solvers_only(capsys: pytest.CaptureFixture[str]) -> None:
+    names = "graphrqi,eigh"
+    code, out, _ = graphrqi(
+        capsys, "bench", "spectrum", "--solvers", names, "--graphs", "road", "--sizes", "25",
+        "--kinds", "instantaneous", "--ends", "largest", "--steps", "3", "--json", "-",
+    )  # fmt: skip
+    assert code == 0
+    measured = {row["solver"] for row in json.loads(out) if row["metric"] == "missed_pairs"}
+    assert measured == {"graphrqi", "eigh"}
 
 
 def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
