@@ -2,8 +2,9 @@
 
 Modules with kernels are imported on first use only, so that importing the package compiles and
 loads nothing. The cache lies beside the source, or in numba's user cache folder when that is
-read-only, and is as old as the newest Python file of the kernel's folder: numba itself looks at the
-kernel's own file only, and would go on using what a kernel it calls was before an edit.
+read-only, and is as old as the newest Python file of the kernel's folder and of those that hold the
+kernels it calls: numba itself looks at the kernel's own file only, and would go on using what a
+kernel it calls was before an edit.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ import gc
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar, cast
 
 from numba import njit
 from numba.core import event
+from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -68,8 +71,18 @@ def _compiled(function: F, **options: Any) -> F:
     kernel = njit(cache=True, error_model="numpy", **options)(function)
     index = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if index is not None:  # none where nothing is compiled (NUMBA_DISABLE_JIT)
-        index._source_stamp = _stamp(Path(function.__code__.co_filename).parent)
+        index._source_stamp = tuple(_stamp(folder) for folder in sorted(_folders(function)))
     return cast(F, kernel)
+
+
+def _folders(function: Callable[..., object]) -> set[Path]:
+    """The folder of a kernel and of every kernel, or module with kernels, that it names."""
+    named = [function.__globals__.get(name) for name in function.__code__.co_names]
+    modules = [value for value in named if isinstance(value, ModuleType)]
+    kernels = [value for value in named if isinstance(value, Dispatcher)]
+    kernels += [k for m in modules for k in vars(m).values() if isinstance(k, Dispatcher)]
+    codes = [function.__code__, *(kernel.py_func.__code__ for kernel in kernels)]
+    return {Path(code.co_filename).parent for code in codes}
 
 
 class _Uncollected(event.Listener):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,3 +49,28 @@ def test_garbage_collection_goes_on_after_a_kernel_that_does_not_compile() -> No
     with pytest.raises(Exception, match="nothing_of_the_kind"):
         wrong(3.0)
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize(
+    ("named", "called"),
+    [("import below.kernel as low", "low.more"), ("from below.kernel import more", "more")],
+)
+def test_an_edit_of_a_kernel_that_is_called_from_another_folder_is_noticed(
+    tmp_path: Path, named: str, called: str
+) -> None:
+    for folder in ("below", "above"):
+        (tmp_path / folder).mkdir()
+    head = "from graphrqi.compiled import compiled\n"
+    kernel = "\n\n@compiled\ndef {}(x):\n    return {}\n"
+    (tmp_path / "above" / "kernel.py").write_text(
+        head + named + kernel.format("twice", f"2.0 * {called}(x)")
+    )
+    found = []
+    for added in ("1.0", "10.0"):
+        (tmp_path / "below" / "kernel.py").write_text(head + kernel.format("more", f"x + {added}"))
+        said = subprocess.run(
+            [sys.executable, "-c", "from above.kernel import twice; print(twice(3.0))"],
+            cwd=tmp_path, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        found.append(float(said.stdout))
+    assert found == [8.0, 26.0]
