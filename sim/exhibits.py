@@ -10,7 +10,8 @@ import numpy as np
 from behaviors.traits import Exhibit, RuleEncounter, Seen, detect
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal
 from sim.lane_graph import LaneGraph, project
-from sim.observables import Observables, along, observe
+from sim.lane_search import along
+from sim.observables import Observables, observe
 from sim.road import Road
 from sim.steps import Steps
 

@@ -19,7 +19,8 @@ from behaviors.traits import Exhibit, Seen, cutting_in
 from sim.contacts import Contact, contacts
 from sim.exhibits import see
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal
-from sim.observables import Observables, along, observe
+from sim.lane_search import along
+from sim.observables import Observables, observe
 from sim.road import Crossing, Road
 from sim.steps import Steps
 

@@ -55,6 +55,7 @@ class LaneGraph:
         cross_u: (Z,) distance along the crossing of the lane's centre line, m.
         segment_start: (G, 2) where each straight piece of centre line begins, m.
         segment_direction: (G, 2) unit vector of each piece.
+        segment_heading: (G,) of each piece, rad.
         segment_at: (G,) distance along its lane at which each piece begins, m.
         segment_first: (L,) first piece of each lane.
         segment_last: (L,) last piece of each lane.
@@ -81,6 +82,7 @@ class LaneGraph:
     cross_u: FloatArray
     segment_start: FloatArray
     segment_direction: FloatArray
+    segment_heading: FloatArray
     segment_at: FloatArray
     segment_first: IntArray
     segment_last: IntArray
@@ -104,18 +106,13 @@ class LaneGraph:
         Returns:
             (n, 2) positions, m, and (n,) headings of the lane there, rad.
         """
-        first, last = self.segment_first[lane], self.segment_last[lane]
-        at = first.copy()
-        for _ in range(int((last - first).max(initial=0))):
-            step = (at < last) & (self.segment_at[np.minimum(at + 1, last)] <= s)
-            if not step.any():
-                break
-            at += step
-        direction = self.segment_direction[at]
-        xy = self.segment_start[at] + direction * (s - self.segment_at[at])[:, None]
-        if offset is not None:
-            xy = xy + offset[:, None] * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-        return xy, np.arctan2(direction[:, 1], direction[:, 0])
+        from sim.lane_search import place  # compiled: only who asks pays for loading it
+
+        xy, piece = place(
+            lane, s, np.zeros(lane.size) if offset is None else offset, self.segment_first,
+            self.segment_last, self.segment_at, self.segment_start, self.segment_direction,
+        )  # fmt: skip
+        return xy, self.segment_heading[piece]
 
 
 def project(road: Road, xy: FloatArray, heading: FloatArray) -> LanePosition:
@@ -198,6 +195,7 @@ def _build(road: Road) -> LaneGraph:
         for c, crossing in enumerate(road.crossings)
         if (meet := _meet(lane.centerline, crossing.centerline, crossing.width_m)) is not None
     ]
+    directions = np.concatenate(heading)
     table = np.array(meets, dtype=np.float64).reshape(-1, 5)
     return LaneGraph(
         length=length,
@@ -220,7 +218,8 @@ def _build(road: Road) -> LaneGraph:
         cross_exit_s=table[:, 3],
         cross_u=table[:, 4],
         segment_start=np.concatenate(start),
-        segment_direction=np.concatenate(heading),
+        segment_direction=directions,
+        segment_heading=np.arctan2(directions[:, 1], directions[:, 0]),
         segment_at=np.concatenate(at),
         segment_first=first,
         segment_last=last,

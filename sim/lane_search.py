@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def fit(
     xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any
 ) -> tuple[Any, Any, Any]:
@@ -33,7 +33,10 @@ def fit(
     for i in range(n):
         east, north = np.cos(heading[i]), np.sin(heading[i])
         least, most = np.inf, np.inf
-        for g in range(length.size):
+        for j in range(-1, length.size):
+            if j < 0 and i == 0:
+                continue
+            g = best[i - 1] if j < 0 else j  # the one before is near by: its piece is a good guess
             dx, dy = xy[i, 0] - start[g, 0], xy[i, 1] - start[g, 1]
             ux, uy = direction[g, 0], direction[g, 1]
             along = dx * ux + dy * uy
@@ -45,12 +48,94 @@ def fit(
             cost = np.hypot(across, beyond)
             cost += turn_cost_m[g] * (1.0 - (east * ux + north * uy))
             if cost < least:
-                least, best[i], at[i], left[i] = cost, g, clipped, across
                 most = 1.001 * cost * cost  # farther away than this nothing is better
+                if j >= 0:
+                    least, best[i], at[i], left[i] = cost, g, clipped, across
     return best, at, left
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
+def place(
+    lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any, direction: Any
+) -> tuple[Any, Any]:
+    """Places given in lane coordinates; beyond either end a lane goes on straight.
+
+    Args:
+        lane: (n,) lanes.
+        s: (n,) distance along them, m.
+        offset: (n,) distance to the left of the centre line, m.
+        first: (L,) first piece of each lane.
+        last: (L,) last piece.
+        piece_at: (G,) distance along its lane at which each piece begins, m.
+        start: (G, 2) where it begins, m.
+        direction: (G, 2) unit vectors.
+
+    Returns:
+        (n, 2) positions, m, and (n,) the piece that each is on.
+    """
+    n = lane.size
+    xy, piece = np.empty((n, 2)), np.empty(n, np.int64)
+    for i in range(n):
+        g = first[lane[i]]
+        while g < last[lane[i]] and piece_at[g + 1] <= s[i]:
+            g += 1
+        along, ux, uy = s[i] - piece_at[g], direction[g, 0], direction[g, 1]
+        xy[i, 0] = start[g, 0] + ux * along + offset[i] * -uy
+        xy[i, 1] = start[g, 1] + uy * along + offset[i] * ux
+        piece[i] = g
+    return xy, piece
+
+
+@numba.njit(cache=True, error_model="numpy")
+def along_at(line: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
+    """`along` of one place (x, y)."""
+    begin, nearest, found, left = 0.0, np.inf, 0.0, 0.0
+    pieces = len(line) - 1
+    for k in range(pieces):
+        east, north = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        size = np.hypot(east, north)
+        east, north = east / size, north / size
+        dx, dy = x - line[k, 0], y - line[k, 1]
+        forward, aside = dx * east + dy * north, east * dy - north * dx
+        clipped = forward
+        if k > 0:
+            clipped = max(clipped, 0.0)
+        if k < pieces - 1:
+            clipped = min(clipped, size)
+        away = np.hypot(aside, forward - clipped)
+        if away < nearest:
+            nearest, found, left = away, begin + clipped, aside
+        begin += size
+    return found, left, begin
+
+
+@numba.njit(cache=True, error_model="numpy")
+def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
+    """Places in the coordinates of a line that goes on straight at both ends.
+
+    Args:
+        line: (P, 2) points, m.
+        xy: (n, 2) places, m.
+
+    Returns:
+        (n,) distance along it, m (negative before it, above its length after it), (n,) distance to
+        its left, m, and its length, m.
+
+    Examples:
+        >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
+        >>> u.tolist(), left.tolist(), total
+        ([9.0], [-1.0], 8.0)
+    """
+    n, total = len(xy), 0.0
+    u, left = np.empty(n), np.empty(n)
+    for i in range(n):
+        u[i], left[i], total = along_at(line, xy[i, 0], xy[i, 1])
+    if n == 0:
+        _, _, total = along_at(line, 0.0, 0.0)
+    return u, left, total
+
+
+@numba.njit(cache=True, error_model="numpy")
 def nearest(
     key: Any, at: Any, row: Any, lane_length: Any, onward: Any, instant: Any, lane: Any, s: Any,
     forward: bool, most_lanes: int, look_ahead: float,
@@ -108,7 +193,7 @@ def nearest(
     return found, distance
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def leaders(
     by_time: Any, begins: Any, lane: Any, forward: Any, s: Any, lane_length: Any, onward: Any,
     most_lanes: int, look_ahead: float,
@@ -160,7 +245,26 @@ def leaders(
     return found, distance
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
+def followers(leader: Any, gap: Any) -> Any:
+    """Who is nearest behind each.
+
+    Args:
+        leader: (m,) row of the vehicle ahead, -1: none.
+        gap: (m,) to it, m.
+
+    Returns:
+        (m,) rows or -1; of several at the same distance the last.
+    """
+    follower = np.full(leader.size, -1, np.int64)
+    for i in range(leader.size):
+        ahead = leader[i]
+        if ahead >= 0 and (follower[ahead] < 0 or gap[i] <= gap[follower[ahead]]):
+            follower[ahead] = i
+    return follower
+
+
+@numba.njit(cache=True, error_model="numpy")
 def stops_ahead(
     lane: Any, front: Any, lane_length: Any, ahead: Any, internal: Any, signal: Any,
     cross_lane: Any, cross_id: Any, cross_s: Any, cross_exit_s: Any, most_lanes: int,

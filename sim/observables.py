@@ -140,44 +140,13 @@ def crossing_people(
     occupied = np.zeros((len(road.crossings), instants), dtype=bool)
     waiting = np.zeros_like(occupied)
     for c, crossing in enumerate(road.crossings):
-        u, across, total = along(crossing.centerline, xy)
+        u, across, total = lane_search.along(crossing.centerline, xy)
         beside = np.abs(across) <= crossing.width_m / 2 + CROSSING_MARGIN_M
         on = beside & (u > 0) & (u < total)
         near = beside & ~on & (u > -CROSSING_MARGIN_M) & (u < total + CROSSING_MARGIN_M)
         occupied[c, instant[on]] = True
         waiting[c, instant[near]] = True
     return occupied, waiting
-
-
-def along(line: FloatArray, xy: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Places in the coordinates of a line that goes on straight at both ends.
-
-    Args:
-        line: (P, 2) points, m.
-        xy: (n, 2) places, m.
-
-    Returns:
-        (n,) distance along it, m (negative before it, above its length after it), (n,) distance to
-        its left, m, and its length, m.
-
-    Examples:
-        >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
-        >>> u.tolist(), left.tolist(), total
-        ([9.0], [-1.0], 8.0)
-    """
-    step = np.diff(line, axis=0)
-    size = np.hypot(step[:, 0], step[:, 1])
-    begin = np.cumsum(size) - size
-    unit = step / size[:, None]
-    relative = xy[:, None, :] - line[None, :-1]
-    forward = (relative * unit[None]).sum(axis=2)
-    low = np.where(np.arange(size.size) == 0, -np.inf, 0.0)
-    high = np.where(np.arange(size.size) == size.size - 1, np.inf, size)
-    clipped = np.clip(forward, low[None], high[None])
-    left = unit[None, :, 0] * relative[..., 1] - unit[None, :, 1] * relative[..., 0]
-    best = np.argmin(np.hypot(left, forward - clipped), axis=1)
-    row = np.arange(len(xy))
-    return begin[best] + clipped[row, best], left[row, best], float(size.sum())
 
 
 def _observe(
@@ -230,11 +199,6 @@ def _observe(
     collision = np.full(m, np.inf)
     np.divide(np.maximum(gap, 0.0), closing, out=collision, where=has & (closing > 1e-6))
 
-    follower = np.full(m, -1)
-    followed = np.flatnonzero(has)
-    followed = followed[np.argsort(-gap[followed], kind="stable")]  # the nearest is written last
-    follower[leader[followed]] = followed
-
     signal = np.full(m, Signal.OFF.code, dtype=np.int8)
     stop_distance, group, crossing, crossing_distance = lane_search.stops_ahead(
         forward, place.s + length / 2, graph.length, graph.ahead, graph.internal, graph.signal,
@@ -261,7 +225,7 @@ def _observe(
         closing=closing,
         headway=headway,
         time_to_collision=collision,
-        follower=follower,
+        follower=lane_search.followers(leader, gap),
         stop_distance=stop_distance,
         signal=signal,
         crossing=crossing,

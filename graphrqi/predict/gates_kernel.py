@@ -8,29 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.compiled import compiled
-
-
-@compiled
-def _along(line: NDArray[np.float64], x: float, y: float) -> tuple[float, float, float]:
-    """Distance along a line (P, 2) and to its left, and its length; see `sim.observables.along`."""
-    begin, nearest, found, left = 0.0, math.inf, 0.0, 0.0
-    segments = len(line) - 1
-    for k in range(segments):
-        east, north = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
-        size = math.hypot(east, north)
-        east, north = east / size, north / size
-        dx, dy = x - line[k, 0], y - line[k, 1]
-        forward, aside = dx * east + dy * north, east * dy - north * dx
-        clipped = forward
-        if k > 0:
-            clipped = max(clipped, 0.0)
-        if k < segments - 1:
-            clipped = min(clipped, size)
-        away = math.hypot(aside, forward - clipped)
-        if away < nearest:
-            nearest, found, left = away, begin + clipped, aside
-        begin += size
-    return found, left, begin
+from sim import lane_search
 
 
 @compiled
@@ -66,10 +44,10 @@ def close_crossing(
     """
     for p in range(len(xy)):
         x, y = xy[p, 0], xy[p, 1]
-        u, across, total = _along(line, x, y)
+        u, across, total = lane_search.along_at(line, x, y)
         if not (abs(across) <= width / 2 + 1.0 and -0.5 < u < total + 0.5):
             continue
-        ahead, _, _ = _along(line, x + math.cos(heading[p]), y + math.sin(heading[p]))
+        ahead, _, _ = lane_search.along_at(line, x + math.cos(heading[p]), y + math.sin(heading[p]))
         pace = (ahead - u) * speed[p]
         way = np.sign(pace)
         for h in range(closed.shape[1]):

@@ -21,14 +21,12 @@ from graphrqi.predict.drivers import (
     table_to_json,
 )
 from graphrqi.predict.gates import CLOSED, OPEN
-from graphrqi.predict.gates_kernel import _along
 from graphrqi.predict.manners import Manners, believed, wary
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout import places, roll
 from graphrqi.predict.scene import make_scene
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
-from sim.observables import along
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 
@@ -295,16 +293,6 @@ def test_who_cannot_stop_any_more_goes_through(four_way):
     closed[: len(four_way.signal_groups)] = CLOSED
     result = roll(dataclasses.replace(scene, closed=closed), driver(scene), decay_s=0.0)
     assert result.gone[0, -1] > 26.0
-
-
-def test_the_compiled_way_along_a_bent_line_is_the_plain_one():
-    rng = np.random.default_rng(4)
-    bent = np.array([[0.0, 0.0], [4.0, 1.0], [5.0, 6.0], [9.0, 6.5]])
-    for line in (bent, bent[:2]):
-        places_seen = rng.uniform(-4.0, 12.0, (200, 2))
-        u, left, total = along(line, places_seen)
-        found = np.array([_along(line, x, y) for x, y in places_seen])
-        assert found == pytest.approx(np.column_stack([u, left, np.full(200, total)]), abs=1e-12)
 
 
 def test_waits_for_a_pedestrian_and_reckless_does_not(straight):

@@ -9,8 +9,8 @@ import pytest
 
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 from sim.lane_graph import DIRECTIONS, LaneGraph
-from sim.lane_search import nearest
-from sim.observables import CROSSING_MARGIN_M, along, crossing_people, observe
+from sim.lane_search import along, nearest
+from sim.observables import CROSSING_MARGIN_M, crossing_people, observe
 from sim.road import Connection, Crossing, Lane, Road
 from sim.steps import Steps
 
@@ -210,6 +210,26 @@ def test_along_bent_line():
     assert u == pytest.approx([4.0, 17.0])
     assert left == pytest.approx([1.0, 1.0])
     assert total == pytest.approx(20.0)
+
+
+def test_along_equals_the_least_distance_to_any_piece():
+    rng = np.random.default_rng(5)
+    line = np.cumsum(rng.uniform(0.5, 9.0, (6, 2)) * rng.choice([-1.0, 1.0], (6, 2)), axis=0)
+    xy = rng.uniform(line.min(axis=0) - 5, line.max(axis=0) + 5, (300, 2))
+    step = np.diff(line, axis=0)
+    size = np.hypot(*step.T)
+    unit = step / size[:, None]
+    relative = xy[:, None] - line[None, :-1]
+    forward = (relative * unit).sum(axis=2)
+    low, high = np.r_[-np.inf, np.zeros(4)], np.r_[size[:-1], np.inf]
+    left = unit[:, 0] * relative[..., 1] - unit[:, 1] * relative[..., 0]
+    best = np.hypot(left, forward - forward.clip(low, high)).argmin(axis=1)
+    each = np.arange(300)
+    u, aside, total = along(line, xy)
+    assert u == pytest.approx((np.cumsum(size) - size + forward.clip(low, high))[each, best])
+    assert aside == pytest.approx(left[each, best])
+    assert total == pytest.approx(size.sum())
+    assert along(line, xy[:0])[2] == total
 
 
 def test_crossing_people_by_instant(junction):
