@@ -99,9 +99,29 @@ def macro_f1(matrix: FloatArray) -> FloatArray:
 
 
 def style_balanced_accuracy(matrix: FloatArray) -> FloatArray:
-    """Mean recall of aggressive and conservative."""
+    """Mean recall of aggressive and conservative, of answers as from `of_likelier_style`."""
     to_style = np.eye(2)[_STYLE]
     return balanced_accuracy(np.asarray(to_style.T @ matrix @ to_style))
+
+
+def likeliest(probability: FloatArray) -> IntArray:
+    """(n,) the most likely class, from posteriors (n, 6)."""
+    return np.asarray(probability.argmax(axis=1), dtype=np.int64)
+
+
+def of_likelier_style(probability: FloatArray) -> IntArray:
+    """(n,) the most likely class of the more likely style, from posteriors (n, 6).
+
+    Three conservative classes may be likely together, none of them alone.
+
+    Examples:
+        >>> p = np.array([[0.4, 0.0, 0.0, 0.35, 0.25, 0.0]])
+        >>> likeliest(p).tolist(), of_likelier_style(p).tolist()
+        ([0], [3])
+    """
+    by_style = probability @ np.eye(2)[_STYLE]
+    style = by_style.argmax(axis=1)
+    return likeliest(np.where(style[:, None] == _STYLE, probability, -1.0))
 
 
 def recall_of(code: int) -> Callable[[FloatArray], FloatArray]:
@@ -202,17 +222,21 @@ def auc_within(
     return float(area[0]), float(low), float(high)
 
 
-METRICS: Final[dict[str, Callable[[FloatArray], FloatArray]]] = {
-    "weighted_accuracy": weighted_accuracy,
-    "balanced_accuracy": balanced_accuracy,
-    "macro_f1": macro_f1,
-    "style_balanced_accuracy": style_balanced_accuracy,
+Answer = Callable[[FloatArray], IntArray]
+Statistic = Callable[[FloatArray], FloatArray]
+
+METRICS: Final[dict[str, tuple[Answer, Statistic]]] = {
+    "weighted_accuracy": (likeliest, weighted_accuracy),
+    "balanced_accuracy": (likeliest, balanced_accuracy),
+    "macro_f1": (likeliest, macro_f1),
+    "style_balanced_accuracy": (of_likelier_style, style_balanced_accuracy),
 }
-"""Scores of one confusion matrix (or a stack of them), larger is better."""
+"""What is answered, from posteriors (n, 6), and the score of the answers' confusion matrix (or a
+stack of them); larger is better."""
 
 
 def bootstrap(
-    statistic: Callable[[FloatArray], FloatArray], per_episode: FloatArray, seed: int = 0
+    statistic: Statistic, per_episode: FloatArray, seed: int = 0
 ) -> tuple[float, float, float]:
     """A statistic of summed per-episode counts, with its 95 % interval over episodes.
 
@@ -255,11 +279,14 @@ def score(
     Returns:
         ``METRICS`` by name and ``majority_weighted_accuracy``.
     """
-    matrices = confusion(truth, probability.argmax(axis=1), episode)
     constant = confusion(truth, np.full(truth.size, majority), episode)
     out = {
-        name: Estimate(*bootstrap(metric, matrices), n=int(truth.size), split=split)
-        for name, metric in METRICS.items()
+        name: Estimate(
+            *bootstrap(metric, confusion(truth, answer(probability), episode)),
+            n=int(truth.size),
+            split=split,
+        )
+        for name, (answer, metric) in METRICS.items()
     }
     out["majority_weighted_accuracy"] = Estimate(
         *bootstrap(weighted_accuracy, constant), n=int(truth.size), split=split

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -36,13 +36,12 @@ from behaviors.profiles import PROFILE_FIELDS
 from experiments.disturbances import DISTURBANCES
 from experiments.metrics import (
     METRICS,
+    Statistic,
     bootstrap,
     calibration_error,
     confusion,
-    macro_f1,
     recall_of,
     reliability,
-    style_balanced_accuracy,
     weighted_accuracy,
 )
 from experiments.parallel import in_parallel
@@ -126,7 +125,7 @@ def disturbed_samples(
     every_s: float,
     per_moment: int | None,
 ) -> Samples:
-    """Samples of one episode; of scored lives only the last look at each driver.
+    """Samples of one episode; of lives that are scored only the last look at each driver.
 
     Args:
         folder: of the dataset.
@@ -145,18 +144,11 @@ def disturbed_samples(
     observer = METHODS[method].observer("graphrqi")
     if per_moment is not None:
         return collect(tracks, observer, number, windows_s, every_s, per_moment, number)
-    finite = tuple(w for w in windows_s if np.isfinite(w))
-    parts = [collect(tracks, observer, number, finite, every_s, None, number)]
-    if len(finite) < len(windows_s):
-        again = METHODS[method].observer("graphrqi")
-        lives = collect(tracks, again, number, (float("inf"),), every_s, None, number)
-        order = np.lexsort((lives.time_s, lives.agent))
-        last = np.flatnonzero(np.diff(lives.agent[order], append=-1))
-        chosen = np.zeros(len(lives), dtype=bool)
-        chosen[order[last]] = True
-        whole = lives.where(chosen)
-        parts.append(dataclasses.replace(whole, seconds=np.full(len(whole), np.inf)))
-    return Samples.join(parts)
+    samples = collect(tracks, observer, number, windows_s, every_s, None, number)
+    chosen = np.isfinite(samples.window_s)
+    lives = np.flatnonzero(~chosen)[::-1]  # latest first
+    chosen[lives[np.unique(samples.agent[lives], return_index=True)[1]]] = True
+    return samples.where(chosen)
 
 
 class Recordings:
@@ -172,7 +164,9 @@ class Recordings:
         self._jobs = jobs
         self._number = {e.id: i for i, e in enumerate(dataset.manifest.episodes)}
         self.scenario = np.array([e.scenario for e in dataset.manifest.episodes])
-        self._kept: dict[tuple[tuple[object, ...], tuple[str, ...]], Samples] = {}
+        self._kept: dict[
+            tuple[tuple[object, ...], tuple[float, ...], tuple[str, ...]], Samples
+        ] = {}
         self._fitted: dict[tuple[str, str | None, Disturbed], tuple[Model, int]] = {}
 
     def _gather(
@@ -185,18 +179,23 @@ class Recordings:
         per_moment: int | None,
     ) -> Samples:
         names = METHODS[method].observer("graphrqi").feature_names
-        what = (split, disturbed, tuple(windows_s), every_s, per_moment)
-        for (looked, found), samples in self._kept.items():
-            if looked == what and set(names) <= set(found):  # a column of one name is the same
+        what = (split, disturbed, every_s, per_moment)
+        for (looked, lengths, found), samples in self._kept.items():
+            enough = lengths == tuple(windows_s) or (
+                per_moment is None and set(windows_s) <= set(lengths)
+            )
+            if looked == what and enough and set(names) <= set(found):
+                # A column of one name is the same, and so is a window of one length.
+                wanted = samples.where(np.isin(samples.window_s, windows_s))
                 columns = [found.index(name) for name in names]
-                return dataclasses.replace(samples, features=samples.features[:, columns])
+                return dataclasses.replace(wanted, features=wanted.features[:, columns])
         arguments = [
             (self.dataset.path, entry, self._number[entry.id], method, disturbed,
              tuple(windows_s), every_s, per_moment)
             for entry in self.dataset.episodes(split)
         ]  # fmt: skip
         samples = Samples.join(list(in_parallel(disturbed_samples, arguments, self._jobs)))
-        self._kept[what, names] = samples
+        self._kept[what, tuple(windows_s), names] = samples
         return samples
 
     def training(self, method: str, disturbed: Disturbed = UNDISTURBED) -> Samples:
@@ -261,15 +260,17 @@ def score_rows(
     samples: Samples, probability: FloatArray, majority: int, keys: Mapping[str, Cell]
 ) -> list[Row]:
     """Rows of every metric of one method's answers."""
-    answer = probability.argmax(axis=1)
-    matrices = confusion(samples.codes, answer, samples.episode)
+    matrices = {
+        name: confusion(samples.codes, answer(probability), samples.episode)
+        for name, (answer, _) in METRICS.items()
+    }
     constant = confusion(samples.codes, np.full(len(samples), majority), samples.episode)
     bins = reliability(samples.codes, probability, samples.episode)
-    values = {name: bootstrap(metric, matrices) for name, metric in METRICS.items()}
+    values = {name: bootstrap(metric, matrices[name]) for name, (_, metric) in METRICS.items()}
     values["majority_weighted_accuracy"] = bootstrap(weighted_accuracy, constant)
     values["ece"] = bootstrap(calibration_error, bins)
     for code in np.unique(samples.codes):
-        values[f"recall_{BEHAVIORS[code].value}"] = bootstrap(recall_of(code), matrices)
+        values[f"recall_{BEHAVIORS[code].value}"] = bootstrap(recall_of(code), matrices["macro_f1"])
     return [_row(keys, metric, value, len(samples)) for metric, value in values.items()]
 
 
@@ -314,31 +315,26 @@ def _posterior(model: Model | Classifier, samples: Samples) -> FloatArray:
 
 def _as_long_as(samples: Samples, window_s: float) -> NDArray[np.bool_]:
     """Which samples were observed for this long."""
-    return np.isclose(samples.seconds, window_s, atol=0.3)
+    return np.asarray(samples.window_s == window_s)
 
 
 def difference_rows(
     samples: Samples, ours: FloatArray, theirs: FloatArray, keys: Mapping[str, Cell]
 ) -> list[Row]:
     """How much better ours is, on the same windows, with a paired interval."""
-    pair = np.stack(
-        [confusion(samples.codes, p.argmax(axis=1), samples.episode) for p in (ours, theirs)],
-        axis=1,
-    )
-    metrics: dict[str, Callable[[FloatArray], FloatArray]] = {
-        "macro_f1_difference": macro_f1,
-        "style_balanced_accuracy_difference": style_balanced_accuracy,
-    }
     rows = []
-    for name, metric in metrics.items():
+    for name in ("macro_f1", "style_balanced_accuracy"):
+        answer, metric = METRICS[name]
+        pair = np.stack(
+            [confusion(samples.codes, answer(p), samples.episode) for p in (ours, theirs)], axis=1
+        )
 
-        def statistic(
-            counts: FloatArray, metric: Callable[[FloatArray], FloatArray] = metric
-        ) -> FloatArray:
+        def statistic(counts: FloatArray, metric: Statistic = metric) -> FloatArray:
             both = metric(counts)
             return np.asarray(both[..., 0] - both[..., 1])
 
-        rows.append(_row(keys, name, bootstrap(statistic, pair), len(samples)))
+        value = bootstrap(statistic, pair)
+        rows.append(_row(keys, f"{name}_difference", value, len(samples)))
     return rows
 
 
@@ -548,10 +544,10 @@ def ceiling(recordings: Recordings) -> list[Row]:
     forest = make_classifier("forest", len(BEHAVIORS), trees=200, min_leaf=3, feature_share=0.4)
     forest.fit(numbers, codes, None, 0)
     numbers, truth, episode = _drivers(recordings.dataset, "test")
-    nothing = np.zeros(truth.size)
+    nothing, whole = np.zeros(truth.size), np.full(truth.size, np.inf)
     samples = Samples(
-        numbers.astype(np.float32), truth, episode, np.arange(truth.size), nothing,
-        np.full(truth.size, np.inf), np.ones(truth.size, dtype=bool),
+        numbers.astype(np.float32), truth, episode, np.arange(truth.size), nothing, whole, whole,
+        np.ones(truth.size, dtype=bool),
     )  # fmt: skip
     rows: list[Row] = []
     for scenario in recordings.dataset.scenarios:

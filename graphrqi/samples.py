@@ -43,6 +43,7 @@ class Samples:
         agent: (n,) agent id within the episode.
         time_s: (n,) when the observation ended, s.
         seconds: (n,) length of the observation, s.
+        window_s: (n,) length asked for, s; inf for a driver's life so far.
         moving: (n,) whether the driver moved in it.
     """
 
@@ -52,6 +53,7 @@ class Samples:
     agent: NDArray[np.int64]
     time_s: FloatArray
     seconds: FloatArray
+    window_s: FloatArray
     moving: NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -149,6 +151,7 @@ def collect(
                     agent=ids[known],
                     time_s=np.full(n, frame.time_s),
                     seconds=seconds[known],
+                    window_s=np.full(n, window_s),
                     moving=moved[known],
                 )
             )

@@ -155,7 +155,7 @@ def samples(codes: np.ndarray, episodes: np.ndarray) -> Samples:
     n = codes.size
     return Samples(
         np.zeros((n, 1), np.float32), codes.astype(np.int8), episodes, np.arange(n) % 50,
-        np.zeros(n), np.full(n, 10.0), np.ones(n, dtype=bool),
+        np.zeros(n), np.full(n, 10.0), np.full(n, 10.0), np.ones(n, dtype=bool),
     )  # fmt: skip
 
 
@@ -240,12 +240,21 @@ def test_columns_seen_before_are_not_looked_at_again(recordings):
     assert len(everything) == len(part)
 
 
+def test_windows_of_one_length_are_those_among_others(recordings):
+    several = Recordings(recordings.dataset, jobs=1)
+    several.scored("majority", (2.0, 5.0, float("inf")))
+    part = several.scored("majority", (5.0,))
+    fresh = Recordings(recordings.dataset, jobs=1).scored("majority", (5.0,))
+    for field in dataclasses.fields(Samples):
+        np.testing.assert_array_equal(getattr(part, field.name), getattr(fresh, field.name))
+
+
 def test_lives_end_with_the_last_look_at_each_driver(recordings):
     found = recordings.scored("majority", (5.0, float("inf")))
-    whole = found.where(np.isinf(found.seconds))
+    whole = found.where(np.isinf(found.window_s))
     pairs = list(zip(whole.episode.tolist(), whole.agent.tolist(), strict=True))
     assert len(pairs) == len(set(pairs))
-    short = found.where(~np.isinf(found.seconds))
+    short = found.where(np.isfinite(found.window_s))
     for (episode, agent), end in zip(pairs[:20], whole.time_s[:20], strict=True):
         own = (short.episode == episode) & (short.agent == agent)
         assert not own.any() or short.time_s[own].max() <= end
