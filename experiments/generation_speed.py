@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +19,7 @@ from experiments.parallel import in_parallel
 from experiments.tables import Row
 from scenarios import get_scenario
 from sim.scenario import sample_agents
+from sim.schema import EpisodeEntry
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
@@ -32,20 +34,50 @@ def _cpu_s(call: Callable[[], object]) -> float:
     return time.process_time() - begin
 
 
-def _pair(scenario_name: str, index: int, duration_s: float) -> tuple[float, float, int, int]:
-    """CPU seconds of bare stepping and of a whole episode, its agent-steps and its bytes."""
+@dataclass(frozen=True, slots=True)
+class _Cost:
+    """What one episode costs, CPU seconds: the least of two times each.
+
+    Attributes:
+        bare: SUMO's steps alone, steered by nobody.
+        steered: with controllers, which make another traffic.
+        read: with every frame read, steered by nobody.
+        steered_and_read: with both.
+        whole: with traits, events and files, too.
+        agent_steps: in the episode.
+        size: of its files, bytes.
+    """
+
+    bare: float
+    steered: float
+    read: float
+    steered_and_read: float
+    whole: float
+    agent_steps: int
+    size: int
+
+
+def _cost(scenario_name: str, index: int, duration_s: float) -> _Cost:
+    """What an episode at medium flow costs, part by part, in turns."""
     from sim.sumo.engine import step_bare
 
     task = Task(_config(index + 1, duration_s), scenario_name, index)
     scenario = task.config.scenario(scenario_name)
     agents = sample_agents(scenario, task.seed)
-    bare_s = min(_cpu_s(lambda: step_bare(scenario, agents, task.seed)) for _ in range(2))
-    with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
-        begin = time.process_time()
-        entry = make_episode(Path(scratch), task)
-        whole_s = time.process_time() - begin
-    size = sum(file.size for file in entry.files.values())
-    return bare_s, whole_s, entry.agent_steps, size
+    entries: list[EpisodeEntry] = []
+
+    def part(steer: bool, read: bool) -> Callable[[], object]:
+        return lambda: step_bare(scenario, agents, task.seed, steer=steer, read=read)
+
+    def whole() -> None:
+        with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
+            entries.append(make_episode(Path(scratch), task))
+
+    calls = [part(False, False), part(True, False), part(False, True), part(True, True), whole]
+    rounds = np.array([[_cpu_s(call) for call in calls] for _ in range(2)])
+    bare, steered, read, both, everything = rounds.min(axis=0).tolist()
+    size = sum(file.size for file in entries[0].files.values())
+    return _Cost(bare, steered, read, both, everything, entries[0].agent_steps, size)
 
 
 def _frames(scenario_name: str, index: int, duration_s: float) -> dict[str, float]:
@@ -114,23 +146,28 @@ def measure(quick: bool = False) -> list[Row]:
         ``frames_over_bare_stepping`` (extra CPU time of reading every frame as a share of bare
         stepping, paired; the same dense traffic, steered by nobody), ``controllers_over_frames``
         (extra CPU time of a run with controllers, which change the traffic),
-        ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole
-        written episode at medium flow), ``bytes_per_agent_step``, ``memory_growth_mb`` (of one
-        process over many episodes), ``agent_steps_per_s`` (wall clock), ``speedup``.
+        ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole written
+        episode at medium flow) and what of it there is already with less done: ``..._steered`` (by
+        controllers, no frames), ``..._read`` (frames, nobody steers), ``..._steered_and_read`` (the
+        engine as it is, but no traits, events and files); ``bytes_per_agent_step``,
+        ``memory_growth_mb`` (of one process over many episodes), ``agent_steps_per_s`` (wall
+        clock), ``speedup``.
     """
     pairs, duration_s, episodes = (1, 30.0, 2) if quick else (4, 300.0, 8)
     # The first two calls warm up.
     calls = [(name, i, duration_s) for i in range(pairs) for name in SCENARIOS]
-    measured = list(in_parallel(_pair, [*calls[:2], *calls], 1))[2:]
+    measured = list(in_parallel(_cost, [*calls[:2], *calls], 1))[2:]
     read = list(in_parallel(_frames, [*calls[:2], *calls], 1))[2:]
     rows: list[Row] = []
     for name in SCENARIOS:
         here = [cost for call, cost in zip(calls, read, strict=True) if call[0] == name]
         rows += [_row(name, 1, metric, [cost[metric] for cost in here]) for metric in here[0]]
-        made = [pair for call, pair in zip(calls, measured, strict=True) if call[0] == name]
-        over = [whole / bare - 1 for bare, whole, _, _ in made]
-        rows.append(_row(name, 1, "over_bare_stepping", over))
-        per_step = [size / steps for _, _, steps, size in made]
+        made = [cost for call, cost in zip(calls, measured, strict=True) if call[0] == name]
+        for part in ("steered", "read", "steered_and_read", "whole"):
+            over = [getattr(cost, part) / cost.bare - 1 for cost in made]
+            metric = "over_bare_stepping" + ("" if part == "whole" else f"_{part}")
+            rows.append(_row(name, 1, metric, over))
+        per_step = [cost.size / cost.agent_steps for cost in made]
         rows.append(_row(name, 1, "bytes_per_agent_step", per_step))
     many, short_s = (10, 5.0) if quick else (500, 30.0)
     (growth_mb,) = in_parallel(_memory_growth, [(many, short_s)], 1)

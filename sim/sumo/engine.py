@@ -14,11 +14,11 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,7 +163,8 @@ def _run(
     scenario: Scenario, agents: Sequence[AgentSpec], seed: int, law: CarFollowing
 ) -> Iterator[Frame]:
     _check(scenario, agents, seed)
-    return _frames(scenario, tuple(sorted(agents, key=lambda a: a.id)), seed, law)
+    ordered = tuple(sorted(agents, key=lambda a: a.id))
+    return cast("Iterator[Frame]", _steps(scenario, ordered, seed, law, steer=True, read=True))
 
 
 def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
@@ -201,7 +202,7 @@ def _start(
     seed: int,
     step_ms: int,
     scratch: Path,
-    law: CarFollowing = "Krauss",
+    law: CarFollowing,
 ) -> tuple[Any, Path]:
     """Start the simulation; returns libsumo's C module and where the log is."""
     routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
@@ -225,47 +226,49 @@ def _start(
 
 
 def step_bare(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, read: bool = False
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    seed: int,
+    *,
+    steer: bool = False,
+    read: bool = False,
 ) -> None:
-    """Drive a scenario without steering anybody: the floor of what a run costs.
+    """Drive a scenario and leave out what `run` does beside stepping: the floor of what it costs.
 
     Args:
         scenario: as in `run`.
         agents: as in `run`.
         seed: as in `run`.
-        read: whether frames are read all the same, of the very same traffic.
+        steer: whether controllers steer, which makes another traffic.
+        read: whether frames are read.
 
     Raises:
         SumoError: as in `run`.
     """
     _check(scenario, agents, seed)
-    substeps, step_ms = _substeps(scenario.step_s)
-    with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
-        ordered = sorted(agents, key=lambda a: a.id)
-        sumo, _ = _start(scenario, ordered, seed, step_ms, Path(scratch))
-        try:
-            reader = _Reader(sumo, scenario.road, ordered) if read else None
-            for index in range(1, round(scenario.duration_s / scenario.step_s) + 1):
-                for _ in range(substeps):
-                    sumo.simulation_step(0.0)
-                    if reader is not None:
-                        reader.watch(index * scenario.step_s)
-                if reader is not None:
-                    reader.read(index * scenario.step_s, {})
-        finally:
-            _SIMULATION.close()
+    ordered = tuple(sorted(agents, key=lambda a: a.id))
+    for _ in _steps(scenario, ordered, seed, "Krauss", steer=steer, read=read):
+        pass
 
 
-def _frames(
-    scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int, law: CarFollowing
-) -> Iterator[Frame]:
+def _steps(
+    scenario: Scenario,
+    agents: tuple[AgentSpec, ...],
+    seed: int,
+    law: CarFollowing,
+    *,
+    steer: bool,
+    read: bool,
+) -> Iterator[Frame | None]:
+    """Frames, or None for each where none is read."""
     substeps, step_ms = _substeps(scenario.step_s)
     with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
         sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), law)
         controls: Controls | None = None
         try:
             reader = _Reader(sumo, scenario.road, agents)
-            controls = Controls(sumo, scenario.road, agents, step_ms / 1000)
+            if steer:
+                controls = Controls(sumo, scenario.road, agents, step_ms / 1000)
             import libsumo
 
             for index in range(1, round(scenario.duration_s / scenario.step_s) + 1):
@@ -273,13 +276,12 @@ def _frames(
                     for part in range(1, substeps + 1):
                         sumo.simulation_step(0.0)
                         now_s = ((index - 1) * substeps + part) * step_ms / 1000
-                        reader.watch(now_s)
-                        controls.step(now_s, *reader.present())
-                        reader.note_removed(controls.removed, now_s)
-                    left = bool(controls.removed) or controls.moved
-                    frame = reader.read(
-                        index * scenario.step_s, controls.walking_speeds, fresh=not left
-                    )
+                        if read:
+                            reader.watch(now_s)
+                        if controls is not None:
+                            controls.step(now_s, *reader.present())
+                            reader.note_removed(controls.removed, now_s)
+                    frame = reader.read(index * scenario.step_s, controls) if read else None
                 except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                     raise SumoError(
                         f"sumo: stopped at {index * scenario.step_s:g} s: "
@@ -393,18 +395,16 @@ class _Reader:
                 Event(EventKind.REMOVAL, time_s, agent, rule="stood on the wrong side")
             )
 
-    def read(
-        self, time_s: float, walking_speeds: Mapping[str, float], fresh: bool = False
-    ) -> Frame:
+    def read(self, time_s: float, controls: Controls | None) -> Frame:
         """The state now, with the events since the last reading.
 
         Args:
             time_s: simulated time, s.
-            walking_speeds: speeds, m/s, of pedestrians whose speed SUMO does not know.
-            fresh: whether nobody came or went since `present` was asked.
+            controls: who has steered in this step, if anybody has.
         """
         sumo = self._sumo
-        vehicles, persons = self._present if fresh else self.present()
+        asked = controls is not None and not (controls.removed or controls.moved)
+        vehicles, persons = self._present if asked else self.present()
         known = self._known
         if vehicles is not known.vehicles or persons is not known.persons:
             known = self._known = self._roll(vehicles, persons)
@@ -415,8 +415,8 @@ class _Reader:
         if persons:
             places = chain(places, chain.from_iterable(map(sumo.person_getPosition, persons)))
             walking = map(sumo.person_getSpeed, persons)
-            if walking_speeds:
-                walking = map(walking_speeds.get, persons, walking)
+            if controls is not None and controls.walking_speeds:
+                walking = map(controls.walking_speeds.get, persons, walking)
             speeds = chain(speeds, walking)
             angle = np.concatenate(
                 [angle, np.fromiter(map(sumo.person_getAngle, persons), np.float64, len(persons))]
