@@ -54,7 +54,7 @@ class Sizes:
     Attributes:
         base: options of `GenerateConfig` for the data that is learned.
         other: the same for what is only scored.
-        engine: the same for the other engine's drivers, scored and learned.
+        engine: the same for drivers of another law and of the other engine, scored and learned.
         fresh: the same for what the shipped model is scored on.
         many: the same for the leak probe, whose interval needs episodes; None for the base.
         traffic: which of ``TRAFFIC``.
@@ -147,6 +147,11 @@ class Bench:
         return self._made("many", **self.sizes.many, seed=15)
 
     @cached_property
+    def idm(self) -> Recordings:
+        """Drivers in SUMO who follow by the other law."""
+        return self._made("idm", **self.sizes.engine, engine="sumo-idm", seed=16)
+
+    @cached_property
     def highway(self) -> Recordings:
         """Drivers of the other engine."""
         return self._made("highway", **self.sizes.engine, engine="highway", seed=13)
@@ -168,13 +173,19 @@ def _inductive(bench: Bench) -> list[Row]:
     ]
 
 
+def _across_traffic(bench: Bench) -> list[Row]:
+    return across_datasets([bench.base], bench.traffic, bench.sizes.main, "across-traffic")
+
+
 def _across_engines(bench: Bench) -> list[Row]:
     there = {"trained on sumo, scored on highway": bench.highway}
+    both = {"trained on sumo with both laws, scored on highway": bench.highway}
     back = {"trained on highway, scored on sumo": bench.base}
     protocol, main = "across-engines", bench.sizes.main
     return [
-        *across_datasets(bench.base, there, main, protocol),
-        *across_datasets(bench.highway, back, main, protocol, "test"),
+        *across_datasets([bench.base], there, main, protocol),
+        *across_datasets([bench.base, bench.idm], both, main, protocol),
+        *across_datasets([bench.highway], back, main, protocol, "test"),
     ]
 
 
@@ -187,7 +198,7 @@ PROTOCOLS: Final[dict[str, Callable[[Bench], list[Row]]]] = {
     "transductive": lambda b: transductive(b.base, b.sizes.methods),
     "ablation": lambda b: ablation(b.base) if OURS in b.sizes.methods else [],
     "across-scenarios": lambda b: across_scenarios(b.base, b.sizes.main),
-    "across-traffic": lambda b: across_datasets(b.base, b.traffic, b.sizes.main, "across-traffic"),
+    "across-traffic": _across_traffic,
     "across-engines": _across_engines,
     "robustness": lambda b: robustness(b.base, b.sizes.main, b.sizes.levels),
     "speed": lambda b: speed_rows(b.base, b.sizes.main),
@@ -201,6 +212,7 @@ def run_classification_bench(
     folder: Path = Path("runs/classification"),
     protocols: Sequence[str] = tuple(PROTOCOLS),
     jobs: int | None = None,
+    keep: Callable[[list[Row]], None] | None = None,
 ) -> list[Row]:
     """What ``graphrqi bench classification`` measures.
 
@@ -210,6 +222,7 @@ def run_classification_bench(
         folder: where datasets are made; what is there is used again.
         protocols: keys of ``PROTOCOLS``.
         jobs: processes; None for one per core.
+        keep: told all rows measured so far after every protocol.
 
     Returns:
         Flat rows keyed by protocol, scenario, method, window_s and variation.
@@ -218,12 +231,15 @@ def run_classification_bench(
         InputError: if there is no such protocol.
     """
     wanted = [lookup(PROTOCOLS, name, "protocol") for name in protocols]
-    if not quick:
-        bench = Bench(FULL, dataset, folder, jobs)
-        return [row for measure in wanted for row in measure(bench)]
     with tempfile.TemporaryDirectory() as made:
-        bench = Bench(QUICK, dataset, Path(made), jobs)
-        return [row for measure in wanted for row in measure(bench)]
+        sizes, where = (QUICK, Path(made)) if quick else (FULL, folder)
+        bench = Bench(sizes, dataset, where, jobs)
+        rows: list[Row] = []
+        for measure in wanted:
+            rows += measure(bench)
+            if keep is not None:
+                keep(rows)
+    return rows
 
 
 def plot_classification(rows: Sequence[Row], path: Path) -> None:

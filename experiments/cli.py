@@ -509,16 +509,22 @@ def bench_classification(
     quick: Quick = False,
     json: Json = None,
 ) -> None:
-    """Score every method under every protocol."""
+    """Score every method under every protocol.
+
+    The JSON is written after every protocol: a run that is stopped keeps what it has measured.
+    """
+    from functools import partial
+
     from experiments.classification_bench import (
         PROTOCOLS,
         plot_classification,
         run_classification_bench,
     )
-    from experiments.tables import show_table
+    from experiments.tables import show_table, write_json
 
     wanted = _words(protocols) or tuple(PROTOCOLS)
-    rows = run_classification_bench(quick, data, out, wanted, jobs)
+    keep = None if json is None or str(json) == "-" else partial(write_json, json_path=json)
+    rows = run_classification_bench(quick, data, out, wanted, jobs, keep)
     if plot is not None:
         plot_classification(rows, plot)
     show_table(rows, json)

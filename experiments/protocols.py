@@ -241,6 +241,15 @@ class Recordings:
         return self._fitted[key]
 
 
+def fitted_together(sources: Sequence[Recordings], method: str) -> tuple[Model, int]:
+    """A method trained on the training episodes of all datasets, and their majority class."""
+    if len(sources) == 1:
+        return sources[0].fitted(method)
+    training = Samples.join([source.training(method) for source in sources])
+    held = [samples for source in sources if (samples := source.validation(method)) is not None]
+    return train(method, training, Samples.join(held) if held else None), majority_of(training)
+
+
 # --- rows ---------------------------------------------------------------------------------------
 
 
@@ -602,16 +611,16 @@ def across_scenarios(recordings: Recordings, methods: Sequence[str]) -> list[Row
 
 
 def across_datasets(
-    recordings: Recordings,
+    sources: Sequence[Recordings],
     others: Mapping[str, Recordings],
     methods: Sequence[str],
     protocol: str,
     split: Split | None = None,
 ) -> list[Row]:
-    """Trained on one dataset, scored on (a split of) others, named by what differs."""
+    """Trained on datasets together, scored on (a split of) others, named by what differs."""
     rows: list[Row] = []
     for method in methods:
-        model, majority = recordings.fitted(method)
+        model, majority = fitted_together(sources, method)
         for variation, other in others.items():
             everything = other.scored(method, split=split)
             for scenario in other.dataset.scenarios:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from experiments.metrics import Estimate, confusion, score
-from experiments.windows import gather, scenarios_of
+from experiments.windows import gather, places_of
 from graphrqi.methods import Model
 from graphrqi.samples import Samples
 from sim.dataset import Dataset
@@ -49,7 +49,7 @@ def score_model(
         quiet: whether to show no progress.
 
     Returns:
-        Scores by scenario.
+        Scores by scenario, where the data are of several engines by scenario and engine.
 
     Raises:
         InputError: if the split is empty.
@@ -57,10 +57,10 @@ def score_model(
     samples = gather(
         datasets, split, model.method.name, solver=model.solver, jobs=jobs, quiet=quiet
     )
-    scenario = scenarios_of(datasets)[samples.episode]
+    place = np.array(places_of(datasets))[samples.episode]
     found = {}
-    for name in dict.fromkeys(name for dataset in datasets for name in dataset.scenarios):
-        here = samples.where(scenario == name)
+    for name in dict.fromkeys(places_of(datasets)):
+        here = samples.where(place == name)
         if not len(here):
             continue
         probability = model.posterior(here.features.astype(np.float64))

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behaviors.errors import InputError
 from experiments.parallel import in_parallel
 from experiments.progress import Progress
@@ -38,9 +35,12 @@ def episode_samples(
     return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
 
 
-def scenarios_of(datasets: Sequence[Dataset]) -> NDArray[np.str_]:
-    """Scenario of each episode number of `gather`."""
-    return np.array([e.scenario for d in datasets for e in d.manifest.episodes])
+def places_of(datasets: Sequence[Dataset]) -> list[str]:
+    """Scenario of each episode number of `gather`, with its engine where there are several."""
+    episodes = [e for d in datasets for e in d.manifest.episodes]
+    if len({e.engine for e in episodes}) == 1:
+        return [e.scenario for e in episodes]
+    return [f"{e.scenario}, {e.engine}" for e in episodes]
 
 
 def gather(

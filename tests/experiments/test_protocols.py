@@ -39,6 +39,7 @@ from experiments.protocols import (
     speed_rows,
     transductive,
 )
+from experiments.windows import places_of
 from graphrqi.methods import METHODS, load_model
 from graphrqi.samples import Samples
 from sim.dataset import open_dataset
@@ -260,6 +261,21 @@ def test_lives_end_with_the_last_look_at_each_driver(recordings):
         assert not own.any() or short.time_s[own].max() <= end
 
 
+def test_places_name_the_engine_where_there_are_several(recordings, tmp_path):
+    config = GenerateConfig(
+        scenarios=("straight_road",), episodes=1, engine="sumo-idm", duration_s=5.0
+    )
+    generate(config, tmp_path / "idm", 1, quiet=True)
+    other = open_dataset(tmp_path / "idm")
+    assert places_of([other]) == ["straight_road"]
+    together = places_of([recordings.dataset, other])
+    assert set(together) == {
+        *(f"{scenario}, sumo" for scenario in recordings.dataset.scenarios),
+        "straight_road, sumo-idm",
+    }
+    assert together[-1] == "straight_road, sumo-idm"
+
+
 @pytest.fixture
 def few_rounds(monkeypatch):
     few = dataclasses.replace(METHODS[OURS], options={"rounds": 10})
@@ -328,10 +344,16 @@ def test_training_with_noise_is_another_model(recordings):
 
 
 def test_bench_of_one_protocol_and_its_picture(tmp_path):
-    rows = run_classification_bench(True, protocols=("inductive", "across-engines"))
+    kept: list[int] = []
+    rows = run_classification_bench(
+        True, protocols=("inductive", "across-engines"), keep=lambda rows: kept.append(len(rows))
+    )
+    assert len(kept) == 2
+    assert 0 < kept[0] < kept[1] == len(rows)
     assert {row["protocol"] for row in rows} == {"inductive", "across-engines"}
     assert {row["variation"] for row in rows if row["protocol"] == "across-engines"} == {
         "trained on sumo, scored on highway",
+        "trained on sumo with both laws, scored on highway",
         "trained on highway, scored on sumo",
     }
     plot_classification(rows, tmp_path / "rows.svg")
