@@ -191,22 +191,20 @@ def _track(
     room = tracking.room_for(analysis, start.room)
     if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
         warm = tracking.track_lively(graph, analysis, warm, k, tol, EXTRA, room)
-    certified, pairs, found = tracking.track(
+    certified, pairs, found, departure = tracking.track(
         *analysis[:11], smallest, warm, analysis.changed, k, scale, tol, low, high,
         MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA, room,
     )  # fmt: skip
     if not certified:
         return None
-    excess = found.T @ found
-    excess.ravel()[:: len(excess) + 1] -= 1.0
     values, residuals = pairs[0, :k].copy(), pairs[1, :k].copy()
     if smallest:
         values = -values
-    if np.abs(excess).max() > 1e-12:
+    if departure > 1e-12:
         # Newton's step to the nearest orthonormal block squares the departure
-        found = found - 0.5 * found @ excess
+        found = 1.5 * found - 0.5 * found @ (found.T @ found)
         residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
-        if residuals.max() > tol * scale:
+        if residuals.max() > tol * scale or departure > 1e-5:
             return None
     vectors = found[:, :k].copy()
     if zeros:

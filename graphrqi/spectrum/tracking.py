@@ -617,7 +617,7 @@ def track(
     max_sweeps: int,
     extra: int,
     room: Floats,
-) -> tuple[bool, Floats, Floats]:
+) -> tuple[bool, Floats, Floats, float]:
     """Find and certify the k largest eigenpairs of M.
 
     Args:
@@ -646,8 +646,9 @@ def track(
         room: (r, 8) memory for the factor, r > number of its entries; overwritten.
 
     Returns:
-        Whether none of the k was missed; (2, m) eigenvalues of M, descending, and residuals; and
-        (n, m) vectors by row; m >= k if certified.
+        Whether none of the k was missed; (2, m) eigenvalues of M, descending, and residuals; (n, m)
+        vectors by row; m >= k if certified; and how far their inner products are from those of
+        orthonormal vectors at most.
     """
     d = order.size
     ignored = components if deflate else 0
@@ -806,6 +807,18 @@ def track(
         pairs[0, c], pairs[1, c], clear[c] = number[THETA, best], number[RES, best], best
         if c < k or pairs[0, c] >= pairs[0, k - 1] - 1e-6 * scale:
             kept += 1
+    departure = 0.0
+    for start in range(0, kept, 8):  # every eight against all
+        for q in range(8):
+            for j in range(d):
+                x[j, q] = pool[clear[start + q], j] if start + q < kept else 0.0
+        for c in range(kept):
+            gram = spread(0.0)
+            for j in range(d):
+                gram = plus(gram, pool[clear[c], j], load(x, j))
+            store(lanes, VALUE, gram)
+            for q in range(8):
+                departure = max(departure, abs(lanes[VALUE, q] - (start + q == c)))
     answer = np.empty((changed.size, kept), np.float64)
     for i in range(changed.size if d < changed.size else 0):
         for c in range(kept):
@@ -813,7 +826,7 @@ def track(
     for j in range(d):
         for c in range(kept):
             answer[order[j], c] = pool[clear[c], j]
-    return certified, pairs, answer
+    return certified, pairs, answer, departure
 
 
 @compiled
@@ -999,7 +1012,7 @@ def track_lively(
     if not 8 * k <= lively_order.size <= order.size // 2:
         return warm
     part = analyse(graph, lively_order)
-    certified, _, vectors = track(
+    certified, _, vectors, _ = track(
         *part[:11], False, warm, changed, k, scale, 0.5 * tol, -1.0, 2.0 * scale + 1.0,
         MAX_LIVELY_SWEEPS, extra, room_for(part, room),
     )  # fmt: skip
