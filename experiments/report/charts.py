@@ -14,7 +14,6 @@ from behaviors.labels import Behavior
 
 WIDTH, HEIGHT = 480, 300
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 46
-LEGEND_PX: Final = 19
 
 _CYCLE: Final = (*COLORS.values(), UNKNOWN_COLOR)
 _DASHES: Final = ("", "6 3", "2 3")

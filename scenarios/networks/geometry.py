@@ -13,9 +13,6 @@ from typing import Final, TypeAlias
 from behaviors.errors import InputError
 
 SIDEWALK_WIDTH_M: Final = 2.0
-LANE_WIDTH_M: Final = 3.2
-"""SUMO's default lane width, m."""
-
 CROSSING_WIDTH_M: Final = 4.0
 """SUMO's default crossing width, m."""
 

@@ -71,16 +71,6 @@ TYPES_SUFFIX: Final = ".types.xml"
 """How the file of vTypes beside a recording that we write ends."""
 
 
-def heading_of(angle_deg: float) -> float:
-    """SUMO's angle as heading, rad.
-
-    Examples:
-        >>> heading_of(90.0), round(heading_of(0.0), 4)
-        (0.0, 1.5708)
-    """
-    return math.radians(90.0 - angle_deg)
-
-
 def angle_of(heading: float) -> float:
     """Heading as SUMO's angle, degrees in [0, 360).
 

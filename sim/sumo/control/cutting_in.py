@@ -93,7 +93,6 @@ class CuttingIn(Steered[_Driver]):
         self._drivable = frozenset(
             (lane.edge, lane.index) for lane in road.lanes if not lane.walking
         )
-        self._size = {str(a.id): a for a in agents}
         wide = {edge for edge, index in self._drivable if (edge, index + 1) in self._drivable}
         for agent in agents:
             if not wide.intersection(agent.route):
