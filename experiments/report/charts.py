@@ -15,7 +15,9 @@ from behaviors.labels import Behavior
 WIDTH, HEIGHT = 480, 300
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 46
 
-_CYCLE: Final = (*COLORS.values(), UNKNOWN_COLOR)
+_CYCLE: Final = ("#4477AA", "#EE6677", "#228833", "#CCBB44", "#66CCEE", "#AA3377", UNKNOWN_COLOR)
+"""Of lines that are no behaviours, none of which has a behaviour's colour: the scheme "bright" of
+Tol (2021, SRON technical note EPS/TN/09-002), for all common colour blindness too."""
 _DASHES: Final = ("", "6 3", "2 3")
 
 
@@ -64,7 +66,12 @@ class Axis:
 
 
 def color_of(name: str, number: int) -> str:
-    """A behaviour's own colour, or the next of the palette."""
+    """A behaviour's own colour, or the next that is none's.
+
+    Examples:
+        >>> color_of("timid", 0), color_of("arpack", 0)
+        ('#009E73', '#4477AA')
+    """
     try:
         return COLORS[Behavior(name)]
     except ValueError:
