@@ -77,7 +77,7 @@ class Sizes:
 FULL: Final = Sizes(
     base={"episodes": 15, "duration_s": 150.0, "limits_mps": TRAINING_LIMITS_MPS},
     other={"episodes": 4, "duration_s": 150.0},
-    engine={"episodes": 15, "duration_s": 150.0},
+    engine={"episodes": 20, "duration_s": 300.0},
     fresh={"episodes": 6, "duration_s": 300.0},
     many={"episodes": 40, "duration_s": 150.0},
     traffic=tuple(TRAFFIC),
