@@ -9,11 +9,17 @@ References:
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import behaviors
+import experiments
+import graphrqi
+import scenarios
+import sim
 from behaviors.errors import InputError
 from sim.dataset import made_with
 
@@ -30,6 +36,17 @@ CONNECT_S: Final = 20.0
 
 def _sees(folder: str) -> bool:
     return Path(folder).is_dir()
+
+
+def code() -> str:
+    """Fingerprint of this machine's code: an edited copy of the same version makes other data."""
+    digest = hashlib.sha256()
+    for package in (behaviors, sim, scenarios, graphrqi, experiments):
+        folder = Path(package.__path__[0])
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(f"{package.__name__}/{file.relative_to(folder).as_posix()}".encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def _answers(client: Client, ask: Callable[..., Any], *arguments: object) -> dict[str, Any]:
@@ -67,6 +84,12 @@ def _connected(address: str, folder: Path, engine: str) -> Iterator[Client]:
         for worker, there in _answers(client, made_with, engine).items():
             if there != here:
                 raise InputError(f"cluster {address}: found {there} on {worker}, expected {here}")
+        for worker, theirs in _answers(client, code).items():
+            if theirs != code():
+                raise InputError(
+                    f"cluster {address}: found other code of the same version on {worker}, "
+                    "expected the same: install the same copy there"
+                )
         for worker, seen in _answers(client, _sees, str(folder)).items():
             if not seen:
                 raise InputError(

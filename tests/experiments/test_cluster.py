@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import threading
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 from distributed import Client, LocalCluster
 
+import experiments.cluster
 from behaviors import InputError
 from experiments.generate import GenerateConfig, generate, read_cluster
 
@@ -74,6 +76,23 @@ def test_clusters_that_cannot_do_it(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         pytest.raises(InputError, match="with 2 threads, expected 1"),
     ):
         generate(CONFIG, tmp_path, quiet=True, cluster=wide.scheduler_address)
+
+
+def test_a_worker_with_other_code_is_refused(cluster: LocalCluster, tmp_path: Path) -> None:
+    def edit() -> None:
+        experiments.cluster.code = lambda: "edited"
+
+    def restore() -> None:
+        importlib.reload(experiments.cluster)
+
+    with Client(cluster.scheduler_address) as client:
+        client.wait_for_workers(2)
+        client.run(edit)
+        try:
+            with pytest.raises(InputError, match="other code of the same version"):
+                generate(CONFIG, tmp_path, quiet=True, cluster=cluster.scheduler_address)
+        finally:
+            client.run(restore)
 
 
 def test_the_address_may_stand_in_the_file(tmp_path: Path) -> None:
