@@ -129,7 +129,7 @@ class Seen:
         length: (N,) m.
         width: (N,) m.
         speed: (m,) m/s.
-        limit: (m,) speed limit, m/s.
+        limit: (m,) speed limit, m/s; +inf where unknown.
         edge: (m,) number of the stretch of road.
         lane: (m,) number of the lane.
         offset: (m,) signed distance to the left of the lane's centre line, m.

@@ -61,7 +61,10 @@ FormatName = Annotated[
 Net = Annotated[
     Path | None,
     typer.Option(
-        "--net", dir_okay=False, metavar="FILE", help="SUMO net that a recording was made on."
+        "--net",
+        dir_okay=False,
+        metavar="FILE",
+        help="SUMO net or map that a recording was made on.",
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]

@@ -20,6 +20,7 @@ from sim.dataset import (
 )
 from sim.formats import get_reader, get_writer, read_recordings, recognise
 from sim.lock import sole_writer
+from sim.road_files import read_road_file
 from sim.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
 
 
@@ -38,7 +39,8 @@ def import_recordings(
         source: a file, or a folder with files of one format.
         out: folder of the dataset, new or empty.
         name: a key of ``sim.formats.FORMATS``; None to tell it from the content.
-        net: the SUMO net that the recordings were made on; None where there is none.
+        net: the SUMO net or Argoverse 2 map that the recordings were made on; None for what comes
+            with each, if anything does.
         split: which part of the data everything belongs to; None to split by index.
         quiet: whether to show no progress.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
@@ -53,9 +55,7 @@ def import_recordings(
     name = name or recognise(source)
     get_reader(name)
     if net is not None:
-        from sim.net import read_road
-
-        read_road(net)
+        read_road_file(net)
     if out.exists() and (not out.is_dir() or any(p.name != ".lock" for p in out.iterdir())):
         raise InputError(f"{out}: found something there, expected a new or empty folder")
     entries: list[EpisodeEntry] = []
@@ -69,7 +69,7 @@ def import_recordings(
                 options={"recording": recording.name, "notes": list(recording.notes)},
                 made_with=made_with(name),
             )
-            entry = write_recording(out, meta, recording.tracks, net)
+            entry = write_recording(out, meta, recording.tracks, net or recording.road)
             entries.append(entry)
             shown.advance(entry.agents, entry.agent_steps)
         manifest = write_manifest(out, {"format": name, "source": source.name}, entries)
@@ -84,7 +84,7 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     Args:
         source: a dataset's folder, a file, or a folder of files.
         name: format of the recordings; None to tell it from the content.
-        net: the SUMO net that the recordings were made on.
+        net: as in `import_recordings`.
 
     Yields:
         Folder of a dataset; recordings are all in its test split.

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from behaviors.errors import InputError
 from experiments.generate import GenerateConfig, generate
-from sim.dataset import ENTRY, MANIFEST, Dataset, altered_files, made_with, open_dataset
+from sim.dataset import ENTRY, MANIFEST, Dataset, altered_files, made_with, open_dataset, road_path
 from sim.lock import LOCK, sole_writer
 from sim.schema import EPISODE_FILES, EpisodeEntry
 
@@ -70,7 +70,8 @@ def _foreign(dataset: Dataset) -> Iterator[Path]:
     known = set(_OURS)
     for entry in dataset.manifest.episodes:
         known |= {f"episodes/{entry.id}/{name}" for name in (*EPISODE_FILES, ENTRY)}
-    known |= {f"roads/{sha256}.net.xml" for sha256 in dataset.manifest.roads}
+    roads = [road_path(dataset.path, sha256) for sha256 in dataset.manifest.roads]
+    known |= {path.relative_to(dataset.path).as_posix() for path in roads}
     for path in sorted(dataset.path.rglob("*")):
         relative = path.relative_to(dataset.path)
         if not path.is_dir() and relative.as_posix() not in known:

@@ -30,8 +30,8 @@ from behaviors.profiles import PROFILE_FIELDS, Profile
 from behaviors.traits import Exhibit
 from sim.atomic import whole_folder, write_whole
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Frame, Tracks
-from sim.net import read_road
 from sim.road import Road
+from sim.road_files import MAP_SUFFIX, read_road_file
 from sim.scenario import AgentSpec
 from sim.schema import (
     AGENTS,
@@ -412,7 +412,7 @@ def _watched(steps: _Steps, agents: Sequence[AgentSpec], road: Path) -> Watched:
         signals=steps.signals,
         events=steps.events,
     )
-    return watch(told, read_road(road))
+    return watch(told, read_road_file(road))
 
 
 def write_recording(
@@ -424,7 +424,7 @@ def write_recording(
         folder: the dataset; created if need be. `write_manifest` completes it.
         meta: where the recording comes from.
         tracks: the recording.
-        road: the SUMO net that it happened on, if there is one.
+        road: the SUMO net or Argoverse 2 map that it happened on, if there is one.
 
     Returns:
         The manifest's entry of the episode.
@@ -492,8 +492,18 @@ def _write(
     return entry
 
 
-def _road_path(folder: Path, sha256: str) -> Path:
-    return folder / "roads" / f"{sha256}.net.xml"
+def road_path(folder: Path, sha256: str) -> Path:
+    """Where a dataset keeps a road.
+
+    Args:
+        folder: the dataset.
+        sha256: checksum of the road's file.
+
+    Returns:
+        The file with its map if there is one, else that of its SUMO net.
+    """
+    kept = folder / "roads" / f"{sha256}{MAP_SUFFIX}"
+    return kept if kept.is_file() else kept.with_name(f"{sha256}.net.xml")
 
 
 def keep_road(folder: Path, road: Path) -> str:
@@ -501,7 +511,7 @@ def keep_road(folder: Path, road: Path) -> str:
 
     Args:
         folder: the dataset.
-        road: a SUMO net.
+        road: a SUMO net or an Argoverse 2 map.
 
     Returns:
         Its checksum.
@@ -511,7 +521,8 @@ def keep_road(folder: Path, road: Path) -> str:
     """
     data = road.read_bytes()
     sha256 = _sha256(data)
-    path = _road_path(folder, sha256)
+    ending = MAP_SUFFIX if road.suffix == MAP_SUFFIX else ".net.xml"
+    path = folder / "roads" / f"{sha256}{ending}"
     if not path.exists() or _sha256(path.read_bytes()) != sha256:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, data)
@@ -573,7 +584,7 @@ def altered_files(folder: Path, entry: EpisodeEntry) -> list[Path]:
         or _sha256(path.read_bytes()) != file.sha256
     ]
     if entry.road is not None:
-        road = _road_path(folder, entry.road)
+        road = road_path(folder, entry.road)
         if not road.is_file() or _sha256(road.read_bytes()) != entry.road:
             altered.append(road)
     return altered
@@ -600,7 +611,7 @@ def write_manifest(
     manifest = Manifest(
         schema_version=SCHEMA_VERSION,
         configuration=dict(configuration),
-        roads={sha256: _road_path(folder, sha256).stat().st_size for sha256 in roads},
+        roads={sha256: road_path(folder, sha256).stat().st_size for sha256 in roads},
         episodes=ordered,
     )
     folder.mkdir(parents=True, exist_ok=True)
@@ -717,12 +728,12 @@ class Dataset:
         if entry.road is None:
             return None
 
-        path = _road_path(self.path, entry.road)
+        path = road_path(self.path, entry.road)
         if not path.is_file():
             raise InputError(f"{path}: found no file, expected the road of episode {entry.id}")
         if _sha256(path.read_bytes()) != entry.road:
             raise InputError(f"{path}: found another checksum than its name, expected it unaltered")
-        return read_road(path, entry.scenario)
+        return read_road_file(path, entry.scenario)
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -52,7 +52,7 @@ class Observables:
         s: (n,) distance along the lane, m.
         offset: (n,) signed distance to the left of the lane's centre line, m.
         lane_heading: (n,) heading relative to the lane's, rad in (-pi, pi]; near pi: the wrong way.
-        limit: (n,) speed limit, m/s.
+        limit: (n,) speed limit, m/s; NaN where unknown.
         leader: (n,) row of the vehicle ahead.
         gap: (n,) bumper to bumper to the leader, m; negative when boxes overlap.
         closing: (n,) own speed minus the leader's, m/s; 0 without leader.

@@ -1,7 +1,7 @@
 """The road: lanes, how they connect, where one must stop, where people cross.
 
 One geometry serves every engine, the predictors, the trait detectors and the pictures. It is read
-from a SUMO net by `sim.net.read_road`.
+from a SUMO net by `sim.net.read_road`, or from a recording's own map.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Lane:
         index: place on its edge, 0 rightmost.
         centerline: (P, 2) points in driving direction, m.
         width_m: m.
-        speed_limit_mps: m/s.
+        speed_limit_mps: m/s; NaN where unknown.
         walking: whether it is a sidewalk (pedestrians only).
         internal: whether it crosses a junction.
         opposite: id of the neighbouring lane of the other direction; "" if there is none that may
@@ -160,7 +160,7 @@ class Road:
         connections: ways between lanes (vehicles only).
         crossings: where pedestrians cross.
         signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
-        source: the SUMO net it was read from.
+        source: the file it was read from.
         signal_plans: the programmes behind the signal groups.
     """
 

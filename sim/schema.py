@@ -3,7 +3,8 @@
     DATASET/
       manifest.json                 what is inside, how it was made, a checksum for every file
       README.md                     the data card, for people
-      roads/<sha256>.net.xml        the road of the episodes, as a SUMO net
+      roads/<sha256>.net.xml        the road of the episodes, as a SUMO net (or, of recordings, as
+                                    it came: .json, an Argoverse 2 map)
       episodes/<id>/
         episode.json                the manifest's entry of this episode
         steps.parquet               one row per agent and time step
@@ -210,7 +211,8 @@ class EpisodeEntry(EpisodeMeta):
 
     Attributes:
         id: hash of what the episode was made from; the name of its folder.
-        road: checksum of its road, which is ``roads/<road>.net.xml``; None where unknown.
+        road: checksum of its road, which is ``roads/<road>.net.xml`` or ``.json``; None where
+            unknown.
         frames: time steps.
         agents: agents that were seen.
         agent_steps: rows of ``steps.parquet``.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict import features_kernel
+from graphrqi.predict.paths import limits
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene import Scene
 from sim.lane_graph import DIRECTIONS
@@ -71,7 +72,7 @@ def features(scene: Scene) -> FloatArray:
         scene.lane, scene.s, scene.offset, scene.sideways, scene.accel, seen.free_factor,
         seen.least_factor, seen.place, seen.leader, seen.gap, seen.follower, seen.beside,
         seen.beside_gap, scene.path, scene.closed, shown, GATES, paths.gate_x, paths.gate_row,
-        paths.limit, paths.start, paths.turn, graph.limit, graph.length, graph.internal,
+        paths.limit, paths.start, paths.turn, limits(graph), graph.length, graph.internal,
         graph.left, graph.right, out,
     )  # fmt: skip
     return out

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -40,6 +41,8 @@ from graphrqi.predict.scene import Scene
 from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]
+
+Predictor = Callable[[Scene, Posterior], Prediction]
 
 MODES: Final = 6
 """Futures per driver: what Argoverse 2 scores."""
@@ -186,12 +189,39 @@ class FuturesModel(Protocol):
         ...
 
 
+def on_known_roads(predictor: Predictor) -> Predictor:
+    """A learned predictor that takes a road whose limits are unknown for no road at all.
+
+    Such a road is a recording's map: lanes without limits, lights and priority. The networks were
+    trained where all of these are known, and take who stands at a light or is parked for somebody
+    about to drive off.
+
+    Args:
+        predictor: what foresees on known roads.
+
+    Returns:
+        The same there; `graphrqi.predict.mapless.predict_unmapped` elsewhere.
+    """
+
+    @functools.wraps(predictor)
+    def foresee(scene: Scene, posterior: Posterior) -> Prediction:
+        if np.isnan(scene.graph.limit[scene.graph.drivable]).any():
+            from graphrqi.predict.mapless import predict_unmapped  # it needs this module, too
+
+            return predict_unmapped(scene.history, scene.steps * STEP_S, "graphrqi-predict")
+        return predictor(scene, posterior)
+
+    return foresee
+
+
+@on_known_roads
 def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
     """Believed rollouts corrected by the shipped network: the best predictor here."""
     data = known(scene, posterior.of(scene.ids), default_table())
     return to_prediction(scene, shipped_network(WEIGHTS)(data))
 
 
+@on_known_roads
 def mlp(scene: Scene, posterior: Posterior) -> Prediction:
     """A perceptron with the inputs, data and budget of the label-free ``lstm``: its measure."""
     return to_prediction(scene, shipped_network(MLP_WEIGHTS)(unlabelled(scene)))

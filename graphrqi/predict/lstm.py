@@ -29,6 +29,7 @@ from graphrqi.predict.learned import (
     FloatArray,
     Futures,
     decode,
+    on_known_roads,
     to_prediction,
 )
 from graphrqi.predict.prediction import Prediction
@@ -175,6 +176,7 @@ def default_lstm() -> Lstm:
         return load_lstm(path)
 
 
+@on_known_roads
 def lstm(scene: Scene, posterior: Posterior) -> Prediction:
     """What a learned predictor foresees that knows nothing of who drives how."""
     return to_prediction(scene, default_lstm()(unlabelled(scene)))

@@ -27,6 +27,9 @@ PRIOR: Final = (0.5, 0.2, 0.25, 0.05)
 """How likely one goes straight, right, left or back where all are open (our choice; a third to a
 half of urban junction traffic turns)."""
 
+UNKNOWN_LIMIT_MPS: Final = 50.0 / 3.6
+"""What wishes are reckoned by where no limit is known (our choice: the usual one in towns)."""
+
 STOP_LINE_REACH_M: Final = 8.0
 """A crossing this close behind a stop line is waited for at the line (our choice: the depth of a
 crosswalk and its set-back)."""
@@ -85,6 +88,11 @@ class PathTable:
         return _build(road)
 
 
+def limits(graph: LaneGraph) -> FloatArray:
+    """(L,) speed limits that wishes are reckoned by, m/s."""
+    return np.where(np.isnan(graph.limit), UNKNOWN_LIMIT_MPS, graph.limit)
+
+
 def _continue(graph: LaneGraph, chain: list[int], beyond_m: float) -> list[list[int]]:
     ways = graph.successors[chain[-1]]
     ways = ways[ways >= 0]
@@ -113,14 +121,14 @@ def _build(road: Road) -> PathTable:
     most = max((len(r) for r in rows), default=1)
     lane_table = np.full((len(rows), most), -1)
     start = np.full((len(rows), most), np.inf)
-    limit = np.zeros((len(rows), most))
+    limit_of, limit = limits(graph), np.zeros((len(rows), most))
     probability, turn = np.ones(len(rows)), np.zeros(len(rows), np.int64)
     gates: list[list[tuple[float, int]]] = []
     for q, chain in enumerate(rows):
         lane_table[q, : len(chain)] = chain
         begin = np.concatenate([[0.0], np.cumsum(graph.length[chain])[:-1]])
         start[q, : len(chain)] = begin
-        limit[q, : len(chain)] = graph.limit[chain]
+        limit[q, : len(chain)] = limit_of[chain]
         mine: list[tuple[float, int]] = []
         for j, lane in enumerate(chain):
             if j > 0:

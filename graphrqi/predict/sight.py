@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict import sight_kernel
+from graphrqi.predict.paths import limits
 from sim.frames import PEDESTRIAN, Tracks
 from sim.lane_graph import LaneGraph, project
 from sim.road import Road
@@ -79,7 +80,7 @@ def look(history: Tracks, road: Road) -> Sight:
         *sight_kernel.look(
             history.time_s, valid, xy, heading, speed, history.length.copy(),
             drives, columns, agent, instant, found.lane,
-            found.s, found.offset, graph.length, graph.width, graph.limit, graph.internal,
+            found.s, found.offset, graph.length, graph.width, limits(graph), graph.internal,
             graph.signal, graph.ahead, graph.behind, graph.left, graph.right, graph.cross_lane,
             graph.cross_id, graph.cross_s, graph.cross_exit_s, graph.segment_start,
             graph.segment_direction, graph.segment_at, graph.segment_first, graph.segment_last,

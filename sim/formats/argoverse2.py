@@ -1,8 +1,8 @@
 """Argoverse 2 motion forecasting: a Parquet file and a map per 11 s at 10 Hz.
 
-``scenario_<id>.parquet`` holds the tracks (box centres, m), ``log_map_archive_<id>.json`` the map;
-50 steps are observed, 60 to predict. What we write is read by the official ``av2`` package; the
-behaviours go into ``behavior_<id>.parquet`` beside it.
+``scenario_<id>.parquet`` holds the tracks (box centres, m), ``log_map_archive_<id>.json`` the map
+(`sim.formats.argoverse2_map`); 50 steps are observed, 60 to predict. What we write is read by the
+official ``av2`` package; the behaviours go into ``behavior_<id>.parquet`` beside it.
 
 References:
     Wilson et al. (2021), Argoverse 2, NeurIPS Datasets and Benchmarks.
@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.atomic import whole_folder
+from sim.formats.argoverse2_map import read_map, static_map
 from sim.formats.recording import (
     MAX_NAMES,
     MAX_ROWS,
@@ -36,7 +36,7 @@ from sim.formats.recording import (
 )
 from sim.formats.windows import every_tenth, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
-from sim.road import Lane, Road
+from sim.road import Road
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110
@@ -108,7 +108,7 @@ def read(path: Path) -> Iterator[Recording]:
     """Read one scenario file; numbers are kept to the last digit.
 
     Args:
-        path: ``scenario_<id>.parquet``.
+        path: ``scenario_<id>.parquet``; its map is looked for beside it.
 
     Yields:
         One recording.
@@ -165,7 +165,12 @@ def read(path: Path) -> Iterator[Recording]:
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
     if left_out:
         notes.append(f"left out, because they are not road-agents: {', '.join(left_out)}")
-    yield Recording(path.stem.removeprefix("scenario_"), assemble(path, rows), tuple(notes))
+    name = path.stem.removeprefix("scenario_")
+    archive = path.with_name(f"log_map_archive_{name}.json")
+    road = archive if archive.is_file() and read_map(archive) is not None else None
+    if road is not None:
+        notes.append("limits, signals and who has priority are not in this format: unknown")
+    yield Recording(name, assemble(path, rows), tuple(notes), road)
 
 
 # --- writing ------------------------------------------------------------------------------------
@@ -253,92 +258,3 @@ def _labels(window: Tracks, identity: str) -> pa.Table:
         "width_m": window.width,
     }
     return pa.table(columns, schema=BEHAVIOR_SCHEMA)
-
-
-def _points(line: NDArray[np.float64]) -> list[dict[str, float]]:
-    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]
-
-
-def offset_line(line: NDArray[np.float64], left_m: float) -> NDArray[np.float64]:
-    """(P, 2) a line moved to its left.
-
-    Args:
-        line: (P, 2) points, m; P at least 2.
-        left_m: how far, m; negative moves it to the right.
-
-    Returns:
-        The moved points: each along the bisecting normal of its two segments.
-    """
-    step = np.diff(line, axis=0)
-    normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
-    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
-    mean = np.concatenate([normal[:1], normal[:-1] + normal[1:], normal[-1:]])
-    mean /= np.maximum(np.hypot(mean[:, 0], mean[:, 1]), 1e-9)[:, None]
-    return np.asarray(line + left_m * mean, dtype=np.float64)
-
-
-def static_map(road: Road | None) -> dict[str, Any]:
-    """The map as the official package reads it.
-
-    Args:
-        road: what to describe; None for an empty map.
-
-    Returns:
-        Lane segments, drivable areas and pedestrian crossings by id.
-    """
-    if road is None:
-        return {"drivable_areas": {}, "lane_segments": {}, "pedestrian_crossings": {}}
-    number = {lane.id: i + 1 for i, lane in enumerate(road.lanes) if not lane.walking}
-    chains = [(c.from_lane, *c.via, c.to_lane) for c in road.connections]
-    follows = {pair for chain in chains for pair in pairwise(chain)}
-    by_place = {(lane.edge, lane.index): lane for lane in road.lanes if not lane.walking}
-    segments = {}
-    areas = {}
-    for lane in road.lanes:
-        if lane.walking:
-            continue
-        left = offset_line(lane.centerline, 0.5 * lane.width_m)
-        right = offset_line(lane.centerline, -0.5 * lane.width_m)
-        identity = number[lane.id]
-        segments[str(identity)] = {
-            "id": identity,
-            "is_intersection": lane.internal,
-            "lane_type": "VEHICLE",
-            "centerline": _points(lane.centerline),
-            "left_lane_boundary": _points(left),
-            "right_lane_boundary": _points(right),
-            **_sides(lane, by_place, number),
-            "predecessors": sorted(number[a] for a, b in follows if b == lane.id and a in number),
-            "successors": sorted(number[b] for a, b in follows if a == lane.id and b in number),
-        }
-        boundary = np.concatenate([left, right[::-1]])
-        areas[str(identity)] = {"id": identity, "area_boundary": _points(boundary)}
-    crossings = {}
-    for i, crossing in enumerate(road.crossings):
-        identity = len(road.lanes) + 1 + i
-        ends = crossing.centerline[[0, -1]]
-        crossings[str(identity)] = {
-            "id": identity,
-            "edge1": _points(offset_line(ends, 0.5 * crossing.width_m)),
-            "edge2": _points(offset_line(ends, -0.5 * crossing.width_m)),
-        }
-    return {
-        "drivable_areas": areas,
-        "lane_segments": segments,
-        "pedestrian_crossings": crossings,
-    }
-
-
-def _sides(
-    lane: Lane, by_place: dict[tuple[str, int], Lane], number: dict[str, int]
-) -> dict[str, Any]:
-    left = by_place.get((lane.edge, lane.index + 1))
-    right = by_place.get((lane.edge, lane.index - 1))
-    outer = "NONE" if lane.internal else "SOLID_WHITE"
-    inner = "NONE" if lane.internal else "DASHED_WHITE"
-    return {
-        "left_neighbor_id": None if left is None else number[left.id],
-        "right_neighbor_id": None if right is None else number[right.id],
-        "left_lane_mark_type": outer if left is None else inner,
-        "right_lane_mark_type": outer if right is None else inner,
-    }

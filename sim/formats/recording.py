@@ -57,11 +57,14 @@ class Recording:
         name: the recording's own name.
         tracks: what was recorded; without labels unless the format carries them.
         notes: what had to be assumed or was left out, one sentence each.
+        road: file of the road that came with it, as `sim.road_files.read_road_file` takes it;
+            None where the format has none.
     """
 
     name: str
     tracks: Tracks
     notes: tuple[str, ...] = ()
+    road: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -121,9 +121,10 @@ def _map_features(road: Road) -> dict[str, Any]:
             "polyline": _flat(lane.centerline).astype(np.float32),
             "entry_lanes": sorted(set(before.get(lane.id, []))),
             "exit_lanes": sorted(set(after.get(lane.id, []))),
-            "speed_limit_kmh": 3.6 * lane.speed_limit_mps,
             "width": lane.width_m,
         }
+        if np.isfinite(lane.speed_limit_mps):
+            features[lane.id]["speed_limit_kmh"] = 3.6 * lane.speed_limit_mps
     for crossing in road.crossings:
         along = crossing.centerline[[0, -1]]
         way = along[1] - along[0]

@@ -12,6 +12,7 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from graphrqi.predict.mapless import known_unmapped, trusted_way
 from graphrqi.predict.unmapped import inferred_leaders, plausible, smooth
+from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Tracks
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
@@ -135,3 +136,28 @@ def test_the_network_sees_no_neighbours_where_gaps_are_implausible():
     follower = recording([0.0], [12.0])
     assert not np.allclose(seen[0], alone[0])
     assert np.allclose(alone[0], known_unmapped(follower, believable=False).inputs[0])
+
+
+@pytest.fixture(scope="module")
+def told_no_limits():
+    """A straight road as a map without limits tells it."""
+    road = SCENARIOS["straight_road"]().road
+    return replace(road, lanes=tuple(replace(x, speed_limit_mps=np.nan) for x in road.lanes))
+
+
+@pytest.mark.parametrize("name", ["graphrqi-predict", "graphrqi-predict-unlabelled", "lstm", "mlp"])
+def test_networks_take_a_road_without_limits_for_none(name, told_no_limits):
+    y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
+    tracks = recording([50, 80], [10, 8], y=[y, y])
+    with_road = predict(tracks, NOBODY, told_no_limits, predictor=name)
+    assert np.array_equal(with_road.xy, predict(tracks, NOBODY, None, predictor=name).xy)
+
+
+@pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])
+def test_car_following_keeps_to_the_lanes_of_a_road_without_limits(name, told_no_limits):
+    y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
+    told = predict(recording([50, 80], [10, 8], y=[y + 0.5, y]), NOBODY, told_no_limits,
+                   predictor=name)  # fmt: skip
+    assert np.isfinite(told.xy).all()
+    assert told.best[:, -1, 1] == pytest.approx([y, y], abs=0.1)
+    assert (told.best[:, -1, 0] > [90.0, 110.0]).all()

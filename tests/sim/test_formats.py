@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 from behaviors import BEHAVIORS, InputError
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, sumo_fcd
-from sim.formats.argoverse2 import SCHEMA, offset_line
+from sim.formats.argoverse2 import SCHEMA
+from sim.formats.argoverse2_map import offset_line
 from sim.formats.recording import hold_heading, motion
 from sim.frames import KINDS, AgentKind, Tracks
 

@@ -1,0 +1,292 @@
+"""Maps of Argoverse 2: hand-written, our own written and read back, real, and broken ones."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from behaviors.errors import InputError
+from scenarios import SCENARIOS
+from sim.formats.argoverse2_map import MAX_FOLLOWING, read_map, static_map
+from sim.frames import AgentKind, Event, Tracks
+from sim.lane_graph import DIRECTIONS, LaneGraph
+from sim.observables import observe
+from sim.road import Road
+from sim.road_files import read_road_file
+from sim.steps import Steps
+from sim.watching import watch
+
+
+def points(*xy: tuple[float, float]) -> list[dict[str, float]]:
+    return [{"x": x, "y": y, "z": 20.0} for x, y in xy]
+
+
+def segment(identity: int, line: list[tuple[float, float]], **changes: Any) -> dict[str, Any]:
+    """A lane 3 m wide; its borders are those of a straight one between its ends."""
+    begin, end = np.array(line[0]), np.array(line[-1])
+    aside = 1.5 * np.array([begin[1] - end[1], end[0] - begin[0]]) / np.hypot(*(end - begin))
+    left, right = ([tuple(p + s * aside) for p in (begin, end)] for s in (1, -1))
+    return {
+        "id": identity,
+        "is_intersection": False,
+        "lane_type": "VEHICLE",
+        "centerline": points(*line),
+        "left_lane_boundary": points(*left),
+        "right_lane_boundary": points(*right),
+        "left_neighbor_id": None,
+        "right_neighbor_id": None,
+        "predecessors": [],
+        "successors": [],
+        "left_lane_mark_type": "NONE",
+        "right_lane_mark_type": "NONE",
+        **changes,
+    }
+
+
+def hand_written() -> dict[str, Any]:
+    """Two lanes and a bicycles' lane east, a junction: on, or left and north; a crosswalk."""
+    segments = [
+        segment(11, [(0, 0), (100, 0)], left_neighbor_id=12, right_neighbor_id=13, successors=[21]),
+        segment(12, [(0, 3), (100, 3)], left_neighbor_id=19, right_neighbor_id=11,
+                successors=[22, 23]),
+        segment(13, [(0, -2), (100, -2)], left_neighbor_id=11, lane_type="BIKE"),
+        segment(19, [(100, 6), (0, 6)], left_neighbor_id=12),  # the other way
+        segment(21, [(100, 0), (120, 0)], is_intersection=True, successors=[31, 99]),
+        segment(22, [(100, 3), (120, 3)], is_intersection=True, successors=[32]),
+        segment(23, [(100, 3), (110, 5), (115, 13)], is_intersection=True, successors=[33]),
+        segment(31, [(120, 0), (220, 0)], left_neighbor_id=32, successors=[41]),
+        segment(32, [(120, 3), (220, 3)], right_neighbor_id=31, successors=[42]),
+        segment(33, [(115, 13), (115, 113)]),
+        segment(41, [(220, 0), (240, 0)], is_intersection=True),  # cut off by the map's border
+        segment(42, [(220, 3), (240, 3)], is_intersection=True, successors=[22]),  # in a circle
+    ]  # fmt: skip
+    edges = {"edge1": points((150, -4), (150, 8)), "edge2": points((154, 8), (154, -4))}
+    return {
+        "drivable_areas": {},
+        "lane_segments": {str(s["id"]): s for s in segments},
+        "pedestrian_crossings": {"7": {"id": 7, **edges}},
+    }
+
+
+def put(folder: Path, archive: object) -> Path:
+    path = folder / "log_map_archive_s.json"
+    path.write_text(archive if isinstance(archive, str) else json.dumps(archive), encoding="utf-8")
+    return path
+
+
+def road_of(folder: Path, archive: object) -> Road:
+    road = read_map(put(folder, archive))
+    assert road is not None
+    return road
+
+
+def test_a_hand_written_map(tmp_path: Path) -> None:
+    road = road_of(tmp_path, hand_written())
+    graph, at = LaneGraph.of(road), road.lane_index
+    ids = (11, 12, 13, 19, 21, 22, 23, 31, 32, 33, 41, 42)
+    assert [lane.id for lane in road.lanes] == [str(i) for i in ids]
+    assert graph.left[at["11"]] == at["12"]
+    assert graph.right[at["12"]] == at["11"]
+    assert graph.left[at["12"]] == -1  # the other way
+    assert graph.right[at["11"]] == -1  # for bicycles
+    ways = {(c.from_lane, c.via, c.to_lane, c.direction) for c in road.connections}
+    assert ways == {
+        ("11", ("21",), "31", "straight"),
+        ("12", ("22",), "32", "straight"),
+        ("12", ("23",), "33", "left"),
+        ("31", (), "41", "straight"),
+        ("32", ("42",), "22", "straight"),  # and no farther: it came from there
+    }
+    assert graph.successors[at["12"]].tolist() == [at["22"], at["23"]]
+    assert DIRECTIONS[graph.direction[at["23"]]] == "left"
+    assert {lane.edge for lane in road.lanes if lane.internal} >= {road.lanes[at["22"]].edge}
+    assert [lane.width_m for lane in road.lanes] == pytest.approx([3.0] * len(ids))
+    assert all(math.isnan(lane.speed_limit_mps) for lane in road.lanes)
+    (crossing,) = road.crossings
+    np.testing.assert_allclose(crossing.centerline, [[152, -4], [152, 8]])
+    assert crossing.width_m == 4.0
+    assert not crossing.priority
+    assert road.signal_groups == ()
+
+
+def test_what_is_seen_on_a_map(tmp_path: Path) -> None:
+    road = road_of(tmp_path, hand_written())
+    x = np.array([[60.0, 62.0, 64.0], [130.0, 131.0, 132.0]])
+    steps = Steps.of(
+        Tracks(
+            ids=np.arange(2), names=("a", "b"), kind=np.full(2, AgentKind.CAR.code),
+            length=np.full(2, 4.0), width=np.full(2, 2.0), time_s=np.array([0.1, 0.2, 0.3]),
+            xy=np.stack([x, np.full((2, 3), 0.5)], axis=2), heading=np.zeros((2, 3)),
+            speed=np.array([[20.0] * 3, [10.0] * 3]), valid=np.ones((2, 3), dtype=bool),
+            signals=np.zeros((0, 3)),
+        )
+    )  # fmt: skip
+    seen = observe(steps, road)
+    assert [road.lanes[i].id for i in seen.lane] == ["11"] * 3 + ["31"] * 3
+    assert seen.leader.tolist() == [3, 4, 5, -1, -1, -1]
+    np.testing.assert_allclose(seen.gap[:3], [66.0, 65.0, 64.0])
+    np.testing.assert_allclose(seen.offset, 0.5)
+    assert np.isnan(seen.limit).all()
+    found = watch(steps, road, recorded=True)
+    assert found.events == ()  # too fast for what limit?
+    assert found.exhibits == ()
+
+
+def test_a_map_without_lanes_is_no_road(tmp_path: Path) -> None:
+    assert read_map(put(tmp_path, static_map(None))) is None
+    with pytest.raises(InputError, match="found no lane segment"):
+        read_road_file(tmp_path / "log_map_archive_s.json")
+
+
+def test_a_map_of_points_is_no_map(tmp_path: Path) -> None:
+    archive = {"lane_segments": {"1": segment(1, [(0, 0), (9, 0)])}, "pedestrian_crossings": {}}
+    archive["lane_segments"]["1"]["centerline"] = points((5, 5), (5, 5))
+    with pytest.raises(InputError, match="found no centre line of any length"):
+        read_map(put(tmp_path, archive))
+
+
+@pytest.mark.parametrize("name", sorted(SCENARIOS))
+def test_what_is_written_of_a_road_reads_back(tmp_path: Path, name: str) -> None:
+    road = SCENARIOS[name]().road
+    back = road_of(tmp_path, static_map(road))
+    lanes = [lane for lane in road.lanes if not lane.walking]
+    assert len(back.lanes) == len(lanes)
+    for one, other in zip(lanes, back.lanes, strict=True):
+        np.testing.assert_array_equal(one.centerline, other.centerline)
+        assert one.internal == other.internal
+        if one.length_m > 0.0:  # SUMO has ways of no length, which have no sides to write
+            assert one.width_m == pytest.approx(other.width_m)
+    for one, other in zip(road.crossings, back.crossings, strict=True):
+        np.testing.assert_allclose(one.centerline[[0, -1]], other.centerline, atol=1e-9)
+        assert one.width_m == pytest.approx(other.width_m)
+    kept = np.array([not lane.walking for lane in road.lanes])
+    number = np.append(np.cumsum(kept) - 1, -1)  # -1 stays -1
+    graph, again = LaneGraph.of(road), LaneGraph.of(back)
+    for field in ("left", "right", "ahead", "behind"):
+        expected = number[getattr(graph, field)[kept]]
+        np.testing.assert_array_equal(getattr(again, field), expected, field)
+    np.testing.assert_array_equal(again.direction, graph.direction[kept])
+    for i, ways in enumerate(graph.successors[kept]):
+        assert set(number[ways]) - {-1} == set(again.successors[i]) - {-1}
+
+
+def broken(**changes: Any) -> dict[str, Any]:
+    archive = hand_written()
+    archive["lane_segments"]["11"] |= changes
+    return archive
+
+
+@pytest.mark.parametrize(
+    ("archive", "told"),
+    [
+        ("", "JSON"),
+        ("[]", "JSON"),
+        ("[" * 100_000, "JSON"),
+        ("{}", "lane_segments: Field required"),
+        (broken(id="11"), "lane_segments.11.id"),
+        (broken(id=12), "found an id twice"),
+        (broken(id=-1), "lane_segments.11.id"),
+        (broken(successors=None), "lane_segments.11.successors"),
+        (broken(successors=[1] * (MAX_FOLLOWING + 1)), "lane_segments.11.successors"),
+        (broken(centerline=points((0, 0))), "lane_segments.11.centerline"),
+        (broken(centerline=points((0, 0), (math.nan, 0))), "lane_segments.11.centerline.1.x"),
+        (broken(centerline=points((0, 0), (math.inf, 0))), "lane_segments.11.centerline.1.x"),
+        (broken(centerline=points((0, 0), (1e300, 0))), "lane_segments.11.centerline.1.x"),
+        (broken(centerline=[{"x": 1.0}, {"x": 2.0}]), "lane_segments.11.centerline.0.y"),
+        (broken(left_neighbor_id=1.5), "lane_segments.11.left_neighbor_id"),
+        (broken(is_intersection="no"), "lane_segments.11.is_intersection"),
+    ],
+)  # fmt: skip
+def test_maps_that_cannot_be(tmp_path: Path, archive: object, told: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_map(put(tmp_path, archive))
+    assert "log_map_archive_s.json: " in str(caught.value)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_ways_through_a_maze_of_junctions_are_not_all_followed(tmp_path: Path) -> None:
+    every = {}
+    for layer in range(30):
+        for k in range(10):
+            onward = [10 * (layer + 1) + j for j in range(10)] if layer < 29 else []
+            line = [(float(layer), float(k)), (layer + 1.0, float(k))]
+            every[10 * layer + k] = segment(
+                10 * layer + k, line, is_intersection=layer > 0, successors=onward
+            )
+    archive = {"lane_segments": {str(i): s for i, s in every.items()}, "pedestrian_crossings": {}}
+    with pytest.raises(InputError, match="ways through junctions"):
+        read_map(put(tmp_path, archive))
+
+
+SAMPLE = json.dumps(hand_written()).encode()
+
+
+@settings(max_examples=300, deadline=None, database=None)
+@given(data=st.data())
+def test_altered_maps_are_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    content = bytearray(SAMPLE)
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        end = at + data.draw(st.integers(0, 8))
+        content[at:end] = data.draw(st.one_of(st.binary(max_size=8), st.sampled_from(
+            [b"null", b"-1", b"1e999", b"12", b"[]", b"{}", b"true", b'"']
+        )))  # fmt: skip
+    path = tmp_path_factory.mktemp("altered") / "map.json"
+    path.write_bytes(bytes(content) or b" ")
+    message, road = f"{path.name}: read", None
+    try:
+        road = read_map(path)
+    except InputError as error:
+        message = str(error)
+    assert path.name in message
+    assert "\n" not in message
+    if road is not None:
+        graph = LaneGraph.of(road)
+        assert np.isfinite(graph.length).all()
+        assert (graph.successors < len(road.lanes)).all()
+
+
+def test_the_real_map(tmp_path: Path) -> None:
+    home = os.environ.get("GRAPHRQI_DATA")
+    if not home:
+        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
+    from experiments.exchange import export_dataset, import_recordings
+    from experiments.verify import find_flaws
+    from sim.dataset import open_dataset
+
+    import_recordings(Path(home) / "argoverse2", tmp_path / "data", quiet=True)
+    dataset = open_dataset(tmp_path / "data")
+    assert find_flaws(dataset) == []
+    (entry,) = dataset.episodes()
+    road, tracks = dataset.road(entry), dataset.read(entry).tracks
+    assert road is not None
+    steps = Steps.of(tracks)
+    seen = observe(steps, road)
+    # parked cars are beside the lanes, and some come from beyond the map
+    moves = (steps.kind == AgentKind.CAR.code)[steps.presence.agent] & (steps.speed > 2.0)
+    x0, y0, x1, y1 = road.bounds
+    moves &= ((steps.xy >= (x0, y0)) & (steps.xy <= (x1, y1))).all(axis=1)
+    assert moves.sum() > 100
+    assert seen.on_road[moves].mean() > 0.8
+    assert np.nanmedian(np.abs(seen.offset[moves])) < 0.7
+    assert np.nanmedian(np.abs(seen.lane_heading[moves])) < 0.1
+    events: list[Event] = list(watch(steps, road, recorded=True).events)
+    assert not [e for e in events if e.kind in ("red run", "did not yield")]  # nobody knows
+    export_dataset(tmp_path / "data", tmp_path / "again", "argoverse2", quiet=True)
+    (archive,) = (tmp_path / "again").rglob("log_map_archive_*.json")
+    again = read_map(archive)
+    assert again is not None
+    for one, other in zip(road.lanes, again.lanes, strict=True):
+        np.testing.assert_array_equal(one.centerline, other.centerline)
+        assert one.internal == other.internal
