@@ -152,7 +152,9 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
                 f"{', '.join(self.metadata['render_modes'])}"
             )
         self.metadata = dict(type(self).metadata)  # type: ignore[misc]
+        self._made = False
         super().__init__(dict(config or {}), render_mode)
+        self._made = True
 
     # Configuration ---------------------------------------------------------------------------
 
@@ -234,6 +236,8 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         Raises:
             InputError: if the configuration means nothing.
         """
+        if not self._made:  # highway-env's own way to make a scene; here every episode makes one
+            return {}, {}
         gymnasium.Env.reset(self, seed=seed)
         if options:
             for key in options:
