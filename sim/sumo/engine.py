@@ -376,17 +376,24 @@ class _Reader:
         self._touching = touching
 
     def present(self) -> tuple[Sequence[str], Sequence[str]]:
-        """Names of the vehicles and of the pedestrians on the road now.
+        """Names of the vehicles and of the pedestrians on the road after a simulation step.
 
-        As long as nobody comes or goes they are the same two objects.
+        To be asked after every step: as long as nobody comes or goes they are the same two objects.
         """
-        present = (
-            self._sumo.vehicle_getIDList(),
-            self._sumo.person_getIDList() if self._walk else (),
-        )
+        sumo = self._sumo
+        changed = sumo.simulation_getDepartedNumber() or sumo.simulation_getArrivedNumber()
+        if self._walk and not changed:
+            changed = sumo.simulation_getDepartedPersonNumber()
+            changed = changed or sumo.simulation_getArrivedPersonNumber()
+        if changed:
+            self._ask()
+        return self._present
+
+    def _ask(self) -> None:
+        sumo = self._sumo
+        present = sumo.vehicle_getIDList(), sumo.person_getIDList() if self._walk else ()
         if present != self._present:
             self._present = present
-        return self._present
 
     def note_removed(self, agents: Sequence[int], time_s: float) -> None:
         """Note who was taken off the road."""
@@ -403,8 +410,9 @@ class _Reader:
             controls: who has steered in this step, if anybody has.
         """
         sumo = self._sumo
-        asked = controls is not None and not (controls.removed or controls.moved)
-        vehicles, persons = self._present if asked else self.present()
+        if controls is None or controls.removed or controls.moved:
+            self._ask()
+        vehicles, persons = self._present
         known = self._known
         if vehicles is not known.vehicles or persons is not known.persons:
             known = self._known = self._roll(vehicles, persons)
