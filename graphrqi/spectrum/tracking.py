@@ -173,11 +173,9 @@ def rayleigh_ritz(
     for j in range(d):
         y, sum_j = load(x, j), load(ax, j)
         for p in range(starts[j], starts[j + 1]):
-            v = entries[p]
-            if v != 0.0:
-                i = rows[p]
-                sum_j = plus(sum_j, v, load(x, i))
-                store(ax, i, plus(load(ax, i), v, y))
+            v, i = entries[p], rows[p]
+            sum_j = plus(sum_j, v, load(x, i))
+            store(ax, i, plus(load(ax, i), v, y))
         store(ax, j, sum_j)
     for a in range(8):
         store(g, a, nothing)
