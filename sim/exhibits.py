@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from behaviors.traits import Exhibit, RuleEncounter, Seen, detect
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal
+from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal, says_stop
 from sim.lane_graph import LaneGraph, project
 from sim.lane_search import along
 from sim.observables import Observables, observe
@@ -85,7 +85,6 @@ def see(steps: Steps, road: Road, observed: Observables | None = None) -> Seen:
     for link in road.connections:
         at = road.lane_index[link.from_lane]
         held[at] |= link.must_stop or (link.must_yield and link.signal < 0)
-    red = (observed.signal == Signal.RED.code) | (observed.signal == Signal.YELLOW.code)
     off_crossing, on_red = _walkers(steps, road)
     return Seen(
         presence=steps.presence,
@@ -105,7 +104,7 @@ def see(steps: Steps, road: Road, observed: Observables | None = None) -> Seen:
         gap=observed.gap,
         closing=observed.closing,
         stop_distance=observed.stop_distance,
-        stop_ahead=red | held[lane],
+        stop_ahead=says_stop(observed.signal) | held[lane],
         crossing_distance=observed.crossing_distance,
         crossing_used=observed.crossing_occupied | observed.crossing_waiting,
         off_crossing=off_crossing,

@@ -66,6 +66,15 @@ SIGNALS: Final[tuple[Signal, ...]] = tuple(Signal)
 """The code order of signal states: code c means ``SIGNALS[c]``."""
 
 
+def says_stop(signals: CodeArray) -> BoolArray:
+    """Which of some signals are red or yellow.
+
+    Args:
+        signals: codes into ``SIGNALS``, of any shape.
+    """
+    return np.asarray((signals == Signal.RED.code) | (signals == Signal.YELLOW.code))
+
+
 class EventKind(StrEnum):
     """What can happen to or between agents.
 

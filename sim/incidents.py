@@ -18,7 +18,7 @@ from behaviors.presence import Presence
 from behaviors.traits import Exhibit, Seen, cutting_in
 from sim.contacts import Contact, contacts
 from sim.exhibits import see
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal
+from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, Signal, says_stop
 from sim.lane_search import along
 from sim.observables import Observables, observe
 from sim.road import Crossing, Road
@@ -86,8 +86,6 @@ APART_S: Final = 3.0
 BETWEEN_LANES_M: Final = 0.2
 """Whose box reaches this far over the marking of its lane is between lanes (our choice: cars that
 keep their lane stay 0.7 m from it)."""
-
-_STOP_SIGNALS: Final = (Signal.RED.code, Signal.YELLOW.code)
 
 
 def incidents(
@@ -300,7 +298,7 @@ def _verdict(
             continue
         clear = int(walked[0])  # counted from begin: when the person had left the vehicle's path
         span = slice(come, come + clear + 1)
-        held = (seen.stop_distance[span] >= 0) & np.isin(seen.signal[span], _STOP_SIGNALS)
+        held = (seen.stop_distance[span] >= 0) & says_stop(seen.signal[span])
         held |= seen.gap[span] < left_m[: clear + 1]
         since = int(np.flatnonzero(held)[-1]) + 1 if held.any() else 0
         if since >= clear or not _could_stop(float(speed[since]), float(left_m[since])):
@@ -367,9 +365,12 @@ def _others_cross(
         for index, link in enumerate(road.connections)
         if own in link.yields_to or index in road.connections[own].yields_to
     }
-    inside = np.flatnonzero((ways >= 0) & (presence.step >= begin) & (presence.step <= until))
-    inside = inside[presence.agent[inside] != agent]
-    return bool(np.isin(ways[inside], list(foes)).any()) if foes else False
+    if not foes:
+        return False
+    others = np.flatnonzero(np.isin(ways, list(foes)))
+    step = presence.step[others]
+    others = others[(step >= begin) & (step <= until)]
+    return bool((presence.agent[others] != agent).any())
 
 
 @functools.lru_cache(maxsize=32)
