@@ -280,15 +280,28 @@ def factor_and_solve(
     if factorise:
         store(lanes, ABOVE, number)
         store(lanes, GROWTH, size)
+    # Two sums side by side: each addition waits for the one before it.
     for again in range(solves):
         if again or not factorise:
             for i in range(d):
                 xi = load(x, i)
-                for p in range(row_starts[i], row_starts[i + 1]):
+                p, end = row_starts[i], row_starts[i + 1]
+                half = spread(0.0)
+                while p + 1 < end:
                     xi = less(xi, load(factor, spots[p]), load(x, columns[p]))
-                store(x, i, times(xi, load(pivots, i)))
+                    half = less(half, load(factor, spots[p + 1]), load(x, columns[p + 1]))
+                    p += 2
+                if p < end:
+                    xi = less(xi, load(factor, spots[p]), load(x, columns[p]))
+                store(x, i, times(plus(xi, 1.0, half), load(pivots, i)))
         for j in range(d - 1, -1, -1):
-            sum_j = spread(0.0)
-            for p in range(starts[j], starts[j + 1]):
+            sum_j = half = spread(0.0)
+            p, end = starts[j], starts[j + 1]
+            while p + 1 < end:
                 sum_j = more(sum_j, load(factor, p), load(x, rows[p]))
+                half = more(half, load(factor, p + 1), load(x, rows[p + 1]))
+                p += 2
+            if p < end:
+                sum_j = more(sum_j, load(factor, p), load(x, rows[p]))
+            sum_j = plus(sum_j, 1.0, half)
             store(x, j, less(load(x, j), sum_j, load(pivots, j)))
