@@ -39,6 +39,10 @@ MAX_FOLLOWING: Final = 16
 MAX_WAYS: Final = 100_000
 """Most ways through junctions of a map (our choice)."""
 
+MAX_LENGTH_M: Final = 1e7
+"""Longest that all lanes and crossings of a map may be together, m (our choice; a city's streets
+are some thousand km): what is drawn of them stays small."""
+
 STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
 """A way that turns by less than the first goes straight, by more than the second goes back (our
 choice: about as SUMO's netconvert has it)."""
@@ -125,12 +129,17 @@ def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road | No
     lines = {i: _array(segment.centerline) for i, segment in segments.items()}
     if not any(_pieces(line).size for line in lines.values()):
         raise InputError(f"{path}: lane_segments: found no centre line of any length")
+    crossings = tuple(_crossing(c) for c in archive.pedestrian_crossings.values())
+    together = [*lines.values(), *(crossing.centerline for crossing in crossings)]
+    length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in together)
+    if length_m > MAX_LENGTH_M:
+        raise InputError(f"{path}: found {length_m:.3g} m of lanes, expected {MAX_LENGTH_M:g}")
     lanes = _lanes(segments, lines)
     return Road(
         name=name if name is not None else path.stem,
         lanes=tuple(lanes),
         connections=tuple(_connections(path, segments, lines)),
-        crossings=tuple(_crossing(c) for c in archive.pedestrian_crossings.values()),
+        crossings=crossings,
         signal_groups=(),
         source=path,
     )

@@ -200,6 +200,7 @@ def broken(**changes: Any) -> dict[str, Any]:
         (broken(centerline=points((0, 0), (math.nan, 0))), "lane_segments.11.centerline.1.x"),
         (broken(centerline=points((0, 0), (math.inf, 0))), "lane_segments.11.centerline.1.x"),
         (broken(centerline=points((0, 0), (1e300, 0))), "lane_segments.11.centerline.1.x"),
+        (broken(centerline=points((0, 0), (1e8, 0))), "found 1e+08 m of lanes"),
         (broken(centerline=[{"x": 1.0}, {"x": 2.0}]), "lane_segments.11.centerline.0.y"),
         (broken(left_neighbor_id=1.5), "lane_segments.11.left_neighbor_id"),
         (broken(is_intersection="no"), "lane_segments.11.is_intersection"),
