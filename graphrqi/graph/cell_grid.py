@@ -253,12 +253,12 @@ def join(
         columns sorted); the last two have room to spare.
     """
     n, m, c = row_of.size, starts[row_of.size], old_indptr.size - 1
-    seen = np.empty(d, np.int32)
+    seen, known = np.empty(d, np.int32), np.empty(d, np.int32)
     # Transposing twice sorts the lists: `a` holds who chose a row, `b` whom the row chose.
     a_start, b_start = np.empty(d + 2, np.int32), np.empty(d + 2, np.int32)
     a, b = np.empty(m, np.int32), np.empty(m, np.int32)
     for r in range(d):
-        seen[r] = -1
+        seen[r] = known[r] = -1
     for i in range(n):
         seen[row_of[i]] = i
     for r in range(d + 2):
@@ -292,6 +292,19 @@ def join(
         po, eo = 0, 0
         if r < c:
             po, eo = old_indptr[r], old_indptr[r + 1]
+        same = scale_m <= 0.0 and r < c  # most rows stay as they were, and are copied
+        for p in range(po, eo):
+            known[old_indices[p]] = r
+        for p in range(pa, ea):
+            same = same and known[a[p]] == r
+        for p in range(pb, eb):
+            same = same and known[b[p]] == r
+        if same:
+            for p in range(po, eo):
+                indices[z + p - po], values[z + p - po] = old_indices[p], old_values[p]
+            z += eo - po
+            indptr[r + 1] = z
+            continue
         degree = 0.0
         diagonal = -1
         while True:
