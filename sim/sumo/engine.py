@@ -14,7 +14,7 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -265,6 +265,7 @@ def _steps(
     with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
         sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), law)
         controls: Controls | None = None
+        meddled = False  # whether controllers took somebody away or placed somebody
         try:
             reader = _Reader(sumo, scenario.road, agents)
             if steer:
@@ -279,9 +280,14 @@ def _steps(
                         if read:
                             reader.watch(now_s)
                         if controls is not None:
-                            controls.step(now_s, *reader.present())
+                            controls.step(now_s, *reader.present(again=meddled))
                             reader.note_removed(controls.removed, now_s)
-                    frame = reader.read(index * scenario.step_s, controls) if read else None
+                            meddled = bool(controls.removed) or controls.moved
+                    frame = None
+                    if read:
+                        walking = {} if controls is None else controls.walking_speeds
+                        again = meddled or controls is None
+                        frame = reader.read(index * scenario.step_s, walking, again=again)
                 except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                     raise SumoError(
                         f"sumo: stopped at {index * scenario.step_s:g} s: "
@@ -375,25 +381,25 @@ class _Reader:
             self._events.append(Event(kind, time_s, *pair))
         self._touching = touching
 
-    def present(self) -> tuple[Sequence[str], Sequence[str]]:
+    def present(self, again: bool) -> tuple[Sequence[str], Sequence[str]]:
         """Names of the vehicles and of the pedestrians on the road after a simulation step.
 
-        To be asked after every step: as long as nobody comes or goes they are the same two objects.
+        As long as nobody comes or goes they are the same two objects.
+
+        Args:
+            again: whether to ask in any case: SUMO does not count whom controllers take away, nor
+                what happened in a step after which nobody asked.
         """
         sumo = self._sumo
-        changed = sumo.simulation_getDepartedNumber() or sumo.simulation_getArrivedNumber()
+        changed = again or sumo.simulation_getDepartedNumber() or sumo.simulation_getArrivedNumber()
         if self._walk and not changed:
             changed = sumo.simulation_getDepartedPersonNumber()
             changed = changed or sumo.simulation_getArrivedPersonNumber()
         if changed:
-            self._ask()
+            present = sumo.vehicle_getIDList(), sumo.person_getIDList() if self._walk else ()
+            if present != self._present:
+                self._present = present
         return self._present
-
-    def _ask(self) -> None:
-        sumo = self._sumo
-        present = sumo.vehicle_getIDList(), sumo.person_getIDList() if self._walk else ()
-        if present != self._present:
-            self._present = present
 
     def note_removed(self, agents: Sequence[int], time_s: float) -> None:
         """Note who was taken off the road."""
@@ -402,17 +408,16 @@ class _Reader:
                 Event(EventKind.REMOVAL, time_s, agent, rule="stood on the wrong side")
             )
 
-    def read(self, time_s: float, controls: Controls | None) -> Frame:
+    def read(self, time_s: float, walking_speeds: Mapping[str, float], again: bool) -> Frame:
         """The state now, with the events since the last reading.
 
         Args:
             time_s: simulated time, s.
-            controls: who has steered in this step, if anybody has.
+            walking_speeds: speeds, m/s, of pedestrians whose speed SUMO does not know.
+            again: whether who is there has to be asked since `present` was.
         """
         sumo = self._sumo
-        if controls is None or controls.removed or controls.moved:
-            self._ask()
-        vehicles, persons = self._present
+        vehicles, persons = self.present(again=True) if again else self._present
         known = self._known
         if vehicles is not known.vehicles or persons is not known.persons:
             known = self._known = self._roll(vehicles, persons)
@@ -423,8 +428,8 @@ class _Reader:
         if persons:
             places = chain(places, chain.from_iterable(map(sumo.person_getPosition, persons)))
             walking = map(sumo.person_getSpeed, persons)
-            if controls is not None and controls.walking_speeds:
-                walking = map(controls.walking_speeds.get, persons, walking)
+            if walking_speeds:
+                walking = map(walking_speeds.get, persons, walking)
             speeds = chain(speeds, walking)
             angle = np.concatenate(
                 [angle, np.fromiter(map(sumo.person_getAngle, persons), np.float64, len(persons))]
