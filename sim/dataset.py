@@ -110,6 +110,13 @@ class _Steps:
     def exact(self) -> bool:
         return self.x.dtype == np.float64
 
+    def agents(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(N,) ids of the agents, ascending, and (N,) how many rows each has."""
+        first = np.ones(self.agent.size, dtype=bool)
+        first[1:] = self.agent[1:] != self.agent[:-1]  # they come agent by agent
+        begins = np.flatnonzero(first)
+        return self.agent[begins], np.diff(begins, append=self.agent.size)
+
 
 def _rounded(values: NDArray[np.float64], quantum: float) -> NDArray[np.float32]:
     return (np.rint(values * (1.0 / quantum)) * quantum).astype(np.float32)
@@ -381,7 +388,7 @@ def write_episode(
         if close is not None:
             close()
     ordered = sorted(agents, key=lambda a: a.id)
-    seen = np.unique(steps.agent)
+    seen, _ = steps.agents()
     strangers = seen[~np.isin(seen, np.array([a.id for a in ordered], dtype=np.int64))]
     if strangers.size:
         raise InputError(f"frames: found agent {strangers[0]}, expected one of {len(agents)} given")
@@ -396,7 +403,8 @@ def write_episode(
 def _watched(steps: _Steps, agents: Sequence[AgentSpec], road: Path) -> Watched:
     """What is told of the steps as they are read back."""
     every = np.array([a.id for a in agents], dtype=np.int64)
-    ids, row = np.unique(steps.agent, return_inverse=True)
+    ids, counts = steps.agents()
+    row = np.repeat(np.arange(ids.size), counts)
     specs = [agents[i] for i in np.searchsorted(every, ids)]
     told = Steps(
         presence=Presence.of_rows(row, steps.step.astype(np.int64), ids.size, steps.time_s.size),
