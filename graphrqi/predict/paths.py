@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +23,9 @@ REACH_M: Final = 150.0
 
 MOST_LANES: Final = 10
 """Lanes per path at most (our choice)."""
+
+MOST_PATHS: Final = 200
+"""Paths per lane at most, those that go straight on first (our choice: a maze has any number)."""
 
 PRIOR: Final = (0.5, 0.2, 0.25, 0.05)
 """How likely one goes straight, right, left or back where all are open (our choice; a third to a
@@ -93,16 +97,14 @@ def limits(graph: LaneGraph) -> FloatArray:
     return np.where(np.isnan(graph.limit), UNKNOWN_LIMIT_MPS, graph.limit)
 
 
-def _continue(graph: LaneGraph, chain: list[int], beyond_m: float) -> list[list[int]]:
+def _continue(graph: LaneGraph, chain: list[int], beyond_m: float) -> Iterator[list[int]]:
     ways = graph.successors[chain[-1]]
     ways = ways[ways >= 0]
     if not ways.size or len(chain) >= MOST_LANES or beyond_m >= REACH_M:
-        return [chain]
-    return [
-        path
-        for way in ways
-        for path in _continue(graph, [*chain, int(way)], beyond_m + float(graph.length[way]))
-    ]
+        yield chain
+        return
+    for way in ways:
+        yield from _continue(graph, [*chain, int(way)], beyond_m + float(graph.length[way]))
 
 
 def _build(road: Road) -> PathTable:
@@ -114,7 +116,7 @@ def _build(road: Road) -> PathTable:
     for lane in range(lanes):
         first[lane] = len(rows)
         if graph.drivable[lane]:
-            rows += _continue(graph, [lane], 0.0)
+            rows += itertools.islice(_continue(graph, [lane], 0.0), MOST_PATHS)
         count[lane] = len(rows) - first[lane]
     yield_lane, yield_entry, foes = _yielding(road, graph)
     yield_row = {lane: groups + graph.cross_lane.size + y for y, lane in enumerate(yield_lane)}

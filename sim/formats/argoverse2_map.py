@@ -27,11 +27,11 @@ from behaviors.errors import InputError
 from sim.formats.recording import MAX_MAGNITUDE
 from sim.road import Connection, Crossing, Lane, Road
 
-MAX_MAP_BYTES: Final = 2**25
-"""Largest map that is read (our choice: 32 MiB; those of scenarios have some 0.2)."""
+MAX_MAP_BYTES: Final = 2**23
+"""Largest map that is read (our choice: 8 MiB; those of scenarios have some 0.2)."""
 
-MAX_SEGMENTS: Final = 20_000
-"""Most lane segments and most crosswalks of a map (our choice; a whole city has fewer)."""
+MAX_SEGMENTS, MAX_CROSSWALKS = 5_000, 500
+"""Most lane segments and most crosswalks of a map (our choice; scenarios have some 100 and 10)."""
 
 MAX_FOLLOWING: Final = 16
 """Most segments that one may lead to (our choice; five are common)."""
@@ -88,7 +88,7 @@ class _Crosswalk(_Part):
 
 class _Archive(_Part):
     lane_segments: Annotated[dict[str, _Segment], Field(max_length=MAX_SEGMENTS)]
-    pedestrian_crossings: Annotated[dict[str, _Crosswalk], Field(max_length=MAX_SEGMENTS)]
+    pedestrian_crossings: Annotated[dict[str, _Crosswalk], Field(max_length=MAX_CROSSWALKS)]
 
 
 def read_map(path: Path, name: str | None = None) -> Road | None:

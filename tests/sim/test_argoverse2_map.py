@@ -214,18 +214,25 @@ def test_maps_that_cannot_be(tmp_path: Path, archive: object, told: str) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_ways_through_a_maze_of_junctions_are_not_all_followed(tmp_path: Path) -> None:
+def maze(layers: int, *, internal: bool) -> dict[str, Any]:
+    """Layers of ten lanes of 1 m, each of which leads to all of the next layer."""
     every = {}
-    for layer in range(30):
-        for k in range(10):
-            onward = [10 * (layer + 1) + j for j in range(10)] if layer < 29 else []
-            line = [(float(layer), float(k)), (layer + 1.0, float(k))]
-            every[10 * layer + k] = segment(
-                10 * layer + k, line, is_intersection=layer > 0, successors=onward
-            )
-    archive = {"lane_segments": {str(i): s for i, s in every.items()}, "pedestrian_crossings": {}}
+    for i in range(10 * layers):
+        layer, k = divmod(i, 10)
+        onward = list(range(10 * layer + 10, 10 * layer + 20)) if layer < layers - 1 else []
+        line = [(float(layer), float(k)), (layer + 1.0, float(k))]
+        inside = internal and layer > 0
+        every[str(i)] = segment(i, line, is_intersection=inside, successors=onward)
+    return {"lane_segments": every, "pedestrian_crossings": {}}
+
+
+def test_ways_through_a_maze_are_not_all_followed(tmp_path: Path) -> None:
+    from graphrqi.predict.paths import MOST_PATHS, PathTable
+
     with pytest.raises(InputError, match="ways through junctions"):
-        read_map(put(tmp_path, archive))
+        read_map(put(tmp_path, maze(30, internal=True)))
+    paths = PathTable.of(road_of(tmp_path, maze(4, internal=False)))
+    assert paths.count.max() == MOST_PATHS
 
 
 SAMPLE = json.dumps(hand_written()).encode()
