@@ -305,7 +305,7 @@ def _early_chart(
     return line_chart(
         f"{scenario}: how early", Axis("watched, s"),
         Axis("balanced accuracy", low=0.0, high=1.0),
-        [Line("this run's model", tuple(points), "#0072B2"), chance] if points else [],
+        [Line("this run's model", tuple(points)), chance] if points else [],
     )  # fmt: skip
 
 
@@ -325,7 +325,7 @@ def _reliability_chart(
     return line_chart(
         f"{scenario}: how sure, how right", Axis("confidence", low=0.0, high=1.0),
         Axis("share that is right", low=0.0, high=1.0),
-        [Line("this run's model", points, "#D55E00"), ideal] if points else [],
+        [Line("this run's model", points), ideal] if points else [],
     )  # fmt: skip
 
 
