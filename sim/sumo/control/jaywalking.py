@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sim.frames import AgentKind
+from sim.frames import AgentKind, FloatArray
 from sim.road import Lane, Road
 from sim.scenario import AgentSpec
 
@@ -187,19 +187,23 @@ def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, floa
         road: the road.
         agents: everyone; who does not jaywalk, or finds no place to, is left out.
     """
+    walkers = [a for a in agents if a.jaywalks and a.kind is AgentKind.PEDESTRIAN]
+    begun = {agent.route[0] for agent in walkers}
     places = {
-        lane.edge: _places(road, lane) for lane in road.lanes if lane.walking and not lane.internal
+        lane.edge: _places(road, lane)
+        for lane in road.lanes
+        if lane.edge in begun and lane.walking and not lane.internal
     }
     found = {}
-    for agent in agents:
-        choice = places.get(agent.route[0], ()) if agent.jaywalks else ()
-        if agent.kind is AgentKind.PEDESTRIAN and choice:
+    for agent in walkers:
+        choice = places.get(agent.route[0])
+        if choice is not None and choice.size:
             rng = np.random.default_rng((agent.seed, 5))
-            found[agent.id] = choice[int(rng.integers(len(choice)))]
+            found[agent.id] = float(choice[int(rng.integers(len(choice)))])
     return found
 
 
-def _places(road: Road, sidewalk: Lane) -> tuple[float, ...]:
+def _places(road: Road, sidewalk: Lane) -> FloatArray:
     """Distances along a sidewalk, m, where one may jaywalk.
 
     Away from junctions, and from where vehicles appear: nobody can see who is not there yet.
@@ -211,15 +215,12 @@ def _places(road: Road, sidewalk: Lane) -> tuple[float, ...]:
         if not (lane.walking or lane.internal or lane.id in reached)
     ]
     begin, end = sidewalk.centerline[0], sidewalk.centerline[-1]
-    along = np.arange(MARGIN_M, sidewalk.length_m - MARGIN_M, 5.0)
-    return tuple(
-        float(s)
-        for s in along
-        if all(
-            np.hypot(*(begin + (end - begin) * s / sidewalk.length_m - entry)) >= SIGHT_M
-            for entry in entries
-        )
+    length_m = sidewalk.length_m
+    along = np.arange(MARGIN_M, length_m - MARGIN_M, 5.0)
+    away = (begin + (end - begin) * along[:, None] / length_m)[:, None] - np.reshape(
+        entries, (-1, 2)
     )
+    return along[(np.hypot(away[..., 0], away[..., 1]) >= SIGHT_M).all(axis=1)]
 
 
 def _other_side(
