@@ -217,10 +217,10 @@ def _places(road: Road, sidewalk: Lane) -> FloatArray:
     begin, end = sidewalk.centerline[0], sidewalk.centerline[-1]
     length_m = sidewalk.length_m
     along = np.arange(MARGIN_M, length_m - MARGIN_M, 5.0)
-    away = (begin + (end - begin) * along[:, None] / length_m)[:, None] - np.reshape(
-        entries, (-1, 2)
-    )
-    return along[(np.hypot(away[..., 0], away[..., 1]) >= SIGHT_M).all(axis=1)]
+    points: FloatArray = begin + (end - begin) * along[:, None] / length_m
+    away = points[:, None] - np.reshape(entries, (-1, 2))
+    seen = np.hypot(away[..., 0], away[..., 1]) >= SIGHT_M
+    return np.asarray(along[seen.all(axis=1)])
 
 
 def _other_side(
