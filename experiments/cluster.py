@@ -84,8 +84,9 @@ def _connected(address: str, folder: Path, engine: str) -> Iterator[Client]:
         for worker, there in _answers(client, made_with, engine).items():
             if there != here:
                 raise InputError(f"cluster {address}: found {there} on {worker}, expected {here}")
+        ours = code()
         for worker, theirs in _answers(client, code).items():
-            if theirs != code():
+            if theirs != ours:
                 raise InputError(
                     f"cluster {address}: found other code of the same version on {worker}, "
                     "expected the same: install the same copy there"

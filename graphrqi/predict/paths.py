@@ -92,6 +92,7 @@ class PathTable:
         return _build(road)
 
 
+@functools.lru_cache(maxsize=32)
 def limits(graph: LaneGraph) -> FloatArray:
     """(L,) speed limits that wishes are reckoned by, m/s."""
     return np.where(np.isnan(graph.limit), UNKNOWN_LIMIT_MPS, graph.limit)

@@ -192,7 +192,7 @@ def _track(
     if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
         warm = tracking.track_lively(graph, analysis, warm, k, tol, EXTRA, room)
     certified, pairs, found, departure = tracking.track(
-        *analysis[:11], smallest, warm, analysis.changed, k, scale, tol, low, high,
+        *analysis.pattern, smallest, warm, analysis.changed, k, scale, tol, low, high,
         MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA, room,
     )  # fmt: skip
     if not certified:
@@ -276,14 +276,14 @@ class _Start(NamedTuple):
 
     Attributes:
         vectors: (d, m) earlier vectors, by row of the new graph; m may be 0.
-        product: (d,) its numbers per row, infinite where there is none.
+        product: (d,) its numbers per row, infinite for a new one; None if not known.
         order: (d,) its elimination order, None if it will not do,
         fill: and its fill.
         room: memory for a factor, if there is any.
     """
 
     vectors: Floats
-    product: Floats
+    product: Floats | None
     order: NDArray[np.int32] | None
     fill: float
     room: Floats | None
@@ -292,16 +292,15 @@ class _Start(NamedTuple):
 def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
     d = graph.ids.size
     if previous is None:
-        return _Start(np.empty((d, 0)), np.full(d, np.inf), None, 0.0, None)
+        return _Start(np.empty((d, 0)), None, None, 0.0, None)
     found = previous.carried
     if not isinstance(found, Found):
         found = Found(previous.eigenvectors)
     vectors, product, order = found.vectors, found.product, found.order
-    if product is None:
-        product = np.full(previous.ids.size, np.inf)
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
         vectors, order = carry_rows(previous, graph, vectors), None
-        product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
+        if product is not None:
+            product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
     if not vectors.flags.writeable:  # for another type the kernel would be compiled anew
         vectors = vectors.copy()
     return _Start(vectors, product, order, found.fill, found.room)

@@ -935,6 +935,13 @@ class Analysis(NamedTuple):
     product: Floats
     changed: Bools
 
+    @property
+    def pattern(
+        self,
+    ) -> tuple[Ints, Ints, Ints, Ints, Ints, Ints, Floats, Floats, Ints, int, float]:
+        """What `track` takes first: all up to ``work``."""
+        return self[:11]
+
 
 def analyse(
     graph: TrafficGraph,
@@ -1011,7 +1018,7 @@ def track_lively(
         return warm
     part = analyse(graph, lively_order)
     certified, _, vectors, _ = track(
-        *part[:11], False, warm, changed, k, scale, 0.5 * tol, -1.0, 2.0 * scale + 1.0,
+        *part.pattern, False, warm, changed, k, scale, 0.5 * tol, -1.0, 2.0 * scale + 1.0,
         MAX_LIVELY_SWEEPS, extra, room_for(part, room),
     )  # fmt: skip
     return vectors if certified else warm
