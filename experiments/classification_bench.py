@@ -156,6 +156,11 @@ class Bench:
         """Drivers of the other engine."""
         return self._made("highway", **self.sizes.engine, engine="highway", seed=13)
 
+    @cached_property
+    def krauss(self) -> Recordings:
+        """Drivers of the other engine who follow by SUMO's law."""
+        return self._made("krauss", **self.sizes.engine, engine="highway-krauss", seed=17)
+
 
 def _shipped(bench: Bench) -> list[Row]:
     others = {**bench.traffic, "highway engine": bench.highway}
@@ -178,14 +183,19 @@ def _across_traffic(bench: Bench) -> list[Row]:
 
 
 def _across_engines(bench: Bench) -> list[Row]:
-    there = {"trained on sumo, scored on highway": bench.highway}
-    both = {"trained on sumo with both laws, scored on highway": bench.highway}
-    back = {"trained on highway, scored on sumo": bench.base}
-    protocol, main = "across-engines", bench.sizes.main
+    sumo, highway = bench.base, bench.highway
+    ways = [
+        ("sumo, scored on highway", [sumo], highway),
+        ("sumo with both laws, scored on highway", [sumo, bench.idm], highway),
+        ("highway, scored on sumo", [highway], sumo),
+        ("highway with both laws, scored on sumo", [highway, bench.krauss], sumo),
+    ]
     return [
-        *across_datasets([bench.base], there, main, protocol),
-        *across_datasets([bench.base, bench.idm], both, main, protocol),
-        *across_datasets([bench.highway], back, main, protocol, "test"),
+        row
+        for name, learned, other in ways
+        for row in across_datasets(
+            learned, {f"trained on {name}": other}, bench.sizes.main, "across-engines"
+        )
     ]
 
 

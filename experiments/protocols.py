@@ -615,14 +615,13 @@ def across_datasets(
     others: Mapping[str, Recordings],
     methods: Sequence[str],
     protocol: str,
-    split: Split | None = None,
 ) -> list[Row]:
-    """Trained on datasets together, scored on (a split of) others, named by what differs."""
+    """Trained on datasets together, scored on all of others, named by what differs."""
     rows: list[Row] = []
     for method in methods:
         model, majority = fitted_together(sources, method)
         for variation, other in others.items():
-            everything = other.scored(method, split=split)
+            everything = other.scored(method, split=None)
             for scenario in other.dataset.scenarios:
                 here = other.of(scenario, everything)
                 keys = _keys(protocol, scenario, method, MAIN_S, variation)

@@ -69,6 +69,7 @@ _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "sumo": ("libsumo",),
     "sumo-idm": ("libsumo",),
     "highway": ("highway-env",),
+    "highway-krauss": ("highway-env",),
 }
 """Which packages, beside ours, numpy and pyarrow, determine an engine's bytes."""
 

@@ -21,6 +21,7 @@ ENGINES: Final[dict[str, str]] = {
     "sumo": "sim.sumo.engine:run",
     "sumo-idm": "sim.sumo.engine:run_idm",
     "highway": "sim.highway.engine:run",
+    "highway-krauss": "sim.highway.engine:run_krauss",
 }
 """Where each engine lives, as "module:function"."""
 

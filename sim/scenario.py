@@ -9,7 +9,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -21,6 +21,12 @@ from sim.road import Road
 
 DEFAULT_JAYWALK_SHARE: Final = 0.1
 """Share of pedestrians who cross where and when they should not (our choice)."""
+
+CarFollowing = Literal["Krauss", "IDM"]
+"""SUMO's name of the law that everybody on a road follows their leader by."""
+
+IMPERFECTION: Final = 0.2
+"""Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5). IDM has none."""
 
 EQUAL_MIX: Final[dict[Behavior, float]] = {b: 1.0 / len(BEHAVIORS) for b in BEHAVIORS}
 """Every behaviour as often as any other."""

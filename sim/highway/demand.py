@@ -14,7 +14,7 @@ from sim.highway.network import LaneIndex
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Footway, Walker, find_footway
-from sim.scenario import AgentSpec
+from sim.scenario import AgentSpec, CarFollowing
 
 LONGEST_WAIT_S: Final = 60.0
 """Who found no room for this long stays away (as in the SUMO engine)."""
@@ -31,14 +31,22 @@ class Demand:
         road: where they will travel.
         agents: who they are; any order.
         seed: mixed into every driver's own chance.
+        law: the one by which everybody follows.
 
     Raises:
         InputError: if a route is not of this road, or a driver has no profile.
     """
 
-    def __init__(self, road: TrafficRoad, agents: Sequence[AgentSpec], seed: int) -> None:
+    def __init__(
+        self,
+        road: TrafficRoad,
+        agents: Sequence[AgentSpec],
+        seed: int,
+        law: CarFollowing = "IDM",
+    ) -> None:
         self.road = road
         self.seed = seed
+        self._law = law
         self._footways: dict[tuple[str, ...], Footway] = {}
         self._stretches: dict[tuple[str, ...], tuple[tuple[str, str], ...]] = {}
         self._walking: deque[AgentSpec] = deque()
@@ -120,6 +128,7 @@ class Demand:
             width=agent.width_m,
             agent=agent.id,
             behavior=agent.behavior,
+            law=self._law,
             seed=(self.seed, agent.seed),
             lane_index=lane,
             stretches=way,

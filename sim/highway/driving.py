@@ -7,6 +7,7 @@ are one row, laid out by the indices below (`driver_numbers` makes it from a `Pr
 
 References:
     Treiber, Hennecke, Helbing (2000), Phys. Rev. E 62, 1805: IDM.
+    Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08: his law.
     Kesting, Treiber, Helbing (2007), Transportation Research Record 1999, 86: MOBIL.
     Polack et al. (2017), IEEE IV: the kinematic bicycle; highway-env's steering cascade.
 """
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from behaviors.profiles import Profile
 from sim.frames import AgentKind
-from sim.scenario import KIND_LIMITS
+from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -41,9 +42,13 @@ CHANGE_GAP: Final = 9
 EMERGENCY_DECEL: Final = 10
 STARTUP_DELAY: Final = 11
 TOP_SPEED: Final = 12
+FOLLOWS_KRAUSS: Final = 13
 
 EXPONENT: Final = 4.0
 """IDM's acceleration exponent (Treiber et al. 2000)."""
+
+KRAUSS_STEP_S: Final = 0.1
+"""Krauss's speed is reached within this, s: the longest step of either engine."""
 
 CHANGE_GAIN_MPS2: Final = 0.2
 """MOBIL's threshold of an average driver, m/s2 (highway-env's; Kesting et al. use 0.1)."""
@@ -94,15 +99,16 @@ CUT_IN_BRAKING_MPS2: Final = 4.0
 """Braking that a cut-in may demand of either party at once, m/s2 (our choice)."""
 
 
-def driver_numbers(profile: Profile, kind: AgentKind) -> FloatArray:
+def driver_numbers(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM") -> FloatArray:
     """One driver's numbers as the row that the equations read.
 
     Args:
         profile: what the driver wants and dares.
         kind: what is driven; its physics limit the driver.
+        law: the one by which it follows.
 
     Returns:
-        (13,) read-only.
+        (14,) read-only.
     """
     limits = KIND_LIMITS[kind]
     gain = profile.lane_change_gain
@@ -122,6 +128,7 @@ def driver_numbers(profile: Profile, kind: AgentKind) -> FloatArray:
             max(limits.emergency_decel_mps2, profile.comfort_decel_mps2),
             profile.startup_delay_s,
             min(limits.max_speed_mps, limits.cruise_mps * profile.speed_factor),
+            law == "Krauss",
         ]
     )
     row.flags.writeable = False
@@ -149,6 +156,42 @@ def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_spe
 
 
 @njit(cache=True, error_model="numpy")
+def krauss(
+    driver: FloatArray, speed: float, desired: float, room: float, leader_speed: float
+) -> float:
+    """Krauss's acceleration, m/s2, not bounded below and before his dawdling.
+
+    The speed from which one stops behind the leader, should both brake comfortably and oneself
+    begin a headway later (Krauss 1998, eq. 3.2, as SUMO has it).
+
+    Args:
+        driver: the driver's numbers.
+        speed: own speed, m/s.
+        desired: speed wanted on a free road, m/s.
+        room: bumper gap beyond the smallest one, m; infinite without leader.
+        leader_speed: along the own lane, m/s.
+    """
+    goal = desired
+    if room < np.inf:
+        braking = driver[COMFORT_DECEL]
+        reach = braking * driver[TIME_HEADWAY]
+        slows = reach * reach + leader_speed * leader_speed + 2.0 * braking * room
+        goal = min(goal, math.sqrt(max(slows, reach * reach)) - reach)
+    return float(min(driver[MAX_ACCEL], (goal - speed) / KRAUSS_STEP_S))
+
+
+def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
+    """By how much a driver who follows by Krauss's law falls short, m/s2 (as in SUMO).
+
+    Args:
+        driver: the driver's numbers.
+        speed: m/s; nobody is slowed below standing.
+        chance: drawn evenly from 0 to 1.
+    """
+    return IMPERFECTION * chance * min(float(driver[MAX_ACCEL]), speed / KRAUSS_STEP_S)
+
+
+@njit(cache=True, error_model="numpy")
 def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> float:
     """An acceleration no lower than comfort or, with a reserve, the distance left demands."""
     limit = driver[COMFORT_DECEL]
@@ -161,27 +204,33 @@ def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> fl
 def follow(
     driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
 ) -> float:
-    """The acceleration behind a leader, m/s2; arguments as of `idm`."""
-    return bounded(
-        driver, idm(driver, speed, desired, gap, leader_speed), gap, speed - leader_speed
-    )
+    """The acceleration behind a leader by the driver's law, m/s2; arguments as of `idm`."""
+    if driver[FOLLOWS_KRAUSS]:
+        raw = krauss(driver, speed, desired, gap - driver[MIN_GAP], leader_speed)
+    else:
+        raw = idm(driver, speed, desired, gap, leader_speed)
+    return bounded(driver, raw, gap, speed - leader_speed)
 
 
 @njit(cache=True, error_model="numpy")
 def approach(driver: FloatArray, speed: float, gap: float) -> float:
     """The acceleration towards a line at which to stop, m/s2.
 
-    IDM behind a standing obstacle whose minimal gap is `STOP_MARGIN_M` instead of the driver's.
+    The driver's law behind a standing obstacle whose minimal gap is `STOP_MARGIN_M` instead of the
+    driver's.
 
     Args:
         driver: the driver's numbers.
         speed: m/s.
         gap: front bumper to the line, m.
     """
-    accel = driver[MAX_ACCEL]
-    braking = speed * speed / (2.0 * math.sqrt(accel * driver[COMFORT_DECEL]))
-    wanted = STOP_MARGIN_M + speed * min(driver[TIME_HEADWAY], 1.5) + braking
-    raw = accel * (1.0 - (wanted / max(gap, 0.1)) ** 2)
+    if driver[FOLLOWS_KRAUSS]:
+        raw = krauss(driver, speed, np.inf, gap - STOP_MARGIN_M, 0.0)
+    else:
+        accel = driver[MAX_ACCEL]
+        braking = speed * speed / (2.0 * math.sqrt(accel * driver[COMFORT_DECEL]))
+        wanted = STOP_MARGIN_M + speed * min(driver[TIME_HEADWAY], 1.5) + braking
+        raw = accel * (1.0 - (wanted / max(gap, 0.1)) ** 2)
     return bounded(driver, raw, gap - 0.5 * STOP_MARGIN_M, speed)
 
 

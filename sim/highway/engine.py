@@ -20,7 +20,7 @@ from sim.highway.network import HighwayNetwork, build_network
 from sim.highway.traffic import TrafficRoad, agent_of
 from sim.highway.vehicle import ProfileVehicle
 from sim.road import Road
-from sim.scenario import AgentSpec, Scenario
+from sim.scenario import AgentSpec, CarFollowing, Scenario
 
 LONGEST_STEP_S: Final = 0.1
 """highway-env's own step is at most this long; frames further apart are made of several steps."""
@@ -35,7 +35,7 @@ def network_of(road: Road) -> HighwayNetwork:
 def run(
     scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, compiled: bool = False
 ) -> Iterator[Frame]:
-    """Drive a scenario in highway-env.
+    """Drive a scenario in highway-env, where everybody follows by IDM.
 
     Args:
         scenario: the road, the duration and the step.
@@ -50,12 +50,31 @@ def run(
     Raises:
         InputError: if the agents, the seed or the road are not usable.
     """
+    return _run(scenario, agents, seed, "IDM", compiled)
+
+
+def run_krauss(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
+    """Drive a scenario in highway-env where everybody follows by Krauss's law; see `run`.
+
+    For drivers of the same profiles whose car-following is another one: what is learned from both
+    is less of either law's signature. Lane changes are weighed by IDM in both.
+    """
+    return _run(scenario, agents, seed, "Krauss", compiled=False)
+
+
+def _run(
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    seed: int,
+    law: CarFollowing,
+    compiled: bool,
+) -> Iterator[Frame]:
     if not 0 <= seed < 2**31:
         raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
     if len({a.id for a in agents}) != len(agents):
         raise InputError("agents: found an id twice, expected unique ids")
     road = TrafficRoad(network_of(scenario.road), compiled=compiled)
-    demand = Demand(road, agents, seed)
+    demand = Demand(road, agents, seed, law)
     return _frames(scenario, road, demand)
 
 

@@ -17,7 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.highway import driving
-from sim.highway.vehicle import CHANGE_LEAST_SPEED_MPS, ProfileVehicle, numbers_of
+from sim.highway.vehicle import (
+    CHANGE_LEAST_SPEED_MPS,
+    DEFAULT_DRIVER,
+    ProfileVehicle,
+    numbers_of,
+)
 
 if TYPE_CHECKING:
     from sim.highway.traffic import TrafficRoad
@@ -46,7 +51,7 @@ class StraightTraffic:
         self._limit = np.array([lane.speed_limit for lane in lanes], dtype=np.float64)
         self._heading = float(lanes[0].heading)
         self._cached: list[FloatArray] = []
-        self._numbers = np.empty((0, 13))
+        self._numbers = np.empty((0, DEFAULT_DRIVER.size))
         self._wanted = np.empty(0, dtype=np.int64)
         self._steering = self._accel = np.empty(0)
 
@@ -58,7 +63,7 @@ class StraightTraffic:
         )
         if not same:
             self._cached = rows
-            self._numbers = np.array(rows).reshape(-1, 13)
+            self._numbers = np.array(rows).reshape(-1, DEFAULT_DRIVER.size)
         return self._numbers
 
     def act(self) -> None:

@@ -1,8 +1,8 @@
 """The one vehicle class of the highway engine: a highway-env vehicle with a driver's `Profile`.
 
-Everybody follows by IDM, bumper to bumper and with no clip to the speed limit, and changes lanes
-by MOBIL; the numbers sit on the instance, so highway-env's classes stay as they are. What the
-rules of the road demand (stop lines, crossings, junctions) is worked out by the road
+Everybody follows by IDM (or by Krauss's law), bumper to bumper and with no clip to the speed limit,
+and changes lanes by MOBIL; the numbers sit on the instance, so highway-env's classes stay as they
+are. What the rules of the road demand (stop lines, crossings, junctions) is worked out by the road
 (`sim.highway.rules`) and handed to the driver as a distance at which to stop and a speed not to
 exceed.
 
@@ -28,6 +28,7 @@ from sim.frames import AgentKind
 from sim.highway import driving
 from sim.highway.lanes import PolylineLane
 from sim.highway.network import LaneIndex
+from sim.scenario import CarFollowing
 
 FloatArray = NDArray[np.float64]
 
@@ -132,6 +133,7 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         width: m.
         agent: id, -1 if it has none.
         behavior: the driver's true behaviour, for colours and labels only.
+        law: the one by which it follows.
         seed: of the driver's own chance.
         lane_index: the lane it is on; the nearest one if not given.
         stretches: the stretches of road it will drive over, from the present one on.
@@ -153,12 +155,14 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         width: float = 1.8,
         agent: int = -1,
         behavior: Behavior | None = None,
+        law: CarFollowing = "IDM",
         seed: int | tuple[int, ...] = 0,
         lane_index: LaneIndex | None = None,
         stretches: tuple[tuple[str, str], ...] = (),
     ) -> None:
         self.LENGTH, self.WIDTH = length, width  # before the base class measures the diagonal
         self.kind, self.agent, self.behavior, self.seed = kind, agent, behavior, seed
+        self.law = law
         self.stretches = stretches
         self.orders = Orders()
         self.clock = 0.0
@@ -183,7 +187,7 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
     @profile.setter
     def profile(self, profile: Profile) -> None:
         self._profile = profile
-        self.numbers = driving.driver_numbers(profile, self.kind)
+        self.numbers = driving.driver_numbers(profile, self.kind, self.law)
         wishes, now = self.wishes, self.clock
         wishes.cut_in_at = wishes.next(now, profile.cut_in_rate_per_min)
         wishes.stop_at = wishes.next(now, profile.stop_rate_per_min)
@@ -209,6 +213,7 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
             width=vehicle.WIDTH,
             agent=vehicle.agent,
             behavior=vehicle.behavior,
+            law=vehicle.law,
             seed=vehicle.seed,
             lane_index=vehicle.lane_index,
             stretches=vehicle.stretches,
@@ -256,7 +261,9 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
     def act(self, action: dict[str, float] | str | None = None) -> None:
         """Decide on a lane, on steering and on acceleration; ``action`` is not used."""
         if self.crashed:
-            Vehicle.act(self, {"steering": 0.0, "acceleration": -self.numbers[4]})
+            Vehicle.act(
+                self, {"steering": 0.0, "acceleration": -self.numbers[driving.COMFORT_DECEL]}
+            )
             return
         here = self.neighbours(self.lane_index)
         self.wanted_lane_index = self._choose_lane(here)
@@ -347,6 +354,8 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         accel, self.go_at = driving.start_up(
             self.numbers, self.speed, accel, self.clock, self.go_at
         )
+        if self.law == "Krauss":
+            accel -= driving.dawdling(self.numbers, self.speed, float(self.wishes.rng.random()))
         return float(accel)
 
     def _choose_lane(self, here: Neighbours) -> LaneIndex:

@@ -27,11 +27,11 @@ from behaviors.errors import InputError
 from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame
 from sim.net import signal_code
 from sim.road import Road
-from sim.scenario import AgentSpec, Scenario
+from sim.scenario import AgentSpec, CarFollowing, Scenario
 from sim.sumo.boxes import draw
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
-from sim.sumo.vehicle_types import CarFollowing, route_file
+from sim.sumo.vehicle_types import route_file
 
 LONGEST_STEP_S: Final = 0.1
 """SUMO's own step is at most this long; frames further apart are made of several steps."""

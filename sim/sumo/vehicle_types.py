@@ -15,19 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, Literal
+from typing import Final
 from xml.sax.saxutils import quoteattr
 
 from behaviors.errors import InputError
 from behaviors.profiles import Profile
 from sim.frames import AgentKind
-from sim.scenario import KIND_LIMITS, WALK_START_M, AgentSpec
-
-CarFollowing = Literal["Krauss", "IDM"]
-"""SUMO's name of the law that everybody on a road follows their leader by."""
-
-IMPERFECTION: Final = 0.2
-"""Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5). IDM has none."""
+from sim.scenario import IMPERFECTION, KIND_LIMITS, WALK_START_M, AgentSpec, CarFollowing
 
 VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
     AgentKind.CAR: "passenger",

@@ -52,12 +52,14 @@ def tracks(name: str, agents, duration_s: float, seed: int = 0, **options) -> Tr
     return Tracks.from_frames(run(scenario, agents, seed), {a.id: a.behavior for a in agents})
 
 
-def put(road: TrafficRoad, lane, s: float, speed: float, behavior: Behavior, number: int = 0):
+def put(
+    road: TrafficRoad, lane, s: float, speed: float, behavior: Behavior, number: int = 0, law="IDM"
+):
     geometry = road.network_info.lanes[lane]
     vehicle = ProfileVehicle(
         road, geometry.position(s, 0.0), geometry.heading_at(s), speed,
         profile=PROFILES[behavior], behavior=behavior, agent=number, seed=number,
-        lane_index=lane, stretches=(lane[:2],),
+        lane_index=lane, stretches=(lane[:2],), law=law,
     )  # fmt: skip
     road.vehicles.append(vehicle)
     return vehicle
@@ -169,13 +171,14 @@ def test_timid_drivers_keep_a_longer_headway_than_threatening_ones(engine):
 # Car following -------------------------------------------------------------------------------
 
 
-def test_follows_at_idms_equilibrium_gap_from_bumper_to_bumper():
+@pytest.mark.parametrize("law", ["IDM", "Krauss"])
+def test_follows_at_the_law_s_equilibrium_gap_from_bumper_to_bumper(law):
     road = TrafficRoad(straight_network())
     leader = put(road, ("east_in<", "east_out>", 0), 100.0, 8.0, Behavior.CAREFUL, 1)
     leader.profile = dataclasses.replace(
         PROFILES[Behavior.CAREFUL], speed_factor=8.0 / 13.89, lane_change_gain=0.0
     )
-    follower = put(road, ("east_in<", "east_out>", 0), 70.0, 8.0, Behavior.CAREFUL, 2)
+    follower = put(road, ("east_in<", "east_out>", 0), 70.0, 8.0, Behavior.CAREFUL, 2, law)
     follower.profile = dataclasses.replace(PROFILES[Behavior.CAREFUL], lane_change_gain=0.0)
     for _ in range(700):
         road.act()
@@ -183,9 +186,9 @@ def test_follows_at_idms_equilibrium_gap_from_bumper_to_bumper():
     profile = follower.profile
     speed, wanted = follower.speed, profile.speed_factor * 13.89
     gap = leader.position[0] - follower.position[0] - (leader.LENGTH + follower.LENGTH) / 2
-    expected = (profile.min_gap_m + speed * profile.time_headway_s) / math.sqrt(
-        1.0 - (speed / wanted) ** 4
-    )
+    expected = profile.min_gap_m + speed * profile.time_headway_s
+    if law == "IDM":  # Treiber, Hennecke, Helbing (2000), eq. 5
+        expected /= math.sqrt(1.0 - (speed / wanted) ** 4)
     assert speed == pytest.approx(8.0, abs=0.05)
     assert gap == pytest.approx(expected, rel=0.02)
 
@@ -467,10 +470,11 @@ def test_traffic_behind_a_collision_goes_on_once_it_is_cleared():
     assert own.position[0] > 210.0
 
 
-def test_conservative_drivers_cause_no_collisions_on_the_straight_road():
+@pytest.mark.parametrize("engine", ["highway", "highway-krauss"])
+def test_conservative_drivers_cause_no_collisions_on_the_straight_road(engine):
     scenario = SCENARIOS["straight_road"](duration_s=100.0, flow="dense")
     agents = sample_agents(scenario, 7)
-    events = [e for f in run(scenario, agents, 7) for e in f.events]
+    events = [e for f in get_engine(engine)(scenario, agents, 7) for e in f.events]
     caused = [e for e in events if e.kind is EventKind.COLLISION]
     assert all(agents[e.agent].behavior.style == "aggressive" for e in caused)
 
