@@ -355,6 +355,7 @@ def test_bench_of_one_protocol_and_its_picture(tmp_path):
         "trained on sumo, scored on highway",
         "trained on sumo with both laws, scored on highway",
         "trained on highway, scored on sumo",
+        "trained on highway with both laws, scored on sumo",
     }
     plot_classification(rows, tmp_path / "rows.svg")
     assert (tmp_path / "rows.svg").read_text().rstrip().endswith("</svg>")
