@@ -187,8 +187,8 @@ def _across_engines(bench: Bench) -> list[Row]:
     ways = [
         ("sumo, scored on highway", [sumo], highway),
         ("sumo with both laws, scored on highway", [sumo, bench.idm], highway),
-        ("highway, scored on sumo", [highway], sumo),
-        ("highway with both laws, scored on sumo", [highway, bench.krauss], sumo),
+        ("highway, scored on sumo", [highway], bench.fresh),
+        ("highway with both laws, scored on sumo", [highway, bench.krauss], bench.fresh),
     ]
     return [
         row
