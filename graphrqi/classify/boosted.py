@@ -8,7 +8,7 @@ References:
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,16 @@ from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
 from graphrqi.classify.trees import ShortTrees, Trees
 
+PATIENCE: Final = 30
+"""After so many rounds without a smaller validation loss no more are grown (our choice)."""
+
 
 class Boosted:
     """Trees that each mend what those before got wrong.
 
     Args:
         num_classes: C.
-        rounds: at most this many trees per class.
+        rounds: at most this many trees per class; none are grown once they stop helping.
         learning_rate: how much of each tree counts.
         max_leaves: of a tree.
         max_depth: of a tree; every sample takes as many steps as a tree is deep.
@@ -67,9 +70,14 @@ class Boosted:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
         from sklearn.ensemble import HistGradientBoostingClassifier
 
+        held: dict[str, Any] = {}
+        if validation is not None:
+            known = np.isin(validation[1], codes)  # of classes that are not learned nothing is said
+            if known.any():
+                held = {"X_val": validation[0][known], "y_val": validation[1][known]}
         grown = HistGradientBoostingClassifier(
-            early_stopping=False, random_state=seed, **self._options
-        ).fit(features, codes)
+            early_stopping=bool(held), n_iter_no_change=PATIENCE, random_state=seed, **self._options
+        ).fit(features, codes, **held)
         classes = grown.classes_.astype(np.int64)
         shown = classes[1:] if classes.size == 2 else classes  # two classes share one tree
         self._baseline = np.full(self._num_classes, NEVER)
