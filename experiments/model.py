@@ -23,7 +23,7 @@ PREDICTOR_SEED: Final = 2021
 use)."""
 
 CLASSIFIER_EPISODES: Final = {
-    "sumo": {"straight_road": 25, "four_way_intersection": 150},
+    "sumo": {"straight_road": 25, "four_way_intersection": 300},
     "sumo-idm": {"straight_road": 15, "four_way_intersection": 75},
 }
 PREDICTOR_EPISODES: Final = 20
