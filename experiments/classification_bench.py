@@ -37,6 +37,7 @@ from sim.dataset import open_dataset
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
 TRAFFIC: Final[dict[str, dict[str, Any]]] = {
+    "as usual": {},
     "light flow": {"flow": "light"},
     "dense flow": {"flow": "dense"},
     "mostly careful": {"mix": {"careful": 0.6, "cautious": 0.2, "impatient": 0.1, "reckless": 0.04,
@@ -44,7 +45,7 @@ TRAFFIC: Final[dict[str, dict[str, Any]]] = {
     "limits of 40 and 60 km/h": {"limits_mps": (11.11, 16.67)},
     "other roads": {"scenarios": ("two_way_road", "priority_intersection")},
 }  # fmt: skip
-"""What is never trained on, as options of `GenerateConfig`."""
+"""What is never trained on, as options of `GenerateConfig`, after what to compare it with."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Sizes:
 
 FULL: Final = Sizes(
     base={"episodes": 15, "duration_s": 150.0, "limits_mps": TRAINING_LIMITS_MPS},
-    other={"episodes": 4, "duration_s": 150.0},
+    other={"episodes": 12, "duration_s": 150.0},
     engine={"episodes": 20, "duration_s": 300.0},
     fresh={"episodes": 6, "duration_s": 300.0},
     many={"episodes": 40, "duration_s": 150.0},

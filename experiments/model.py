@@ -28,9 +28,9 @@ CLASSIFIER_EPISODES: Final = {
 }
 PREDICTOR_EPISODES: Final = 20
 """By engine and scenario, 300 s each, 60 % of them for training (our choice: a straight road shows
-three times as many drivers for as long, and more four-way intersections still gained the classifier
-some points of macro-F1; drivers who follow by another law bring a third engine's styles from .84 to
-.89 at the intersection and cost those who follow by Krauss's .004 to .009 of macro-F1)."""
+three times as many drivers for as long, and twice as many four-way intersections still gained the
+classifier .01 of macro-F1; drivers who follow by another law bring a third engine's styles from .84
+to .89 at the intersection and cost those who follow by Krauss's .004 to .009 of macro-F1)."""
 
 CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment (our choice: twice the windows of an episode)."""

@@ -7,6 +7,12 @@ from numpy.typing import NDArray
 
 from graphrqi.compiled import compiled
 
+SPELL = 0x077CB531
+"""De Bruijn's: the upper five bits of its product with a power of two tell that one apart."""
+
+BIT_PLACE: NDArray[np.int64] = (SPELL << np.arange(32) & 0xFFFFFFFF) >> 27
+"""(32,) those five bits for each power."""
+
 
 @compiled
 def sum_of_leaves(
@@ -69,29 +75,26 @@ def sum_of_first_leaves(
     """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.ShortTrees`.
 
     Args:
-        features: (F, n).
+        features: (K, F, b) of K batches of b samples.
         first: (B + 1,) where each tree's inner nodes begin, and the last's end.
         feature: (I,) feature asked at an inner node.
         threshold: (I,) above it the answer is yes.
         keep: (I,) bits of the leaves that are then still in reach.
-        leaf: (B, 32) what each leaf adds.
+        leaf: (B, 32) what each leaf adds, in the order of ``BIT_PLACE``.
         column: (B,) of the sum that the tree adds to.
-        out: (n, C) receives the sums; must be zero before.
+        out: (K, C, b) receives the sums; must be zero before.
     """
     every, one = np.uint32(0xFFFFFFFF), np.uint32(1)
-    spell, shift = np.uint32(0x077CB531), np.uint32(27)  # de Bruijn's: tells single bits apart
-    place = np.zeros(32, dtype=np.int64)
-    for bit in range(32):
-        place[np.uint32(spell << np.uint32(bit)) >> shift] = bit
-    n = features.shape[1]
-    left = np.empty(n, dtype=np.uint32)
-    for b in range(first.size - 1):
-        left[:] = every
-        for i in range(first[b], first[b + 1]):
-            row, limit, kept = features[feature[i]], threshold[i], keep[i]
-            for j in range(n):
-                left[j] &= kept if row[j] > limit else every
-        values, to = leaf[b], column[b]
-        for j in range(n):
-            lowest = np.uint32(left[j] & (~left[j] + one))
-            out[j, to] += values[place[np.uint32(lowest * spell) >> shift]]
+    spell, shift = np.uint32(SPELL), np.uint32(27)
+    left = np.empty(features.shape[2], dtype=np.uint32)
+    for k in range(features.shape[0]):
+        for b in range(first.size - 1):
+            left[:] = every
+            for i in range(first[b], first[b + 1]):
+                row, limit, kept = features[k, feature[i]], threshold[i], keep[i]
+                for j in range(left.size):
+                    left[j] &= kept if row[j] > limit else every
+            values, total = leaf[b], out[k, column[b]]
+            for j in range(left.size):
+                lowest = np.uint32(left[j] & (~left[j] + one))
+                total[j] += values[np.uint32(lowest * spell) >> shift]

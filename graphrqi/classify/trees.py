@@ -17,6 +17,10 @@ MOST_LEAVES: Final = 32
 LANES: Final = 16
 """Samples are asked in so many at a time: single numbers that a processor's register holds."""
 
+BATCH: Final = 512
+"""Samples that all trees are asked about before the next are (measured: their features stay in the
+second-level cache)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Trees:
@@ -152,7 +156,7 @@ class ShortTrees:
         feature: (I,) feature asked at an inner node.
         threshold: (I,) above it the answer is yes.
         keep: (I,) bits of the leaves that are then still in reach.
-        leaf: (B, 32) what each leaf adds, from left to right.
+        leaf: (B, 32) what each leaf adds, in the order that `tree_kernel` asks for.
         column: (B,) of the sum that the tree adds to.
 
     References:
@@ -179,6 +183,8 @@ class ShortTrees:
             >>> ShortTrees.of(stump).total(np.array([[0.2], [0.7]]), 1).ravel()
             array([-1.,  1.])
         """
+        from graphrqi.classify.tree_kernel import BIT_PLACE
+
         child = trees.child.tolist()
         first, nodes, keep = [0], [], []
         leaf = np.zeros((trees.root.size, MOST_LEAVES), dtype=np.float32)
@@ -189,7 +195,7 @@ class ShortTrees:
             leaves = _walk(root, child, inner)
             if len(leaves) > MOST_LEAVES:
                 return None
-            leaf[tree, : len(leaves)] = trees.value[leaves, 0]
+            leaf[tree, BIT_PLACE[: len(leaves)]] = trees.value[leaves, 0]
             place = {node: 1 << i for i, node in enumerate(leaves)}
             for node, on_the_left in inner:
                 nodes.append(node)
@@ -208,15 +214,17 @@ class ShortTrees:
         """(n, sums) as `Trees.total`, to the bit."""
         from graphrqi.classify.tree_kernel import sum_of_first_leaves
 
-        wide = -(-len(features) // LANES) * LANES
-        columns = np.zeros((features.shape[1], wide), dtype=np.float32)
-        columns[:, : len(features)] = features.T
-        out = np.zeros((wide, sums))
+        n, width = features.shape
+        batches = max(-(-n // BATCH), 1)
+        wide = -(-n // (batches * LANES)) * LANES
+        every = np.zeros((batches * wide, width), dtype=np.float32)
+        every[:n] = features
+        out = np.zeros((batches, sums, wide))
         sum_of_first_leaves(
-            columns, self.first, self.feature, self.threshold, self.keep, self.leaf, self.column,
-            out,
+            np.ascontiguousarray(every.reshape(batches, wide, width).swapaxes(1, 2)),
+            self.first, self.feature, self.threshold, self.keep, self.leaf, self.column, out,
         )  # fmt: skip
-        return out[: len(features)]
+        return out.swapaxes(1, 2).reshape(-1, sums)[:n]
 
 
 def _walk(node: int, child: list[int], inner: list[tuple[int, list[int]]]) -> list[int]:
