@@ -123,13 +123,27 @@ def test_boosted_trees_are_no_deeper_than_asked():
     assert 1 <= boosted.arrays()["depth"].max() <= 3
 
 
+def test_trees_are_grown_no_longer_than_they_help():
+    rng = np.random.default_rng(16)
+    features, held = rng.normal(size=(300, 4)), rng.normal(size=(100, 4))
+    codes, told = rng.integers(0, 2, 300), rng.integers(0, 3, 100)  # of 2 nothing is learned
+    kept = []
+    for rounds in (80, 10**6):
+        boosted = make_classifier("boosted", 6, rounds=rounds, min_leaf=5)
+        boosted.fit(features, codes, (held, told), seed=0)
+        kept.append(boosted.arrays())
+    assert kept[0]["root"].size < 20
+    for name, values in kept[0].items():
+        np.testing.assert_array_equal(kept[1][name], values)
+
+
 @pytest.mark.parametrize("name", ["logistic", "svm", "lasso"])
 def test_one_class_cannot_be_learned(name):
     with pytest.raises(InputError, match="expected at least two"):
         make_classifier(name, 6).fit(*blobs(50, 14, (2,)), None, seed=0)
 
 
-@pytest.mark.parametrize("samples", [1, 16, 61])
+@pytest.mark.parametrize("samples", [1, 16, 61, 1300])
 def test_short_trees_add_up_to_the_same_bits(samples):
     classifier = make_classifier("boosted", 6, rounds=12, max_leaves=31, min_leaf=5)
     classifier.fit(*blobs(900, 1), None, seed=3)
