@@ -74,7 +74,7 @@ def names_of(what: str) -> list[str]:
 
     Examples:
         >>> names_of("engine")
-        ['sumo', 'sumo-idm', 'highway']
+        ['sumo', 'sumo-idm', 'highway', 'highway-krauss']
     """
     module, dictionary = lookup(REGISTRIES, what, "registry").split(":")
     return list(getattr(importlib.import_module(module), dictionary))
