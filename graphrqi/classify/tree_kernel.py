@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.classify.words import WORDS, all_bits, first_bits, keep_where_above
 from graphrqi.compiled import compiled
 
 SPELL = 0x077CB531
@@ -64,37 +65,36 @@ def sum_of_leaves(
 @compiled
 def sum_of_first_leaves(
     features: NDArray[np.float32],
-    first: NDArray[np.int64],
-    feature: NDArray[np.int64],
+    first: NDArray[np.uint64],
+    feature: NDArray[np.uint64],
     threshold: NDArray[np.float32],
     keep: NDArray[np.uint32],
-    leaf: NDArray[np.float32],
-    column: NDArray[np.int64],
+    leaf: NDArray[np.float64],
+    column: NDArray[np.uint64],
     out: NDArray[np.float64],
 ) -> None:
     """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.ShortTrees`.
 
     Args:
-        features: (K, F, b) of K batches of b samples.
-        first: (B + 1,) where each tree's inner nodes begin, and the last's end.
-        feature: (I,) feature asked at an inner node.
+        features: (K * F * 64,) of K batches of 64 samples, feature by feature.
+        first: (B + 1,) where each tree's inner nodes begin, and the last's end. Unsigned numbers
+            spare a look at their sign.
+        feature: (I,) where the feature asked at an inner node begins in a batch.
         threshold: (I,) above it the answer is yes.
         keep: (I,) bits of the leaves that are then still in reach.
         leaf: (B, 32) what each leaf adds, in the order of ``BIT_PLACE``.
         column: (B,) of the sum that the tree adds to.
-        out: (K, C, b) receives the sums; must be zero before.
+        out: (K, C, 64) receives the sums; must be zero before.
     """
-    every, one = np.uint32(0xFFFFFFFF), np.uint32(1)
-    spell, shift = np.uint32(SPELL), np.uint32(27)
-    left = np.empty(features.shape[2], dtype=np.uint32)
-    for k in range(features.shape[0]):
-        for b in range(first.size - 1):
-            left[:] = every
-            for i in range(first[b], first[b + 1]):
-                row, limit, kept = features[k, feature[i]], threshold[i], keep[i]
-                for j in range(left.size):
-                    left[j] &= kept if row[j] > limit else every
+    place = np.empty(WORDS, dtype=np.uint32)
+    batch = np.uint64(features.size // max(len(out), 1))
+    for k in range(np.uint64(len(out))):
+        for b in range(np.uint64(first.size - 1)):
+            left = all_bits()
+            for i in range(first[b], first[b + np.uint64(1)]):
+                begin = k * batch + feature[i]
+                left = keep_where_above(left, features, begin, threshold[i], keep[i])
+            first_bits(left, np.uint32(SPELL), place)
             values, total = leaf[b], out[k, column[b]]
-            for j in range(left.size):
-                lowest = np.uint32(left[j] & (~left[j] + one))
-                total[j] += values[np.uint32(lowest * spell) >> shift]
+            for j in range(WORDS):
+                total[j] += values[place[j]]

@@ -14,13 +14,6 @@ from graphrqi.classify.contract import FloatArray
 MOST_LEAVES: Final = 32
 """Leaves that `ShortTrees` can tell apart: bits of a word."""
 
-LANES: Final = 16
-"""Samples are asked in so many at a time: single numbers that a processor's register holds."""
-
-BATCH: Final = 512
-"""Samples that all trees are asked about before the next are (measured: their features stay in the
-second-level cache)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Trees:
@@ -145,11 +138,11 @@ class Trees:
 
 @dataclass(frozen=True, slots=True)
 class ShortTrees:
-    """The same sum over trees of at most 32 leaves, each with one value: twice as quick.
+    """The same sum over trees of at most 32 leaves, each with one value: three times as quick.
 
     Every inner node knows which leaves are out of reach once its question is answered with yes; the
-    first leaf left in a tree is where a sample falls. So no step waits for another, and one
-    question is put to all samples together.
+    first leaf left in a tree is where a sample falls. So no step waits for another, one question is
+    put to 64 samples together, and what is left of their leaves stays in registers.
 
     Attributes:
         first: (B + 1,) where each tree's inner nodes begin, and the last's end.
@@ -164,12 +157,12 @@ class ShortTrees:
         ensembles of regression trees", SIGIR.
     """
 
-    first: NDArray[np.int64]
-    feature: NDArray[np.int64]
+    first: NDArray[np.uint64]
+    feature: NDArray[np.uint64]
     threshold: NDArray[np.float32]
     keep: NDArray[np.uint32]
-    leaf: NDArray[np.float32]
-    column: NDArray[np.int64]
+    leaf: NDArray[np.float64]
+    column: NDArray[np.uint64]
 
     @classmethod
     def of(cls, trees: Trees) -> ShortTrees | None:
@@ -187,7 +180,7 @@ class ShortTrees:
 
         child = trees.child.tolist()
         first, nodes, keep = [0], [], []
-        leaf = np.zeros((trees.root.size, MOST_LEAVES), dtype=np.float32)
+        leaf = np.zeros((trees.root.size, MOST_LEAVES))
         if trees.value.shape[1] != 1:
             return None
         for tree, root in enumerate(trees.root.tolist()):
@@ -202,27 +195,26 @@ class ShortTrees:
                 keep.append(0xFFFFFFFF & ~sum(place[one] for one in on_the_left))
             first.append(len(nodes))
         return cls(
-            np.array(first),
-            trees.feature[nodes].astype(np.int64),
+            np.array(first, dtype=np.uint64),
+            trees.feature[nodes].astype(np.uint64),
             trees.threshold[nodes],
             np.array(keep, dtype=np.uint32),
             leaf,
-            trees.column.astype(np.int64),
+            trees.column.astype(np.uint64),
         )
 
     def total(self, features: FloatArray, sums: int) -> FloatArray:
         """(n, sums) as `Trees.total`, to the bit."""
         from graphrqi.classify.tree_kernel import sum_of_first_leaves
+        from graphrqi.classify.words import WORDS
 
         n, width = features.shape
-        batches = max(-(-n // BATCH), 1)
-        wide = -(-n // (batches * LANES)) * LANES
-        every = np.zeros((batches * wide, width), dtype=np.float32)
-        every[:n] = features
-        out = np.zeros((batches, sums, wide))
+        every = np.zeros((-(-n // WORDS), WORDS, width), dtype=np.float32)
+        every.reshape(-1, width)[:n] = features
+        out = np.zeros((len(every), sums, WORDS))
         sum_of_first_leaves(
-            np.ascontiguousarray(every.reshape(batches, wide, width).swapaxes(1, 2)),
-            self.first, self.feature, self.threshold, self.keep, self.leaf, self.column, out,
+            every.swapaxes(1, 2).ravel(), self.first, self.feature * np.uint64(WORDS),
+            self.threshold, self.keep, self.leaf, self.column, out,
         )  # fmt: skip
         return out.swapaxes(1, 2).reshape(-1, sums)[:n]
 
