@@ -85,7 +85,7 @@ FULL: Final = Sizes(
     methods=(OURS, *(name for name in METHODS if name != OURS)),
     main=(OURS,),
 )
-"""Nine episodes a scenario to learn from and three to score on; some 35 minutes of CPU time."""
+"""Nine episodes a scenario to learn from and three to score on; some 50 minutes of CPU time."""
 
 QUICK: Final = Sizes(
     base={"episodes": 5, "duration_s": 40.0},
