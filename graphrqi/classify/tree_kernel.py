@@ -8,12 +8,6 @@ from numpy.typing import NDArray
 from graphrqi.classify.words import WORDS, all_bits, first_bits, keep_where_above
 from graphrqi.compiled import compiled
 
-SPELL = 0x077CB531
-"""De Bruijn's: the upper five bits of its product with a power of two tell that one apart."""
-
-BIT_PLACE: NDArray[np.int64] = (SPELL << np.arange(32) & 0xFFFFFFFF) >> 27
-"""(32,) those five bits for each power."""
-
 
 @compiled
 def sum_of_leaves(
@@ -76,25 +70,25 @@ def sum_of_first_leaves(
     """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.ShortTrees`.
 
     Args:
-        features: (K * F * 64,) of K batches of 64 samples, feature by feature.
+        features: (K * F, 64) of K batches of 64 samples, feature by feature.
         first: (B + 1,) where each tree's inner nodes begin, and the last's end. Unsigned numbers
             spare a look at their sign.
-        feature: (I,) where the feature asked at an inner node begins in a batch.
+        feature: (I,) feature asked at an inner node.
         threshold: (I,) above it the answer is yes.
         keep: (I,) bits of the leaves that are then still in reach.
-        leaf: (B, 32) what each leaf adds, in the order of ``BIT_PLACE``.
+        leaf: (B, 32) what each leaf adds.
         column: (B,) of the sum that the tree adds to.
         out: (K, C, 64) receives the sums; must be zero before.
     """
     place = np.empty(WORDS, dtype=np.uint32)
-    batch = np.uint64(features.size // max(len(out), 1))
+    batch = np.uint64(len(features) // max(len(out), 1))
     for k in range(np.uint64(len(out))):
         for b in range(np.uint64(first.size - 1)):
             left = all_bits()
             for i in range(first[b], first[b + np.uint64(1)]):
-                begin = k * batch + feature[i]
-                left = keep_where_above(left, features, begin, threshold[i], keep[i])
-            first_bits(left, np.uint32(SPELL), place)
+                row = k * batch + feature[i]
+                left = keep_where_above(left, features, row, threshold[i], keep[i])
+            first_bits(left, place)
             values, total = leaf[b], out[k, column[b]]
             for j in range(WORDS):
                 total[j] += values[place[j]]

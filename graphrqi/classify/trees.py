@@ -149,7 +149,7 @@ class ShortTrees:
         feature: (I,) feature asked at an inner node.
         threshold: (I,) above it the answer is yes.
         keep: (I,) bits of the leaves that are then still in reach.
-        leaf: (B, 32) what each leaf adds, in the order that `tree_kernel` asks for.
+        leaf: (B, 32) what each leaf adds, from left to right.
         column: (B,) of the sum that the tree adds to.
 
     References:
@@ -176,8 +176,6 @@ class ShortTrees:
             >>> ShortTrees.of(stump).total(np.array([[0.2], [0.7]]), 1).ravel()
             array([-1.,  1.])
         """
-        from graphrqi.classify.tree_kernel import BIT_PLACE
-
         child = trees.child.tolist()
         first, nodes, keep = [0], [], []
         leaf = np.zeros((trees.root.size, MOST_LEAVES))
@@ -188,7 +186,7 @@ class ShortTrees:
             leaves = _walk(root, child, inner)
             if len(leaves) > MOST_LEAVES:
                 return None
-            leaf[tree, BIT_PLACE[: len(leaves)]] = trees.value[leaves, 0]
+            leaf[tree, : len(leaves)] = trees.value[leaves, 0]
             place = {node: 1 << i for i, node in enumerate(leaves)}
             for node, on_the_left in inner:
                 nodes.append(node)
@@ -213,7 +211,7 @@ class ShortTrees:
         every.reshape(-1, width)[:n] = features
         out = np.zeros((len(every), sums, WORDS))
         sum_of_first_leaves(
-            every.swapaxes(1, 2).ravel(), self.first, self.feature * np.uint64(WORDS),
+            np.ascontiguousarray(every.swapaxes(1, 2)).reshape(-1, WORDS), self.first, self.feature,
             self.threshold, self.keep, self.leaf, self.column, out,
         )  # fmt: skip
         return out.swapaxes(1, 2).reshape(-1, sums)[:n]

@@ -10,6 +10,7 @@ from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
+from numba.core import cgutils
 from numba.core.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 
@@ -19,6 +20,7 @@ _INDEX = ir.IntType(64)
 _VECTOR = ir.VectorType(_WORD, WORDS)
 _NUMBERS = ir.VectorType(ir.FloatType(), WORDS)
 _make_array: Any = make_array
+_insert_function: Any = cgutils.get_or_insert_function
 
 
 class Words(types.Type):
@@ -42,11 +44,9 @@ def _instruction(typing: Any) -> Any:
     return intrinsic(typing)
 
 
-def _is_rows(kind: Any, number: Any, dimensions: int) -> bool:
-    return (
-        isinstance(kind, types.Array)
-        and (kind.dtype, kind.ndim, kind.layout) == (number, dimensions, "C")
-    )  # fmt: skip
+def _pointer(context: Any, builder: Any, kind: Any, array: Any, to: Any) -> Any:
+    data = _make_array(kind)(context, builder, array).data
+    return builder.bitcast(data, to.as_pointer())
 
 
 def _spread(builder: Any, value: Any, vector: Any) -> Any:
@@ -66,44 +66,40 @@ def all_bits(_context: Any) -> Any:
 
 
 @_instruction
-def keep_where_above(_context: Any, x: Any, a: Any, start: Any, limit: Any, kept: Any) -> Any:
-    """Clear the bits of x that are not in ``kept`` where the numbers a[start:] are above a limit.
+def keep_where_above(_context: Any, x: Any, a: Any, row: Any, limit: Any, kept: Any) -> Any:
+    """Clear the bits of x that are not in ``kept`` where the numbers in a row are above a limit.
 
-    ``a`` is (n,) float32, ``limit`` float32, ``kept`` uint32, start >= 0.
+    ``a`` is (n, 64) float32, ``row`` >= 0, ``limit`` float32, ``kept`` uint32.
     """
-    if not _is_rows(a, types.float32, 1) or not isinstance(start, types.Integer):
+    if a != types.Array(types.float32, 2, "C") or not isinstance(row, types.Integer):
         return None
     if x != TYPE or limit != types.float32 or kept != types.uint32:
         return None
 
     def generate(context: Any, builder: Any, signature: Any, values: list[Any]) -> Any:
         kinds = signature.args
-        data = _make_array(kinds[1])(context, builder, values[1]).data
+        rows = _pointer(context, builder, kinds[1], values[1], _NUMBERS)
         index = context.cast(builder, values[2], kinds[2], types.int64)
-        pointer = builder.bitcast(builder.gep(data, [index]), _NUMBERS.as_pointer())
-        numbers = builder.load(pointer, align=4)
+        numbers = builder.load(builder.gep(rows, [index]), align=4)
         above = builder.fcmp_ordered(">", numbers, _spread(builder, values[3], _NUMBERS))
         left = builder.and_(values[0], _spread(builder, values[4], _VECTOR))
         return builder.select(above, left, values[0])
 
-    return TYPE(x, a, start, limit, kept), generate
+    return TYPE(x, a, row, limit, kept), generate
 
 
 @_instruction
-def first_bits(_context: Any, x: Any, spell: Any, out: Any) -> Any:
-    """Write the upper five bits of ``spell`` times the lowest bit of each word.
-
-    ``spell`` is uint32, ``out`` (64,) uint32.
-    """
-    if x != TYPE or spell != types.uint32 or not _is_rows(out, types.uint32, 1):
+def first_bits(_context: Any, x: Any, out: Any) -> Any:
+    """Write the place of the lowest set bit of each word, none of which is 0, to (64,) uint32."""
+    if x != TYPE or out != types.Array(types.uint32, 1, "C"):
         return None
 
     def generate(context: Any, builder: Any, signature: Any, values: list[Any]) -> Any:
-        lowest = builder.and_(values[0], builder.neg(values[0]))
-        product = builder.mul(lowest, _spread(builder, values[1], _VECTOR))
-        bits = builder.lshr(product, ir.Constant(_VECTOR, [27] * WORDS))
-        data = _make_array(signature.args[2])(context, builder, values[2]).data
-        builder.store(bits, builder.bitcast(data, _VECTOR.as_pointer()), align=4)
+        kind = ir.FunctionType(_VECTOR, [_VECTOR, ir.IntType(1)])
+        count = _insert_function(builder.module, kind, f"llvm.cttz.v{WORDS}i32")
+        places = builder.call(count, [values[0], ir.Constant(ir.IntType(1), 1)])
+        pointer = _pointer(context, builder, signature.args[1], values[1], _VECTOR)
+        builder.store(places, pointer, align=4)
         return context.get_dummy_value()
 
-    return types.void(x, spell, out), generate
+    return types.void(x, out), generate
