@@ -83,14 +83,19 @@ class Boosted:
         self._baseline = np.full(self._num_classes, NEVER)
         self._baseline[classes] = 0.0
         self._baseline[shown] = grown._baseline_prediction.ravel()
-        rounds = [
-            Trees.join([self._plain(p.nodes, code) for p, code in zip(each, shown, strict=True)])
-            for each in grown._predictors
-        ]
-        kept, self._temperature = len(rounds), 1.0
-        if validation is not None:
-            kept = self._best_round(rounds, *validation)
-        self._keep(Trees.join(rounds[:kept]))
+        rounds = grown._predictors
+        if held:  # those up to the smallest loss; the first one told is that of no trees
+            rounds = rounds[: int(np.argmax(grown.validation_score_[1:])) + 1]
+        self._temperature = 1.0
+        self._keep(
+            Trees.join(
+                [
+                    self._plain(grower.nodes, code)
+                    for each in rounds
+                    for grower, code in zip(each, shown, strict=True)
+                ]
+            )
+        )
         if validation is not None:
             self._temperature = best_temperature(self._untempered(validation[0]), validation[1])
 
@@ -109,15 +114,6 @@ class Boosted:
             np.where(leaf, nodes["value"], 0.0)[:, None],
             int(code),
         )
-
-    def _best_round(self, rounds: list[Trees], features: FloatArray, codes: CodeArray) -> int:
-        """After how many rounds the held-out likelihood is largest."""
-        scores = np.tile(self._baseline, (len(features), 1))
-        rows, loss = np.arange(codes.size), []
-        for trees in rounds:
-            scores += trees.total(features, self._num_classes)
-            loss.append(-np.log(np.maximum(softmax(scores)[rows, codes], 1e-300)).mean())
-        return int(np.argmin(loss)) + 1
 
     def _untempered(self, features: FloatArray) -> FloatArray:
         return softmax(self._quickest.total(features, self._num_classes) + self._baseline)
