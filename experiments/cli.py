@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer.exceptions import TyperException
+
+from experiments.ending import one_line
 
 app = typer.Typer(
     name="graphrqi",
@@ -165,18 +166,14 @@ def generate(
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset, or what is missing of it."""
-    from experiments.generate import Interrupted, read_cluster, read_config
     from experiments.generate import generate as make
+    from experiments.generate import read_cluster, read_config
 
     chosen = read_config(
         config, scenarios=scenario or None, episodes=episodes, engine=engine, flow=flow, mix=mix,
         spread=spread, duration_s=duration_s, seed=seed,
     )  # fmt: skip
-    try:
-        manifest = make(chosen, out, jobs, quiet, read_cluster(config, cluster))
-    except Interrupted as stop:
-        typer.echo(f"graphrqi: {stop}", err=True)
-        raise typer.Exit(130) from None
+    manifest = make(chosen, out, jobs, quiet, read_cluster(config, cluster))
     steps = sum(e.agent_steps for e in manifest.episodes)
     typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
 
@@ -585,34 +582,14 @@ def doctor(json: Json = None) -> None:
         raise typer.Exit(2)
 
 
-def _exit_code(error: Exception) -> int | None:
-    """Say what the user did wrong in one line; None if it was not the user."""
-    from behaviors.errors import InputError
-
-    if isinstance(error, TyperException):
-        message = error.format_message()
-    elif isinstance(error, InputError):
-        message = str(error)
-    elif isinstance(error, OSError) and error.strerror:
-        message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    else:
-        return None
-    sys.stderr.write(f"graphrqi: error: {' '.join(message.split())}\n")
-    return 2
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and end the process.
 
     Args:
         arguments: the command's arguments; by default those of the process.
     """
-    try:
+    with one_line():
         code = app(arguments, prog_name="graphrqi", standalone_mode=False)
-    except (TyperException, ValueError, OSError) as error:
-        code = _exit_code(error)
-        if code is None:
-            raise
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from experiments.ending import one_line
 from experiments.generate import GenerateConfig, generate
 from experiments.prediction import metrics_tree, predict_dataset
 from experiments.report.page import printed_tables, write_report
@@ -165,4 +166,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_line():
+        main()

@@ -25,6 +25,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
+from experiments.ending import Interrupted
 from experiments.progress import Progress
 from scenarios import get_scenario
 from sim.atomic import PARTIAL_PREFIX, remove_partial, write_whole
@@ -56,10 +57,6 @@ PARENT_CHECK_S: Final = 0.25
 
 _OURS: Final = frozenset({"episodes", "roads", "README.md", LOCK})
 """What an unfinished dataset's folder may hold."""
-
-
-class Interrupted(Exception):
-    """The user stopped the run; the message says how to go on."""
 
 
 class GenerateConfig(BaseModel):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from experiments.demo import BEST_METHOD, SCENARIOS
+from experiments.ending import one_line
 from experiments.generate import GenerateConfig, generate
 from experiments.predictor_training import calibrate_drivers, train_predictors
 from experiments.train import TRAINING_LIMITS_MPS, train_on
@@ -79,4 +80,5 @@ def build_models(work: Path, quiet: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    build_models(Path("runs/model"))
+    with one_line():
+        build_models(Path("runs/model"))

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 from experiments.benches import BENCHES, NEED_RECORDINGS, run_bench
+from experiments.ending import one_line
 from sim.atomic import write_whole
 
 
@@ -41,4 +42,5 @@ def run_study(out: Path, quick: bool = False) -> list[Path]:
 
 
 if __name__ == "__main__":
-    run_study(Path("runs/study"))
+    with one_line():
+        run_study(Path("runs/study"))
