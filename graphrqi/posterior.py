@@ -29,13 +29,29 @@ class Posterior:
     probability: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Check shapes and make the arrays read-only."""
-        ids = np.asarray(self.ids, dtype=np.int64)
+        """Check ids and probabilities, and make the arrays read-only.
+
+        Raises:
+            InputError: if ids are not whole numbers that ascend, or rows are no probabilities.
+        """
+        ids = np.asarray(self.ids)
+        if ids.size and ids.dtype.kind not in "iu":
+            raise InputError(f"Posterior.ids: found {ids.dtype} values, expected whole numbers")
+        ids = ids.astype(np.int64, copy=False)
+        if ids.ndim != 1 or not (ids[1:] > ids[:-1]).all():
+            raise InputError("Posterior.ids: found ids that do not ascend, expected each once")
         probability = np.asarray(self.probability, dtype=np.float64)
         expected = (ids.size, len(BEHAVIORS))
         if probability.shape != expected:
             raise InputError(
                 f"Posterior.probability: found shape {probability.shape}, expected {expected}"
+            )
+        possible = (probability >= 0.0).all(axis=1) & (abs(probability.sum(axis=1) - 1.0) <= 1e-5)
+        if not possible.all():
+            row = int(np.flatnonzero(~possible)[0])
+            raise InputError(
+                f"Posterior.probability: found {probability[row].tolist()} for agent {ids[row]}, "
+                "expected numbers that are not negative and sum to 1"
             )
         for name, array in (("ids", ids), ("probability", probability)):
             view = array.view()

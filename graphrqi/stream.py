@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.errors import InputError
+from graphrqi.graph.traffic_graph import MAX_COORDINATE_M
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.scene_mix import SceneMix
@@ -59,13 +61,20 @@ class BehaviorStream:
             Posterior of every driver present and seen long enough.
 
         Raises:
-            InputError: if the frame's time does not increase.
+            InputError: if the frame's time does not increase or something in it is not usable, see
+                `sim.buffer.FrameBuffer.push`; the stream is as it was before then.
         """
         self.push(frame)
         return self.posterior()
 
     def push(self, frame: Frame) -> None:
         """Take the next frame; see `update`."""
+        far = np.abs(frame.xy) > MAX_COORDINATE_M
+        if far.any():
+            agent = frame.ids[int(np.argwhere(far)[0, 0])]
+            raise InputError(
+                f"frame.xy: found agent {agent} beyond {MAX_COORDINATE_M:g} m, expected it nearer"
+            )
         self._buffer.push(frame)
         self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
         self._answered = None

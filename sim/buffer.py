@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import Event, Frame, Tracks
+from sim.frames import KINDS, Event, Frame, Tracks
 
 _TABLES = ("_xy", "_heading", "_speed", "_valid")
 """What is kept of agents by times."""
@@ -42,14 +43,13 @@ class FrameBuffer:
         """Add the next frame.
 
         Raises:
-            InputError: if its time is not after the last one's.
+            InputError: if its time is not after the last one's, its ids do not ascend, a place or
+                kind in it is none, or there are other signals than before. What is kept stays as
+                it was.
         """
+        self._check(frame)
         if self._last is None:
             self._signals = np.empty((frame.signals.size, 2 * self._steps), dtype=np.int8)
-        elif frame.time_s <= self._last.time_s:
-            raise InputError(
-                f"frame.time_s: found {frame.time_s}, expected later than {self._last.time_s}"
-            )
         if self._end == 2 * self._steps:
             self._move_back()
         row = np.searchsorted(self._ids, frame.ids)
@@ -72,6 +72,30 @@ class FrameBuffer:
         self._events.append(frame.events)
         self._last = frame
         self._end, self._count = self._end + 1, min(self._count + 1, self._steps)
+
+    def _check(self, frame: Frame) -> None:
+        if not math.isfinite(frame.time_s):
+            raise InputError(f"frame.time_s: found {frame.time_s}, expected a finite time")
+        if self._last is not None:
+            if frame.time_s <= self._last.time_s:
+                raise InputError(
+                    f"frame.time_s: found {frame.time_s}, expected later than {self._last.time_s}"
+                )
+            if frame.signals.size != self._last.signals.size:
+                raise InputError(
+                    f"frame.signals: found {frame.signals.size}, "
+                    f"expected {self._last.signals.size} as before"
+                )
+        if not (frame.ids[1:] > frame.ids[:-1]).all():
+            raise InputError(
+                "frame.ids: found ids that do not ascend, expected each once, in order"
+            )
+        if not ((frame.kind >= 0) & (frame.kind < len(KINDS))).all():
+            raise InputError(f"frame.kind: found other codes than 0 to {len(KINDS) - 1}")
+        finite = np.isfinite(frame.xy).all(axis=1)
+        if not finite.all():
+            agent = frame.ids[int(finite.argmin())]
+            raise InputError(f"frame.xy: found no finite place of agent {agent}, expected metres")
 
     def _move_back(self) -> None:
         """Move the columns kept to the left end, and forget who is in none of them."""

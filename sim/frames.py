@@ -133,6 +133,19 @@ def _check_and_freeze(owner: object, dtypes: dict[str, tuple[Any, tuple[int | No
         object.__setattr__(owner, name, _frozen(array))
 
 
+def _cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Numbers as another type, unless that would take something of them away."""
+    try:
+        found = np.asarray(values)
+    except ValueError as error:  # lists of different lengths
+        raise InputError(f"{name}: found {values!r:.60}, expected an array ({error})") from error
+    if found.size == 0 or np.can_cast(found.dtype, dtype, "same_kind"):
+        return found.astype(dtype, copy=False)
+    if found.dtype.kind == "f" and np.isfinite(found).all() and (found == np.rint(found)).all():
+        return found.astype(dtype)
+    raise InputError(f"{name}: found {found.dtype} values, expected {dtype}")
+
+
 def _empty_signals() -> CodeArray:
     return np.empty(0, dtype=np.int8)
 
@@ -185,7 +198,7 @@ class Frame:
         for name, dtype, tail in _FRAME_ARRAYS:
             given = array = getattr(self, name)
             if type(array) is not np.ndarray or array.dtype is not dtype:
-                array = np.asarray(array, dtype=dtype)
+                array = _cast(f"Frame.{name}", array, dtype)
             shape = array.shape
             if name == "signals" or n is None:
                 if len(shape) != 1:

@@ -9,7 +9,6 @@ L_t = blk(L_{t-1}, 1) + delta delta^T is no Laplacian, see docs/spectrum.md).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
@@ -25,6 +24,9 @@ Kind: TypeAlias = Literal["accumulated", "instantaneous"]
 
 MAX_COORDINATE_M = 1e9
 """Positions beyond this are refused: doubles there are 0.1 um apart (our choice)."""
+
+MAX_WEIGHT = 1e100
+"""Weights beyond this are refused: sums of their squares stay finite (our choice)."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,9 @@ class ObservationRule:
             raise InputError(f"kind: found {self.kind!r}, expected {kinds}")
         for name in ("radius_m", "scale_m"):
             value = getattr(self, name)
-            if value is not None and not (0.0 < value < math.inf):
+            if value is not None and not (
+                isinstance(value, (int, float, np.number)) and 0.0 < value < math.inf
+            ):
                 raise InputError(f"{name}: found {value!r}, expected a positive length in metres")
 
 
@@ -129,14 +133,14 @@ class TrafficGraph:
             ids: (d,) different whole numbers, one per vehicle; the order of the rows.
             edges: (m, 2) ids of the joined vehicles, undirected. An edge given several times, in
                 either direction, is one edge with the largest of its weights.
-            weights: (m,) finite, not negative; 1 where not given. An edge of weight 0 is none.
+            weights: (m,) from 0 to `MAX_WEIGHT`; 1 where not given. An edge of weight 0 is none.
 
         Returns:
             The graph.
 
         Raises:
             InputError: for an id that is given twice, unknown or no whole number, an edge from
-                a vehicle to itself, a weight that is negative or not finite, or a wrong shape.
+                a vehicle to itself, a weight out of range, or a wrong shape.
         """
         row_ids = _checked_ids(ids)
         d = row_ids.size
@@ -145,7 +149,7 @@ class TrafficGraph:
         twice = np.flatnonzero(ordered[1:] == ordered[:-1])
         if twice.size:
             raise InputError(f"ids: found {ordered[twice[0]]} twice, expected each vehicle once")
-        pairs = np.asarray(edges)
+        pairs = _as_array(edges, "edges")
         if pairs.size == 0:
             pairs = np.empty((0, 2), np.int64)
         if pairs.ndim != 2 or pairs.shape[1] != 2:
@@ -155,10 +159,10 @@ class TrafficGraph:
         weight = np.ones(m) if weights is None else _checked_floats(weights, "weights")
         if weight.shape != (m,):
             raise InputError(f"weights: found shape {weight.shape}, expected ({m},), one per edge")
-        wrong = np.flatnonzero(~((weight >= 0.0) & (weight < math.inf)))
+        wrong = np.flatnonzero(~((weight >= 0.0) & (weight <= MAX_WEIGHT)))
         if wrong.size:
             raise InputError(
-                f"weights: found {weight[wrong[0]]}, expected finite numbers that are not negative"
+                f"weights: found {weight[wrong[0]]}, expected numbers from 0 to {MAX_WEIGHT:g}"
             )
         place = np.searchsorted(ordered, pairs) if d else np.zeros_like(pairs)
         known = (place < d) if d else np.zeros(pairs.shape, bool)
@@ -262,7 +266,9 @@ class TrafficGraph:
         base = self if keep else _NOTHING
         if rule.radius_m is None:
             grid = cell_grid.cell_grid(positions, 0.0)
-            lists = cell_grid.nearest_neighbors(new_ids, positions, rule.neighbors, grid)
+            lists = cell_grid.nearest_neighbors(
+                new_ids, positions, min(rule.neighbors, new_ids.size), grid
+            )
         else:
             radius = float(rule.radius_m)
             grid = cell_grid.cell_grid(positions, 0.5 * radius)
@@ -382,8 +388,15 @@ def change_between(before: TrafficGraph, after: TrafficGraph) -> GraphChange:
     return GraphChange(arrived, departed, edges[first][differs], total[differs])
 
 
+def _as_array(values: ArrayLike, what: str) -> NDArray[Any]:
+    try:
+        return np.asarray(values)
+    except ValueError as error:  # lists of different lengths
+        raise InputError(f"{what}: found {values!r:.60}, expected an array ({error})") from error
+
+
 def _checked_ids(ids: ArrayLike, what: str = "ids") -> NDArray[np.int64]:
-    found = np.asarray(ids)
+    found = _as_array(ids, what)
     if found.ndim != 1:
         raise InputError(f"{what}: found shape {found.shape}, expected one id per vehicle")
     if found.size == 0:
@@ -396,11 +409,13 @@ def _checked_ids(ids: ArrayLike, what: str = "ids") -> NDArray[np.int64]:
 
 
 def _checked_floats(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    found = _as_array(values, what)
+    if found.dtype.kind == "c":
+        raise InputError(f"{what}: found complex numbers, expected real ones")
     try:
-        found: Sequence[object] | NDArray[np.float64] = np.asarray(values, dtype=np.float64)
+        return np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{what}: found {values!r:.60}, expected numbers ({error})") from error
-    return np.asarray(found)
 
 
 _NOTHING = TrafficGraph(

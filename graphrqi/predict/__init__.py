@@ -71,13 +71,15 @@ def predict(
         Futures of every agent present now, every 0.1 s up to the horizon.
 
     Raises:
-        InputError: if the predictor is unknown, the horizon too short or the history empty.
+        InputError: if the predictor is unknown, the horizon too short, or the history empty or with
+            numbers that are not finite where agents were seen.
     """
     from graphrqi.predict.mapless import predict_unmapped
-    from graphrqi.predict.scene import LEARNED_S, check_horizon, make_scene
+    from graphrqi.predict.scene import LEARNED_S, check_history, check_horizon, make_scene
 
     function = get_predictor(predictor)
     check_horizon(horizon_s)
+    check_history(history)
     if road is None:
         return predict_unmapped(history, horizon_s, predictor)
     scene = make_scene(history, road, max(horizon_s, LEARNED_S))

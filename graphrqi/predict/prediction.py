@@ -41,7 +41,7 @@ class Prediction:
     spread: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and probabilities, and make the arrays read-only."""
+        """Check shapes, places and probabilities, and make the arrays read-only."""
         ids, time_s = np.asarray(self.ids, np.int64), np.asarray(self.time_s, np.float64)
         xy, probability = np.asarray(self.xy, np.float64), np.asarray(self.probability, np.float64)
         n, h = ids.size, time_s.size
@@ -51,6 +51,8 @@ class Prediction:
             raise InputError(
                 f"Prediction.probability: found shape {probability.shape}, expected {xy.shape[:2]}"
             )
+        if not np.isfinite(xy).all():
+            raise InputError("Prediction.xy: found places that are not finite, expected metres")
         if n and not np.abs(probability.sum(axis=1) - 1.0).max() <= 1e-5:
             raise InputError("Prediction.probability: found rows that do not sum to 1, expected 1")
         if self.spread is not None:

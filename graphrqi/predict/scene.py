@@ -135,10 +135,32 @@ class Scene:
 
 def check_horizon(horizon_s: float) -> None:
     """Refuse a horizon that is shorter than a step or longer than `LONGEST_S`."""
-    if not STEP_S <= horizon_s <= LONGEST_S:
+    known = isinstance(horizon_s, (int, float, np.number))
+    if not known or not STEP_S <= horizon_s <= LONGEST_S:
         raise InputError(
-            f"horizon_s: found {horizon_s}, expected seconds from {STEP_S} to {LONGEST_S:g}"
+            f"horizon_s: found {horizon_s!r}, expected seconds from {STEP_S} to {LONGEST_S:g}"
         )
+
+
+def check_history(history: Tracks) -> None:
+    """Refuse a history that no predictor can read.
+
+    Args:
+        history: tracks.
+
+    Raises:
+        InputError: if times do not increase, or a number is not finite where an agent was seen.
+    """
+    time_s = history.time_s
+    if not (np.isfinite(time_s).all() and (np.diff(time_s) > 0.0).all()):
+        raise InputError("history.time_s: found times that do not increase, expected seconds")
+    for name in ("xy", "heading", "speed", "length", "width"):
+        values = getattr(history, name)
+        seen = values if values.ndim == 1 else values[history.valid]
+        if not np.isfinite(seen).all():
+            raise InputError(
+                f"history.{name}: found a number that is not finite where an agent was seen"
+            )
 
 
 def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:

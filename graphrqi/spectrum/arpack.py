@@ -68,12 +68,13 @@ def solve(
     if k < 1 or 2 * k >= d:
         return eigh.solve(graph, num_pairs, end, previous, tol, nonzero)
     start = starting_block(graph, k, previous, null).sum(axis=1)
+    rng = np.random.default_rng(0)  # for restarts; scipy's own differs from call to call
     laplacian = graph.laplacian
     scale = max(1.0, lambda_max_floor(graph))
     note = ""
     try:
         if end == "largest":
-            values, vectors = eigsh(laplacian, k, which="LA", v0=start, tol=0.1 * tol)
+            values, vectors = eigsh(laplacian, k, which="LA", v0=start, tol=0.1 * tol, rng=rng)
         else:
             shift = SHIFT * scale
             factor = splu(csc_array(laplacian + shift * eye_array(d)))
@@ -83,7 +84,7 @@ def solve(
                 return y - null @ (null.T @ y)
 
             operator = LinearOperator((d, d), matvec=inverse, dtype=np.float64)
-            _, vectors = eigsh(operator, k, which="LA", v0=start, tol=0.1 * tol)
+            _, vectors = eigsh(operator, k, which="LA", v0=start, tol=0.1 * tol, rng=rng)
             values = np.einsum("ij,ij->j", vectors, laplacian @ vectors)
             note = f"shift {shift:.1e} below the spectrum"
     except ArpackError as error:

@@ -53,6 +53,7 @@ from graphrqi.spectrum.contract import (
     answer,
     carry_rows,
     check_arguments,
+    components,
     lambda_max_floor,
     null_space,
     pick,
@@ -75,6 +76,10 @@ LIVELY_FROM = 600
 """Vertices from which the part where the vectors are is treated first (measured)."""
 STALE = 1.15
 """Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
+WITHOUT_NULL_SPACE, WITH_NULL_SPACE = 0.1, 0.9
+"""An answer at the smallest end leaves the null space out, or holds a vector of it, if the cosine
+between the two is below or above these (our choice: rounding and residuals move it by 1e-4 where
+eigenvalues are not themselves of the order of the tolerance)."""
 EXTRA = 8
 """Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
 
@@ -226,7 +231,8 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
         The same pairs, certified if they are converged, orthonormal, and a count of the
         eigenvalues just beyond the last one finds no more than they are. Where more eigenvalues
         equal the last one, a count just before it will do. A rounding error in the count that
-        could matter leaves the answer uncertified.
+        could matter leaves the answer uncertified, and so do vectors of which it cannot be told
+        whether they are to hold the null space.
     """
     from graphrqi.spectrum import factorization, tracking
 
@@ -242,18 +248,21 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
         return replace(measured, certified=False)
     away = -1.0 if spectrum.end == "largest" else 1.0
     floor = 1e-13 * scale
-    delta = min(tol * scale, max(floor, 1e-2 * abs(values[-1])))
+    last = values.min() if spectrum.end == "largest" else values.max()
+    delta = min(tol * scale, max(floor, 1e-2 * abs(last)))
     steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
     lanes = np.empty((5, 8))
-    lanes[factorization.SHIFT] = values[-1] + away * steps
+    lanes[factorization.SHIFT] = last + away * steps
     factorization.factor_and_solve(
         *analysis[1:8], lanes, 1e-15 * scale, True, 0, np.empty((analysis.rows.size, 8)),
         np.empty((d, 8)), np.empty((d, 8)), np.zeros((d, 8)),
     )  # fmt: skip
     zeros = 0
     if spectrum.end == "smallest":
-        has_null = np.abs(vectors.T @ null_space(graph)).max(initial=0.0) > 0.5
-        zeros = 0 if has_null else analysis.components
+        cosine = _null_space_cosine(graph, vectors)
+        if WITHOUT_NULL_SPACE < cosine < WITH_NULL_SPACE:
+            return replace(measured, certified=False)
+        zeros = analysis.components if cosine <= WITHOUT_NULL_SPACE else 0
     complete = False
     for s, n, g in lanes[: factorization.GROWTH + 1].T:
         error = 4.0 * 2.2e-16 * g
@@ -261,14 +270,29 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
             continue
         if spectrum.end == "largest":
             same = int((values > s).sum()) == int(n)
-            beyond = s + error <= values[-1] + delta
+            beyond = s + error <= last + delta
         else:
             same = int((values < s).sum()) == d - int(n) - zeros
-            beyond = s - error >= values[-1] - delta
+            beyond = s - error >= last - delta
         complete = complete or (same and bool(beyond))
     return answer(
         graph, values, vectors, spectrum.end, tol, complete, spectrum.note, spectrum.carried
     )
+
+
+def _null_space_cosine(graph: TrafficGraph, vectors: Floats) -> float:
+    """Cosine of the least angle between the null space and a span: 1 if they share a vector.
+
+    Args:
+        graph: d vehicles.
+        vectors: (d, k) orthonormal columns.
+
+    Returns:
+        The largest singular value of N^T V, N the indicators of the components.
+    """
+    label = components(graph)
+    along = np.stack([np.bincount(label, weights=column) for column in vectors.T])
+    return float(np.linalg.norm(along / np.sqrt(np.bincount(label)), 2))
 
 
 class _Start(NamedTuple):

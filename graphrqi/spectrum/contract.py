@@ -104,7 +104,7 @@ def check_arguments(num_pairs: int, end: str, tol: float) -> None:
         raise InputError(f"num_pairs: found {num_pairs}, expected at least 1")
     if end not in ENDS:
         raise InputError(f"end: found {end!r}, expected one of {', '.join(ENDS)}")
-    if not 0.0 < tol < math.inf:
+    if not isinstance(tol, (int, float, np.number)) or not 0.0 < tol < math.inf:
         raise InputError(f"tol: found {tol!r}, expected a positive number")
 
 

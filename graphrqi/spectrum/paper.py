@@ -72,12 +72,17 @@ def solve(
         if np.array_equal(graph.ids[: before.ids.size], before.ids):
             pairs = _follow(previous.carried, before, graph)
     fresh = pairs is None
+    null = null_space(graph)
     if pairs is None:
-        pairs = eigh.dense_pairs(graph, False)
-    values, vectors = pairs
-    order = np.argsort(values, kind="stable")
+        values, vectors = eigh.dense_pairs(graph, True)
+        values = np.concatenate([np.zeros(null.shape[1]), values])
+        vectors = np.hstack([null, vectors])
+        order = np.arange(values.size)
+    else:
+        values, vectors = pairs
+        order = np.argsort(values, kind="stable")
     if nonzero:
-        order = order[null_space(graph).shape[1] :]
+        order = order[null.shape[1] :]
     chosen = order[pick(values[order], num_pairs, end)]
     note = "solved anew" if fresh else ""
     return answer(

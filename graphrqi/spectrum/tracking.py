@@ -794,7 +794,7 @@ def track(
     for b in range(slots):
         found += number[STATUS, b] == FOUND
     found = min(found, k + extra)
-    pairs = np.empty((2, found), np.float64)
+    pairs, chosen = np.empty((2, found), np.float64), np.empty(found, np.int32)
     kept = 0
     for c in range(found):
         best = -1
@@ -802,18 +802,18 @@ def track(
             if number[STATUS, b] == FOUND and (best < 0 or number[THETA, b] > number[THETA, best]):
                 best = b
         number[STATUS, best] = FREE
-        pairs[0, c], pairs[1, c], clear[c] = number[THETA, best], number[RES, best], best
+        pairs[0, c], pairs[1, c], chosen[c] = number[THETA, best], number[RES, best], best
         if c < k or pairs[0, c] >= pairs[0, k - 1] - 1e-6 * scale:
             kept += 1
     departure = 0.0
     for start in range(0, kept, 8):  # every eight against all
         for q in range(8):
             for j in range(d):
-                x[j, q] = pool[clear[start + q], j] if start + q < kept else 0.0
+                x[j, q] = pool[chosen[start + q], j] if start + q < kept else 0.0
         for c in range(kept):
             gram = spread(0.0)
             for j in range(d):
-                gram = plus(gram, pool[clear[c], j], load(x, j))
+                gram = plus(gram, pool[chosen[c], j], load(x, j))
             store(lanes, VALUE, gram)
             for q in range(8):
                 departure = max(departure, abs(lanes[VALUE, q] - (start + q == c)))
@@ -823,7 +823,7 @@ def track(
             answer[i, c] = 0.0
     for j in range(d):
         for c in range(kept):
-            answer[order[j], c] = pool[clear[c], j]
+            answer[order[j], c] = pool[chosen[c], j]
     return certified, pairs, answer, departure
 
 

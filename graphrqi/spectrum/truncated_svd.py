@@ -67,7 +67,8 @@ def solve(
         return eigh.solve(graph, num_pairs, end, previous, tol, nonzero)
     matrix: Any = graph.laplacian
     if end == "smallest":
-        bound = max(1.0, 2.0 * lambda_max_floor(graph))
+        # a little above the spectrum: at its edge a wanted pair would be 0 as the null space is
+        bound = 2.1 * max(1.0, lambda_max_floor(graph))
         matrix = bound * eye_array(d, format="csr") - matrix
         if nonzero:
             matrix = matrix.toarray() - bound * null @ null.T

@@ -168,6 +168,11 @@ def test_from_edges_merges_duplicates_and_keeps_the_largest_weight() -> None:
     assert graph.laplacian.toarray().tolist() == [[5, -3, -2], [-3, 3, 0], [-2, 0, 2]]
 
 
+def test_more_neighbours_than_there_are_vehicles() -> None:
+    graph = TrafficGraph.empty(neighbors=2**70).observe([1, 2, 3], [[0, 0], [1, 0], [9, 0]])
+    assert edge_set(graph) == {(1, 2), (1, 3), (2, 3)}
+
+
 @pytest.mark.parametrize("ids", [[], [4]])
 def test_no_edges(ids: list[int]) -> None:
     graph = TrafficGraph.from_edges(ids, [])
@@ -185,6 +190,9 @@ def test_no_edges(ids: list[int]) -> None:
         ([1, 2], [(1, 3)], None, "found vehicle 3"),
         ([1, 2], [(1, 2)], [-1.0], "weights: found -1.0"),
         ([1, 2], [(1, 2)], [np.nan], "weights: found nan"),
+        ([1, 2, 3], [(1, 2), (2, 3)], [1e308, 1e308], "weights: found 1e\\+308"),
+        ([1, 2], [(1, 2), (1,)], None, "edges: found"),
+        ([[1], [2, 3]], [], None, "ids: found"),
         ([1, 2], [(1, 2)], [1.0, 2.0], "weights: found shape"),
         ([1, 2], [(1, 2, 3)], None, "edges: found shape"),
         ([1.5, 2.0], [], None, "whole numbers"),
@@ -206,6 +214,8 @@ def test_bad_edges_are_refused(
         ([1, 2], [[0, np.inf], [0, 1]], "vehicle 1"),
         ([1, 2], [[0, 0]], "xy: found shape"),
         ([1], [["a", "b"]], "xy: found"),
+        ([1], [[1j, 2.0]], "xy: found complex"),
+        ([1, 2], [[1, 2], [3]], "xy: found"),
     ],
 )
 def test_bad_observations_are_refused(ids: list[int], xy: list[list[float]], message: str) -> None:
@@ -215,7 +225,15 @@ def test_bad_observations_are_refused(ids: list[int], xy: list[list[float]], mes
 
 @pytest.mark.parametrize(
     "options",
-    [{"neighbors": 0}, {"reset": 0}, {"radius_m": 0.0}, {"scale_m": -1.0}, {"kind": "sometimes"}],
+    [
+        {"neighbors": 0},
+        {"reset": 0},
+        {"radius_m": 0.0},
+        {"scale_m": -1.0},
+        {"kind": "sometimes"},
+        {"radius_m": "near"},
+        {"scale_m": np.ones(2)},
+    ],
 )
 def test_bad_rules_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(InputError, match=next(iter(options))):

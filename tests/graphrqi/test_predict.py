@@ -376,8 +376,17 @@ def test_wrong_input_is_refused_by_name(straight):
         predict(past, NOBODY, straight, predictor="car-folowing")
     with pytest.raises(InputError, match="horizon_s: found 0"):
         predict(past, NOBODY, straight, horizon_s=0)
+    with pytest.raises(InputError, match="horizon_s: found '5'"):
+        predict(past, NOBODY, straight, horizon_s="5")
+    for unknown in ("time_s", "xy", "heading", "speed", "length", "width"):
+        blank = dataclasses.replace(past, **{unknown: np.full_like(getattr(past, unknown), np.nan)})
+        for road in (straight, None):
+            with pytest.raises(InputError, match=rf"history\.{unknown}: found"):
+                predict(blank, NOBODY, road)
     with pytest.raises(InputError, match=r"Prediction\.xy"):
         Prediction([1], [1.0], np.zeros((2, 1, 1, 2)), [[1.0]])
+    with pytest.raises(InputError, match="not finite"):
+        Prediction([1], [1.0], np.full((1, 1, 1, 2), np.nan), [[1.0]])
     with pytest.raises(InputError, match="sum to 1"):
         Prediction([1], [1.0], np.zeros((1, 2, 1, 2)), [[0.2, 0.2]])
 

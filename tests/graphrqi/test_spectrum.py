@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -141,6 +144,52 @@ def test_repeated_eigenvalues_at_the_cut() -> None:
     np.testing.assert_allclose(found.eigenvalues, 10.0, atol=1e-8)
 
 
+@pytest.mark.parametrize("end", ENDS)
+def test_more_equal_eigenvalues_than_shifts_are_ever_tried(end: End) -> None:
+    star = TrafficGraph.from_edges(range(1400), [(0, i) for i in range(1, 1400)])
+    found = SOLVERS["graphrqi"](star, 420, end, nonzero=True)
+    assert found.certified
+    expected = np.ones(420)
+    if end == "largest":
+        expected[0] = 1400.0
+    np.testing.assert_allclose(found.eigenvalues, expected, atol=1e-8)
+
+
+def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
+    """Compiled once more with numba's check of every index."""
+    program = """
+import numpy as np
+from experiments.runtime import graph_sequence
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum import SOLVERS
+
+star = TrafficGraph.from_edges(range(900), [(0, i) for i in range(1, 900)])
+for end in ("largest", "smallest"):
+    assert SOLVERS["graphrqi"](star, 410, end).certified
+    for nonzero in (False, True):
+        for name, kind in (("road", "accumulated"), ("crossing", "instantaneous")):
+            for k, d in ((1, 70), (8, 300), (40, 500), (8, 1500)):
+                previous = None
+                for graph in graph_sequence(name, kind, d, 4):
+                    previous = SOLVERS["graphrqi"](graph, k, end, previous, nonzero=nonzero)
+                    assert previous.certified
+rng = np.random.default_rng(0)
+graph = TrafficGraph.empty(radius_m=12.0, scale_m=5.0)
+for n in (0, 1, 2, 90, 40):
+    xy = np.stack([500.0 * rng.random(n), 3.5 * rng.integers(0, 4, n)], axis=1)
+    graph = graph.observe(rng.permutation(200)[:n], xy)
+"""
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    run = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+
+
 def test_the_previous_answer_may_be_of_other_vehicles() -> None:
     before, after = graph_sequence("road", "instantaneous", 120, 2)
     previous = SOLVERS["graphrqi"](before, 8)
@@ -169,13 +218,14 @@ def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
     assert len(tracking.track.signatures) == 1  # type: ignore[attr-defined]
 
 
-def test_same_call_same_answer_to_the_bit() -> None:
-    graphs = list(graph_sequence("road", "accumulated", 100, 3))
+@pytest.mark.parametrize("name", SOLVERS)
+def test_same_call_same_answer_to_the_bit(name: str) -> None:
+    graphs = [*graph_sequence("road", "accumulated", 100, 3), SHAPES["pairs"]]
     answers = []
     for _ in range(2):
         previous: Spectrum | None = None
         for graph in graphs:
-            previous = SOLVERS["graphrqi"](graph, 8, previous=previous)
+            previous = SOLVERS[name](graph, 8, previous=previous)
         assert previous is not None
         answers.append(previous)
     assert np.array_equal(answers[0].eigenvectors, answers[1].eigenvectors)
@@ -197,6 +247,46 @@ def test_a_missing_pair_is_never_certified(end: End) -> None:
                 residuals=found.residuals[kept],
             )
             assert not certify(fraud).certified
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_the_order_of_an_answer_does_not_matter_to_its_certificate(end: End) -> None:
+    graph = TrafficGraph.from_edges(range(50), [(i, i + 1) for i in range(49)])
+    values, vectors = np.linalg.eigh(graph.laplacian.toarray())
+    complete = slice(45, 50) if end == "largest" else slice(0, 5)
+    gap = [44, 46, 47, 48, 49] if end == "largest" else [5, 3, 2, 1, 0]
+    for kept, whole in ((complete, True), (gap, False)):
+        for turn in (1, -1):
+            some = values[kept][::turn].copy(), vectors[:, kept][:, ::turn].copy()
+            found = Spectrum(graph.ids, *some, np.zeros(5), False, graph, end)
+            assert certify(found).certified is whole
+
+
+def test_a_null_vector_over_all_components_is_known_for_one() -> None:
+    """Spread over many, it is like none of their indicators; then its zero was counted twice."""
+    weights = 0.1 * np.arange(1, 31)
+    weights[7] = weights[6]
+    pairs = [(2 * i, 2 * i + 1) for i in range(30)]
+    graph = TrafficGraph.from_edges(range(60), pairs, weights)
+    full = full_spectrum(graph)
+    null = full.eigenvectors[:, :30].sum(axis=1) / np.sqrt(30)
+    values = np.concatenate([[0.0], full.eigenvalues[30:37]])
+    vectors = np.column_stack([null, full.eigenvectors[:, 30:37]])
+    missing = Spectrum(graph.ids, values, vectors, np.zeros(8), False, graph, "smallest")
+    assert not certify(missing).certified
+
+
+def test_only_the_null_space_itself_is_left_out() -> None:
+    graph = TrafficGraph.from_edges(range(4), [(0, 1), (1, 2), (2, 3)], [1.0, 1e-15, 1.0])
+    for name in ("eigh", "graphrqi", "graphrqi-exact", "graphrqi-paper"):
+        found = SOLVERS[name](graph, 1, "smallest", nonzero=True)
+        assert np.abs(null_space(graph).T @ found.eigenvectors).max() < 1e-12, name
+
+
+def test_the_truncated_decomposition_does_not_take_the_null_space_for_an_end() -> None:
+    graph = TrafficGraph.from_edges(range(5), [(0, 1), (2, 3)])
+    found = SOLVERS["truncated-svd"](graph, 2, "smallest", nonzero=True)
+    np.testing.assert_allclose(found.eigenvalues, 2.0)
 
 
 def test_most_right_answers_are_certified() -> None:
@@ -307,8 +397,9 @@ def test_factorisation_counts_and_solves(part: bool) -> None:
         ({"end": "middle"}, "end: found 'middle'"),
         ({"tol": 0.0}, "tol: found 0.0"),
         ({"tol": float("nan")}, "tol: found nan"),
+        ({"tol": "1"}, "tol: found '1'"),
     ],
-    ids=["no pairs", "half a pair", "no end", "no tolerance", "nan"],
+    ids=["no pairs", "half a pair", "no end", "no tolerance", "nan", "a word"],
 )
 def test_bad_arguments_are_refused(name: str, arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):

@@ -109,6 +109,36 @@ def test_stream_refuses_to_go_back_in_time(tracks, model):
         stream.update(tracks.frame(3))
 
 
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"time_s": np.nan}, r"frame\.time_s: found nan"),
+        ({"time_s": np.inf}, r"frame\.time_s: found inf"),
+        ({"xy": np.nan}, r"frame\.xy: found no finite place"),
+        ({"xy": 1e12}, r"frame\.xy: found agent \d+ beyond"),
+        ({"ids": 0}, r"frame\.ids: found ids that do not ascend"),
+        ({"kind": 77}, r"frame\.kind: found other codes"),
+        ({"signals": np.zeros(9, np.int8)}, r"frame\.signals: found 9"),
+    ],
+)
+def test_a_refused_frame_leaves_the_stream_as_it_was(tracks, model, changed, message):
+    streams = BehaviorStream(model), BehaviorStream(model)
+    for frame in tracks.window(250, 60).frames():
+        if len(frame) > 1 and len(streams[0].history.time_s) == 30:
+            wrong = {
+                name: value if name in ("time_s", "signals") else np.full_like(old, value)
+                for name, value in changed.items()
+                for old in (getattr(frame, name),)
+            }
+            with pytest.raises(InputError, match=message):
+                streams[0].push(dataclasses.replace(frame, **wrong))
+        for stream in streams:
+            stream.push(frame)
+    a, b = (stream.posterior() for stream in streams)
+    assert np.array_equal(a.probability, b.probability)
+    assert np.array_equal(streams[0].history.xy, streams[1].history.xy, equal_nan=True)
+
+
 def test_beliefs_do_not_depend_on_when_they_are_asked_for(tracks, model):
     asked, silent = BehaviorStream(model), BehaviorStream(model)
     for frame in tracks.window(250, 250).frames():
@@ -190,6 +220,22 @@ def test_missing_models_and_foreign_folders_are_refused(tmp_path, model):
     with pytest.raises(InputError, match="not a model"):
         save_model(model, tmp_path / "precious")
     assert (tmp_path / "precious" / "thesis.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("ids", "rows", "message"),
+    [
+        ([3, 1, 2], np.eye(6)[:3], r"Posterior\.ids: found ids that do not ascend"),
+        ([1, 1], np.eye(6)[:2], r"Posterior\.ids: found ids that do not ascend"),
+        (["a"], np.eye(6)[:1], r"Posterior\.ids: found <U1"),
+        ([1], np.full((1, 6), np.nan), "sum to 1"),
+        ([1], [[5, 0, 0, 0, 0, 0]], "sum to 1"),
+        ([1], [[2, -1, 0, 0, 0, 0]], "sum to 1"),
+    ],
+)
+def test_what_is_no_posterior_is_refused(ids, rows, message):
+    with pytest.raises(InputError, match=message):
+        Posterior(ids, rows)
 
 
 def test_posterior_checks_and_looks_up():
