@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from behaviors.errors import InputError
 from experiments.data_card import data_card
@@ -18,10 +21,13 @@ from sim.dataset import (
     write_manifest,
     write_recording,
 )
-from sim.formats import get_reader, get_writer, read_recordings, recognise
-from sim.lock import sole_writer
+from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
+from sim.lock import LOCK, sole_writer
 from sim.road_files import read_road_file
 from sim.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
+
+LEFT_OUT_NAMED: Final = 5
+"""So many files that are left out are named (our choice)."""
 
 
 def import_recordings(
@@ -56,10 +62,15 @@ def import_recordings(
     get_reader(name)
     if net is not None:
         read_road_file(net)
-    if out.exists() and (not out.is_dir() or any(p.name != ".lock" for p in out.iterdir())):
-        raise InputError(f"{out}: found something there, expected a new or empty folder")
+    configuration = {"format": name, "source": source.name}
+    others = recording_files(source, name)[1]
+    if others:
+        configuration["left_out"] = ", ".join(file.name for file in others[:LEFT_OUT_NAMED])
+        if len(others) > LEFT_OUT_NAMED:
+            configuration["left_out"] += f" and {len(others) - LEFT_OUT_NAMED} more"
+        sys.stderr.write(f"{source}: left out, no {name} files: {configuration['left_out']}\n")
     entries: list[EpisodeEntry] = []
-    with sole_writer(out), Progress("importing recordings", 0, quiet) as shown:
+    with _all_or_nothing(out), Progress("importing recordings", 0, quiet) as shown:
         for index, recording in enumerate(read_recordings(source, name, types)):
             meta = EpisodeMeta(
                 scenario=name,
@@ -72,9 +83,40 @@ def import_recordings(
             entry = write_recording(out, meta, recording.tracks, net or recording.road)
             entries.append(entry)
             shown.advance(entry.agents, entry.agent_steps)
-        manifest = write_manifest(out, {"format": name, "source": source.name}, entries)
+        manifest = write_manifest(out, configuration, entries)
         write_whole(out / "README.md", data_card(open_dataset(out)).encode())
     return manifest
+
+
+@contextmanager
+def _all_or_nothing(out: Path) -> Iterator[None]:
+    """Hold a new or empty folder for writing; it is as it was if the block ends with an error.
+
+    Args:
+        out: the folder.
+
+    Raises:
+        InputError: if there is something in it, or another process holds it.
+    """
+    known = next((folder for folder in (out, *out.parents) if folder.exists()), out)
+    try:
+        with sole_writer(out):
+            if any(child.name != LOCK for child in out.iterdir()):
+                raise InputError(f"{out}: found something there, expected a new or empty folder")
+            try:
+                yield
+            except BaseException:
+                for child in out.iterdir():
+                    if child.name != LOCK:
+                        shutil.rmtree(child) if child.is_dir() else child.unlink()
+                raise
+    except BaseException:
+        for folder in (out, *out.parents):
+            if folder == known:
+                break
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 @contextmanager
@@ -99,7 +141,7 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
         yield source
         return
     with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:
-        folder = Path(scratch) / source.name
+        folder = Path(scratch) / (source.resolve().name or "recordings")
         import_recordings(source, folder, name, net, split="test", quiet=True)
         yield folder
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -48,7 +49,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     """A new file to write, moved to its place when the block ends without an error.
 
     Args:
-        path: where it will appear; an older file there is replaced. Its folder must exist.
+        path: where it will appear; an older file there is replaced, a link is followed, and a pipe
+            or device is written to. Its folder must exist.
 
     Yields:
         The path to write to.
@@ -56,6 +58,13 @@ def whole_file(path: Path) -> Iterator[Path]:
     Raises:
         OSError: if it cannot be written; nothing is left behind.
     """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        with tempfile.TemporaryDirectory(prefix="graphrqi-") as scratch:
+            partial = Path(scratch) / path.name
+            yield partial
+            path.write_bytes(partial.read_bytes())
+        return
+    path = Path(os.path.realpath(path))
     partial = _partial(path)
     try:
         yield partial

@@ -7,10 +7,12 @@ its own file, is loaded when first asked for, and refuses what is broken with on
 
 from __future__ import annotations
 
+import codecs
 import importlib
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
@@ -39,6 +41,9 @@ class Format:
         reader: "module:function", or None where it is only written.
         writer: "module:function", or None where it is only read.
         unit: what its lengths are in: "m", or "px" where there is no scale.
+        own_names: whether nothing else is named like its files, so that each of them is to be read,
+            whatever it looks like.
+        beside: patterns of the names of files that only go with its files.
     """
 
     files: tuple[str, ...]
@@ -46,12 +51,14 @@ class Format:
     reader: str | None = None
     writer: str | None = None
     unit: str = "m"
+    own_names: bool = False
+    beside: tuple[str, ...] = ()
 
 
 def _columns(*names: str) -> re.Pattern[bytes]:
     """A first line that has all these columns."""
-    every = "".join(rf'(?=[^\n]*(?:^|[,"\s\ufeff]){name}(?:[,"\s]|$))' for name in names)
-    return re.compile(rb"^(?:\xef\xbb\xbf)?" + every.replace("\\ufeff", "").encode())
+    every = "".join(rf'(?=[^\n]*(?:^|[,"\s]){name}(?:[,"\s]|$))' for name in names)
+    return re.compile(b"^" + every.encode())
 
 
 FORMATS: Final[dict[str, Format]] = {
@@ -60,6 +67,7 @@ FORMATS: Final[dict[str, Format]] = {
         re.compile(rb"^par1"),
         "sim.formats.argoverse2:read",
         "sim.formats.argoverse2:write",
+        own_names=True,
     ),
     "argoverse1": Format(
         ("*.csv",),
@@ -79,37 +87,42 @@ FORMATS: Final[dict[str, Format]] = {
         ("*_tracks.csv",),
         _columns("trackid", "xcenter", "ycenter", "heading"),
         "sim.formats.levelx:read_ind",
+        own_names=True,
     ),
     "round": Format(
         ("*_tracks.csv",),
         _columns("trackid", "xcenter", "ycenter", "heading"),
         "sim.formats.levelx:read_ind",
+        own_names=True,
     ),
     "highd": Format(
         ("*_tracks.csv",),
         _columns("frame", "id", "width", "height", "xvelocity"),
         "sim.formats.levelx:read_highd",
+        own_names=True,
     ),
     "interaction": Format(
         ("vehicle_tracks_*.csv",),
         _columns("track_id", "timestamp_ms", "agent_type"),
         "sim.formats.interaction:read",
+        own_names=True,
     ),
     "sumo-fcd": Format(
         ("*.xml", "*.xml.gz"),
         re.compile(rb"<fcd-export"),
         "sim.formats.sumo_fcd:read",
         "sim.formats.sumo_fcd:write",
+        beside=("*.types.xml",),
     ),
     "traf": Format(
         ("*.txt",),
-        re.compile(rb"^\d+,\d+(?:,-?\d+)*\r?\n"),
+        re.compile(rb"^\d+[ \t]*,[ \t]*\d+(?:[ \t]*,[ \t]*-?\d+)*[ \t,-]*(?:\r?\n|\Z)"),
         "sim.formats.traf:read",
         unit="px",
     ),
     "argo": Format(
         ("*.csv",),
-        re.compile(rb'^(?:\xef\xbb\xbf)?"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
+        re.compile(rb'^"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
         "sim.formats.argo:read",
     ),
     "scenarionet": Format(("*.pkl",), re.compile(rb"(?!)"), writer="sim.formats.scenarionet:write"),
@@ -148,23 +161,32 @@ def get_writer(name: str) -> Writer:
 
 
 def _head(path: Path) -> bytes:
+    """The beginning of a file, in lower case, without a byte order mark."""
     if path.suffix == ".gz":
         import gzip
 
         try:
             with gzip.open(path) as packed:
-                return packed.read(HEAD_BYTES).lower()
+                head = packed.read(HEAD_BYTES)
         except (OSError, EOFError):
             return b""
-    with path.open("rb") as file:
-        return file.read(HEAD_BYTES).lower()
+    else:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    return head.removeprefix(codecs.BOM_UTF8).lower()
 
 
 def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
-    if not path.is_dir():
+    """A file itself, or the files in a folder with such names, in upper or lower case."""
+    if path.is_file():
         return [path]
-    found = {file for pattern in patterns for file in path.rglob(pattern) if file.is_file()}
-    return sorted(found)
+    if not path.is_dir():
+        raise InputError(f"{path}: found no file and no folder, expected recordings")
+    return sorted(
+        file
+        for file in path.rglob("*")
+        if any(fnmatchcase(file.name.lower(), pattern) for pattern in patterns) and file.is_file()
+    )
 
 
 def recognise(path: Path) -> str:
@@ -179,12 +201,43 @@ def recognise(path: Path) -> str:
     Raises:
         InputError: if it is none of them.
     """
-    if not path.exists():
-        raise InputError(f"{path}: found nothing, expected a recording or a folder of recordings")
+    _check_there(path)
     for name, entry in FORMATS.items():
         if any(entry.head.search(_head(file)) for file in _files(path, entry.files)[:20]):
             return name
     raise InputError(f"{path}: found no known format, expected one of {', '.join(FORMATS)}")
+
+
+def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
+    """The files of a format, and those that are named like them but begin like something else.
+
+    Args:
+        path: a file or a folder.
+        name: a key of ``FORMATS``.
+
+    Returns:
+        What is to be read, and what is to be left out, by name.
+
+    Raises:
+        InputError: if there is nothing to read.
+    """
+    _check_there(path)
+    entry = FORMATS[name]
+    files = _files(path, entry.files)
+    others: list[Path] = []
+    if path.is_dir():
+        files = [f for f in files if not any(fnmatchcase(f.name.lower(), p) for p in entry.beside)]
+        if not entry.own_names:
+            others = [file for file in files if not entry.head.search(_head(file))]
+            files = [file for file in files if file not in set(others)]
+    if not files:
+        raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
+    return files, others
+
+
+def _check_there(path: Path) -> None:
+    if not path.exists():
+        raise InputError(f"{path}: found nothing, expected a recording or a folder of recordings")
 
 
 def read_recordings(
@@ -198,7 +251,8 @@ def read_recordings(
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
 
     Yields:
-        The recordings, one at a time, in order of the files' names.
+        The recordings, one at a time, in order of the files' names; see `recording_files` for
+        what is left out.
 
     Raises:
         InputError: if a file is broken, or there is none.
@@ -209,16 +263,11 @@ def read_recordings(
         if name != "sumo-fcd":
             raise InputError(f"types: found format {name}, expected sumo-fcd: only it needs them")
         reader = partial(cast("Callable[..., Iterator[Recording]]", reader), types=types)
-    entry = FORMATS[name]
-    if not path.exists():
-        raise InputError(f"{path}: found nothing, expected a recording or a folder of recordings")
-    files = _files(path, entry.files)
-    if path.is_dir():
-        files = [file for file in files if entry.head.search(_head(file))]
-    if not files:
-        raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
-    for file in files:
+    for file in recording_files(path, name)[0]:
         yield from reader(file)
 
 
-__all__ = ["FORMATS", "Format", "get_reader", "get_writer", "read_recordings", "recognise"]
+__all__ = [
+    "FORMATS", "Format", "get_reader", "get_writer", "read_recordings", "recognise",
+    "recording_files",
+]  # fmt: skip

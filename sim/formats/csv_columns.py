@@ -178,6 +178,8 @@ def read_fields(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Col
                 raise InputError(
                     f"{path}: line {number}: found {line[:60]!r}, expected numbers"
                 ) from None
+    if not columns[wanted[0]]:
+        raise InputError(f"{path}: found no rows, expected at least one")
     return Columns(path, pa.table({n: pa.array(v, pa.float64()) for n, v in columns.items()}))
 
 

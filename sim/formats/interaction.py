@@ -1,7 +1,8 @@
 """INTERACTION: ``vehicle_tracks_NNN.csv`` with ``pedestrian_tracks_NNN.csv`` beside it, 10 Hz.
 
 Box centres in metres, headings in radians, times in milliseconds. Pedestrians and bicycles have
-neither heading nor size.
+neither heading nor size. A file with a column ``case_id`` holds many short recordings, in which ids
+and times begin anew.
 
 References:
     Zhan et al. (2019), INTERACTION dataset, arXiv:1910.03088.
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
@@ -43,15 +46,23 @@ def read(path: Path) -> Iterator[Recording]:
         path: ``vehicle_tracks_NNN.csv`` (or pedestrians alone).
 
     Yields:
-        One recording.
+        One recording, or one for each case.
 
     Raises:
         InputError: if a file is broken; the message names file and column or row.
     """
-    parts = [_rows(path)]
     walkers = path.with_name(path.name.replace("vehicle_tracks", "pedestrian_tracks"))
-    if walkers != path and walkers.is_file():
-        parts.append(_rows(walkers))
+    with_walkers = walkers != path and walkers.is_file()
+    cases, walking = _cases(path), _cases(walkers) if with_walkers else {}
+    for case in cases | walking:
+        parts = [part[case] for part in (cases, walking) if case in part]
+        tracks = assemble(path, _joined(parts, path, walkers))
+        notes = ("those without a size have the one usual for their kind",)
+        name = f"{path.stem}-{case}" if case else path.stem
+        yield Recording(name, tracks, notes if with_walkers else ())
+
+
+def _joined(parts: list[Rows], path: Path, walkers: Path) -> Rows:
     offsets = np.cumsum([0, *(len(part.names) for part in parts)])
     names = [name for part in parts for name in part.names]
     if len(set(names)) != len(names):
@@ -60,7 +71,7 @@ def read(path: Path) -> Iterator[Recording]:
     def joined(name: str) -> NDArray[np.float64]:
         return np.concatenate([getattr(part, name) for part in parts])
 
-    rows = Rows(
+    return Rows(
         agent=np.concatenate([p.agent + o for p, o in zip(parts, offsets, strict=False)]),
         names=tuple(names),
         time_s=joined("time_s"),
@@ -72,12 +83,22 @@ def read(path: Path) -> Iterator[Recording]:
         width=joined("width"),
         kind=np.concatenate([part.kind for part in parts]),
     )
-    notes = ("those without a size have the one usual for their kind",)
-    yield Recording(path.stem, assemble(path, rows), notes if walkers.is_file() else ())
 
 
-def _rows(path: Path) -> Rows:
-    columns = read_columns(path, [*_COMMON, *_BOX], ["track_id", "agent_type"], optional=_BOX)
+def _cases(path: Path) -> dict[str, Rows]:
+    """The rows of each case, by its name; of a file without cases, under no name."""
+    words = ["track_id", "agent_type", "case_id"]
+    columns = read_columns(path, [*_COMMON, *_BOX], words, optional=[*_BOX, "case_id"])
+    if "case_id" not in columns:
+        return {"": _rows(path, columns)}
+    column = columns.table.column("case_id")
+    return {
+        case: _rows(path, Columns(path, columns.table.filter(pc.equal(column, pa.scalar(case)))))
+        for case in pc.unique(column).to_pylist()
+    }
+
+
+def _rows(path: Path, columns: Columns) -> Rows:
     agent, names = columns.names("track_id")
     kinds = _kinds(path, columns, agent)
     vx, vy = columns.numbers("vx"), columns.numbers("vy")

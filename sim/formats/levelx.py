@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pyarrow.compute as pc
 
 from behaviors.errors import InputError
 from sim.formats.csv_columns import read_columns
@@ -92,8 +93,16 @@ def read_ind(path: Path) -> Iterator[Recording]:
     columns = read_columns(
         path,
         ["frame", "xcenter", "ycenter", "heading", "width", "length", "xvelocity", "yvelocity"],
-        ["trackid"],
+        ["trackid", "recordingid"],
+        optional=["recordingid"],
     )
+    if "recordingid" in columns:
+        recordings = pc.unique(columns.table.column("recordingid")).to_pylist()
+        if len(recordings) > 1:  # their frames and ids begin anew
+            raise InputError(
+                f"{path}: column recordingid: found {recordings[0]} and {recordings[1]}, expected "
+                "one recording in a file"
+            )
     agent, names = columns.names("trackid")
     kinds, notes = _kinds(path, "trackid", names)
     _, first = np.unique(agent, return_index=True)

@@ -23,8 +23,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.csv_columns import Columns, read_columns, read_fields
-from sim.formats.recording import Recording, Rows, assemble
+from sim.formats.csv_columns import Columns, read_columns, read_fields, read_header
+from sim.formats.recording import MAX_CELLS, Recording, Rows, assemble, check_size
 from sim.frames import AgentKind
 
 FOOT_M: Final = 0.3048
@@ -36,6 +36,10 @@ CLASSES: Final[dict[int, AgentKind]] = {
     3: AgentKind.TRUCK,
 }
 """``v_Class``."""
+
+BREAK_S: Final = 60.0
+"""Where nobody, or nobody of an id, is seen for longer than this, ids begin anew (our choice:
+vehicles are seen without a break, and periods of recording have 15 minutes)."""
 
 NUMBERS: Final = (
     "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
@@ -57,22 +61,49 @@ def read(path: Path) -> Iterator[Recording]:
         path: the CSV or the text file.
 
     Yields:
-        One recording per location that the file names.
+        One recording for each location that the file names and each time without a long break
+        there; a time that has more than fits is cut.
 
     Raises:
         InputError: if the file is broken; the message names file and column or line.
     """
-    if path.suffix.lower() == ".txt":
-        yield _recording(path, path.stem, read_fields(path, TEXT_COLUMNS, NUMBERS))
+    check_size(path)
+    if "vehicle_id" not in read_header(path):
+        yield from _recordings(path, path.stem, read_fields(path, TEXT_COLUMNS, NUMBERS))
         return
     columns = read_columns(path, NUMBERS, ["location"], optional=["location"])
     if "location" not in columns:
-        yield _recording(path, path.stem, columns)
+        yield from _recordings(path, path.stem, columns)
         return
     places = columns.table.column("location")
     for place in sorted(pc.unique(places).to_pylist()):
         part = Columns(path, columns.table.filter(pc.equal(places, pa.scalar(place))))
-        yield _recording(path, f"{path.stem}-{place}", part)
+        yield from _recordings(path, f"{path.stem}-{place}", part)
+
+
+def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
+    """What was recorded at one place, a recording for each time without a long break."""
+    time_ms, agent = columns.numbers("global_time"), columns.numbers("vehicle_id")
+    order = np.argsort(time_ms, kind="stable")
+    breaks = np.flatnonzero(np.diff(time_ms[order]) > BREAK_S * 1000.0) + 1
+    parts = [piece for part in np.split(order, breaks) for piece in _fitting(part, time_ms, agent)]
+    for number, rows in enumerate(parts, 1):
+        part_name = name if len(parts) == 1 else f"{name}-{number}"
+        yield _recording(
+            path, part_name, Columns(path, columns.table.take(pa.array(np.sort(rows))))
+        )
+
+
+def _fitting(
+    rows: NDArray[np.int64], time_ms: NDArray[np.float64], agent: NDArray[np.float64]
+) -> list[NDArray[np.int64]]:
+    """Rows in order of time, halved in time until agents times times are few enough."""
+    times = np.unique(time_ms[rows])
+    if np.unique(agent[rows]).size * times.size <= MAX_CELLS // 2 or times.size < 2:
+        return [rows]
+    middle = int(np.searchsorted(time_ms[rows], times[times.size // 2]))
+    halves = rows[:middle], rows[middle:]
+    return [piece for half in halves for piece in _fitting(half, time_ms, agent)]
 
 
 def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
@@ -83,11 +114,31 @@ def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
     return pa.array(values.astype(np.int64))
 
 
+def _without_breaks(
+    agent: NDArray[np.int64], names: tuple[str, ...], time_ms: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Agents and names, of whom comes again after a long break another one."""
+    order = np.lexsort((time_ms, agent))
+    same = np.diff(agent[order], prepend=-1) == 0
+    again = same & (np.diff(time_ms[order], prepend=np.inf) > BREAK_S * 1000.0)
+    begins = np.flatnonzero(~same | again)
+    whose = agent[order[begins]]
+    earlier = np.arange(whose.size) - np.searchsorted(whose, whose)
+    told = tuple(
+        names[who] if turn == 0 else f"{names[who]}/{turn + 1}"
+        for who, turn in zip(whose.tolist(), earlier.tolist(), strict=True)
+    )
+    split = np.empty_like(agent)
+    split[order] = np.cumsum(~same | again) - 1
+    return split, told
+
+
 def _recording(path: Path, name: str, columns: Columns) -> Recording:
     values = {column: columns.numbers(column) for column in NUMBERS}
     whole = pa.table({c: _whole(path, c, values[c]) for c in ("vehicle_id", "total_frames")})
     # Ids are used again for other vehicles; how long each is seen tells them apart.
     agent, names = Columns(path, whole).names("vehicle_id", "total_frames")
+    agent, names = _without_breaks(agent, names, values["global_time"])
     _, first = np.unique(agent, return_index=True)
     kinds = []
     for code in values["v_class"][first].tolist():

@@ -84,6 +84,7 @@ class Rows:
         kind: (len(names),) codes into ``sim.frames.KINDS``.
         rest_heading: heading of agents that never move, rad.
         behavior: (len(names),) codes into ``BEHAVIORS`` (-1: none), or None.
+        empty_s: times at which nobody was seen, s, in any order.
     """
 
     agent: NDArray[np.int64]
@@ -98,6 +99,7 @@ class Rows:
     kind: NDArray[np.int8]
     rest_heading: float = 0.0
     behavior: NDArray[np.int8] | None = None
+    empty_s: tuple[float, ...] = ()
 
 
 def check_size(path: Path) -> None:
@@ -141,7 +143,7 @@ def _check(path: Path, rows: Rows) -> None:
             at = int(np.flatnonzero(bad_size)[0])
             raise InputError(
                 f"{path}: {name} of {rows.names[at]}: found {values[at]}, "
-                f"expected 0 to {MAX_SIDE:g}"
+                f"expected more than 0 and up to {MAX_SIDE:g}"
             )
 
 
@@ -164,7 +166,8 @@ def assemble(path: Path, rows: Rows) -> Tracks:
     if rows.agent.size > MAX_ROWS:
         raise InputError(f"{path}: found {rows.agent.size} rows, expected at most {MAX_ROWS}")
     _check(path, rows)
-    time_s, step = np.unique(rows.time_s, return_inverse=True)
+    time_s = np.unique(np.append(rows.time_s, rows.empty_s))
+    step = np.searchsorted(time_s, rows.time_s)
     n, t = len(rows.names), time_s.size
     if n * t > MAX_CELLS:
         raise InputError(

@@ -181,7 +181,9 @@ class _Collector:
     def __init__(self) -> None:
         self.time_s: float | None = None
         self.last = -math.inf
-        self.index: dict[str, int] = {}
+        self.index: dict[tuple[str, str], int] = {}  # vehicles and persons may share a name
+        self.names: dict[str, None] = {}
+        self.times_s: list[float] = []
         self.types: list[str] = []
         self.walks: list[bool] = []
         self.behaviors: list[int] = []
@@ -195,15 +197,16 @@ class _Collector:
             if self.time_s <= self.last:
                 raise InputError(f"found time {self.time_s:g}, expected one after {self.last:g}")
             self.last = self.time_s
+            self.times_s.append(self.time_s)
         elif name in ("vehicle", "person"):
             if self.time_s is None:
                 raise InputError(f"found a {name} outside of a timestep")
             identity = attributes.get("id")
             if not identity:
                 raise InputError(f"found a {name} without an id")
-            row = self.index.get(identity)
+            row = self.index.get((name, identity))
             if row is None:
-                row = self._new(identity, attributes, name == "person")
+                row = self._new(name, identity, attributes)
             if len(self.agent) >= MAX_ROWS:
                 raise InputError(f"found more than {MAX_ROWS} agents and time steps")
             self.agent.append(row)
@@ -211,15 +214,19 @@ class _Collector:
             for column in ("x", "y", "angle", "speed"):
                 self.columns[column].append(_number(attributes, column))
 
-    def _new(self, identity: str, attributes: Mapping[str, str], walks: bool) -> int:
+    def _new(self, element: str, identity: str, attributes: Mapping[str, str]) -> int:
         if len(self.index) >= MAX_NAMES:
             raise InputError(f"found more than {MAX_NAMES} agents")
         behavior = attributes.get("behavior", "")
         if behavior and behavior not in set(Behavior):
             raise InputError(f"behavior: found {behavior[:40]!r}, expected one of {list(Behavior)}")
-        self.index[identity] = len(self.types)
+        self.index[element, identity] = len(self.types)
+        name = identity
+        while name in self.names:
+            name = f"{element}-{name}"
+        self.names[name] = None
         self.types.append(attributes.get("type", ""))
-        self.walks.append(walks)
+        self.walks.append(element == "person")
         self.behaviors.append(Behavior(behavior).code if behavior else -1)
         return len(self.types) - 1
 
@@ -267,7 +274,7 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     behavior = np.array(found.behaviors, dtype=np.int8)
     rows = Rows(
         agent=agent,
-        names=tuple(found.index),
+        names=tuple(found.names),
         time_s=column["time"],
         x=column["x"] - back * np.cos(heading),
         y=column["y"] - back * np.sin(heading),
@@ -277,6 +284,7 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
         width=np.array([size[1] for size in sizes]),
         kind=np.array([kind.code for kind in kinds], dtype=np.int8),
         behavior=behavior if (behavior >= 0).any() else None,
+        empty_s=tuple(set(found.times_s) - set(column["time"].tolist())),
     )
     notes = (
         (f"{assumed} agents have no known vType: sizes usual for their kind are assumed (4.5 m)",)
@@ -303,7 +311,13 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
 
     Returns:
         The files written.
+
+    Raises:
+        InputError: if an agent has a name that XML cannot hold.
     """
+    for label in tracks.names:
+        if not label.isprintable():
+            raise InputError(f"{name}: found agent {label!r}, expected a name that can be printed")
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<fcd-export>"]
     labels = [
         "" if tracks.behavior is None or code < 0 else f' behavior="{BEHAVIORS[code].value}"'

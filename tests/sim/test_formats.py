@@ -230,7 +230,7 @@ def test_sumo_fcd_gives_the_front_bumper_clockwise_from_north(tmp_path: Path) ->
     assert tracks.behavior is not None
     assert [BEHAVIORS[c] if c >= 0 else None for c in tracks.behavior] == ["timid", None, None]
     assert "4.5 m" in recording.notes[0]
-    assert tracks.time_s.tolist() == [0.1]
+    assert tracks.time_s.tolist() == [0.1, 0.2]  # nobody is seen at the second
 
 
 def test_traf_gives_corners_of_boxes_in_pixels(tmp_path: Path) -> None:

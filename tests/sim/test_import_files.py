@@ -1,0 +1,206 @@
+"""Which files of a folder are read, however they are called and begin, and what is in odd ones."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from experiments.exchange import as_dataset, import_recordings
+from sim.formats import read_recordings, recognise, recording_files
+from sim.frames import KINDS, AgentKind
+from tests.sim.test_formats import (
+    AV1,
+    HIGHD,
+    IND,
+    INTERACTION,
+    NGSIM_CSV,
+    NGSIM_HEADER,
+    NGSIM_ROW,
+    NGSIM_ROWS,
+)
+
+IND_BROKEN = IND.replace("xCenter", "xCentre")
+
+
+def test_every_file_with_a_formats_own_name_is_read_or_refused(tmp_path: Path) -> None:
+    (tmp_path / "00_tracks.csv").write_text(IND)
+    for content in ("", IND_BROKEN):
+        (tmp_path / "01_tracks.csv").write_text(content)
+        assert len(recording_files(tmp_path, "ind")[0]) == 2
+        with pytest.raises(InputError, match=r"01_tracks\.csv"):
+            list(read_recordings(tmp_path))
+
+
+def test_others_with_a_common_ending_are_left_out_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "I80.CSV").write_text(NGSIM_CSV)
+    (source / "notes.csv").write_text("who,what\n")
+    manifest = import_recordings(source, tmp_path / "out", quiet=True)
+    assert len(manifest.episodes) == 1
+    assert "left out, no ngsim files: notes.csv" in capsys.readouterr().err
+    assert "notes.csv" in (tmp_path / "out" / "README.md").read_text()
+
+
+def test_types_beside_sumo_recordings_are_not_left_out(tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text('<fcd-export><timestep time="0"/></fcd-export>')
+    (tmp_path / "a.types.xml").write_text("<additional/>")
+    files, others = recording_files(tmp_path, "sumo-fcd")
+    assert [file.name for file in files] == ["a.xml"]
+    assert others == []
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "content"),
+    [
+        ("ngsim", "a.csv", NGSIM_CSV),
+        ("highd", "00_tracks.csv", HIGHD),
+        ("interaction", "vehicle_tracks_000.csv", INTERACTION),
+        ("argoverse1", "1.csv", AV1),
+        ("ind", "00_tracks.csv", IND),
+    ],
+)
+def test_a_byte_order_mark_changes_nothing(
+    tmp_path: Path, name: str, file: str, content: str
+) -> None:
+    path = tmp_path / file
+    path.write_bytes(b"\xef\xbb\xbf" + content.encode())
+    assert recognise(path) == name
+    assert recording_files(tmp_path, name)[0] == [path]
+    assert len(list(read_recordings(path))) == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["1,1,5,6,10,20,7", "1, 1, 5, 6, 10, 20, 7\n", "1,900" + ",5,6,10,20,7" * 900 + "\n"],
+    ids=["no end of line", "spaces", "a long line"],
+)
+def test_traf_is_known_by_its_first_line(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "a_gt.txt"
+    path.write_text(content)
+    assert recognise(path) == "traf"
+
+
+def test_ngsim_is_told_by_its_content_not_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "header.txt").write_text(NGSIM_CSV)
+    (tmp_path / "rows.csv").write_text(NGSIM_ROWS)
+    header, rows = read_recordings(tmp_path, "ngsim")
+    np.testing.assert_array_equal(header.tracks.xy, rows.tracks.xy)
+
+
+def _ngsim_rows(start_ms: int, vehicles: int, frames: int, length_ft: float) -> list[str]:
+    return [
+        NGSIM_ROW.format(frame=frame, time=start_ms + 100 * frame, y=10 * vehicle + frame)
+        .replace("2224", str(vehicle), 1)
+        .replace("14.3", str(length_ft))
+        .replace(" ", ",")
+        .strip()
+        for vehicle in range(vehicles)
+        for frame in range(frames)
+    ]
+
+
+def test_ngsim_periods_apart_are_recordings_of_their_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = _ngsim_rows(0, 2, 50, 15.0) + _ngsim_rows(900_000, 2, 50, 40.0)
+    path.write_text("\n".join([NGSIM_HEADER, *rows, ""]))
+    first, second = read_recordings(path)
+    assert (first.name, second.name) == ("a-1", "a-2")
+    for recording, feet in ((first, 15.0), (second, 40.0)):
+        assert recording.tracks.time_s[-1] == pytest.approx(4.9)
+        np.testing.assert_allclose(recording.tracks.length, feet * 0.3048)
+
+
+def test_an_id_that_comes_again_after_long_is_another_vehicle(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    all_the_time = [row.replace("0,", "9,", 1) for row in _ngsim_rows(0, 1, 1900, 15.0)]
+    rows = all_the_time + _ngsim_rows(0, 1, 5, 15.0) + _ngsim_rows(180_000, 1, 5, 40.0)
+    path.write_text("\n".join([NGSIM_HEADER, *rows, ""]))
+    (recording,) = read_recordings(path)
+    assert recording.tracks.names == ("0", "9", "0/2")
+    np.testing.assert_allclose(recording.tracks.length, np.array([15, 15, 40]) * 0.3048)
+
+
+def test_ngsim_that_does_not_fit_is_cut_in_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.formats.ngsim.MAX_CELLS", 2 * 3 * 20)
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([NGSIM_HEADER, *_ngsim_rows(0, 3, 80, 15.0), ""]))
+    parts = list(read_recordings(path))
+    assert [part.tracks.time_s.size for part in parts] == [20, 20, 20, 20]
+    assert sum(int(part.tracks.valid.sum()) for part in parts) == 240
+
+
+def test_two_recordings_in_one_ind_file_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "00_tracks.csv"
+    path.write_text(IND.replace("7,1,50", "8,1,50"))
+    with pytest.raises(InputError, match="recordingid: found 7 and 8, expected one"):
+        list(read_recordings(path, "ind"))
+
+
+def test_cases_of_one_interaction_file_are_recordings_of_their_own(tmp_path: Path) -> None:
+    path = tmp_path / "vehicle_tracks_000.csv"
+    header, *rows = INTERACTION.strip().splitlines()
+    cases = [f"{case}.0,{row}" for case in (1, 2) for row in rows]
+    path.write_text("\n".join([f"case_id,{header}", *cases, ""]))
+    first, second = read_recordings(path)
+    assert (first.name, second.name) == ("vehicle_tracks_000-1.0", "vehicle_tracks_000-2.0")
+    np.testing.assert_array_equal(first.tracks.xy, second.tracks.xy)
+
+
+def test_a_vehicle_and_a_person_may_have_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "a.xml"
+    agent = '<{} id="0" x="{}" y="0" angle="90" speed="1" type="t"/>'
+    both = agent.format("vehicle", 10) + agent.format("person", 50)
+    empty = '<timestep time="0.1"/>'
+    path.write_text(
+        f'<fcd-export><timestep time="0">{both}</timestep>{empty}<timestep time="0.2">{both}'
+        "</timestep></fcd-export>"
+    )
+    (recording,) = read_recordings(path)
+    assert recording.tracks.names == ("0", "person-0")
+    assert [KINDS[code] for code in recording.tracks.kind] == [
+        AgentKind.CAR, AgentKind.PEDESTRIAN
+    ]  # fmt: skip
+    assert recording.tracks.time_s.tolist() == [0.0, 0.1, 0.2]
+    assert recording.tracks.valid.sum(axis=0).tolist() == [2, 0, 2]
+
+
+@pytest.mark.parametrize("name", [None, "ngsim"])
+def test_a_pipe_is_refused_at_once(tmp_path: Path, name: str | None) -> None:
+    os.mkfifo(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="found no file and no folder"):
+        list(read_recordings(tmp_path / "a.csv", name))
+
+
+def test_a_failed_import_leaves_nothing_and_may_be_tried_again(tmp_path: Path) -> None:
+    source, out = tmp_path / "source", tmp_path / "deep" / "out"
+    source.mkdir()
+    for number, content in enumerate((IND, IND, IND_BROKEN)):
+        (source / f"0{number}_tracks.csv").write_text(content)
+    with pytest.raises(InputError, match="02_tracks"):
+        import_recordings(source, out, quiet=True)
+    assert not (tmp_path / "deep").exists()
+    out.mkdir(parents=True)
+    with pytest.raises(InputError, match="02_tracks"):
+        import_recordings(source, out, quiet=True)
+    assert list(out.iterdir()) == []
+    (source / "02_tracks.csv").write_text(IND)
+    assert len(import_recordings(source, out, quiet=True).episodes) == 3
+
+
+def test_a_folder_without_a_name_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "00_tracks.csv").write_text(IND)
+    (tmp_path / "inside").mkdir()
+    monkeypatch.chdir(tmp_path / "inside")
+    with as_dataset(Path("..")) as folder:
+        assert (folder / "manifest.json").is_file()
