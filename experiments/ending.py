@@ -8,9 +8,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import Final, NoReturn
 
 from typer.exceptions import TyperException
+
+STOPPED: Final = 130
+"""Exit code of a program that Ctrl-C stopped: 128 and the signal's number, as shells have it."""
 
 
 class Interrupted(Exception):
@@ -29,7 +32,7 @@ def one_line() -> Iterator[None]:
     try:
         yield
     except (Interrupted, KeyboardInterrupt) as stop:
-        _end(str(stop) or "stopped: run the same command again to go on", 130)
+        _end(str(stop) or "stopped: run the same command again to go on", STOPPED)
     except (TyperException, ValueError, OSError) as error:
         reason = _reason(error)
         if reason is None:

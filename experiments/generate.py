@@ -9,9 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import signal
-import threading
-import time
 import tomllib
 from collections import deque
 from collections.abc import Iterator
@@ -26,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
 from experiments.ending import Interrupted
+from experiments.parallel import start_worker
 from experiments.progress import Progress
 from scenarios import get_scenario
 from sim.atomic import PARTIAL_PREFIX, remove_partial, write_whole
@@ -50,9 +48,6 @@ if TYPE_CHECKING:
 
 ATTEMPTS: Final = 3
 """How often an episode that kills its worker is tried (our choice)."""
-
-PARENT_CHECK_S: Final = 0.25
-"""How often a worker looks whether its parent is still there, s (our choice)."""
 
 
 _OURS: Final = frozenset({"episodes", "roads", "README.md", LOCK})
@@ -104,6 +99,20 @@ class GenerateConfig(BaseModel):
             InputError: if there is no such scenario or an option is out of range.
         """
         return get_scenario(name)(**self.options(index))
+
+    def check(self) -> None:
+        """Refuse what no episode can be made from.
+
+        Raises:
+            InputError: if the engine or a scenario is not known or named twice, or an option is
+                out of range.
+        """
+        get_engine(self.engine)
+        for name in self.scenarios:
+            for index in range(len(self.limits_mps or (None,))):
+                self.scenario(name, index)
+        if len(set(self.scenarios)) != len(self.scenarios):
+            raise InputError(f"scenarios: found {', '.join(self.scenarios)}, expected each once")
 
 
 def _read_toml(path: Path | None) -> dict[str, object]:
@@ -238,22 +247,6 @@ def make_episode(folder: Path, task: Task) -> EpisodeEntry:
     return write_episode(folder, meta, frames, agents, road)
 
 
-def start_worker(parent: int) -> None:
-    """Prepare a worker process: the parent handles Ctrl-C, and without a parent it ends.
-
-    Args:
-        parent: process id of the run that the worker belongs to.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(PARENT_CHECK_S)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True, name="parent-watch").start()
-
-
 # --- all episodes -------------------------------------------------------------------------------
 
 
@@ -293,7 +286,7 @@ def _make_all(
     made: list[EpisodeEntry] = []
     failed: list[str] = []
     running: dict[Future[EpisodeEntry], Task] = {}
-    pool = _Pool(jobs)
+    pool = _Pool(min(jobs, len(tasks)))
     try:
         while waiting or suspects or running:
             # When a worker dies, all that ran with it are suspect and run alone from then on.
@@ -431,13 +424,8 @@ def generate(
         jobs = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     if jobs < 1:
         raise InputError(f"jobs: found {jobs}, expected at least 1")
-    get_engine(config.engine)
-    for name in config.scenarios:
-        for index in range(len(config.limits_mps or (None,))):
-            config.scenario(name, index)
+    config.check()
     tasks = [Task(config, name, i) for i in range(config.episodes) for name in config.scenarios]
-    if len(set(config.scenarios)) != len(config.scenarios):
-        raise InputError(f"scenarios: found {', '.join(config.scenarios)}, expected each once")
     with sole_writer(folder), _stoppable(folder, len(tasks)):
         _check_same(folder, config)
         remove_partial(folder)

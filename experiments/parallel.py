@@ -2,10 +2,33 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 T = TypeVar("T")
+
+PARENT_CHECK_S: Final = 0.25
+"""How often a worker looks whether its parent is still there, s (our choice)."""
+
+
+def start_worker(parent: int) -> None:
+    """Prepare a worker process: the parent handles Ctrl-C, and without a parent it ends.
+
+    Args:
+        parent: process id of the run that the worker belongs to.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(PARENT_CHECK_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True, name="parent-watch").start()
 
 
 def in_parallel(
@@ -29,7 +52,10 @@ def in_parallel(
     from loky import get_reusable_executor
 
     workers = min(jobs or cpu_count(), len(arguments))
-    executor = get_reusable_executor(max_workers=workers, env={"OMP_NUM_THREADS": "1"})
+    executor = get_reusable_executor(
+        max_workers=workers, env={"OMP_NUM_THREADS": "1"},
+        initializer=start_worker, initargs=(os.getpid(),),
+    )  # fmt: skip
     futures = [executor.submit(function, *one) for one in arguments]
     for future in futures:
         yield future.result()

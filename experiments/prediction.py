@@ -7,6 +7,7 @@ episode, so that intervals resample episodes.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from experiments.metrics import bootstrap
 from experiments.parallel import in_parallel
 from experiments.prediction_file import PREDICTIONS, predictions_file, predictions_table
 from experiments.progress import Progress
-from experiments.tables import Row, show_table, write_json
+from experiments.tables import Row
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor, predict
@@ -55,7 +56,8 @@ EVERY_S: Final = 2.0
 """Time between the instants of prediction, s (our choice)."""
 
 WARM_UP_S: Final = 5.0
-"""No prediction is made before an episode is this old, s (our choice)."""
+"""No prediction is made before an episode is this old, s (our choice); `instants` says when of
+shorter horizons and episodes."""
 
 LEAST_SEEN_S: Final = 1.0
 """Agents seen for less than this are not scored (our choice: nothing is known of them)."""
@@ -72,6 +74,10 @@ GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Whose errors: all that drive, those of one true behaviour, those that walk."""
 
 
+class NothingToScore(InputError):
+    """No prediction of a dataset can be compared with what happened."""
+
+
 @dataclass(frozen=True, slots=True)
 class Errors:
     """Errors of one predictor in one episode, summed over agents and instants.
@@ -86,8 +92,35 @@ class Errors:
     count: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EpisodePrediction:
+    """What predictors said of one episode.
+
+    Attributes:
+        errors: by predictor; empty where the episode is too short to predict anything.
+        futures: the futures as rows; none unless they were to be kept.
+        length_s: from the episode's first frame to its last, s.
+    """
+
+    errors: Mapping[str, Errors]
+    futures: pa.Table
+    length_s: float
+
+
+def shortest_s(horizon_s: float) -> float:
+    """The shortest episode that anything is predicted of, s.
+
+    Args:
+        horizon_s: so much of the future has to be known.
+    """
+    return horizon_s + min(LEAST_SEEN_S, horizon_s)
+
+
 def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iterator[int]:
     """Indices one past the present, at which predictions are made.
+
+    The first is after `WARM_UP_S`, or after a shorter horizon's time. An episode that is too short
+    for that is predicted once, as late as the horizon allows, from `LEAST_SEEN_S` on.
 
     Args:
         tracks: an episode.
@@ -95,13 +128,14 @@ def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iter
         every_s: time between them.
 
     Yields:
-        Stops, ascending.
+        Stops, ascending; none in an episode shorter than `shortest_s`.
     """
-    first = float(tracks.time_s[0]) if tracks.time_s.size else 0.0
-    due = first + min(WARM_UP_S, horizon_s)
-    for column, time_s in enumerate(tracks.time_s):
-        if time_s + horizon_s > tracks.time_s[-1] + 1e-6:
-            return
+    known = tracks.time_s[tracks.time_s + horizon_s <= tracks.time_s[-1:] + 1e-6]
+    if not known.size:
+        return
+    warm_up_s = min(WARM_UP_S, horizon_s, max(LEAST_SEEN_S, known[-1] - known[0]))
+    due = known[0] + warm_up_s
+    for column, time_s in enumerate(known):
         if time_s >= due - 1e-6:
             yield column + 1
             due = time_s + every_s
@@ -363,7 +397,7 @@ def beliefs(tracks: Tracks, model: Model, stops: Sequence[int]) -> dict[int, Pos
 def evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
     model: str, keep: bool = False,
-) -> tuple[dict[str, Errors], pa.Table]:  # fmt: skip
+) -> EpisodePrediction:  # fmt: skip
     """Predict one episode of a dataset with a classifier's beliefs.
 
     Args:
@@ -375,7 +409,7 @@ def evaluate_episode(
         keep: whether the futures themselves are wanted.
 
     Returns:
-        Errors by predictor, and the futures as rows (none unless they are kept).
+        Its errors and futures; neither if it is too short.
 
     Raises:
         InputError: if the episode or the model cannot be read.
@@ -384,6 +418,9 @@ def evaluate_episode(
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     stops = list(instants(tracks, max(horizons_s)))
     tables = [PREDICTIONS.empty_table()]
+    length_s = float(tracks.time_s[-1] - tracks.time_s[0]) if tracks.time_s.size else 0.0
+    if not stops:
+        return EpisodePrediction({}, tables[0], length_s)
 
     def tell(name: str, history: Tracks, prediction: Prediction) -> None:
         tables.append(predictions_table(prediction, history, name, entry.id, max(horizons_s)))
@@ -392,7 +429,8 @@ def evaluate_episode(
         tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s,
         tell if keep else None,
     )  # fmt: skip
-    return errors, pa.concat_tables(tables).unify_dictionaries()
+    futures = pa.concat_tables(tables).unify_dictionaries()
+    return EpisodePrediction(errors, futures, length_s)
 
 
 def predict_dataset(
@@ -400,31 +438,32 @@ def predict_dataset(
     predictors: Sequence[str],
     horizon_s: float = 5.0,
     model: str = DEFAULT_MODEL,
-    json_path: Path | None = None,
     *,
     out: Path | None = None,
     split: Split = "test",
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
-    """Predict every episode of a dataset's split, print the errors and return them.
+    """Predict every episode of a dataset's split and return the errors.
+
+    Episodes that are too short are left out, each in a line on stderr.
 
     Args:
         source: a dataset.
         predictors: keys of ``PREDICTORS``.
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
-        json_path: where to write the rows; ``-`` for standard output.
         out: where to write the futures (`experiments.prediction_file`); None: nowhere.
         split: which part of the dataset; all of a scenario that has no such part.
         jobs: processes; None for one per core.
-        quiet: whether to show neither progress nor table.
+        quiet: whether to show no progress.
 
     Returns:
         Rows as `summarize` gives them, over all scenarios.
 
     Raises:
         InputError: if the dataset, the model or a predictor's name is wrong.
+        NothingToScore: if every episode is too short, or nobody is seen for long enough in any.
     """
     if not SAMPLE_S <= horizon_s <= LONGEST_S:
         raise InputError(
@@ -445,28 +484,50 @@ def predict_dataset(
     ]
     if not entries:
         raise InputError(f"{source}: found no episode, expected at least 1")
-    found: dict[str, list[dict[str, Errors]]] = {}
+    found: dict[str, list[Mapping[str, Errors]]] = {}
+    short: list[tuple[EpisodeEntry, float]] = []
+    least_s = shortest_s(horizon_s)
     keep = out is not None
     arguments = [(source, entry, predictors, horizons_s, model, keep) for _, entry in entries]
     with (
         Progress("predicting episodes", len(entries), quiet) as progress,
         nullcontext() if out is None else predictions_file(out) as file,
     ):
-        for (scenario, entry), (errors, futures) in zip(
+        for (scenario, entry), one in zip(
             entries, in_parallel(evaluate_episode, arguments, jobs), strict=True
         ):
-            found.setdefault(scenario, []).append(errors)
+            if one.errors:
+                found.setdefault(scenario, []).append(one.errors)
+            else:
+                short.append((entry, one.length_s))
             if file is not None:
-                file.write_table(futures)
+                file.write_table(one.futures)
             progress.advance(entry.agents, entry.agent_steps)
+        if not found:
+            raise NothingToScore(
+                f"{source}: found {len(short)} episodes of at most "
+                f"{max(length_s for _, length_s in short):g} s, expected one of {least_s:g} s or "
+                f"longer to predict {horizon_s:g} s ahead: ask for a shorter horizon"
+            )
+        if not any(errors[predictors[0]].count.any() for one in found.values() for errors in one):
+            raise NothingToScore(
+                f"{source}: found nobody seen for {LEAST_SEEN_S:g} s and then for another "
+                f"{horizon_s:g} s, expected at least one agent"
+            )
+    for entry, length_s in short:
+        sys.stderr.write(
+            f"graphrqi: skipped {_name_of(entry)}: found {length_s:g} s, expected at least "
+            f"{least_s:g} s to predict {horizon_s:g} s ahead\n"
+        )
     for scenario, episodes in found.items():
         whole = not dataset.episodes(split, scenario)
         rows += summarize(episodes, scenario, "all" if whole else split, horizons_s)
-    if json_path is not None:
-        write_json(rows, json_path)
-    if not quiet and str(json_path) != "-":
-        show_table(short_table(rows), title="prediction")
     return rows
+
+
+def _name_of(entry: EpisodeEntry) -> str:
+    recording = entry.options.get("recording")
+    return f"episode {entry.id}" + (f" ({recording})" if recording else "")
 
 
 def short_table(rows: Sequence[Row]) -> list[Row]:

@@ -22,6 +22,13 @@ from sim.road import Road
 DEFAULT_JAYWALK_SHARE: Final = 0.1
 """Share of pedestrians who cross where and when they should not (our choice)."""
 
+MAX_PER_HOUR: Final = 100_000.0
+"""Most vehicles, and most pedestrians, per hour over all of a scenario's streams (our choice: twice
+what 20 lanes of 2400 vehicles an hour take in, and no scenario here has more lanes)."""
+
+MAX_DURATION_S: Final = 86_400.0
+"""Longest episode, s (our choice: a day)."""
+
 CarFollowing = Literal["Krauss", "IDM"]
 """SUMO's name of the law that everybody on a road follows their leader by."""
 
@@ -90,10 +97,11 @@ class Scenario:
     Attributes:
         name: registered name.
         road: where it happens.
-        streams: who travels where, and how many per hour.
+        streams: who travels where, and how many per hour; at most `MAX_PER_HOUR` vehicles and as
+            many pedestrians.
         mix: share of each behaviour among drivers; sums to 1.
         spread: log-normal spread between drivers of one behaviour.
-        duration_s: length of an episode, s.
+        duration_s: length of an episode, s; at most `MAX_DURATION_S`.
         step_s: time between frames, s.
         kinds: share of each vehicle kind; sums to 1.
         jaywalk_share: share of pedestrians who cross where and when they should not.
@@ -114,6 +122,12 @@ class Scenario:
         for stream in self.streams:
             if not math.isfinite(stream.per_hour) or stream.per_hour < 0:
                 raise InputError(f"flow: found {stream.per_hour}, expected vehicles per hour >= 0")
+        for field_name, walking in (("flow", False), ("pedestrians_per_h", True)):
+            per_hour = sum(stream.per_hour for stream in self.streams if stream.walking is walking)
+            if per_hour > MAX_PER_HOUR * (1 + 1e-9):  # what was divided may add up to a hair more
+                raise InputError(
+                    f"{field_name}: found {per_hour:g} per hour, expected at most {MAX_PER_HOUR:g}"
+                )
         for field_name, shares in (("mix", self.mix), ("kinds", self.kinds)):
             values = list(shares.values())
             if any(not math.isfinite(v) or v < 0 for v in values):
@@ -126,8 +140,11 @@ class Scenario:
             raise InputError(f"spread: found {self.spread}, expected a number >= 0")
         if not 0 <= self.jaywalk_share <= 1:
             raise InputError(f"jaywalk_share: found {self.jaywalk_share}, expected 0 to 1")
-        if not math.isfinite(self.duration_s) or self.duration_s <= 0:
-            raise InputError(f"duration_s: found {self.duration_s}, expected seconds > 0")
+        if not 0 < self.duration_s <= MAX_DURATION_S:
+            raise InputError(
+                f"duration_s: found {self.duration_s}, expected seconds > 0, at most "
+                f"{MAX_DURATION_S:g}"
+            )
         if not math.isfinite(self.step_s) or not 0.01 <= self.step_s <= 1.0:
             raise InputError(f"step_s: found {self.step_s}, expected seconds from 0.01 to 1")
 

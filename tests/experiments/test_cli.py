@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from experiments.cli import app, main
+from experiments.ending import Interrupted
+from sim.scenario import MAX_DURATION_S, MAX_PER_HOUR
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
 
@@ -175,4 +177,23 @@ def test_ctrl_c_ends_it_with_130_and_no_traceback(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(experiments.doctor, "registered_names", interrupted)
-    assert graphrqi(capsys, "list") == (130, "", "")
+    assert graphrqi(capsys, "list") == (130, "", "graphrqi: stopped\n")
+
+
+def test_a_command_that_says_how_to_go_on_says_it_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import experiments.doctor
+
+    def interrupted() -> None:
+        raise Interrupted("stopped: 1 of 2")
+
+    monkeypatch.setattr(experiments.doctor, "registered_names", interrupted)
+    assert graphrqi(capsys, "list") == (130, "", "graphrqi: stopped: 1 of 2\n")
+
+
+def test_help_says_the_limits_that_hold(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = graphrqi(capsys, "generate", "--help")
+    said = " ".join(out.split())
+    assert f"vehicles per hour, at most {MAX_PER_HOUR:g}" in said
+    assert f"Length, s; at most {MAX_DURATION_S:g}" in said

@@ -18,8 +18,10 @@ import experiments.generate
 from behaviors import InputError
 from experiments.generate import GenerateConfig, Task, generate, make_episode, read_config
 from experiments.verify import verify_dataset
+from scenarios import SCENARIOS
 from sim.dataset import open_dataset
 from sim.lock import sole_writer
+from sim.scenario import Scenario
 from sim.schema import EpisodeEntry
 
 CONFIG = GenerateConfig(
@@ -245,6 +247,20 @@ def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
     assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 1, 2, 3]
 
 
+def test_no_more_workers_than_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    class Pool(experiments.generate._Pool):
+        def __init__(self, jobs: int) -> None:
+            asked.append(jobs)
+            super().__init__(jobs)
+
+    monkeypatch.setattr(experiments.generate, "_Pool", Pool)
+    config = CONFIG.model_copy(update={"scenarios": ("straight_road",), "duration_s": 2.0})
+    generate(config, tmp_path / "data", jobs=24, quiet=True)
+    assert asked == [1]
+
+
 # --- verify -------------------------------------------------------------------------------------
 
 
@@ -334,6 +350,18 @@ def test_wrong_options_are_refused_before_anything_is_written(
     with pytest.raises(InputError, match=message):
         generate(CONFIG.model_copy(update=change), tmp_path / "data", quiet=True)
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize("name", sorted(SCENARIOS))
+def test_flow_and_duration_end_at_their_limits(name: str) -> None:
+    def scenario(**change: float) -> Scenario:
+        return CONFIG.model_copy(update=change).scenario(name)
+
+    assert scenario(flow=1e5, duration_s=86_400.0).duration_s == 86_400.0
+    with pytest.raises(InputError, match=r"^flow: found 1e\+308 .* at most 100000$"):
+        scenario(flow=1e308)
+    with pytest.raises(InputError, match=r"^duration_s: found 1e\+300, .* at most 86400$"):
+        scenario(duration_s=1e300)
 
 
 def test_episodes_take_the_limits_in_turn(tmp_path):

@@ -10,10 +10,12 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.cli import main
 from experiments.prediction import (
     GROUPS,
     MEASURES,
     Errors,
+    NothingToScore,
     evaluate,
     future,
     instants,
@@ -27,7 +29,7 @@ from experiments.predictor_training import calibrate_drivers, samples_of
 from graphrqi.posterior import Posterior
 from graphrqi.predict.drivers import table_from_json
 from scenarios import SCENARIOS
-from sim.dataset import open_dataset, write_episode, write_manifest
+from sim.dataset import open_dataset, write_episode, write_manifest, write_recording
 from sim.engines import get_engine
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
@@ -68,6 +70,25 @@ def test_instants_leave_room_for_past_and_future():
     assert np.diff(times) == pytest.approx(2.0)
     assert times[-1] == pytest.approx(15.0)
     assert list(instants(steady([5.0], seconds=3.0), 5.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("seconds", "step_s", "horizon_s", "expected"),
+    [
+        (4.9, 0.1, 3.0, [1.9]),
+        (4.0, 0.1, 3.0, [1.0]),
+        (3.9, 0.1, 3.0, []),
+        (5.0, 0.04, 3.01, [1.96]),  # no frame is exactly 3.01 s before the end
+        (6.0, 0.1, 3.0, [3.0]),
+        (8.0, 0.1, 3.0, [3.0, 5.0]),
+        (2.5, 0.1, 1.0, [1.0]),
+        (0.0, 0.1, 3.0, []),
+    ],
+)
+def test_short_recordings_warm_up_for_what_is_left(seconds, step_s, horizon_s, expected):
+    tracks = steady([5.0], seconds=seconds, step_s=step_s)
+    stops = np.array(list(instants(tracks, horizon_s)), dtype=int)
+    assert tracks.time_s[stops - 1] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("step_s", [0.1, 0.04, 0.25])
@@ -225,3 +246,75 @@ def test_predictions_file_holds_every_future_of_every_agent(dataset, tmp_path):
     heading, speed = tracks.heading[agent, column], tracks.speed[agent, column]
     assert row["x_m"] == pytest.approx(tracks.xy[agent, column, 0] + 2 * speed * np.cos(heading))
     assert row["y_m"] == pytest.approx(tracks.xy[agent, column, 1] + 2 * speed * np.sin(heading))
+
+
+def recordings(folder, *seconds):
+    """A dataset of recordings without a map, of these lengths."""
+    entries = [
+        write_recording(
+            folder,
+            EpisodeMeta(
+                scenario="here", engine="here", index=index, split="test",
+                options={"recording": f"drive{index}"},
+            ),
+            steady([5.0, 8.0], seconds=length),
+        )
+        for index, length in enumerate(seconds)
+    ]  # fmt: skip
+    write_manifest(folder, {}, entries)
+    return folder
+
+
+def predict_line(folder, *options):
+    with pytest.raises(SystemExit) as ended:
+        main(["predict", str(folder), "--predictors", "constant-velocity", "--jobs", "1", *options])
+    return ended.value.code
+
+
+def test_recordings_too_short_are_skipped_and_named(tmp_path, capsys):
+    """Of 4.9 s (Argoverse 1), 4 s (TRAF), one frame and 12 s, with 3 s ahead."""
+    folder = recordings(tmp_path / "data", 4.9, 4.0, 3.5, 0.0, 12.0)
+    rows = predict_dataset(folder, ["constant-velocity"], 3.0, jobs=1, quiet=True)
+    ade = next(row for row in rows if row["metric"] == "ade_m" and row["behavior"] == "all")
+    assert ade["n"] == 2 * (1 + 1 + 4)
+    said = capsys.readouterr().err.splitlines()
+    for line, name, length in zip(said, ("drive2", "drive3"), ("3.5", "0"), strict=True):
+        assert line.startswith("graphrqi: skipped episode ")
+        assert f"({name}): found {length} s, expected at least 4 s to predict 3 s ahead" in line
+
+
+def test_nothing_but_short_recordings_is_one_error_and_leaves_no_file(tmp_path, capsys):
+    folder, out = recordings(tmp_path / "data", 4.9, 0.0), tmp_path / "futures.parquet"
+    assert predict_line(folder, "--quiet", "--out", str(out)) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == (
+        f"graphrqi: error: {folder}: found 2 episodes of at most 4.9 s, expected one of 6 s or "
+        "longer to predict 5 s ahead\n"
+    )
+    assert not out.exists()
+
+
+def test_nobody_seen_for_long_enough_is_an_error(tmp_path):
+    folder = recordings(tmp_path / "data", 1.0)
+    with pytest.raises(NothingToScore, match="found nobody seen for 1 s and then for another"):
+        predict_dataset(folder, ["constant-velocity"], 0.5, jobs=1, quiet=True)
+
+
+def test_recordings_that_cannot_be_scored_can_be_submitted(tmp_path, capsys):
+    """The challenge's own recordings are 50 frames long: what is to be foreseen is kept back."""
+    folder, out = recordings(tmp_path / "data", 4.9), tmp_path / "submission.parquet"
+    assert predict_line(folder, "--quiet", "--submission", str(out)) == 0
+    assert capsys.readouterr().err.startswith("graphrqi: not scored: ")
+    assert pq.read_table(out).num_rows == 2
+
+
+def test_quiet_hides_progress_and_not_the_table(tmp_path, capsys):
+    folder = recordings(tmp_path / "data", 12.0)
+    assert predict_line(folder, "--quiet") == 0
+    said = capsys.readouterr()
+    assert "constant-velocity" in said.out
+    assert "ade_m 5s" in said.out
+    assert said.err == ""
+    assert predict_line(folder, "--quiet", "--json", "-") == 0
+    assert {row["scenario"] for row in json.loads(capsys.readouterr().out)} == {"here"}
