@@ -22,6 +22,7 @@ from sim.dataset import (
     write_recording,
 )
 from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
+from sim.formats.windows import NoWindowError
 from sim.lock import LOCK, sole_writer
 from sim.road_files import read_road_file
 from sim.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
@@ -149,6 +150,8 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
 def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> list[Path]:
     """Write every episode of a dataset in another format.
 
+    Episodes that have no window of the format's length are left out; a line on stderr says so.
+
     Args:
         dataset: folder of the dataset.
         out: where; created if need be. Files of the same names are replaced.
@@ -159,17 +162,27 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
         What was written.
 
     Raises:
-        InputError: if the dataset is broken or does not fit the format.
+        InputError: if the dataset is broken, an episode's step does not fit the format, or no
+            episode has a window of its length.
         OSError: if something cannot be written.
     """
     writer = get_writer(name)
     opened = open_dataset(dataset)
     out.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
+    left_out: list[NoWindowError] = []
     episodes = opened.manifest.episodes
     with Progress("exporting episodes", len(episodes), quiet) as shown:
         for entry in episodes:
             tracks = opened.read(entry).tracks
-            written += writer(out, entry.id, tracks, opened.road(entry))
+            try:
+                written += writer(out, entry.id, tracks, opened.road(entry))
+            except NoWindowError as reason:
+                left_out.append(reason)
             shown.advance(entry.agents, entry.agent_steps)
+    if left_out:
+        told = f"{len(left_out)} of {len(episodes)} episodes left out, first {left_out[0]}"
+        if not written:
+            raise InputError(f"{dataset}: {told}")
+        print(f"{dataset}: {told}", file=sys.stderr)
     return written

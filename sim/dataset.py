@@ -65,6 +65,13 @@ MAX_JSON_BYTES: Final = 2**28
 MAX_CELLS: Final = 10**8
 """Most agents times steps that one episode may have as dense arrays (our choice: 3 GB)."""
 
+MAX_OBJECTS: Final = 10**6
+"""Most agents, events, traits, changes of lights and edges of routes that one episode may have (our
+choice: as many agents as a recording may have; as Python objects they take up to 3 GB)."""
+
+MAX_TEXT_BYTES: Final = 2**28
+"""Most bytes that the texts of one column may take (our choice: 256 MiB, 268 for each object)."""
+
 _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "sumo": ("libsumo",),
     "sumo-idm": ("libsumo",),
@@ -482,6 +489,11 @@ def _write(
         "events.parquet": _events_table(steps.events),
         "traits.parquet": _traits_table(exhibits),
     }
+    for name in ("agents.parquet", "signals.parquet", "events.parquet", "traits.parquet"):
+        if tables[name].num_rows > MAX_OBJECTS:
+            raise InputError(
+                f"{name}: found {tables[name].num_rows} rows, expected at most {MAX_OBJECTS}"
+            )
     content = {name: _parquet_bytes(table) for name, table in tables.items()}
     recorded = content["steps.parquet"] if steps.exact else None
     identity = _identity(meta, content["agents.parquet"], road_sha256, recorded)
@@ -800,16 +812,50 @@ def _read_table(
         found = file.schema_arrow.remove_metadata()
         if not any(_same_columns(found, schema) for schema in schemas):
             raise InputError(f"{path}: {_first_difference(found, schemas[0])}")
-        if file.metadata.num_rows > max_rows:
-            raise InputError(
-                f"{path}: found {file.metadata.num_rows} rows, expected at most {max_rows}"
-            )
-        table = file.read(columns=columns, use_threads=False)
-        table.validate(full=True)  # words are valid UTF-8, offsets are inside
+        texts = _check_amount(path, file, max_rows)
+        # A small file can repeat a long text for every row: read with each text in memory once.
+        packed = pq.ParquetFile(
+            pa.BufferReader(data), metadata=file.metadata, read_dictionary=texts
+        ).read(columns=columns, use_threads=False)
+        packed.validate(full=True)  # words are valid UTF-8, offsets are inside
+        table = _spelled_out(path, packed, found)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
     return table
+
+
+def _check_amount(path: Path, file: Any, max_rows: int) -> list[str]:
+    """Refuse more rows than there may be; the names of the columns of texts."""
+    groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+    texts: list[str] = []
+    for place in range(file.metadata.num_columns):
+        chunks = [group.column(place) for group in groups]
+        rows = sum(chunk.num_values for chunk in chunks)  # the edges of all routes, for routes
+        if rows > max_rows:
+            raise InputError(f"{path}: found {rows} rows, expected at most {max_rows}")
+        if file.schema.column(place).physical_type == "BYTE_ARRAY":
+            _check_text_bytes(path, sum(chunk.total_uncompressed_size for chunk in chunks))
+            texts.append(file.schema.column(place).path)
+    return texts
+
+
+def _spelled_out(path: Path, packed: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The texts of every row, unless they would not fit into memory."""
+    for column in packed.columns:
+        flat = pc.list_flatten(column) if pa.types.is_list(column.type) else column
+        if pa.types.is_dictionary(flat.type):
+            longest = [pc.max(pc.binary_length(part.dictionary)).as_py() for part in flat.chunks]
+            _check_text_bytes(path, len(flat) * max((n or 0 for n in longest), default=0))
+    return packed.cast(pa.schema([schema.field(name) for name in packed.column_names]))
+
+
+def _check_text_bytes(path: Path, size: int) -> None:
+    if size > MAX_TEXT_BYTES:
+        raise InputError(
+            f"{path}: found texts of up to {size} bytes in a column, expected at most "
+            f"{MAX_TEXT_BYTES}"
+        )
 
 
 def _first_difference(found: pa.Schema, expected: pa.Schema) -> str:
@@ -862,8 +908,10 @@ def _codes(
 
 def _read_episode(home: Path, entry: EpisodeEntry, data: Mapping[str, bytes]) -> Episode:
     agents_path, frames_path = home / "agents.parquet", home / "frames.parquet"
-    agents = _read_table(agents_path, data["agents.parquet"], [AGENTS], MAX_CELLS, None)
-    frames = _read_table(frames_path, data["frames.parquet"], [FRAMES], entry.frames, None)
+    agents = _read_table(agents_path, data["agents.parquet"], [AGENTS], MAX_OBJECTS, None)
+    frames = _read_table(
+        frames_path, data["frames.parquet"], [FRAMES], min(entry.frames, MAX_CELLS), None
+    )
     time_s = _numbers(frames_path, frames, "time_s")
     if time_s.size != entry.frames or (np.diff(time_s) <= 0).any():
         raise InputError(f"{frames_path}: expected {entry.frames} times, each after the one before")
@@ -914,7 +962,8 @@ def _read_steps(
 ) -> _Dense:
     columns = ["agent", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
     schemas = [steps_schema(exact=False), steps_schema(exact=True)]
-    table = _read_table(path, data, schemas, entry.agent_steps, columns)
+    max_rows = min(entry.agent_steps, ids.size * steps)
+    table = _read_table(path, data, schemas, max_rows, columns)
     agent, step, x, y, heading, speed = (_numbers(path, table, c) for c in columns)
     starts = np.flatnonzero(np.diff(agent, prepend=agent[:1] - 1)) if agent.size else agent
     runs = agent[starts]
@@ -940,7 +989,7 @@ def _read_steps(
 
 
 def _read_signals(path: Path, data: bytes, steps: int) -> NDArray[np.int8]:
-    table = _read_table(path, data, [SIGNALS_TABLE], MAX_CELLS, None)
+    table = _read_table(path, data, [SIGNALS_TABLE], MAX_OBJECTS, None)
     step, group = _numbers(path, table, "step"), _numbers(path, table, "group")
     state = _codes(path, table, "state", SIGNALS)
     groups = int(group.max()) + 1 if group.size else 0
@@ -961,7 +1010,7 @@ def _read_signals(path: Path, data: bytes, steps: int) -> NDArray[np.int8]:
 
 
 def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
-    table = _read_table(path, data, [EVENTS], MAX_CELLS, None)
+    table = _read_table(path, data, [EVENTS], MAX_OBJECTS, None)
     kinds = [k.value for k in EventKind]
     _codes(path, table, "kind", kinds)
     _numbers(path, table, "time_s")
@@ -973,7 +1022,7 @@ def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
 
 
 def _read_exhibits(path: Path, data: bytes) -> tuple[Exhibit, ...]:
-    table = _read_table(path, data, [TRAITS_TABLE], MAX_CELLS, None)
+    table = _read_table(path, data, [TRAITS_TABLE], MAX_OBJECTS, None)
     _codes(path, table, "trait", tuple(Trait))
     for name in ("agent", "begin_s", "end_s", "value"):
         _numbers(path, table, name)

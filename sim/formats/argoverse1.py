@@ -1,7 +1,7 @@
 """Argoverse 1 motion forecasting: one CSV per 5 s at 10 Hz, centres in metres.
 
 Columns ``TIMESTAMP,TRACK_ID,OBJECT_TYPE,X,Y,CITY_NAME``; times in seconds. The format has neither
-headings nor speeds nor sizes nor kinds.
+headings nor speeds nor sizes nor kinds. Behaviours are in a ``.behavior`` file of ours beside it.
 
 References:
     Chang et al. (2019), Argoverse: 3D tracking and forecasting with rich maps, CVPR.
@@ -9,23 +9,35 @@ References:
 
 from __future__ import annotations
 
+import csv
 import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.atomic import write_whole
 from sim.formats.csv_columns import read_columns
-from sim.formats.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, Rows, assemble
-from sim.formats.windows import every_tenth, focal_agents, windows
+from sim.formats.recording import (
+    CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    MAX_NAMES,
+    Recording,
+    Rows,
+    assemble,
+)
+from sim.formats.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, Tracks
 
 STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""
+
+LABELS_SUFFIX: Final = ".behavior"
+"""Ending of our file beside each recording: what the format has no place for."""
 
 CITY: Final = "PIT"
 """The format allows Pittsburgh and Miami only; what we write is neither."""
@@ -35,7 +47,7 @@ def read(path: Path) -> Iterator[Recording]:
     """Read one CSV file.
 
     Args:
-        path: the file.
+        path: the file; labels are looked for beside it.
 
     Yields:
         One recording; times count from its first row's earliest.
@@ -59,6 +71,7 @@ def read(path: Path) -> Iterator[Recording]:
         length=np.full(n, CAR_LENGTH_M),
         width=np.full(n, CAR_WIDTH_M),
         kind=np.zeros(n, dtype=np.int8),
+        behavior=_labels_beside(path, names),
     )
     yield Recording(
         path.stem,
@@ -68,6 +81,17 @@ def read(path: Path) -> Iterator[Recording]:
             "headings and speeds are told from the motion",
         ),
     )
+
+
+def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
+    beside = path.with_suffix(LABELS_SUFFIX)
+    if not beside.is_file():
+        return None
+    columns = read_columns(beside, [], ["track_id", "behavior"])
+    if len(columns) > MAX_NAMES:
+        raise InputError(f"{beside}: found {len(columns)} rows, expected at most {MAX_NAMES}")
+    labelled, words = (columns.table.column(c).to_pylist() for c in ("track_id", "behavior"))
+    return behavior_codes(beside, names, labelled, words)
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[Path]:
@@ -85,31 +109,33 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
         The files written.
 
     Raises:
-        InputError: if the step does not fit or no 5 s have an agent that is seen all the time.
+        NoWindowError: if no 5 s without a gap have a vehicle that is seen all the time.
+        InputError: if the step does not fit.
     """
     written: list[Path] = []
-    for number, window in enumerate(windows(every_tenth(tracks), STEPS)):
+    for number, window in enumerate(windows(tracks, STEPS)):
         focal = focal_agents(window)
         if not focal:
             continue
         role = dict(zip(focal, ("AGENT", "AV"), strict=False))
         text, labels = io.StringIO(), io.StringIO()
-        text.write("TIMESTAMP,TRACK_ID,OBJECT_TYPE,X,Y,CITY_NAME\n")
+        rows, label_rows = (csv.writer(file, lineterminator="\n") for file in (text, labels))
+        rows.writerow(["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"])
         for step in range(STEPS):
             for row in np.flatnonzero(window.valid[:, step]):
                 x, y = window.xy[row, step].tolist()
                 kind = role.get(int(row), "OTHERS")
                 time_s = float(window.time_s[step])
-                text.write(f"{time_s!r},{window.names[row]},{kind},{x!r},{y!r},{CITY}\n")
-        labels.write("TRACK_ID,KIND,BEHAVIOR\n")
+                rows.writerow([time_s, window.names[row], kind, x, y, CITY])
+        label_rows.writerow(["TRACK_ID", "KIND", "BEHAVIOR"])
         for i, label in enumerate(window.names):
             code = -1 if window.behavior is None else int(window.behavior[i])
             word = BEHAVIORS[code].value if code >= 0 else ""
-            labels.write(f"{label},{KINDS[window.kind[i]]},{word}\n")
+            label_rows.writerow([label, KINDS[window.kind[i]], word])
         path = folder / f"{name}-{number:04d}.csv"
         write_whole(path, text.getvalue().encode())
-        write_whole(path.with_suffix(".behavior"), labels.getvalue().encode())
-        written += [path, path.with_suffix(".behavior")]
+        write_whole(path.with_suffix(LABELS_SUFFIX), labels.getvalue().encode())
+        written += [path, path.with_suffix(LABELS_SUFFIX)]
     if not written:
-        raise InputError(f"{name}: found no 5 s with an agent seen all the time, expected some")
+        raise NoWindowError(f"{name}: found no 5 s with an agent seen all the time, expected some")
     return written

@@ -2,7 +2,8 @@
 
 ``scenario_<id>.parquet`` holds the tracks (box centres, m), ``log_map_archive_<id>.json`` the map
 (`sim.formats.argoverse2_map`); 50 steps are observed, 60 to predict. What we write is read by the
-official ``av2`` package; the behaviours go into ``behavior_<id>.parquet`` beside it.
+official ``av2`` package; the behaviours go into ``behavior_<id>.parquet`` beside it, and are read
+from there.
 
 References:
     Wilson et al. (2021), Argoverse 2, NeurIPS Datasets and Benchmarks.
@@ -12,12 +13,13 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -27,14 +29,13 @@ from sim.atomic import whole_folder
 from sim.formats.argoverse2_map import read_map, static_map
 from sim.formats.recording import (
     MAX_NAMES,
-    MAX_ROWS,
     Recording,
     Rows,
     assemble,
     check_size,
     default_size,
 )
-from sim.formats.windows import every_tenth, focal_agents, windows
+from sim.formats.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
 
@@ -98,9 +99,23 @@ BEHAVIOR_SCHEMA: Final = pa.schema(
 )
 """Columns of our file beside the official ones: what the format has no place for."""
 
-_READ: Final = (
-    "track_id", "object_type", "timestep", "position_x", "position_y", "heading", "velocity_x",
-    "velocity_y",
+MAX_ROWS: Final = 5 * 10**6
+"""Most rows of a scenario (our choice: 45 000 agents seen in all of its 11 s)."""
+
+MAX_TEXT_BYTES: Final = 1000
+"""Longest track id, object type or behaviour (our choice; a UUID has 36)."""
+
+MAX_COLUMN_BYTES: Final = 2**28
+"""Most bytes of a column of texts as stored, uncompressed (our choice: 256 MiB; 10^5 rows of UUIDs
+have 4 MB)."""
+
+_TEXT_TYPES: Final = ("BYTE_ARRAY", "INT32", "INT64")
+_NUMBER_TYPES: Final = ("INT32", "INT64", "FLOAT", "DOUBLE")
+"""How Parquet stores what is read as texts and as numbers."""
+
+_TEXTS: Final = ("track_id", "object_type")
+_NUMBERS: Final = (
+    "timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y",
 )  # fmt: skip
 
 
@@ -108,51 +123,32 @@ def read(path: Path) -> Iterator[Recording]:
     """Read one scenario file; numbers are kept to the last digit.
 
     Args:
-        path: ``scenario_<id>.parquet``; its map is looked for beside it.
+        path: ``scenario_<id>.parquet``; its map and its labels are looked for beside it.
 
     Yields:
-        One recording.
+        One recording, labelled where there are labels.
 
     Raises:
-        InputError: if the file is broken; the message names file and column.
+        InputError: if a file is broken; the message names file and column.
     """
-    check_size(path)
-    try:
-        file = pq.ParquetFile(path)
-        missing = [name for name in _READ if name not in file.schema_arrow.names]
-        if missing:
-            raise InputError(f"{path}: found no column {missing[0]}, expected it")
-        if file.metadata.num_rows > MAX_ROWS:
-            raise InputError(f"{path}: found {file.metadata.num_rows} rows, expected {MAX_ROWS}")
-        table = file.read(columns=list(_READ), use_threads=False)
-        table.validate(full=True)
-        table = table.cast(pa.schema([SCHEMA.field(name) for name in _READ]))
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: found no readable Argoverse 2 scenario ({reason})") from None
-    for name in _READ:
-        if table.column(name).null_count:
-            raise InputError(f"{path}: column {name}: found an empty field, expected a value")
-    types = table.column("object_type").combine_chunks().dictionary_encode()
-    words = types.dictionary.to_pylist()
-    codes = types.indices.to_numpy()
-    road_agent = np.isin(words, list(OBJECT_TYPES))[codes]
-    left_out = sorted(set(words) - set(OBJECT_TYPES))
-    ids = table.column("track_id").combine_chunks().dictionary_encode()
-    if max(len(ids.dictionary), len(words)) > MAX_NAMES:
-        raise InputError(f"{path}: found more than {MAX_NAMES} tracks or object types")
-    agent = ids.indices.to_numpy().astype(np.int64)
-    kept, agent = np.unique(agent[road_agent], return_inverse=True)
+    table = _read_columns(path, _TEXTS, _NUMBERS, MAX_ROWS)
+    types, type_words = _texts(path, table, "object_type")
+    ids, id_words = _texts(path, table, "track_id")
+    road_agent = np.isin(type_words, list(OBJECT_TYPES))[types]
+    left_out = sorted({type_words[code] for code in np.unique(types)} - set(OBJECT_TYPES))
+    kept, agent = np.unique(ids[road_agent], return_inverse=True)
     _, first = np.unique(agent, return_index=True)
-    kinds = [OBJECT_TYPES[words[code]] for code in codes[road_agent][first]]
+    kinds = [OBJECT_TYPES[type_words[code]] for code in types[road_agent][first]]
     sizes = np.array([default_size(kind) for kind in kinds]).reshape(-1, 2)
+    name = path.stem.removeprefix("scenario_")
+    names = tuple(id_words[code] for code in kept)
 
     def column(name: str) -> NDArray[np.float64]:
         return np.asarray(table.column(name).to_numpy()[road_agent], dtype=np.float64)
 
     rows = Rows(
         agent=agent,
-        names=tuple(ids.dictionary[int(i)].as_py() for i in kept),
+        names=names,
         time_s=column("timestep") / 10.0,
         x=column("position_x"),
         y=column("position_y"),
@@ -161,16 +157,107 @@ def read(path: Path) -> Iterator[Recording]:
         length=sizes[:, 0],
         width=sizes[:, 1],
         kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        behavior=_labels_beside(path.with_name(f"behavior_{name}.parquet"), names),
     )
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
     if left_out:
         notes.append(f"left out, because they are not road-agents: {', '.join(left_out)}")
-    name = path.stem.removeprefix("scenario_")
     archive = path.with_name(f"log_map_archive_{name}.json")
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
     yield Recording(name, assemble(path, rows), tuple(notes), road)
+
+
+def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
+    if not path.is_file():
+        return None
+    table = _read_columns(path, ("track_id", "behavior"), (), MAX_NAMES, optional="behavior")
+    ids, id_words = _texts(path, table, "track_id")
+    codes, words = _texts(path, table, "behavior")
+    labels = [None if code < 0 else words[code] for code in codes]
+    return behavior_codes(path, names, [id_words[i] for i in ids], labels)
+
+
+def _read_columns(
+    path: Path,
+    texts: Sequence[str],
+    numbers: Sequence[str],
+    max_rows: int,
+    optional: str | None = None,
+) -> pa.Table:
+    """Some columns of a Parquet file; none but the optional one may have empty fields.
+
+    Texts stay dictionaries: a small file can repeat a long text for millions of rows.
+    """
+    check_size(path)
+    try:
+        metadata = pq.read_metadata(path)
+        types = {name: _checked_type(path, metadata, name, _TEXT_TYPES, max_rows) for name in texts}
+        for name in numbers:
+            _checked_type(path, metadata, name, _NUMBER_TYPES, max_rows)
+        packed = [name for name in texts if types[name] == "BYTE_ARRAY"]
+        file = pq.ParquetFile(path, metadata=metadata, read_dictionary=packed)
+        table = file.read(columns=[*texts, *numbers], use_threads=False)
+        table.validate(full=True)
+        columns = {name: table.column(name).cast(SCHEMA.field(name).type) for name in numbers}
+        for name in texts:
+            encoded = table.column(name).combine_chunks().dictionary_encode()
+            words = encoded.dictionary.cast(pa.string())
+            columns[name] = pa.DictionaryArray.from_arrays(encoded.indices, words)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: found no readable Argoverse 2 file ({reason})") from None
+    for name, column in columns.items():
+        if column.null_count and name != optional:
+            raise InputError(f"{path}: column {name}: found an empty field, expected a value")
+    return pa.table(columns)
+
+
+def _checked_type(
+    path: Path, metadata: Any, name: str, allowed: Sequence[str], max_rows: int
+) -> str:
+    """How a column is stored, once it is known to be there and not too large to be read."""
+    leaves = [metadata.schema.column(i) for i in range(len(metadata.schema))]
+    places = [i for i, leaf in enumerate(leaves) if leaf.path == name]
+    if not places:
+        raise InputError(f"{path}: found no column {name}, expected it")
+    if len(places) > 1:
+        raise InputError(f"{path}: found column {name} {len(places)} times, expected once")
+    (place,) = places
+    stored = str(leaves[place].physical_type)
+    if stored not in allowed or leaves[place].max_repetition_level:
+        kind = f"lists of {stored}" if leaves[place].max_repetition_level else stored
+        raise InputError(f"{path}: column {name}: found {kind}, expected {' or '.join(allowed)}")
+    groups = [metadata.row_group(i).column(place) for i in range(metadata.num_row_groups)]
+    rows = sum(group.num_values for group in groups)
+    if rows > max_rows:
+        raise InputError(f"{path}: found {rows} rows, expected at most {max_rows}")
+    size = sum(group.total_uncompressed_size for group in groups)
+    if stored == "BYTE_ARRAY" and size > MAX_COLUMN_BYTES:
+        raise InputError(
+            f"{path}: column {name}: found {size} bytes, expected at most {MAX_COLUMN_BYTES}"
+        )
+    return stored
+
+
+def _texts(path: Path, table: pa.Table, name: str) -> tuple[NDArray[np.int64], list[str]]:
+    """Each row's place among the different texts of a column (-1: empty), and those texts."""
+    column = table.column(name).combine_chunks()
+    longest = pc.max(pc.binary_length(column.dictionary)).as_py() or 0
+    if longest > MAX_TEXT_BYTES:
+        raise InputError(
+            f"{path}: column {name}: found a text of {longest} bytes, expected at most "
+            f"{MAX_TEXT_BYTES}"
+        )
+    if len(column.dictionary) > MAX_NAMES:
+        raise InputError(
+            f"{path}: column {name}: found {len(column.dictionary)} different texts, expected at "
+            f"most {MAX_NAMES}"
+        )
+    different = column.dictionary.dictionary_encode()  # a file's own may have a text twice
+    places = np.append(different.indices.to_numpy(), -1)
+    return places[column.indices.fill_null(-1).to_numpy()], different.dictionary.to_pylist()
 
 
 # --- writing ------------------------------------------------------------------------------------
@@ -192,12 +279,13 @@ def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> 
         The folders written, one per scenario.
 
     Raises:
-        InputError: if the step does not fit or no 11 s have an agent that is seen all the time.
+        NoWindowError: if no 11 s without a gap have a vehicle that is seen all the time.
+        InputError: if the step does not fit.
     """
     written: list[Path] = []
     city = "simulated" if road is None else road.name.replace("_", "-")
     archive = json.dumps(static_map(road), allow_nan=False).encode()
-    for number, window in enumerate(windows(every_tenth(tracks), STEPS)):
+    for number, window in enumerate(windows(tracks, STEPS)):
         focal = focal_agents(window)
         if not focal:
             continue
@@ -209,7 +297,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> 
             (partial / f"log_map_archive_{identity}.json").write_bytes(archive)
         written.append(folder / identity)
     if not written:
-        raise InputError(f"{name}: found no 11 s with an agent seen all the time, expected some")
+        raise NoWindowError(f"{name}: found no 11 s with an agent seen all the time, expected some")
     return written
 
 

@@ -1,50 +1,89 @@
-"""Cuts an episode into the short windows at 10 Hz that forecasting formats are made of."""
+"""What forecasting formats have in common: short windows at 10 Hz, with labels beside them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior
 from sim.frames import PEDESTRIAN, Tracks
 
 PERIOD_S: Final = 0.1
 """Time between two steps of the forecasting formats, s."""
 
-
-def _columns(tracks: Tracks, columns: slice) -> Tracks:
-    """Some time steps of tracks, with the agents that are seen in them."""
-    return tracks.part(np.flatnonzero(tracks.valid[:, columns].any(axis=1)), columns)
+TOLERANCE_S: Final = 1e-3
+"""How far two steps may be from 0.1 s apart, s (our choice: what rounded clocks are off by)."""
 
 
-def every_tenth(tracks: Tracks) -> Tracks:
-    """The same tracks every 0.1 s.
+class NoWindowError(InputError):
+    """An episode that has no window of the format's length: it may be skipped."""
+
+
+def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
+    """Consecutive windows that do not overlap, each of times 0.1 s apart.
+
+    Windows begin anew after a gap; what is left before a gap and at the end is dropped.
+
+    Args:
+        tracks: an episode, its step a divisor of 0.1 s.
+        steps: length of a window.
+
+    Yields:
+        Each window with the agents seen in it.
 
     Raises:
-        InputError: if their own step is not a divisor of 0.1 s.
+        InputError: if the step is not a divisor of 0.1 s.
     """
+    if tracks.time_s.size < 2:
+        return  # no window, and no step either
     stride = PERIOD_S / tracks.step_s
     if stride < 0.999 or abs(stride - round(stride)) > 1e-3:
         raise InputError(
             f"step_s: found {tracks.step_s:g}, expected a divisor of {PERIOD_S} for this format"
         )
-    return _columns(tracks, slice(0, None, round(stride)))
+    following = _following(tracks.time_s)
+    column, window = 0, list[int]()
+    while column < tracks.time_s.size:
+        window.append(column)
+        if len(window) == steps:
+            yield _at(tracks, np.array(window))
+            window = []
+        if following[column] < 0:  # a gap: begin anew at whatever comes next
+            window = []
+            column += 1
+        else:
+            column = int(following[column])
 
 
-def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
-    """Consecutive windows that do not overlap; what is left at the end is dropped.
+def _following(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(T,) index of the time that is nearest to 0.1 s after each; -1 where there is none."""
+    wanted = time_s + PERIOD_S
+    after = np.minimum(np.searchsorted(time_s, wanted), time_s.size - 1)
+    nearer_before = wanted - time_s[after - 1] < time_s[after] - wanted
+    nearest = np.where(nearer_before, after - 1, after)
+    return np.where(np.abs(time_s[nearest] - wanted) <= TOLERANCE_S, nearest, -1)
 
-    Args:
-        tracks: at 10 Hz.
-        steps: length of a window.
 
-    Yields:
-        Each window with the agents seen in it.
-    """
-    for start in range(0, tracks.time_s.size - steps + 1, steps):
-        yield _columns(tracks, slice(start, start + steps))
+def _at(tracks: Tracks, columns: NDArray[np.int64]) -> Tracks:
+    """Some time steps of tracks, with the agents that are seen in them."""
+    rows = np.flatnonzero(tracks.valid[:, columns].any(axis=1))
+    span = tracks.part(rows, slice(int(columns[0]), int(columns[-1]) + 1))
+    kept = columns - columns[0]
+    return dataclasses.replace(
+        span,
+        time_s=span.time_s[kept],
+        xy=span.xy[:, kept],
+        heading=span.heading[:, kept],
+        speed=span.speed[:, kept],
+        valid=span.valid[:, kept],
+        signals=span.signals[:, kept],
+    )
 
 
 def focal_agents(window: Tracks) -> list[int]:
@@ -52,3 +91,34 @@ def focal_agents(window: Tracks) -> list[int]:
     rows = np.flatnonzero(window.valid.all(axis=1) & (window.kind != PEDESTRIAN))
     way = np.hypot(*np.moveaxis(window.xy[rows, -1] - window.xy[rows, 0], -1, 0))
     return [int(r) for r in rows[np.argsort(-way, kind="stable")]]
+
+
+def behavior_codes(
+    path: Path, names: Sequence[str], labelled: Sequence[str], words: Sequence[str | None]
+) -> NDArray[np.int8] | None:
+    """The behaviours of a recording's agents, from the labels in a file beside it.
+
+    Args:
+        path: the file with the labels, for messages.
+        names: the recording's agents.
+        labelled: the agents in the file.
+        words: the behaviour of each; empty or None for those without one.
+
+    Returns:
+        (len(names),) codes into ``BEHAVIORS`` (-1: none), or None where no agent has one.
+
+    Raises:
+        InputError: if an agent is in the file twice or a word is no behaviour.
+    """
+    known: dict[str, int] = {}
+    for name, word in zip(labelled, words, strict=True):
+        if name in known:
+            raise InputError(f"{path}: found agent {name!r:.60} twice, expected it once")
+        if word and word not in BEHAVIORS:
+            raise InputError(
+                f"{path}: behavior of agent {name!r:.60}: found {word!r:.60}, expected one of "
+                f"{', '.join(BEHAVIORS)}"
+            )
+        known[name] = Behavior(word).code if word else -1
+    codes = np.array([known.get(name, -1) for name in names], dtype=np.int8)
+    return codes if (codes >= 0).any() else None

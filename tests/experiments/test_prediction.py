@@ -290,7 +290,7 @@ def test_nothing_but_short_recordings_is_one_error_and_leaves_no_file(tmp_path, 
     assert said.out == ""
     assert said.err == (
         f"graphrqi: error: {folder}: found 2 episodes of at most 4.9 s, expected one of 6 s or "
-        "longer to predict 5 s ahead\n"
+        "longer to predict 5 s ahead: ask for a shorter horizon\n"
     )
     assert not out.exists()
 

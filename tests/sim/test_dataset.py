@@ -31,7 +31,17 @@ from sim.dataset import (
 )
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec
-from sim.schema import EPISODE_FILES, HEADING_QUANTUM, POSITION_QUANTUM, EpisodeMeta, split_of
+from sim.schema import (
+    AGENTS,
+    EPISODE_FILES,
+    EVENTS,
+    HEADING_QUANTUM,
+    POSITION_QUANTUM,
+    SIGNALS_TABLE,
+    TRAITS_TABLE,
+    EpisodeMeta,
+    split_of,
+)
 
 TABLES = [name.removesuffix(".parquet") for name in EPISODE_FILES]
 
@@ -443,6 +453,75 @@ def test_dense_arrays_beyond_the_limit_are_refused(tmp_path: Path) -> None:
     dataset = forge(dataset, "frames.parquet", parquet(times), frames=100_000)
     with pytest.raises(InputError, match="agents times steps at most"):
         dataset.read(dataset.episodes()[0])
+
+
+ROW = {
+    "agents": {"agent": 0, "name": "a", "kind": "car", "length_m": 4.0, "width_m": 2.0}
+    | {"depart_s": 0.0, "route": ["west"], "walking_speed_mps": 0.0, "seed": 0, "jaywalks": False},
+    "signals": {"step": 0, "time_s": 0.1, "group": 0, "state": "red"},
+    "events": {"time_s": 0.1, "kind": "contact", "agent": 0, "rule": ""},
+    "traits": {"agent": 0, "trait": "weaving", "begin_s": 0.0, "end_s": 1.0, "value": 1.0},
+}
+"""A row of each table that becomes Python objects."""
+
+
+def rows(table: str, count: int, **values: object) -> pa.Table:
+    """One row of a table many times over."""
+    schema = {"agents": AGENTS, "signals": SIGNALS_TABLE, "events": EVENTS, "traits": TRAITS_TABLE}
+    one = pa.Table.from_pylist([ROW[table] | values], schema=schema[table])
+    return one.take(pa.array(np.zeros(count, dtype=np.int64)))
+
+
+@pytest.mark.parametrize("name", ROW)
+def test_small_files_of_many_rows_are_refused(tmp_path: Path, name: str) -> None:
+    data = parquet(rows(name, 10**6 + 1))
+    assert len(data) < 200_000
+    dataset = forge(small(tmp_path), f"{name}.parquet", data)
+    with pytest.raises(InputError, match=rf"{name}\.parquet: found 1000001 rows, expected at most"):
+        dataset.read(dataset.episodes()[0])
+
+
+def test_a_route_of_many_edges_is_refused(tmp_path: Path) -> None:
+    data = parquet(rows("agents", 1, route=["west"] * (10**6 + 1)))
+    dataset = forge(small(tmp_path), "agents.parquet", data)
+    with pytest.raises(InputError, match=r"agents\.parquet: found 1000001 rows"):
+        dataset.read(dataset.episodes()[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "value"),
+    [
+        ("agents", "name", "a" * 500_000),
+        ("agents", "route", ["a" * 500_000]),
+        ("events", "rule", "a" * 500_000),
+    ],
+)
+def test_long_texts_in_every_row_are_refused(
+    tmp_path: Path, name: str, field: str, value: object
+) -> None:
+    table = rows(name, 600, **{field: value})
+    dataset = forge(small(tmp_path), f"{name}.parquet", parquet(table))
+    with pytest.raises(InputError, match=rf"{name}\.parquet: found texts of up to 300000000 bytes"):
+        dataset.read(dataset.episodes()[0])
+
+
+def test_rows_that_no_agent_and_step_can_have_are_refused(tmp_path: Path) -> None:
+    """However many rows the manifest announces."""
+    dataset = small(tmp_path)
+    steps = pq.read_table(tmp_path / "episodes" / dataset.episodes()[0].id / "steps.parquet")
+    many = parquet(steps.take(pa.array(np.zeros(1000, dtype=np.int64))))
+    dataset = forge(dataset, "steps.parquet", many, agent_steps=1000)
+    with pytest.raises(InputError, match="found 1000 rows, expected at most 320"):
+        dataset.read(dataset.episodes()[0])
+
+
+def test_what_could_not_be_read_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.dataset.MAX_OBJECTS", 7)
+    with pytest.raises(InputError, match=r"agents\.parquet: found 8 rows, expected at most 7"):
+        write_episode(tmp_path, META, frames(), population())
+    assert not (tmp_path / "episodes").exists()
 
 
 @pytest.fixture(scope="module")

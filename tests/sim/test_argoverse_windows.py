@@ -1,0 +1,314 @@
+"""Argoverse windows: no gap in time, short episodes, labels come back, small hostile files."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from behaviors import InputError
+from experiments.exchange import export_dataset, import_recordings
+from sim.dataset import open_dataset, write_manifest, write_recording
+from sim.formats import get_reader, get_writer, read_recordings
+from sim.formats.argoverse2 import SCHEMA
+from sim.formats.windows import NoWindowError, windows
+from sim.frames import Tracks
+from sim.schema import EpisodeMeta
+
+FORMATS = ("argoverse1", "argoverse2")
+STEPS = {"argoverse1": 50, "argoverse2": 110}
+
+
+def drive(time_s: np.ndarray, behavior: tuple[int, ...] | None = (4, -1, 1)) -> Tracks:
+    """Three cars side by side at 10, 11 and 12 m/s: where they are tells the time."""
+    time_s = np.asarray(time_s, dtype=np.float64)
+    speed = np.array([10.0, 11.0, 12.0])[:, None] * np.ones(time_s.size)
+    xy = np.stack([speed * time_s, np.arange(3)[:, None] * 4.0 + 0 * speed], axis=2)
+    return Tracks(
+        ids=np.arange(3),
+        names=("9", "a", "b"),
+        kind=np.zeros(3, dtype=np.int8),
+        length=np.full(3, 4.5),
+        width=np.full(3, 1.8),
+        time_s=time_s,
+        xy=xy,
+        heading=np.zeros((3, time_s.size)),
+        speed=speed,
+        valid=np.ones((3, time_s.size), dtype=bool),
+        signals=np.empty((0, time_s.size), dtype=np.int8),
+        behavior=None if behavior is None else np.array(behavior, dtype=np.int8),
+    )
+
+
+def frames(*spans: tuple[int, int], step_s: float = 0.1) -> np.ndarray:
+    """Times of some ranges of frames."""
+    return np.concatenate([np.arange(*span) for span in spans]) * step_s
+
+
+def dataset(folder: Path, *episodes: Tracks) -> Path:
+    metas = [EpisodeMeta(scenario="here", engine="made", index=i) for i in range(len(episodes))]
+    entries = [write_recording(folder, m, t) for m, t in zip(metas, episodes, strict=True)]
+    write_manifest(folder, {}, entries)
+    return folder
+
+
+# --- time ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("time_s", "starts"),
+    [
+        (frames((0, 120)), [0.0, 5.0]),
+        (frames((0, 40), (70, 200)), [7.0, 12.0]),
+        (frames((0, 60), (61, 130)), [0.0, 6.1]),
+        (frames((0, 60), (63, 130)) + 1.1e9, [1.1e9, 1.1e9 + 6.3]),
+        (frames((0, 240), step_s=0.05), [0.0, 5.0]),
+        (frames((0, 81), (100, 300), step_s=0.05), [5.0, 10.0]),
+        (frames((0, 150), (151, 401), step_s=0.05), [0.0, 7.45, 12.45]),  # 7.5 is missing
+        (frames((0, 151), (152, 400), step_s=0.05), [0.0, 5.0, 10.0, 15.0]),  # 7.55 is not needed
+        (frames((0, 10_001), step_s=0.0005), [0.0]),
+        (frames((0, 49)), []),
+        (frames((0, 1)), []),
+        (np.empty(0), []),
+    ],
+)
+def test_windows_hold_times_a_tenth_apart(time_s: np.ndarray, starts: list[float]) -> None:
+    cut = list(windows(drive(time_s), 50))
+    assert [w.time_s[0] for w in cut] == pytest.approx(starts, abs=1e-3)
+    for window in cut:
+        assert window.time_s.shape == (50,)
+        np.testing.assert_allclose(np.diff(window.time_s), 0.1, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(window.xy[0, :, 0], 10.0 * window.time_s)
+
+
+def test_windows_have_those_only_that_are_seen_in_them() -> None:
+    whole = drive(frames((0, 200), step_s=0.05))
+    valid = whole.valid.copy()
+    valid[1] = np.arange(200) % 2 == 1  # seen only between the steps that are taken
+    valid[2, :100] = False
+    first, second = windows(dataclasses.replace(whole, valid=valid), 50)
+    assert first.names == ("9",)
+    assert second.names == ("9", "b")
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_no_jump_is_written(tmp_path: Path, name: str) -> None:
+    get_writer(name)(tmp_path, "drive", drive(frames((0, 40), (70, 200))), None)
+    for recording in read_recordings(tmp_path, name):
+        way = np.diff(recording.tracks.xy[:, :, 0], axis=1)
+        assert way.max() < 1.3
+
+
+# --- episodes that are too short ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("short", [frames((0, 30)), frames((0, 1)), frames((0, 40), (70, 100))])
+def test_short_episodes_are_left_out(
+    tmp_path: Path, name: str, short: np.ndarray, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = dataset(tmp_path / "data", drive(short), drive(frames((0, 120))), drive(short[:1]))
+    written = export_dataset(data, tmp_path / "out", name, quiet=True)
+    first, long, _ = (e.id for e in open_dataset(data).manifest.episodes)
+    assert written
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"2 of 3 episodes left out, first {first}: found no " in line
+    assert long not in line
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_dataset_without_any_window_is_refused(tmp_path: Path, name: str) -> None:
+    data = dataset(tmp_path / "data", drive(frames((0, 30))), drive(frames((0, 40))))
+    with pytest.raises(InputError, match=r"data: 2 of 2 episodes left out, first .*: found no "):
+        export_dataset(data, tmp_path / "out", name, quiet=True)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_another_step_is_an_error_and_no_short_episode(tmp_path: Path) -> None:
+    slow = drive(frames((0, 120), step_s=0.25))
+    data = dataset(tmp_path / "data", drive(frames((0, 120))), slow)
+    with pytest.raises(InputError, match=r"step_s: found 0\.25") as caught:
+        export_dataset(data, tmp_path / "out", "argoverse1", quiet=True)
+    assert not isinstance(caught.value, NoWindowError)
+
+
+# --- labels -------------------------------------------------------------------------------------
+
+
+def written(folder: Path, name: str, behavior: tuple[int, ...] | None = (4, -1, 1)) -> Path:
+    """The recording of one window."""
+    folder.mkdir(exist_ok=True)
+    tracks = drive(frames((0, STEPS[name])), behavior)
+    (path, *_) = get_writer(name)(folder, "drive", tracks, None)
+    return path / f"scenario_{path.name}.parquet" if path.is_dir() else path
+
+
+def beside(path: Path) -> Path:
+    """The file with the labels."""
+    name = path.name.replace("scenario_", "behavior_").replace(".csv", ".behavior")
+    assert path.with_name(name).is_file()
+    return path.with_name(name)
+
+
+def labels(path: Path, name: str) -> list[int] | None:
+    (recording,) = get_reader(name)(path)
+    codes = recording.tracks.behavior
+    return None if codes is None else codes.tolist()
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_labels_come_back(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path, name)
+    assert labels(path, name) == [4, -1, 1]
+    beside(path).unlink()
+    assert labels(path, name) is None
+    assert labels(written(tmp_path / "none", name, None), name) is None
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_labels_go_out_and_in_again_as_datasets(tmp_path: Path, name: str) -> None:
+    data = dataset(tmp_path / "data", drive(frames((0, 120))))
+    export_dataset(data, tmp_path / "out", name, quiet=True)
+    import_recordings(tmp_path / "out", tmp_path / "back", name, quiet=True)
+    back = open_dataset(tmp_path / "back")
+    for entry in back.manifest.episodes:
+        tracks = back.read(entry).tracks
+        assert tracks.names == ("9", "a", "b")
+        assert tracks.behavior is not None
+        assert tracks.behavior.tolist() == [4, -1, 1]
+
+
+def test_names_with_commas_and_quotes_come_back(tmp_path: Path) -> None:
+    names = ("a,b", 'c"d', "e")
+    episode = dataclasses.replace(drive(frames((0, 60))), names=names)
+    path, _ = get_writer("argoverse1")(tmp_path, "one", episode, None)
+    (recording,) = get_reader("argoverse1")(path)
+    assert set(recording.tracks.names) == set(names)
+    assert recording.tracks.behavior is not None
+
+
+def relabel(path: Path, labelled: list[str | None], words: list[str | None]) -> None:
+    """Other labels in the file beside a recording."""
+    if path.suffix == ".csv":
+        rows = [f"{a or ''},car,{b or ''}\n" for a, b in zip(labelled, words, strict=True)]
+        beside(path).write_text("TRACK_ID,KIND,BEHAVIOR\n" + "".join(rows))
+    else:
+        pq.write_table(pa.table({"track_id": labelled, "behavior": words}), beside(path))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_labels_are_found_by_name(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path, name)
+    relabel(path, ["b", "of nobody", "9"], ["timid", "careful", None])
+    assert labels(path, name) == [-1, -1, 5]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda p: relabel(p, ["9"], ["evil"]), "behavior of agent '9': found 'evil', expected"),
+        (lambda p: relabel(p, ["9", "9"], ["timid", "timid"]), "found agent '9' twice"),
+        (lambda p: beside(p).write_bytes(b""), "found"),
+        (lambda p: beside(p).write_bytes(beside(p).read_bytes()[:-20]), "behavior"),
+        (lambda p: beside(p).write_bytes(b"\xff\xfe\0\0" * 9), "found"),
+        (lambda p: beside(p).write_bytes(b"PAR1" * 9), "found"),
+    ],
+    ids=["word", "twice", "empty", "cut", "bytes", "magic"],
+)
+def test_broken_labels_are_one_error(
+    tmp_path: Path, name: str, spoil: Callable[[Path], None], message: str
+) -> None:
+    path = written(tmp_path, name)
+    spoil(path)
+    with pytest.raises(InputError, match=message) as caught:
+        labels(path, name)
+    assert beside(path).name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# --- small files that claim much ----------------------------------------------------------------
+
+ROWS = 2000
+
+
+def scenario(**columns: pa.Array) -> pa.Table:
+    """One track of many steps, some of its columns replaced."""
+    usual: dict[str, object] = {name: np.zeros(ROWS) for name in SCHEMA.names}
+    usual |= {"track_id": ["1"] * ROWS, "object_type": ["vehicle"] * ROWS}
+    usual |= {"timestep": np.arange(ROWS)}
+    names = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
+    return pa.table(
+        {name: columns.get(name, usual[name]) for name in (*names, "velocity_x", "velocity_y")}
+    )
+
+
+def repeated(text: str) -> pa.Array:
+    return pa.DictionaryArray.from_arrays(
+        pa.array(np.zeros(ROWS, dtype=np.int32)), pa.array([text])
+    )
+
+
+def save(table: pa.Table, path: Path) -> Path:
+    pq.write_table(table, path, compression="zstd")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"track_id": repeated("a" * 500_000)}, "column track_id: found a text of 500000 bytes"),
+        ({"object_type": repeated("a" * 500_000)}, "column object_type: found a text of 500000"),
+        ({"position_x": repeated("1" * 500_000)}, "column position_x: found BYTE_ARRAY, expected"),
+        ({"track_id": pa.array([["1"]] * ROWS)}, "found no column track_id"),
+    ],
+    ids=["id", "type", "number", "list"],
+)
+def test_texts_repeated_for_every_row_are_not_spelled_out(
+    tmp_path: Path, columns: dict[str, pa.Array], message: str
+) -> None:
+    path = save(scenario(**columns), tmp_path / "scenario_s.parquet")
+    assert path.stat().st_size < 500_000
+    before = pa.default_memory_pool().max_memory()
+    with pytest.raises(InputError, match=message):
+        labels(path, "argoverse2")
+    assert pa.default_memory_pool().max_memory() - before < 10**8
+
+
+def test_texts_that_are_packed_too_well_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.formats.argoverse2.MAX_COLUMN_BYTES", 10**6)
+    ids = pa.array([f"{i:0900d}" for i in range(ROWS)])
+    path = save(scenario(track_id=ids), tmp_path / "scenario_s.parquet")
+    with pytest.raises(InputError, match=r"column track_id: found 18[0-9]+ bytes, expected"):
+        labels(path, "argoverse2")
+
+
+def test_labels_repeated_for_every_row_are_not_spelled_out(tmp_path: Path) -> None:
+    path = written(tmp_path, "argoverse2")
+    ids = pa.array([str(i) for i in range(ROWS)])
+    save(pa.table({"track_id": ids, "behavior": repeated("a" * 500_000)}), beside(path))
+    with pytest.raises(InputError, match=r"behavior_.*column behavior: found a text of 500000"):
+        labels(path, "argoverse2")
+
+
+def test_texts_may_come_in_any_shape(tmp_path: Path) -> None:
+    """As numbers, as bytes, as categories, in several groups of rows."""
+    plain = scenario()
+    for ids in (
+        pa.array(np.ones(ROWS, dtype=np.int64)),
+        pa.array([b"1"] * ROWS),
+        pa.array(["1"] * ROWS, pa.large_string()),
+        repeated("1"),
+    ):
+        path = tmp_path / "scenario_s.parquet"
+        pq.write_table(scenario(track_id=ids), path, row_group_size=ROWS // 3)
+        (recording,) = get_reader("argoverse2")(path)
+        assert recording.tracks.names == ("1",)
+        assert recording.tracks.time_s.size == plain.num_rows
