@@ -98,6 +98,10 @@ def submit_dataset(source: Path, predictor: str, model: str, path: Path) -> int:
     told: dict[str, tuple[Sequence[str], Prediction]] = {}
     for entry in dataset.manifest.episodes:
         tracks = dataset.read(entry).tracks
+        if tracks.time_s.size < 2:
+            raise InputError(
+                f"{source}: episode {entry.id}: found one frame, expected some at 10 Hz"
+            )
         if abs(tracks.step_s - 1.0 / RATE_HZ) > 1e-3:
             raise InputError(
                 f"{source}: episode {entry.id}: found a step of {tracks.step_s:g} s, expected "

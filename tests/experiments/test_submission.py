@@ -95,3 +95,14 @@ def test_only_ten_hertz_can_be_submitted(tmp_path):
     write_manifest(tmp_path / "data", {}, [entry])
     with pytest.raises(InputError, match=r"step of 0\.2 s, expected 0\.1 s"):
         submit_dataset(tmp_path / "data", "constant-velocity", "graphrqi-plus", tmp_path / "no")
+
+
+def test_a_recording_of_one_frame_is_refused_by_name(tmp_path):
+    (tmp_path / "one.csv").write_text("frame,id,x,y\n0,1,0,0\n0,2,5,0\n")
+    manifest = import_recordings(tmp_path / "one.csv", tmp_path / "data", "argo", quiet=True)
+    (entry,) = manifest.episodes
+    with pytest.raises(InputError, match=f"episode {entry.id}: found one frame"):
+        submit_dataset(
+            tmp_path / "data", "constant-velocity", "graphrqi-plus", tmp_path / "no.parquet"
+        )
+    assert not (tmp_path / "no.parquet").exists()
