@@ -42,9 +42,9 @@ class Estimate:
     n: int
     split: str
 
-    def as_dict(self) -> dict[str, float | int | str]:
-        """For JSON."""
-        return asdict(self)
+    def as_dict(self) -> dict[str, float | int | str | None]:
+        """For JSON, which has no NaN: what is unknown is None."""
+        return {name: None if x != x else x for name, x in asdict(self).items()}
 
 
 def confusion(

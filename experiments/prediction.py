@@ -465,9 +465,11 @@ def predict_dataset(
         InputError: if the dataset, the model or a predictor's name is wrong.
         NothingToScore: if every episode is too short, or nobody is seen for long enough in any.
     """
-    if not SAMPLE_S <= horizon_s <= LONGEST_S:
+    samples = horizon_s / SAMPLE_S
+    if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
         raise InputError(
-            f"horizon_s: found {horizon_s}, expected seconds from {SAMPLE_S} to {LONGEST_S:g}"
+            f"horizon_s: found {horizon_s}, expected {SAMPLE_S} s or a multiple of it up to "
+            f"{LONGEST_S:g} s"
         )
     if not predictors:
         raise InputError("predictors: found none, expected at least one name")

@@ -6,14 +6,13 @@ measure it again.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from pathlib import Path
 
 from experiments.benches import BENCHES, NEED_RECORDINGS, run_bench
 from experiments.ending import one_line
-from sim.atomic import write_whole
+from experiments.tables import write_json
 
 
 def run_study(out: Path, quick: bool = False) -> list[Path]:
@@ -37,7 +36,7 @@ def run_study(out: Path, quick: bool = False) -> list[Path]:
             continue
         print(f"{path}: measuring", file=sys.stderr, flush=True)
         rows = run_bench(name, quick)
-        write_whole(path, (json.dumps(rows, indent=1, allow_nan=False) + "\n").encode())
+        write_json(rows, path)
     return [path for path in paths.values() if path.exists()]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,8 +20,12 @@ def _text(cell: Cell) -> str:
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
+def _known(cell: Cell) -> Cell:
+    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
+
+
 def write_json(rows: Sequence[Row], json_path: Path) -> None:
-    """Write rows as a JSON list.
+    """Write rows as a JSON list; what is not finite, of which nothing is known, as null.
 
     Args:
         rows: flat rows.
@@ -29,7 +34,8 @@ def write_json(rows: Sequence[Row], json_path: Path) -> None:
     Raises:
         OSError: if the file cannot be written.
     """
-    text = json.dumps(list(rows), indent=1, allow_nan=False, default=str) + "\n"
+    known = [{name: _known(cell) for name, cell in row.items()} for row in rows]
+    text = json.dumps(known, indent=1, allow_nan=False, default=str) + "\n"
     if str(json_path) == "-":
         sys.stdout.write(text)
     else:

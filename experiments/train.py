@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -12,7 +14,7 @@ from behaviors.errors import lookup
 from experiments.scoring import Scored, majority_of, score_model
 from experiments.windows import OBSERVED_S, gather
 from graphrqi.methods import METHODS, Model, check_model_folder, save_model, train
-from graphrqi.samples import WINDOWS_S, Samples
+from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
 from sim.dataset import Dataset, open_dataset
 from sim.schema import Split
 
@@ -65,12 +67,24 @@ def train_model(
     }
     training = gather(datasets, "train", chosen.name, **wanted)
     has_validation = any(dataset.episodes("validation") for dataset in datasets)
-    validation = gather(datasets, "validation", chosen.name, **wanted) if has_validation else None
+    validation, scored = None, dict[str, Scored]()
+    if has_validation:
+        with _left_out():
+            validation = gather(datasets, "validation", chosen.name, **wanted)
     model = train(chosen.name, training, validation, solver, seed)
-    scored = {}
     if any(dataset.episodes("test") for dataset in datasets):
-        scored = score_model(datasets, model, majority_of(training), jobs=jobs, quiet=quiet)
+        with _left_out():
+            scored = score_model(datasets, model, majority_of(training), jobs=jobs, quiet=quiet)
     return dataclasses.replace(model, card=_card(datasets, model, training, scored)), scored
+
+
+@contextmanager
+def _left_out() -> Iterator[None]:
+    """Do without a part of the data from which nothing can be told, and say so."""
+    try:
+        yield
+    except NoSamplesError as reason:
+        sys.stderr.write(f"graphrqi: left out {reason}\n")
 
 
 def _card(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,7 @@ from behaviors.errors import InputError
 from experiments.parallel import in_parallel
 from experiments.progress import Progress
 from graphrqi.methods import METHODS
-from graphrqi.samples import Samples, collect
+from graphrqi.samples import NoSamplesError, Samples, collect
 from sim.dataset import Dataset, open_dataset
 from sim.schema import EpisodeEntry, Split
 
@@ -28,11 +29,14 @@ def episode_samples(
     every_s: float,
     per_moment: int | None,
     seed: int,
-) -> Samples:
-    """Samples of one episode; see `graphrqi.samples.collect`."""
+) -> Samples | str:
+    """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
     tracks = open_dataset(folder).read(entry).tracks
     observer = METHODS[method].observer(solver)
-    return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
+    try:
+        return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
+    except NoSamplesError as reason:
+        return f"{folder}: episode {entry.id}: {reason}"
 
 
 def places_of(datasets: Sequence[Dataset]) -> list[str]:
@@ -59,6 +63,8 @@ def gather(
 ) -> Samples:
     """Samples of every episode of a split, made in parallel.
 
+    Episodes without any are left out, each in a line on stderr.
+
     Args:
         datasets: where from.
         split: which part.
@@ -76,7 +82,8 @@ def gather(
         The samples; episodes are numbered as in the manifests, one after another.
 
     Raises:
-        InputError: if the split has no episode or no driver is seen long enough.
+        InputError: if the split has no episode.
+        NoSamplesError: if no episode has labels and a driver that is seen for long enough.
     """
     arguments = []
     first = 0
@@ -96,8 +103,16 @@ def gather(
             "generate more episodes"
         )
     parts: list[Samples] = []
+    left_out: list[str] = []
     with Progress(f"{method}: observing {split} episodes", len(arguments), quiet) as progress:
         for part in in_parallel(episode_samples, arguments, jobs):
-            parts.append(part)
+            if isinstance(part, str):
+                left_out.append(part)
+            else:
+                parts.append(part)
             progress.advance()
+    if not parts:
+        raise NoSamplesError(left_out[0])
+    for reason in left_out:
+        sys.stderr.write(f"graphrqi: left out {reason}\n")
     return Samples.join(parts)

@@ -78,6 +78,10 @@ class Samples:
         )
 
 
+class NoSamplesError(InputError):
+    """A recording that nothing can be learned from or scored on: it may be left out."""
+
+
 def collect(
     tracks: Tracks,
     observer: Observer,
@@ -102,10 +106,10 @@ def collect(
         One sample per labelled driver, moment and window that fits into its life.
 
     Raises:
-        InputError: if the recording has no labels.
+        NoSamplesError: if the recording has no labels, or shows nobody for long enough.
     """
     if tracks.behavior is None:
-        raise InputError("tracks.behavior: found no labels, expected one per agent")
+        raise NoSamplesError("tracks.behavior: found no labels, expected one per agent")
     rng = np.random.default_rng(seed)
     look_s = min(LOOK_S, every_s)
     snapshots: list[tuple[float, Observation, FloatArray]] = []
@@ -156,7 +160,7 @@ def collect(
                 )
             )
     if not parts:
-        raise InputError(
+        raise NoSamplesError(
             f"tracks: found no driver observed for {min(windows_s):g} s, expected at least one"
         )
     return Samples.join(parts)

@@ -76,6 +76,8 @@ def _set_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise InputError(f"--set: found {text!r}, expected NAME=VALUE")
+        if name in _NAMED:
+            raise InputError(f"--set: found {name}, expected --{name.replace('_', '-')} for it")
         found[name] = _value(value)
     return found
 
@@ -167,6 +169,7 @@ def _run(
             pass
         return summary
     from sim.dataset import made_with, write_episode, write_manifest
+    from sim.lock import LOCK, sole_writer
     from sim.schema import EpisodeMeta
 
     chosen = {
@@ -185,6 +188,11 @@ def _run(
         options=chosen,
         made_with=made_with(options.engine),
     )
-    entry = write_episode(options.out, meta, frames, agents, scenario.road.source)
-    write_manifest(options.out, {"scenario": scenario.name, **chosen}, [entry])
+    with sole_writer(options.out):
+        if any(child.name != LOCK for child in options.out.iterdir()):
+            raise InputError(
+                f"--out: found something in {options.out}, expected a new or empty folder"
+            )
+        entry = write_episode(options.out, meta, frames, agents, scenario.road.source)
+        write_manifest(options.out, {"scenario": scenario.name, **chosen}, [entry])
     return summary

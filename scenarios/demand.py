@@ -35,8 +35,8 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
         return levels[flow]
     expected = " or ".join([*levels, "a number per hour >= 0"])
     try:
-        value = float(flow)
-    except ValueError:
+        value = math.nan if isinstance(flow, bool) else float(flow)
+    except (TypeError, ValueError):
         raise InputError(f"{field}: found {flow!r}, expected {expected}") from None
     if not math.isfinite(value) or value < 0:
         raise InputError(f"{field}: found {flow!r}, expected {expected}")
@@ -94,6 +94,8 @@ K = TypeVar("K", bound=StrEnum)
 def _shares(
     field: str, given: str | Mapping[K, float] | Mapping[str, float], members: Sequence[K]
 ) -> dict[K, float]:
+    if not isinstance(given, (str, Mapping)):
+        raise InputError(f"{field}: found {given!r}, expected shares by name")
     names = {str(member): member for member in members}
     pairs = _split(field, given) if isinstance(given, str) else [*given.items()]
     shares: dict[K, float] = {}
@@ -105,7 +107,7 @@ def _shares(
             raise InputError(f"{field}: found {str(name)!r} twice, expected it once")
         try:
             share = float(value)
-        except ValueError:
+        except (TypeError, ValueError):
             raise InputError(f"{field}: found {name}={value!r}, expected a share >= 0") from None
         if not math.isfinite(share) or share < 0:
             raise InputError(f"{field}: found {name}={share:g}, expected a share >= 0")

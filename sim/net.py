@@ -89,12 +89,22 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
     lanes = tuple(_lane(lane, edge) for edge in _edges(net) for lane in edge.getLanes())
     if not any(not lane.walking for lane in lanes):
         raise InputError(f"{source}: found no drivable lane, expected at least one")
-    plans, groups, group_of = _signals(net)
+    try:
+        plans, groups, group_of = _signals(net)
+        connections, crossings = (
+            tuple(_connections(net, group_of)),
+            tuple(_crossings(net, group_of)),
+        )
+    except (KeyError, ValueError, IndexError, AttributeError) as error:
+        reason = f"{type(error).__name__} {' '.join(str(error).split())}"
+        raise InputError(
+            f"{source}: expected signals and connections, found broken ones: {reason}"
+        ) from None
     return Road(
         name=name if name is not None else source.name.split(".")[0],
         lanes=lanes,
-        connections=tuple(_connections(net, group_of)),
-        crossings=tuple(_crossings(net, group_of)),
+        connections=connections,
+        crossings=crossings,
         signal_groups=groups,
         source=source.resolve(),
         signal_plans=plans,
@@ -141,7 +151,7 @@ def _signals(
         programs = lights.getPrograms()
         if not programs:
             continue
-        program = next(iter(programs.values()))
+        program = list(programs.values())[-1]  # SUMO runs the one that it loads last
         phases = program.getPhases()
         codes = np.array([[signal_code(c) for c in phase.state] for phase in phases])
         columns: dict[tuple[int, ...], int] = {}

@@ -29,6 +29,10 @@ what 20 lanes of 2400 vehicles an hour take in, and no scenario here has more la
 MAX_DURATION_S: Final = 86_400.0
 """Longest episode, s (our choice: a day)."""
 
+MAX_SPREAD: Final = 1.0
+"""Largest log-normal spread between drivers of one behaviour (our choice: two thirds of them are
+then within a factor of e)."""
+
 CarFollowing = Literal["Krauss", "IDM"]
 """SUMO's name of the law that everybody on a road follows their leader by."""
 
@@ -100,8 +104,8 @@ class Scenario:
         streams: who travels where, and how many per hour; at most `MAX_PER_HOUR` vehicles and as
             many pedestrians.
         mix: share of each behaviour among drivers; sums to 1.
-        spread: log-normal spread between drivers of one behaviour.
-        duration_s: length of an episode, s; at most `MAX_DURATION_S`.
+        spread: log-normal spread between drivers of one behaviour, at most `MAX_SPREAD`.
+        duration_s: length of an episode, s; at least a step, at most `MAX_DURATION_S`.
         step_s: time between frames, s.
         kinds: share of each vehicle kind; sums to 1.
         jaywalk_share: share of pedestrians who cross where and when they should not.
@@ -122,6 +126,10 @@ class Scenario:
         for stream in self.streams:
             if not math.isfinite(stream.per_hour) or stream.per_hour < 0:
                 raise InputError(f"flow: found {stream.per_hour}, expected vehicles per hour >= 0")
+            if not stream.route:
+                raise InputError("streams: found a route without edges, expected at least one")
+        if AgentKind.PEDESTRIAN in self.kinds:
+            raise InputError("kinds: found pedestrian, expected kinds of vehicles")
         for field_name, walking in (("flow", False), ("pedestrians_per_h", True)):
             per_hour = sum(stream.per_hour for stream in self.streams if stream.walking is walking)
             if per_hour > MAX_PER_HOUR * (1 + 1e-9):  # what was divided may add up to a hair more
@@ -136,8 +144,8 @@ class Scenario:
                 raise InputError(
                     f"{field_name}: found shares adding to {sum(values):g}, expected 1"
                 )
-        if not math.isfinite(self.spread) or self.spread < 0:
-            raise InputError(f"spread: found {self.spread}, expected a number >= 0")
+        if not 0 <= self.spread <= MAX_SPREAD:
+            raise InputError(f"spread: found {self.spread}, expected 0 to {MAX_SPREAD:g}")
         if not 0 <= self.jaywalk_share <= 1:
             raise InputError(f"jaywalk_share: found {self.jaywalk_share}, expected 0 to 1")
         if not 0 < self.duration_s <= MAX_DURATION_S:
@@ -147,6 +155,15 @@ class Scenario:
             )
         if not math.isfinite(self.step_s) or not 0.01 <= self.step_s <= 1.0:
             raise InputError(f"step_s: found {self.step_s}, expected seconds from 0.01 to 1")
+        if self.duration_s < self.step_s:
+            raise InputError(
+                f"duration_s: found {self.duration_s}, expected at least a step of {self.step_s} s"
+            )
+
+    @property
+    def steps(self) -> int:
+        """How many frames an episode has: the last is at or just before its end."""
+        return math.floor(self.duration_s / self.step_s + 1e-6)
 
 
 DIMENSIONS_M: Final[dict[AgentKind, tuple[float, float, float]]] = {

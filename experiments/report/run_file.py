@@ -5,17 +5,23 @@ from __future__ import annotations
 import json
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationError
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from sim.atomic import write_whole
 
 SCHEMA_VERSION: Final = 1
 """Of run files; a newer one is refused."""
 
 _PACKAGES: Final = ("graphrqi", "libsumo", "numpy", "scipy", "torch")
+
+
+_AS_MANY = Field(min_length=len(BEHAVIORS), max_length=len(BEHAVIORS))
+Matrix = Annotated[list[Annotated[list[NonNegativeInt], _AS_MANY]], _AS_MANY]
+"""Counts of answers (columns) by true behaviour (rows)."""
 
 
 class Score(BaseModel):
@@ -57,7 +63,7 @@ class RunFile(BaseModel):
     model: str
     protocol: str
     findings: list[str]
-    confusion: dict[str, dict[str, list[list[int]]]]
+    confusion: dict[str, dict[str, Matrix]]
 
 
 def installed() -> dict[str, str]:

@@ -80,7 +80,7 @@ def _run(
 
 def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[Frame]:
     steps = math.ceil(scenario.step_s / LONGEST_STEP_S - 1e-9)
-    for index in range(1, round(scenario.duration_s / scenario.step_s) + 1):
+    for index in range(1, scenario.steps + 1):
         for _ in range(steps):
             demand.enter()
             road.act()

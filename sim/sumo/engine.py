@@ -272,7 +272,7 @@ def _steps(
                 controls = Controls(sumo, scenario.road, agents, step_ms / 1000)
             import libsumo
 
-            for index in range(1, round(scenario.duration_s / scenario.step_s) + 1):
+            for index in range(1, scenario.steps + 1):
                 try:
                     for part in range(1, substeps + 1):
                         sumo.simulation_step(0.0)

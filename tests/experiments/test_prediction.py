@@ -318,3 +318,9 @@ def test_quiet_hides_progress_and_not_the_table(tmp_path, capsys):
     assert said.err == ""
     assert predict_line(folder, "--quiet", "--json", "-") == 0
     assert {row["scenario"] for row in json.loads(capsys.readouterr().out)} == {"here"}
+
+
+@pytest.mark.parametrize("horizon_s", [0.4, 0.7, 2.75, 31.0, float("nan")])
+def test_errors_are_told_at_multiples_of_half_a_second_only(tmp_path, horizon_s):
+    with pytest.raises(InputError, match=r"horizon_s: found .*, expected 0\.5 s or a multiple"):
+        predict_dataset(tmp_path, ["constant-velocity"], horizon_s)

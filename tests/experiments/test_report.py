@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 
 import pytest
+from pydantic import ValidationError
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.report import write_comparison, write_report
 from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.run_file import RunFile
 from experiments.report.source import KINDS, kind_of, read_source
 from experiments.report.tables import pivot
 
@@ -152,6 +154,15 @@ def test_what_is_no_file_of_rows_is_refused_by_name(content, said, tmp_path):
     with pytest.raises(InputError, match=r"rows\.json: ") as error:
         read_source(tmp_path / "rows.json")
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize("matrix", [[[1, 2], [3]], [[0] * 6] * 5, [[-1] * 6] * 6])
+def test_a_confusion_that_is_none_is_refused_by_name(matrix):
+    whole = {"name": "r", "seed": 0, "configuration": {}, "packages": {}, "dataset": "d"}
+    whole |= {"model": "m", "protocol": "p", "findings": []}
+    RunFile.model_validate(whole | {"confusion": {"here": {"m": [[1] * 6] * 6}}})
+    with pytest.raises(ValidationError, match="confusion"):
+        RunFile.model_validate(whole | {"confusion": {"here": {"m": matrix}}})
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

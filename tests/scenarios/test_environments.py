@@ -299,6 +299,61 @@ def test_the_goal_can_be_reached(goal):
     assert not info["crashed"]
 
 
+def steer(name: str, action: list[float], **config):
+    """Drive alone with one continuous action to the end; the environment and every step."""
+    env = make(
+        name, action={"type": "ContinuousAction"}, flow=0, warmup_s=0.0, duration_s=60.0, **config
+    )
+    env.reset(seed=0)
+    steps = []
+    while not steps or not (steps[-1][2] or steps[-1][3]):
+        steps.append(env.step(np.array(action, dtype=np.float32)))
+    return env.unwrapped, steps
+
+
+@pytest.mark.parametrize("goal", ["left", "right"])
+def test_another_arm_is_not_the_goal(goal):
+    env, steps = steer("graphrqi/FourWayIntersection-v0", [0.03, 0.0], goal=goal)
+    _, reward, ended, _, info = steps[-1]
+    assert ended
+    assert not any(step[4]["arrived"] for step in steps)
+    assert env.vehicle.lane_index[:2] == ("north_out<", "north_out>")
+    assert info["rewards"]["off_road"] == 1.0  # it drove off the end of that arm
+    assert reward == pytest.approx(-5.0)
+    assert all(step[4]["rewards"]["progress"] == 0.0 for step in steps[-50:])
+    assert len({step[0]["ego"][12] for step in steps[-50:]}) == 1  # as far as it ever was
+    assert all(np.isfinite(step[1]) for step in steps)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_the_end_of_its_own_way_is_where_it_arrives(name):
+    _, steps = steer(name, [0.03, 0.0])
+    _, _, ended, _, info = steps[-1]
+    assert ended
+    assert info["arrived"]
+    assert info["rewards"]["off_road"] == 0.0
+    assert info["rewards"]["progress"] > 0.5
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_leaving_the_road_backwards_is_noticed(name):
+    env, steps = steer(name, [-1.0, 0.0])
+    s, _ = env.vehicle.lane.local_coordinates(env.vehicle.position)
+    assert steps[-1][2]
+    assert -8.0 < s < -env.vehicle.LENGTH / 2
+    assert steps[-1][4]["rewards"]["off_road"] == 1.0
+    assert all(step[4]["rewards"]["off_road"] == 0.0 for step in steps[:-1])
+
+
+def test_backing_from_an_arm_into_the_junction_is_not_leaving_the_road():
+    env = make("graphrqi/FourWayIntersection-v0", flow=0, warmup_s=0.0).unwrapped
+    env.reset(seed=0)
+    vehicle, lane = env.vehicle, ("north_out<", "north_out>", 0)
+    vehicle.lane_index, vehicle.lane = lane, env.road.network_info.lanes[lane]
+    vehicle.position = vehicle.lane.position(-vehicle.LENGTH, 0.0)
+    assert not env._off_road()
+
+
 def test_running_a_red_light_is_noted_and_costs():
     env = make("graphrqi/FourWayIntersection-v0", flow=0, duration_s=80.0, warmup_s=0.0)
     env.reset(seed=0)
@@ -331,6 +386,26 @@ def test_running_a_red_light_is_noted_and_costs():
         ({"action": {"type": "Discrete"}}, "DiscreteAction"),
         ({"action": {"type": "DiscreteMetaAction", "target_speed": 3}}, "target_speeds"),
         ({"action": "DiscreteMetaAction"}, "action"),
+        ({"action": {"type": "DiscreteMetaAction", "target_speeds": []}}, "action: found"),
+        ({"action": {"type": "DiscreteMetaAction", "target_speeds": [5.0]}}, "action: found"),
+        ({"action": {"type": "DiscreteMetaAction", "target_speeds": "fast"}}, "action: found"),
+        ({"action": {"type": "DiscreteAction", "actions_per_axis": 0}}, "action: found"),
+        (
+            {"action": {"type": "DiscreteMetaAction", "lateral": False, "longitudinal": False}},
+            "action: found",
+        ),
+        (
+            {"action": {"type": "ContinuousAction", "lateral": False, "longitudinal": False}},
+            "action: found",
+        ),
+        ({"action": {"type": "ContinuousAction", "steering_range": 1}}, "action: found"),
+        ({"observation": "posterior", "classifier": "os:nope"}, "classifier: found 'os:nope'"),
+        ({"observation": "posterior", "classifier": "os:name"}, "classifier: found 'os:name'"),
+        ({"observation": "posterior", "classifier": "no_such_module:f"}, "classifier: found"),
+        ({"observation": "posterior", "classifier": ":f"}, "classifier: found ':f'"),
+        ({"compiled": "yes"}, "compiled"),
+        ({5: 1}, "configuration key '5'"),
+        (5, "config: found 5"),
     ],
     ids=str,
 )
@@ -346,6 +421,12 @@ def test_refuses_bad_options_at_reset_and_a_bad_goal():
         env.reset(options={"confg": {}})
     with pytest.raises(InputError, match="spread"):
         env.reset(options={"config": {"spread": -1.0}})
+    with pytest.raises(InputError, match="config: found 5"):
+        env.reset(options={"config": 5})
+    with pytest.raises(InputError, match="options: found 5"):
+        env.reset(options=5)
+    with pytest.raises(InputError, match="classifier: found 'os:getcwd'"):
+        env.reset(options={"config": {"observation": "posterior", "classifier": "os:getcwd"}})
     with pytest.raises(InputError, match="straight"):
         gymnasium.make("graphrqi/FourWayIntersection-v0", config={"goal": "strait"})
 

@@ -13,8 +13,9 @@ from scenarios.command import main
 from scenarios.demand import parse_flow, parse_kinds, parse_mix
 from scenarios.networks import build
 from scenarios.networks.geometry import FourWayGeometry, StraightGeometry
-from sim.engines import ENGINES
+from sim.engines import ENGINES, get_engine
 from sim.frames import AgentKind
+from sim.scenario import sample_agents
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -57,6 +58,41 @@ def test_an_episode_is_written(tmp_path, capsys):
     assert "frames: 50" in capsys.readouterr().out
 
 
+def test_a_dataset_that_is_there_is_not_written_over(tmp_path, capsys):
+    out = tmp_path / "data"
+    arguments = ["--duration-s", "1", "--out", str(out)]
+    assert main("straight_road", arguments) == 0
+    manifest = (out / "manifest.json").read_bytes()
+    capsys.readouterr()
+    assert main("straight_road", [*arguments, "--seed", "5"]) == 2
+    assert "expected a new or empty folder" in capsys.readouterr().err
+    assert (out / "manifest.json").read_bytes() == manifest
+
+
+@pytest.mark.parametrize("engine", ["sumo", "highway"])
+@pytest.mark.parametrize(("step_s", "duration_s", "frames"), [(0.6, 1.0, 1), (0.1, 0.99, 9)])
+def test_no_frame_is_later_than_the_end(engine, step_s, duration_s, frames):
+    scenario = get_scenario("straight_road")(step_s=step_s, duration_s=duration_s)
+    found = list(get_engine(engine)(scenario, sample_agents(scenario, 0), 0))
+    assert len(found) == scenario.steps == frames
+    assert found[-1].time_s <= duration_s
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"flow": None}, "flow: found None"),
+        ({"flow": True}, "flow: found True"),
+        ({"flow": [1]}, "flow: found"),
+        ({"mix": 5}, "mix: found 5, expected shares by name"),
+        ({"mix": {"timid": None}}, "mix: found timid=None"),
+    ],
+)
+def test_values_of_no_kind_are_refused_by_name(options, message):
+    with pytest.raises(InputError, match=message):
+        get_scenario("straight_road")(**options)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -69,7 +105,11 @@ def test_an_episode_is_written(tmp_path, capsys):
         (["--flow", "-3"], "flow: found '-3', expected light or medium or dense or a number"),
         (["--flow", "heavy"], "flow: found 'heavy'"),
         (["--flow", "nan"], "flow: found 'nan'"),
-        (["--spread", "-1"], "spread: found -1.0, expected a number >= 0"),
+        (["--spread", "-1"], "spread: found -1.0, expected 0 to 1"),
+        (["--spread", "1e3"], "spread: found 1000.0, expected 0 to 1"),
+        (["--duration-s", "0.05"], "duration_s: found 0.05, expected at least a step of 0.1 s"),
+        (["--set", "flow=3"], "--set: found flow, expected --flow for it"),
+        (["--set", "step_s=1"], "--set: found step_s, expected --step-s for it"),
         (["--duration-s", "0"], "duration_s: found 0.0, expected seconds > 0"),
         (["--step-s", "5"], "step_s: found 5.0, expected seconds from 0.01 to 1"),
         (["--seed", "-1"], "seed: found -1, expected an integer >= 0"),

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -96,6 +98,40 @@ def test_signal_plan_repeats():
 @pytest.mark.parametrize(("letter", "state"), [("G", "green"), ("y", "yellow"), ("u", "red")])
 def test_signal_letters(letter, state):
     assert signal_code(letter) == Signal(state).code
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement"),
+    [
+        (r'state="[a-zA-Z]', 'state="Q'),
+        (r'(<phase [^>]*state="[a-zA-Z]*)[a-zA-Z]"', r'\1"'),
+        (r"<phase [^>]*>", ""),
+        (r'dir="s"', 'dir="invalid"'),
+    ],
+    ids=["an unknown letter", "phases of unequal length", "no phases", "an unknown direction"],
+)
+def test_broken_signals_and_connections_are_one_line(tmp_path, four_way, pattern, replacement):
+    text = four_way.source.read_text()
+    broken = re.sub(pattern, replacement, text, count=0 if replacement == "" else 1)
+    assert broken != text
+    path = tmp_path / "road.net.xml"
+    path.write_text(broken)
+    with pytest.raises(InputError, match="broken") as error:
+        read_road(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_programme_that_is_loaded_last_runs(tmp_path, four_way):
+    text = four_way.source.read_text()
+    whole = re.search(r"<tlLogic.*?</tlLogic>", text, re.DOTALL)
+    assert whole is not None
+    other = re.sub(r'programID="[^"]*"', 'programID="other"', whole[0])
+    other = re.sub(r'duration="[^"]*"', 'duration="7"', other)
+    path = tmp_path / "road.net.xml"
+    path.write_text(text.replace(whole[0], whole[0] + other))
+    (plan,) = read_road(path).signal_plans
+    assert set(plan.duration_s) == {7.0}
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Behavior
 from scenarios.straight_road import straight_road
 from sim.frames import AgentKind
-from sim.scenario import KIND_LIMITS, Scenario, sample_agents
+from sim.scenario import KIND_LIMITS, Scenario, Stream, sample_agents
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +77,13 @@ def test_jaywalkers_are_as_many_as_asked_for():
         ("mix", {Behavior.TIMID: 0.5}),
         ("mix", {Behavior.TIMID: 1.5, Behavior.RECKLESS: -0.5}),
         ("kinds", {AgentKind.CAR: 0.9}),
+        ("kinds", {AgentKind.PEDESTRIAN: 1.0}),
+        ("streams", (Stream((), 900.0),)),
+        ("streams", (Stream((), 900.0, walking=True),)),
         ("spread", -1.0),
+        ("spread", 1.1),
         ("duration_s", 0.0),
+        ("duration_s", 0.09),
         ("step_s", 2.0),
         ("jaywalk_share", 1.2),
     ],

@@ -1,0 +1,43 @@
+"""Training does without episodes of which nothing can be told, and says so."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from experiments.generate import GenerateConfig, generate
+from experiments.train import train_on
+from graphrqi.samples import NoSamplesError
+from graphrqi.stream import load_stream
+
+
+def dataset(folder: Path, duration_s: float) -> Path:
+    config = GenerateConfig(
+        scenarios=("straight_road",), episodes=5, seed=1, duration_s=duration_s, flow="dense"
+    )
+    generate(config, folder, jobs=1, quiet=True)
+    return folder
+
+
+def test_test_episodes_that_are_too_short_cost_the_scores_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = dataset(tmp_path / "data", 8.0)
+    train_on([data], "majority", tmp_path / "model", quiet=True, jobs=1)
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 1
+    assert "episode" in told[0]
+    assert told[0].startswith(f"graphrqi: left out {data}: episode")
+    assert "found no driver observed for 10 s" in told[0]
+    card = json.loads((tmp_path / "model" / "model.json").read_text())["card"]
+    assert card["scores"] == {}
+    load_stream(tmp_path / "model")
+
+
+def test_nothing_to_learn_from_is_refused_by_episode(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data", 0.5)
+    with pytest.raises(NoSamplesError, match=r"episode \w+: tracks: found no driver observed"):
+        train_on([data], "majority", tmp_path / "model", quiet=True, jobs=1)
+    assert not (tmp_path / "model").exists()
