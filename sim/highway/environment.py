@@ -34,7 +34,7 @@ from sim.highway.demand import Demand
 from sim.highway.engine import network_of, read_frame
 from sim.highway.fast_road import separation
 from sim.highway.network import HighwayNetwork, LaneIndex
-from sim.highway.traffic import TrafficRoad, agent_of
+from sim.highway.traffic import STRETCH_MARGIN_M, TrafficRoad, agent_of
 from sim.highway.vehicle import ProfileVehicle
 from sim.highway.viewer import TrafficViewer
 from sim.highway.walkers import Walker
@@ -153,7 +153,7 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
             )
         self.metadata = dict(type(self).metadata)  # type: ignore[misc]
         self._made = False
-        super().__init__(dict(config or {}), render_mode)
+        super().__init__(dict(_mapping("config", config)), render_mode)
         self._made = True
 
     # Configuration ---------------------------------------------------------------------------
@@ -191,13 +191,14 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         Raises:
             InputError: if a key is unknown or a value means nothing; the message names it.
         """
-        changed = {**self.config, **(config or {})}
+        config = _mapping("config", config)
+        changed = {**self.config, **config}
         for key in changed:
-            lookup(self.default_config(), key, "configuration key")
+            lookup(self.default_config(), str(key), "configuration key")
         _check_config(changed)
         lasts = float(changed["duration_s"]) + float(changed["warmup_s"]) + LONGEST_WAIT_S
         self.scenario = self._make_scenario(changed, lasts)
-        super().configure({key: changed[key] for key in (config or {})})
+        super().configure({key: changed[key] for key in config})
 
     def _make_scenario(self, config: Mapping[str, Any], duration_s: float) -> Scenario:
         """The scenario that a configuration asks for."""
@@ -239,10 +240,11 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         if not self._made:  # highway-env's own way to make a scene; here every episode makes one
             return {}, {}
         gymnasium.Env.reset(self, seed=seed)
+        options = dict(_mapping("options", options))
         if options:
             for key in options:
-                lookup({"config": None}, key, "reset option")
-            self.configure(options["config"])
+                lookup({"config": None}, str(key), "reset option")
+            self.configure(_mapping("config", options["config"]))
         self.update_metadata()
         self.time, self.steps, self.done = 0.0, 0, False
         self._reset()
@@ -258,7 +260,7 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
             traffic = int(self.np_random.integers(2**31))
         agents = sample_agents(self.scenario, traffic)
         network = network_of(self.scenario.road)
-        self.road = TrafficRoad(network, compiled=bool(config.get("compiled", False)))
+        self.road = TrafficRoad(network, compiled=config.get("compiled", False))
         self._demand = Demand(self.road, agents, traffic)
         self._true = {agent.id: agent for agent in agents}
         self._classify = self._classifier()
@@ -284,9 +286,14 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         source = self.config["classifier"]
         if not isinstance(source, str):
             return cast(Callable[[Frame], Belief], source)
-        module, function = source.split(":")
-        made = getattr(importlib.import_module(module), function)()
-        return cast(Callable[[Frame], Belief], getattr(made, "update", made))
+        made = _classifier_maker(source)()
+        classify = getattr(made, "update", made)
+        if not callable(classify):
+            raise InputError(
+                f"classifier: found {source!r}, which makes {made!r}, "
+                "expected it to make a callable or one with 'update'"
+            )
+        return cast(Callable[[Frame], Belief], classify)
 
     def _set_ego(self) -> None:
         """Put the ego vehicle at the beginning of its way, once there is room."""
@@ -381,7 +388,8 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
                 self._automatic_rendering()
         self.enable_auto_render = False
         self.time += frames * dt
-        self._distance_left = self._way_left()
+        if self._on_way():
+            self._distance_left = self._way_left()
         mine = [e for e in self._events if self._ego_id in (e.agent, e.other)]
         self._collisions = sum(e.kind is EventKind.COLLISION for e in mine)
         self._red_runs = sum(e.kind is EventKind.RED_RUN and e.agent == self._ego_id for e in mine)
@@ -411,14 +419,32 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         }
 
     def _is_terminated(self) -> bool:
-        return bool(self.vehicle.crashed or self._off_road() or self._distance_left <= 0.0)
+        return bool(self.vehicle.crashed or self._off_road() or self._arrived())
 
     def _is_truncated(self) -> bool:
         return bool(self.time >= self.config["duration_s"] - 1e-9)
 
+    def _arrived(self) -> bool:
+        last = self.vehicle.lane_index[:2] == self.vehicle.stretches[-1]
+        return bool(last and self._distance_left <= 0.0)
+
     def _off_road(self) -> bool:
         s, lateral = self.vehicle.lane.local_coordinates(self.vehicle.position)
-        return bool(abs(lateral) > self.vehicle.lane.width_at(s) / 2 + 1.0)
+        beside = abs(lateral) > self.vehicle.lane.width_at(s) / 2 + 1.0
+        return bool(beside or self._beyond_the_ends(s))
+
+    def _beyond_the_ends(self, s: float) -> bool:
+        """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
+        ego, network = self.vehicle, self.road.network_info
+        lane = ego.lane_index
+        if network.info[lane].connector or (lane[:2] == ego.stretches[-1] and s > 0.0):
+            return False
+        own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # goes where its ghost goes
+        if s < -ego.LENGTH / 2:
+            return all(entered[:2] != own for entered in network.exit_of.values())
+        if s > ego.lane.length + ego.LENGTH / 2:
+            return all(left[:2] != own for left, _ in network.onward)
+        return False
 
     def _info(
         self, action: int | NDArray[Any] | None, rewards: Mapping[str, float] | None = None
@@ -427,7 +453,7 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
             "time_s": float(self.time),
             "speed": float(self.vehicle.speed),
             "crashed": bool(self.vehicle.crashed),
-            "arrived": bool(self._distance_left <= 0.0),
+            "arrived": self._arrived(),
             "collisions": int(self._collisions),
             "near_misses": int(self._near_misses),
             "red_runs": int(self._red_runs),
@@ -437,6 +463,22 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
                 for e in self._events
             ),
         }
+
+    def _on_way(self) -> bool:
+        """Whether the ego vehicle is on a stretch of its way or on a junction path between them.
+
+        Paths from one lane begin on each other, so any counts while the right one is there too.
+        """
+        ego, network = self.vehicle, self.road.network_info
+        if ego.lane_index[:2] in ego.stretches:
+            return True
+        turns = set(itertools.pairwise(ego.stretches))
+        for (begin, then), path in network.onward.items():
+            if (begin[:2], then) in turns:
+                lane = network.lanes[path]
+                if path == ego.lane_index or lane.on_lane(ego.position, margin=STRETCH_MARGIN_M):
+                    return True
+        return False
 
     def _way_left(self) -> float:
         """Distance along the lanes to the end of the ego vehicle's way, m."""
@@ -658,6 +700,27 @@ def _highway_route(
     return route
 
 
+def _mapping(name: str, value: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """What was given by key; nothing for None."""
+    if value is not None and not isinstance(value, Mapping):
+        raise InputError(f"{name}: found {value!r}, expected a mapping or None")
+    return value or {}
+
+
+def _classifier_maker(source: str) -> Callable[[], Any]:
+    """What ``module:function`` names."""
+    module, function = source.split(":")
+    try:
+        found = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise InputError(
+            f"classifier: found {source!r}, expected 'module:function' that exists ({error})"
+        ) from error
+    if not callable(found):
+        raise InputError(f"classifier: found {source!r}, expected it to name a function")
+    return cast(Callable[[], Any], found)
+
+
 def _check_config(config: Mapping[str, Any]) -> None:
     """Refuse values that mean nothing, by name.
 
@@ -689,7 +752,20 @@ def _check_config(config: Mapping[str, Any]) -> None:
         raise InputError(
             f"classifier: found {classifier!r}, expected 'module:function' or a callable"
         )
-    action = config["action"]
+    if named and config["observation"] == "posterior":
+        _classifier_maker(classifier)
+    compiled = config.get("compiled", False)
+    if not isinstance(compiled, bool):
+        raise InputError(f"compiled: found {compiled!r}, expected True or False")
+    _check_action(config["action"])
+
+
+def _check_action(action: Mapping[str, Any]) -> None:
+    """Refuse an action type, options or values of them that make no action, by name.
+
+    Raises:
+        InputError: with one line.
+    """
     if not isinstance(action, Mapping) or "type" not in action:
         raise InputError(f"action: found {action!r}, expected a mapping with 'type'")
     kind = lookup(ACTIONS, str(action["type"]), "action type")
@@ -699,4 +775,21 @@ def _check_config(config: Mapping[str, Any]) -> None:
     known.pop("kwargs", None)
     for key in action:
         if key != "type":
-            lookup(known, key, f"option of action {action['type']},")
+            lookup(known, str(key), f"option of action {action['type']},")
+    try:
+        kind(None, **action).space()
+        for key in ("acceleration_range", "steering_range", "speed_range"):
+            if action.get(key) is not None:
+                bounds = np.array(action[key], dtype=np.float64)
+                if bounds.shape != (2,) or not np.isfinite(bounds).all():
+                    raise ValueError(f"{key} is not a pair of numbers")
+        if action.get("target_speeds") is not None:  # highway-env takes them to ascend evenly
+            speeds = np.array(action["target_speeds"], dtype=np.float64)
+            ascend = speeds.ndim == 1 and speeds.size > 1 and bool((np.diff(speeds) > 0.0).all())
+            if not ascend or not np.isfinite(speeds).all():
+                raise ValueError("target_speeds are not two or more ascending speeds")
+    except (ArithmeticError, AssertionError, TypeError, ValueError) as error:
+        raise InputError(
+            f"action: found {dict(action)!r}, expected options that {action['type']} can take"
+            f" ({error})"
+        ) from error
