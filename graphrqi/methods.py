@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -28,12 +29,16 @@ from graphrqi.features.spectrum_observers import (
 )
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.samples import Samples
+from graphrqi.spectrum import SOLVERS
 from sim.atomic import whole_folder
 
 FloatArray = NDArray[np.float64]
 
 SCHEMA_VERSION: Final = 2
 """Of model folders; any other one is refused."""
+
+MOST_SEED: Final = 2**32 - 1
+"""Largest seed that NumPy's and scikit-learn's generators take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,11 +182,19 @@ def train(
 
     Returns:
         The trained model.
+
+    Raises:
+        InputError: if there is no such method or solver, no sample, or the seed is out of range.
     """
     chosen = lookup(METHODS, method, "method")
+    lookup(SOLVERS, solver, "solver")
+    if not 0 <= seed <= MOST_SEED:
+        raise InputError(f"seed: found {seed}, expected 0 to {MOST_SEED}")
+    if not len(training):
+        raise InputError("training: found no sample, expected at least one")
     classifier = make_classifier(chosen.classifier, len(BEHAVIORS), **chosen.options)
     held = None
-    if validation is not None:
+    if validation is not None and len(validation):
         held = (validation.features.astype(np.float64), validation.codes)
     classifier.fit(training.features.astype(np.float64), training.codes, held, seed)
     count = np.bincount(training.codes, minlength=len(BEHAVIORS))
@@ -228,7 +241,7 @@ def save_model(model: Model, folder: Path) -> None:
     appears whole; a model that stands there is replaced.
 
     Raises:
-        InputError: if the folder holds something that is not a model.
+        InputError: if the folder holds something that is not a model, or JSON cannot hold the card.
     """
     from safetensors.numpy import save
 
@@ -243,8 +256,15 @@ def save_model(model: Model, folder: Path) -> None:
         card=dict(model.card),
     )
     arrays = {k: np.ascontiguousarray(v) for k, v in model.classifier.arrays().items()}
+    try:
+        written = json.dumps(file.model_dump(), indent=1, allow_nan=False) + "\n"
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{folder / 'model.json'}: card: found what JSON cannot hold ({error}), "
+            "expected finite numbers, texts, lists and tables"
+        ) from None
     with whole_folder(folder) as partial:
-        (partial / "model.json").write_text(json.dumps(file.model_dump(), indent=1) + "\n")
+        (partial / "model.json").write_text(written)
         (partial / "weights.safetensors").write_bytes(save(arrays))
 
 
@@ -287,7 +307,14 @@ def load_model(name_or_folder: str | Path) -> Model:
         raise InputError(f"{path}: shares: found {len(file.shares)}, expected {len(BEHAVIORS)}")
     if file.classes != tuple(b.value for b in BEHAVIORS):
         raise InputError(f"{path}: classes: found {file.classes}, expected {tuple(BEHAVIORS)}")
-    method = lookup(METHODS, file.method, "method")
+    total = sum(file.shares)
+    if min(file.shares) < 0.0 or not math.isclose(total, 1.0, abs_tol=1e-6):
+        raise InputError(f"{path}: shares: found a sum of {total:g} or less than 0, expected 1")
+    try:
+        method = lookup(METHODS, file.method, "method")
+        lookup(SOLVERS, file.solver, "solver")
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if file.features != method.observer(file.solver).feature_names:
         raise InputError(
             f"{path}: features: found those of another version, expected this version's; "
@@ -297,9 +324,11 @@ def load_model(name_or_folder: str | Path) -> Model:
     try:
         arrays = load_file(weights)
         classifier = restore_classifier(
-            method.classifier, len(BEHAVIORS), dict(method.options), arrays
+            method.classifier, len(BEHAVIORS), len(file.features), dict(method.options), arrays
         )
-    except (SafetensorError, OSError, KeyError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{weights}: found weights that do not load ({reason})") from None
+    except (SafetensorError, OSError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(
+            f"{weights}: found weights that do not load ({reason}), expected those of {file.method}"
+        ) from None
     return Model(method, file.solver, classifier, file.shares, file.card)

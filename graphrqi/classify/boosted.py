@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
 from graphrqi.classify.trees import ShortTrees, Trees
@@ -71,10 +72,9 @@ class Boosted:
         from sklearn.ensemble import HistGradientBoostingClassifier
 
         held: dict[str, Any] = {}
+        validation = of_trained_classes(validation, codes)
         if validation is not None:
-            known = np.isin(validation[1], codes)  # of classes that are not learned nothing is said
-            if known.any():
-                held = {"X_val": validation[0][known], "y_val": validation[1][known]}
+            held = {"X_val": validation[0], "y_val": validation[1]}
         grown = HistGradientBoostingClassifier(
             early_stopping=bool(held), n_iter_no_change=PATIENCE, random_state=seed, **self._options
         ).fit(features, codes, **held)
@@ -97,7 +97,8 @@ class Boosted:
             )
         )
         if validation is not None:
-            self._temperature = best_temperature(self._untempered(validation[0]), validation[1])
+            found = self._untempered(validation[0])
+            self._temperature = best_temperature(found, validation[1], self._trained())
 
     def _keep(self, trees: Trees) -> None:
         self._trees = trees
@@ -118,9 +119,12 @@ class Boosted:
     def _untempered(self, features: FloatArray) -> FloatArray:
         return softmax(self._quickest.total(features, self._num_classes) + self._baseline)
 
+    def _trained(self) -> NDArray[np.bool_]:
+        return self._baseline > NEVER
+
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
-        return tempered(self._untempered(features), self._temperature)
+        return tempered(self._untempered(features), self._temperature, self._trained())
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All nodes, the baseline and the temperature."""
@@ -130,8 +134,8 @@ class Boosted:
             "temperature": np.array([self._temperature]),
         }
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take what was saved."""
-        self._keep(Trees.restored(arrays))
-        self._baseline = np.asarray(arrays["baseline"])
-        self._temperature = float(arrays["temperature"][0])
+        self._keep(Trees.restored(arrays, num_features, self._num_classes))
+        self._baseline = saved(arrays, "baseline", (self._num_classes,))
+        self._temperature = saved_temperature(arrays)

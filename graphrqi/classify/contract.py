@@ -26,7 +26,8 @@ class Classifier(Protocol):
         Args:
             features: (n, F) training vectors.
             codes: (n,) classes, 0 to C - 1.
-            validation: vectors and classes of other episodes, to stop and to calibrate by.
+            validation: vectors and classes of other episodes, to stop and to calibrate by; rows of
+                classes that are not learned are left out.
             seed: same seed, same classifier.
         """
         ...
@@ -39,6 +40,14 @@ class Classifier(Protocol):
         """What was learned, to be saved."""
         ...
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Take what was saved; the next `posterior` is the same as before saving."""
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
+        """Take what was saved; the next `posterior` is the same as before saving.
+
+        Args:
+            arrays: as from `arrays`.
+            num_features: F.
+
+        Raises:
+            InputError: if the arrays are not of such a classifier.
+        """
         ...

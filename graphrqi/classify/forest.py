@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.errors import InputError
+from graphrqi.classify.checks import of_trained_classes, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import best_temperature, tempered
 from graphrqi.classify.trees import Trees
@@ -32,7 +34,7 @@ class Forest:
         self._count = trees
         self._min_leaf = min_leaf
         self._feature_share = feature_share
-        self._trees = Trees.constant(np.full(num_classes, 1.0 / num_classes))
+        self._keep(Trees.constant(np.full(num_classes, 1.0 / num_classes)))
         self._temperature = 1.0
 
     def fit(
@@ -60,9 +62,16 @@ class Forest:
             asked = np.where(leaf, -1, tree.feature)
             below = np.maximum(tree.children_left, 0), np.maximum(tree.children_right, 0)
             trees.append(Trees.single(asked, tree.threshold, *below, share))
-        self._trees, self._temperature = Trees.join(trees), 1.0
-        if validation is not None:
-            self._temperature = best_temperature(self._share(validation[0]), validation[1])
+        self._keep(Trees.join(trees))
+        self._temperature = 1.0
+        held = of_trained_classes(validation, codes)
+        if held is not None:
+            share = self._share(held[0])
+            self._temperature = best_temperature(share, held[1], self._trained)
+
+    def _keep(self, trees: Trees) -> None:
+        self._trees = trees
+        self._trained = np.asarray(trees.value.any(axis=0))
 
     def _share(self, features: FloatArray) -> FloatArray:
         total = self._trees.total(features, self._num_classes)
@@ -70,13 +79,20 @@ class Forest:
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
-        return tempered(self._share(features), self._temperature)
+        return tempered(self._share(features), self._temperature, self._trained)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All nodes and the temperature."""
         return {**self._trees.arrays(), "temperature": np.array([self._temperature])}
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take what was saved."""
-        self._trees = Trees.restored(arrays)
-        self._temperature = float(arrays["temperature"][0])
+        self._keep(Trees.restored(arrays, num_features, self._num_classes))
+        share = self._trees.value[self._trees.is_leaf()]
+        if (
+            share.shape[1] != self._num_classes
+            or (share < 0.0).any()
+            or not share.any(axis=1).all()
+        ):
+            raise InputError("value: found leaves without shares, expected some of each class")
+        self._temperature = saved_temperature(arrays)

@@ -1,7 +1,8 @@
 """Lasso: linear scores with an L1 penalty that keeps few features (scikit-learn fits them).
 
 One regression per class onto its indicator, the penalty chosen on validation data; a multinomial
-regression turns the scores into probabilities.
+regression turns the scores into probabilities, fitted on validation data if it holds every class
+that was trained.
 
 References:
     Tibshirani (1996), J. R. Statist. Soc. B 58, 267; used on trajectory features by Cheung, Bera,
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.classify.checks import of_trained_classes, saved
 from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import SoftmaxRegression
 from graphrqi.classify.standardisation import Standardisation
@@ -49,6 +51,7 @@ class IndicatorLasso:
         """Learn; coordinate descent in a fixed order, so the seed has no part in it."""
         from sklearn.linear_model import Lasso
 
+        validation = of_trained_classes(validation, codes)
         self._inputs = Standardisation.of(features)
         x = self._inputs.apply(features)
         onto = np.eye(self._num_classes)
@@ -66,6 +69,8 @@ class IndicatorLasso:
             error = float((missed**2).mean())
             if error < best:
                 best, self._coefficients = error, coefficients
+        if not np.isin(codes, truth).all():  # what the link is not shown it never answers
+            held, truth = x, codes
         self._link = SoftmaxRegression.fitted(held @ self._coefficients, truth, self._num_classes)
 
     def posterior(self, features: FloatArray) -> FloatArray:
@@ -80,8 +85,8 @@ class IndicatorLasso:
             **self._link.arrays(),
         }
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take what was saved."""
-        self._inputs = Standardisation.restored(arrays)
-        self._coefficients = np.asarray(arrays["coefficients"])
-        self._link = SoftmaxRegression.restored(arrays)
+        self._inputs = Standardisation.restored(arrays, num_features)
+        self._coefficients = saved(arrays, "coefficients", (num_features, self._num_classes))
+        self._link = SoftmaxRegression.restored(arrays, self._num_classes, self._num_classes)

@@ -47,7 +47,7 @@ class Logistic:
         """Standardisation, weights and bias."""
         return {**self._inputs.arrays(), **self._regression.arrays()}
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take what was saved."""
-        self._inputs = Standardisation.restored(arrays)
-        self._regression = SoftmaxRegression.restored(arrays)
+        self._inputs = Standardisation.restored(arrays, num_features)
+        self._regression = SoftmaxRegression.restored(arrays, num_features, self._num_classes)

@@ -13,7 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from graphrqi.classify.checks import of_trained_classes, saved
 from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.mlp import one_thread
 from graphrqi.classify.standardisation import Standardisation
 
 
@@ -67,9 +69,10 @@ class Lstm:
         seed: int,
     ) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
+        validation = of_trained_classes(validation, codes)
         self._inputs = Standardisation.of(features)
         x, y = self._tensor(features), torch.from_numpy(codes.astype(np.int64))
-        with torch.random.fork_rng(devices=[]):
+        with torch.random.fork_rng(devices=[]), one_thread():
             torch.manual_seed(seed)
             network = _Network(self._hidden, self._num_classes)
             optimizer = torch.optim.Adam(network.parameters(), lr=self._learning_rate)
@@ -97,21 +100,22 @@ class Lstm:
     @torch.inference_mode()
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
-        logits = self._network(self._tensor(features))
-        return np.asarray(logits.double().softmax(dim=1).numpy(), dtype=np.float64)
+        with one_thread():
+            logits = self._network(self._tensor(features))
+            return np.asarray(logits.double().softmax(dim=1).numpy(), dtype=np.float64)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Standardisation and weights."""
         weights = {f"network.{k}": v.numpy() for k, v in self._network.state_dict().items()}
         return {**self._inputs.arrays(), **weights}
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take what was saved."""
-        self._inputs = Standardisation.restored(arrays)
+        self._inputs = Standardisation.restored(arrays, num_features)
         self._network.load_state_dict(
             {
-                name.removeprefix("network."): torch.from_numpy(np.array(value))
-                for name, value in arrays.items()
+                name.removeprefix("network."): torch.from_numpy(saved(arrays, name).copy())
+                for name in arrays
                 if name.startswith("network.")
             }
         )

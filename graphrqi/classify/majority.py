@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.classify.checks import saved
 from graphrqi.classify.contract import CodeArray, FloatArray
 
 
@@ -39,6 +40,6 @@ class Majority:
         """The shares."""
         return {"share": self._share}
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take saved shares."""
-        self._share = np.asarray(arrays["share"], dtype=np.float64)
+        self._share = np.asarray(saved(arrays, "share", self._share.shape), dtype=np.float64)

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from behaviors.errors import InputError
+from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.standardisation import Standardisation
 
 Loss = Literal["squared-error", "cross-entropy"]
 
@@ -109,7 +111,8 @@ class Mlp:
             self._scale = torch.from_numpy(np.where(spread > 1e-6, spread, 1.0).astype(np.float32))
             x, y = self._standardise(features), torch.from_numpy(codes.astype(np.int64))
             held = None
-            if validation is not None and len(validation[1]):
+            validation = of_trained_classes(validation, codes)
+            if validation is not None:
                 held = (
                     self._standardise(validation[0]),
                     torch.from_numpy(validation[1].astype(np.int64)),
@@ -186,20 +189,23 @@ class Mlp:
                 out[f"member{m}.{name}"] = value.numpy()
         return out
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take saved weights."""
-        self._mean = torch.from_numpy(np.array(arrays["mean"]))
-        self._scale = torch.from_numpy(np.array(arrays["scale"]))
-        self._temperature = float(arrays["temperature"][0])
+        inputs = Standardisation.restored(arrays, num_features)
+        self._mean = torch.from_numpy(inputs.mean.copy())
+        self._scale = torch.from_numpy(inputs.scale.copy())
+        self._temperature = saved_temperature(arrays)
         self._networks = []
         members = {name.split(".")[0] for name in arrays if name.startswith("member")}
+        if not members:
+            raise InputError("members: found none, expected at least one network")
         for m in range(len(members)):
-            network = self._network(self._mean.shape[0])
+            network = self._network(num_features)
             prefix = f"member{m}."
             network.load_state_dict(
                 {
-                    name.removeprefix(prefix): torch.from_numpy(np.array(value))
-                    for name, value in arrays.items()
+                    name.removeprefix(prefix): torch.from_numpy(saved(arrays, name).copy())
+                    for name in arrays
                     if name.startswith(prefix)
                 }
             )

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import lookup
+from behaviors.errors import InputError, lookup
 from graphrqi.classify.contract import Classifier
 
 CLASSIFIERS: Final[dict[str, str]] = {
@@ -43,10 +43,42 @@ def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
     return made
 
 
+CHECKED_WHOLE: Final = ("boosted", "forest")
+"""Classifiers whose arrays leave nothing to be tried: an answer would load compiled kernels."""
+
+
 def restore_classifier(
-    name: str, num_classes: int, options: dict[str, Any], arrays: dict[str, NDArray[np.float32]]
+    name: str,
+    num_classes: int,
+    num_features: int,
+    options: dict[str, Any],
+    arrays: dict[str, NDArray[Any]],
 ) -> Classifier:
-    """A classifier as it was saved."""
+    """A classifier as it was saved, once it has answered a trial, or all its arrays are checked.
+
+    Args:
+        name: a key of ``CLASSIFIERS``.
+        num_classes: C.
+        num_features: F.
+        options: of that classifier's constructor.
+        arrays: as from `Classifier.arrays`.
+
+    Returns:
+        The classifier.
+
+    Raises:
+        InputError: if there is no such classifier, or the arrays are not one's.
+    """
     classifier = make_classifier(name, num_classes, **options)
-    classifier.restore(arrays)
+    classifier.restore(arrays, num_features)
+    if name in CHECKED_WHOLE:
+        return classifier
+    with np.errstate(all="ignore"):
+        answer = classifier.posterior(np.zeros((1, num_features)))
+    if (
+        answer.shape != (1, num_classes)
+        or not (answer >= 0.0).all()
+        or not np.isclose(answer.sum(), 1.0)
+    ):
+        raise InputError("found no distribution over the classes, expected one for every sample")
     return classifier

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.classify.checks import saved
 from graphrqi.classify.contract import CodeArray, FloatArray
+
+BoolArray = NDArray[np.bool_]
 
 NEVER: Final = -1e3
 """Score of a class that training never showed: its probability is zero to the last digit."""
@@ -33,12 +36,13 @@ def softmax(scores: FloatArray) -> FloatArray:
     return np.asarray(raised / raised.sum(axis=1, keepdims=True))
 
 
-def best_temperature(probability: FloatArray, codes: CodeArray) -> float:
+def best_temperature(probability: FloatArray, codes: CodeArray, trained: BoolArray) -> float:
     """The temperature that makes probabilities most likely on held-out data.
 
     Args:
         probability: (n, C) of a classifier.
-        codes: (n,) true classes.
+        codes: (n,) true classes, of those that were trained.
+        trained: (C,) whether training showed the class.
 
     Returns:
         T; probabilities proportional to p^(1/T) fit best.
@@ -46,18 +50,28 @@ def best_temperature(probability: FloatArray, codes: CodeArray) -> float:
     References:
         Guo, Pleiss, Sun, Weinberger (2017), On Calibration of Modern Neural Networks, ICML.
     """
-    log_p = np.log(np.maximum(probability, FLOOR))
+    log_p = _log(probability, trained)
     rows = np.arange(codes.size)
     grid = np.geomspace(0.25, 4.0, 81)
     losses = [-np.log(softmax(log_p / t)[rows, codes]).mean() for t in grid]
     return float(grid[int(np.argmin(losses))])
 
 
-def tempered(probability: FloatArray, temperature: float) -> FloatArray:
-    """Probabilities proportional to p^(1/T); as they are when T is 1."""
+def tempered(probability: FloatArray, temperature: float, trained: BoolArray) -> FloatArray:
+    """Probabilities proportional to p^(1/T); as they are when T is 1.
+
+    Args:
+        probability: (n, C) of a classifier.
+        temperature: T.
+        trained: (C,) whether training showed the class; zero stays the probability of the others.
+    """
     if temperature == 1.0:
         return probability
-    return softmax(np.log(np.maximum(probability, FLOOR)) / temperature)
+    return softmax(_log(probability, trained) / temperature)
+
+
+def _log(probability: FloatArray, trained: BoolArray) -> FloatArray:
+    return np.where(trained, np.log(np.maximum(probability, FLOOR)), -np.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +128,18 @@ class SoftmaxRegression:
         return {"weights": self.weights, "bias": self.bias}
 
     @classmethod
-    def restored(cls, arrays: dict[str, NDArray[Any]]) -> SoftmaxRegression:
-        """From what was saved."""
-        return cls(np.asarray(arrays["weights"]), np.asarray(arrays["bias"]))
+    def restored(
+        cls, arrays: dict[str, NDArray[Any]], num_inputs: int, num_classes: int
+    ) -> SoftmaxRegression:
+        """From what was saved.
+
+        Args:
+            arrays: as from `arrays`.
+            num_inputs: F.
+            num_classes: C.
+
+        Raises:
+            InputError: if the arrays are of other shapes.
+        """
+        weights = saved(arrays, "weights", (num_inputs, num_classes))
+        return cls(weights, saved(arrays, "bias", (num_classes,)))

@@ -8,6 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.errors import InputError
+from graphrqi.classify.checks import saved
+
 FloatArray = NDArray[np.float64]
 
 CLIP: Final = 8.0
@@ -47,6 +50,17 @@ class Standardisation:
         return {"mean": self.mean, "scale": self.scale}
 
     @classmethod
-    def restored(cls, arrays: dict[str, NDArray[Any]]) -> Standardisation:
-        """From what was saved."""
-        return cls(np.asarray(arrays["mean"]), np.asarray(arrays["scale"]))
+    def restored(cls, arrays: dict[str, NDArray[Any]], num_features: int) -> Standardisation:
+        """From what was saved.
+
+        Args:
+            arrays: as from `arrays`.
+            num_features: F.
+
+        Raises:
+            InputError: if a feature has no mean or no positive deviation.
+        """
+        mean, scale = (saved(arrays, name, (num_features,)) for name in ("mean", "scale"))
+        if not (scale > 0.0).all():
+            raise InputError(f"scale: found {scale.min():g}, expected positive numbers")
+        return cls(mean, scale)

@@ -3,7 +3,7 @@
 scikit-learn fits the machines; what is kept is the decision function itself, the sum over support
 vectors of a_i exp(-gamma |x - x_i|^2) plus b for each class. A multinomial regression turns the
 six margins into probabilities (the multi-class form of Platt 1999), fitted on validation data
-where there is any.
+if it holds every class that was trained.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.classify.checks import of_trained_classes, saved
 from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import SoftmaxRegression
 from graphrqi.classify.standardisation import Standardisation
@@ -64,7 +65,9 @@ class SupportVectors:
                 self._offset[code] = machine.intercept_[0]
         used = duals.any(axis=1)
         self._vectors, self._duals = x[used], duals[used]
-        held, truth = (features[rows], y) if validation is None else validation
+        held, truth = of_trained_classes(validation, y) or (features[rows], y)
+        if not np.isin(y, truth).all():  # what the link is not shown it never answers
+            held, truth = features[rows], y
         self._link = SoftmaxRegression.fitted(self._margins(held), truth, self._num_classes)
 
     @staticmethod
@@ -97,10 +100,10 @@ class SupportVectors:
             **self._link.arrays(),
         }
 
-    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Take what was saved."""
-        self._inputs = Standardisation.restored(arrays)
-        self._vectors = np.asarray(arrays["vectors"])
-        self._duals = np.asarray(arrays["duals"])
-        self._offset = np.asarray(arrays["offset"])
-        self._link = SoftmaxRegression.restored(arrays)
+        self._inputs = Standardisation.restored(arrays, num_features)
+        self._vectors = saved(arrays, "vectors", (None, num_features))
+        self._duals = saved(arrays, "duals", (len(self._vectors), self._num_classes))
+        self._offset = saved(arrays, "offset", (self._num_classes,))
+        self._link = SoftmaxRegression.restored(arrays, self._num_classes, self._num_classes)

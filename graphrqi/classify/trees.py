@@ -9,7 +9,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.errors import InputError
 from graphrqi.classify.contract import FloatArray
+
+_KINDS: Final = {
+    "root": (np.uint32, 1),
+    "depth": (np.uint32, 1),
+    "column": (np.uint32, 1),
+    "feature": (np.uint16, 1),
+    "threshold": (np.float32, 1),
+    "child": (np.uint32, 1),
+    "value": (np.float32, 2),
+}
+"""Type and dimensions of each array of `Trees`."""
 
 MOST_LEAVES: Final = 32
 """Leaves that `ShortTrees` can tell apart: bits of a word."""
@@ -131,9 +143,65 @@ class Trees:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @classmethod
-    def restored(cls, arrays: dict[str, NDArray[Any]]) -> Trees:
-        """From what was saved."""
-        return cls(*(np.array(arrays[f.name]) for f in fields(cls)))
+    def restored(
+        cls, arrays: dict[str, NDArray[Any]], num_features: int, num_classes: int
+    ) -> Trees:
+        """From what was saved; the compiled walks look at nothing again.
+
+        Args:
+            arrays: as from `arrays`.
+            num_features: F of the samples that will be asked about.
+            num_classes: how many sums there are.
+
+        Raises:
+            InputError: if the arrays are not those of whole trees.
+        """
+        for name, (kind, ndim) in _KINDS.items():
+            found = arrays.get(name)
+            if found is None or found.dtype != kind or found.ndim != ndim:
+                said = "no array" if found is None else f"{found.dtype} in {found.ndim} dimensions"
+                wanted = f"{np.dtype(kind)} in {ndim}"
+                raise InputError(f"{name}: found {said}, expected {wanted}")
+        trees = cls(*(np.array(arrays[f.name]) for f in fields(cls)))
+        wrong = trees._fault(num_features, num_classes)
+        if wrong:
+            raise InputError(f"trees: found {wrong}, expected whole trees")
+        return trees
+
+    def is_leaf(self) -> NDArray[np.bool_]:
+        """(N,) whether a node is a leaf."""
+        return np.asarray(self.child == np.arange(self.child.size))
+
+    def _fault(self, num_features: int, num_classes: int) -> str:
+        """What is wrong with the nodes; nothing if the walks end and stay within the arrays."""
+        n, nodes = self.feature.size, np.arange(self.feature.size)
+        root, child = self.root.astype(np.int64), self.child.astype(np.int64)
+        if {self.threshold.size, child.size, len(self.value)} != {n}:
+            return "arrays of nodes that differ in length"
+        if not root.size or {self.depth.size, self.column.size} != {root.size}:
+            return "arrays of trees that are empty or differ in length"
+        inner = child != nodes
+        if (child[inner] < nodes[inner]).any():
+            return "a node that leads back"
+        reached = np.concatenate([root, child[inner], child[inner] + 1])
+        if not np.array_equal(np.sort(reached), nodes):
+            return "nodes that are not reached once each"
+        if (self.feature >= num_features).any():
+            return f"a feature beyond {num_features}"
+        if (self.column.astype(np.int64) + self.value.shape[1] > num_classes).any():
+            return f"a column beyond {num_classes}"
+        if np.isnan(self.threshold).any() or (self.threshold[~inner] != np.inf).any():
+            return "a threshold that is no number or lets a leaf go on"
+        if not self.value.shape[1] or not np.isfinite(self.value).all():
+            return "no value or one that is not finite"
+        needed = np.zeros(root.size, dtype=np.int64)
+        tree, node, level = np.arange(root.size), root, 0
+        while node.size:
+            needed[tree] = level
+            on = inner[node]
+            tree, node, level = np.tile(tree[on], 2), child[node[on]], level + 1
+            node = np.concatenate([node, node + 1])
+        return "" if np.array_equal(self.depth, needed) else "a depth that is not its tree's"
 
 
 @dataclass(frozen=True, slots=True)

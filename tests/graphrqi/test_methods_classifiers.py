@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.classify import CLASSIFIERS, make_classifier, restore_classifier
+from graphrqi.classify.softmax import best_temperature, tempered
 from graphrqi.classify.trees import ShortTrees, Trees
 
 SMALL: dict[str, dict[str, object]] = {
@@ -72,7 +73,7 @@ def test_restored_answers_are_equal(learned):
 
     name, classifier = learned
     arrays = {k: np.ascontiguousarray(v) for k, v in classifier.arrays().items()}
-    again = restore_classifier(name, 6, SMALL.get(name, {}), load(save(arrays)))
+    again = restore_classifier(name, 6, 5, SMALL.get(name, {}), load(save(arrays)))
     features = blobs(100, 8)[0]
     np.testing.assert_array_equal(again.posterior(features), classifier.posterior(features))
 
@@ -95,6 +96,58 @@ def test_classes_that_never_occur_are_never_answered(name, classes):
     assert set(answer.tolist()) <= set(classes)
     if name != "majority":
         assert (answer == codes).mean() > 0.8
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_classes_that_validation_lacks_are_answered(name):
+    classifier = make_classifier(name, 6, **SMALL.get(name, {}))
+    classifier.fit(*blobs(600, 10), blobs(300, 12, (0, 1, 2)), seed=0)
+    features, codes = blobs(200, 11)
+    if name != "majority":
+        assert (classifier.posterior(features).argmax(axis=1) == codes).mean() > 0.7
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_validation_of_classes_never_trained_is_left_out(name):
+    features, codes = blobs(300, 12)
+    known = codes < 3
+    rows = []
+    for held in ((features, codes), (features[known], codes[known])):
+        classifier = make_classifier(name, 6, **SMALL.get(name, {}))
+        classifier.fit(*blobs(400, 10, (0, 1, 2)), held, seed=0)
+        rows.append(classifier.posterior(features))
+    np.testing.assert_array_equal(*rows)
+    if name not in ("mlp", "lstm"):  # theirs are never quite zero
+        assert (rows[0][:, 3:] == 0.0).all()
+
+
+def test_tempering_keeps_classes_never_trained_at_zero():
+    probability = np.array([[0.9, 0.1, 0.0], [0.2, 0.8, 0.0], [1.0, 0.0, 0.0]])
+    trained = np.array([True, True, False])
+    warm = tempered(probability, 2.0, trained)
+    assert (warm[:, 2] == 0.0).all()
+    assert (warm[:, :2] > 0.0).all()
+    np.testing.assert_array_equal(warm[:, :2], tempered(probability[:, :2], 2.0, trained[:2]))
+    codes = np.array([0, 1, 0], dtype=np.int8)
+    assert best_temperature(probability, codes, trained) == best_temperature(
+        probability[:, :2], codes, trained[:2]
+    )
+
+
+def test_recurrent_network_does_not_depend_on_threads():
+    import torch
+
+    before, rows = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            classifier = make_classifier("lstm", 6, hidden=64, epochs=2)
+            classifier.fit(*blobs(2000, 1), None, seed=0)
+            rows.append(classifier.posterior(blobs(300, 2)[0]))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    np.testing.assert_array_equal(*rows)
 
 
 def test_boosted_and_forest_answer_as_those_who_grew_them():
@@ -148,7 +201,7 @@ def test_short_trees_add_up_to_the_same_bits(samples):
     classifier = make_classifier("boosted", 6, rounds=12, max_leaves=31, min_leaf=5)
     classifier.fit(*blobs(900, 1), None, seed=3)
     arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
-    trees = Trees.restored(arrays)
+    trees = Trees.restored(arrays, 5, 6)
     short = ShortTrees.of(trees)
     assert short is not None
     points, _ = blobs(samples, 4)
@@ -161,6 +214,6 @@ def test_trees_of_many_leaves_are_not_short():
     classifier = make_classifier("boosted", 6, rounds=2, max_leaves=80, min_leaf=1)
     classifier.fit(*blobs(900, 1), None, seed=3)
     arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
-    trees = Trees.restored(arrays)
+    trees = Trees.restored(arrays, 5, 6)
     most = max(np.diff([*trees.root.tolist(), trees.feature.size])) // 2 + 1
     assert (ShortTrees.of(trees) is None) == (most > 32)

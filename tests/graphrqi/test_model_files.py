@@ -1,0 +1,208 @@
+"""Damaged model files: one error that names the file, whatever is wrong with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from behaviors.errors import InputError
+from experiments.metrics import Estimate
+from graphrqi.methods import METHODS, load_model, save_model, train
+from graphrqi.samples import Samples
+
+SMALL = {
+    "boosted": {"rounds": 4, "min_leaf": 5},
+    "forest": {"trees": 4},
+    "mlp": {"hidden": (8,), "epochs": 2},
+    "lstm": {"hidden": 4, "epochs": 1},
+}
+"""Options that keep a test short."""
+
+pytestmark = pytest.mark.filterwarnings("ignore:Objective did not converge")
+
+NAMES = ("boosted", "cheung", "dane", "forest", "logistic", "lstm", "majority", "svm")
+
+
+def drawn(method: str, n: int, seed: int = 0, classes: int = 6) -> Samples:
+    """Samples that are told apart by every feature."""
+    rng = np.random.default_rng(seed)
+    width = len(METHODS[method].observer("eigh").feature_names)
+    codes = (np.arange(n) % classes).astype(np.int8)
+    features = codes[:, None] + rng.normal(0.0, 0.3, (n, width))
+    zeros, flags = np.zeros(n), np.ones(n, dtype=bool)
+    numbers = np.arange(n)
+    return Samples(features.astype(np.float32), codes, numbers, numbers, zeros, zeros, zeros, flags)
+
+
+@pytest.fixture
+def small(monkeypatch):
+    for name, method in METHODS.items():
+        options = SMALL.get(method.classifier, {})
+        monkeypatch.setitem(METHODS, name, dataclasses.replace(method, options=options))
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> dict[str, Path]:
+    out = {}
+    with pytest.MonkeyPatch.context() as patch:
+        for name in NAMES:
+            options = SMALL.get(METHODS[name].classifier, {})
+            patch.setitem(METHODS, name, dataclasses.replace(METHODS[name], options=options))
+            out[name] = tmp_path_factory.mktemp("models") / name
+            save_model(train(name, drawn(name, 240), drawn(name, 60, 1), "eigh"), out[name])
+    return out
+
+
+def refused(folder: Path, copy: Path, change) -> None:
+    shutil.copytree(folder, copy)
+    arrays = {k: v.copy() for k, v in load_file(folder / "weights.safetensors").items()}
+    change(arrays)
+    save_file(arrays, copy / "weights.safetensors")
+    with pytest.raises(InputError, match=r"weights\.safetensors: found weights") as caught:
+        load_model(copy)
+    assert "\n" not in str(caught.value)
+
+
+def filled(name: str, value: float):
+    return lambda arrays: arrays[name].fill(value)
+
+
+def replaced(name: str, made):
+    return lambda arrays: arrays.__setitem__(name, np.ascontiguousarray(made(arrays[name])))
+
+
+def leaves_go_on(arrays) -> None:
+    leaf = arrays["child"] == np.arange(arrays["child"].size)
+    arrays["threshold"][leaf] = 0.0
+
+
+def shared_child(arrays) -> None:
+    inner = np.flatnonzero(arrays["child"] != np.arange(arrays["child"].size))
+    arrays["child"][inner[0]] = arrays["child"][inner[1]]
+
+
+def leads_back(arrays) -> None:
+    inner = np.flatnonzero(arrays["child"] != np.arange(arrays["child"].size))
+    arrays["child"][inner[-1]] = 0
+
+
+@pytest.mark.parametrize("method", ["boosted", "forest"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        filled("feature", 60000),
+        filled("column", 10**6),
+        filled("child", 2**31),
+        filled("child", 0),
+        filled("root", 2**31),
+        filled("root", 0),
+        filled("depth", 2**32 - 1),
+        filled("depth", 0),
+        filled("value", np.nan),
+        filled("threshold", np.nan),
+        filled("temperature", 0.0),
+        filled("temperature", np.nan),
+        leaves_go_on,
+        shared_child,
+        leads_back,
+        replaced("child", lambda a: a[:-1]),
+        replaced("child", lambda a: a.astype(np.int64)),
+        replaced("feature", lambda a: a[:, None]),
+        replaced("value", lambda a: a.ravel()),
+        replaced("value", lambda a: a[:, :0]),
+        replaced("root", lambda a: a[:0]),
+        replaced("temperature", lambda a: a[:0]),
+        lambda arrays: arrays.pop("column"),
+    ],
+)
+def test_damaged_trees_are_refused(small, folders, tmp_path, method, change):
+    refused(folders[method], tmp_path / "model", change)
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_every_array_is_checked(small, folders, tmp_path, method):
+    """Missing, one shorter, of one more dimension, not a number."""
+    names = list(load_file(folders[method] / "weights.safetensors"))
+    load_model(folders[method])
+    for number, name in enumerate(names):
+        changes = [
+            lambda arrays, name=name: arrays.pop(name),
+            replaced(name, lambda a: a[:-1]),
+            replaced(name, lambda a: a[None]),
+            replaced(name, lambda a: np.zeros(a.shape, np.int8)),
+        ]
+        if load_file(folders[method] / "weights.safetensors")[name].dtype.kind == "f":
+            changes += [filled(name, np.nan), filled(name, -np.inf)]
+        for kind, change in enumerate(changes):
+            refused(folders[method], tmp_path / f"{number}-{kind}", change)
+
+
+@pytest.mark.parametrize(
+    ("method", "change"),
+    [
+        ("dane", filled("temperature", -1.0)),
+        ("dane", filled("scale", 0.0)),
+        ("logistic", filled("scale", -1.0)),
+        ("majority", filled("share", 1.0)),
+        ("forest", filled("value", 0.0)),
+        ("boosted", lambda arrays: arrays.clear()),
+        ("dane", lambda arrays: [arrays.pop(k) for k in list(arrays) if k.startswith("member")]),
+    ],
+)
+def test_weights_that_cannot_be_are_refused(small, folders, tmp_path, method, change):
+    refused(folders[method], tmp_path / "model", change)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"solver": "eihg"}, "unknown solver 'eihg': did you mean 'eigh'"),
+        ({"method": "majorty"}, "unknown method 'majorty'"),
+        ({"shares": [float("nan")] * 6}, "shares: found"),
+        ({"shares": [float("inf")] + [0.0] * 5}, "shares: found"),
+        ({"shares": [2.0, -1.0, 0.0, 0.0, 0.0, 0.0]}, "shares: found"),
+        ({"shares": [0.5] * 6}, "shares: found"),
+    ],
+)
+def test_damaged_descriptions_are_refused(small, folders, tmp_path, changes, said):
+    shutil.copytree(folders["majority"], tmp_path / "model")
+    path = tmp_path / "model" / "model.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    with pytest.raises(InputError, match=said) as caught:
+        load_model(tmp_path / "model")
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_empty_validation_is_none(small, method):
+    training = drawn(method, 240)
+    models = [train(method, training, held, "eigh") for held in (None, drawn(method, 0))]
+    for name, values in models[0].classifier.arrays().items():
+        np.testing.assert_array_equal(models[1].classifier.arrays()[name], values)
+
+
+def test_nothing_to_train_on_and_bad_seeds_are_refused():
+    with pytest.raises(InputError, match="training: found no sample"):
+        train("majority", drawn("majority", 0))
+    for seed in (-1, 2**32):
+        with pytest.raises(InputError, match=f"seed: found {seed}, expected 0 to"):
+            train("majority", drawn("majority", 6), seed=seed)
+    with pytest.raises(InputError, match="unknown solver"):
+        train("majority", drawn("majority", 6), solver="eihg")
+
+
+def test_cards_are_valid_json(tmp_path):
+    estimate = Estimate(0.5, float("nan"), float("nan"), 3, "test").as_dict()
+    assert estimate == {"value": 0.5, "low": None, "high": None, "n": 3, "split": "test"}
+    training = drawn("majority", 6)
+    save_model(train("majority", training, card={"score": estimate}), tmp_path / "model")
+    assert load_model(tmp_path / "model").card == {"score": estimate}
+    with pytest.raises(InputError, match=r"model\.json: card: found"):
+        save_model(train("majority", training, card={"score": np.nan}), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
