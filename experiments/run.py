@@ -67,6 +67,10 @@ class _Believed:
         rows: list[Row] = [
             {"what": "drivers classified", "value": sum(total.values())},
             {"what": "accuracy", "value": sum(right.values()) / sum(total.values())},
+            {
+                "what": "accuracy of the most frequent behaviour",
+                "value": max(total.values()) / sum(total.values()),
+            },
             {"what": "balanced accuracy", "value": float(np.mean(recalls))},
         ]
         for code in sorted(total):
