@@ -87,7 +87,7 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
         reason = " ".join(str(error).split())
         raise InputError(f"{source}: expected a SUMO net, found a broken file: {reason}") from None
     lanes = tuple(_lane(lane, edge) for edge in _edges(net) for lane in edge.getLanes())
-    if not any(not lane.walking for lane in lanes):
+    if not any(lane.cars for lane in lanes):
         raise InputError(f"{source}: found no drivable lane, expected at least one")
     try:
         plans, groups, group_of = _signals(net)
@@ -134,6 +134,7 @@ def _lane(lane: Any, edge: Any) -> Lane:
         walking=not lane.allows("passenger") and lane.allows("pedestrian"),
         internal=edge.getFunction() == "internal",
         opposite=str(lane.getNeigh() or ""),
+        cars=bool(lane.allows("passenger")),
     )
 
 

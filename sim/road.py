@@ -35,6 +35,8 @@ class Lane:
         internal: whether it crosses a junction.
         opposite: id of the neighbouring lane of the other direction; "" if there is none that may
             be used for overtaking.
+        cars: whether cars may drive on it; a lane for bicycles, buses or trams only is none of
+            theirs.
     """
 
     id: str
@@ -46,6 +48,7 @@ class Lane:
     walking: bool = False
     internal: bool = False
     opposite: str = ""
+    cars: bool = True
 
     @property
     def length_m(self) -> float:

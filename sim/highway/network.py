@@ -123,17 +123,26 @@ class HighwayNetwork:
         """The stretches that a route of edges runs over.
 
         Raises:
-            InputError: if an edge is not of this road, or two stretches are not connected.
+            InputError: if an edge is not of this road, two stretches are not connected, or a ring
+                is driven round again.
         """
         found: list[tuple[str, str]] = []
+        reached_m = 0.0
         for edge in route:
             if edge not in self.stretch_of:
                 raise InputError(
                     f"route: found edge {edge!r}, expected a drivable edge of {self.road.name!r}"
                 )
             stretch = self.stretch_of[edge]
+            begin_m = dict(self.edge_at[stretch])[edge]
             if not found or found[-1] != stretch:
                 found.append(stretch)
+            elif begin_m <= reached_m:
+                raise InputError(
+                    f"route: found edge {edge!r} again or behind the one before, expected one "
+                    "further along"
+                )
+            reached_m = begin_m
         for one, then in itertools.pairwise(found):
             if not self.lanes_towards(one, then):
                 raise InputError(
@@ -152,6 +161,22 @@ class HighwayNetwork:
         return [lane for lane in every if (lane, then) in self.onward]
 
 
+def _without_rings(follows: dict[str, str]) -> dict[str, str]:
+    """What edges go on as, opened once where they go round and round."""
+    opened = dict(follows)
+    for edge in follows:
+        at = edge
+        for _ in follows:
+            then = opened.get(at)
+            if then is None:
+                break
+            if then == edge:
+                del opened[at]
+                break
+            at = then
+    return opened
+
+
 def build_network(road: Road) -> HighwayNetwork:
     """The highway-env network of a road.
 
@@ -167,7 +192,7 @@ def build_network(road: Road) -> HighwayNetwork:
     by_id = {lane.id: lane for lane in road.lanes}
     driving: dict[str, list[Lane]] = {}
     for lane in road.lanes:
-        if not lane.walking and not lane.internal:
+        if lane.cars and not lane.walking and not lane.internal:
             driving.setdefault(lane.edge, []).append(lane)
     if not driving:
         raise InputError(f"road {road.name!r}: found no drivable lane, expected at least one")
@@ -177,7 +202,7 @@ def build_network(road: Road) -> HighwayNetwork:
         (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
         key=lambda c: -by_id[c.from_lane].index,
     )
-    follows = _continuations(driving, connections, by_id)
+    follows = _without_rings(_continuations(driving, connections, by_id))
 
     net = RoadNetwork()
     places: dict[str, list[tuple[LaneIndex, float]]] = {}
