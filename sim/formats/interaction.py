@@ -10,13 +10,13 @@ References:
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
@@ -91,10 +91,15 @@ def _cases(path: Path) -> dict[str, Rows]:
     columns = read_columns(path, [*_COMMON, *_BOX], words, optional=[*_BOX, "case_id"])
     if "case_id" not in columns:
         return {"": _rows(path, columns)}
-    column = columns.table.column("case_id")
+    cases = columns.table.column("case_id").combine_chunks().dictionary_encode()
+    code = cases.indices.to_numpy()
+    table = columns.table.take(pa.array(np.argsort(code, kind="stable")))
+    begins = np.cumsum([0, *np.bincount(code)])
     return {
-        case: _rows(path, Columns(path, columns.table.filter(pc.equal(column, pa.scalar(case)))))
-        for case in pc.unique(column).to_pylist()
+        case: _rows(path, Columns(path, table.slice(begin, end - begin)))
+        for case, (begin, end) in zip(
+            cases.dictionary.to_pylist(), itertools.pairwise(begins.tolist()), strict=True
+        )
     }
 
 

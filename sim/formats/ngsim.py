@@ -41,6 +41,9 @@ BREAK_S: Final = 60.0
 """Where nobody, or nobody of an id, is seen for longer than this, ids begin anew (our choice:
 vehicles are seen without a break, and periods of recording have 15 minutes)."""
 
+MAX_PERIODS: Final = 1000
+"""Most times of recording at one place (our choice; NGSIM has up to three)."""
+
 NUMBERS: Final = (
     "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
     "v_class", "v_vel",
@@ -86,6 +89,11 @@ def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
     time_ms, agent = columns.numbers("global_time"), columns.numbers("vehicle_id")
     order = np.argsort(time_ms, kind="stable")
     breaks = np.flatnonzero(np.diff(time_ms[order]) > BREAK_S * 1000.0) + 1
+    if breaks.size >= MAX_PERIODS:
+        raise InputError(
+            f"{path}: column global_time: found {breaks.size} breaks of more than {BREAK_S:g} s, "
+            f"expected fewer than {MAX_PERIODS}"
+        )
     parts = [piece for part in np.split(order, breaks) for piece in _fitting(part, time_ms, agent)]
     for number, rows in enumerate(parts, 1):
         part_name = name if len(parts) == 1 else f"{name}-{number}"
