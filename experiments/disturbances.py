@@ -29,15 +29,8 @@ def dropped_frames(tracks: Tracks, share: float, rng: np.random.Generator) -> Tr
     """A share of the frames is missing; the first and the last are kept."""
     keep = rng.random(tracks.time_s.size) >= share
     keep[[0, -1]] = True
-    return dataclasses.replace(
-        tracks,
-        time_s=tracks.time_s[keep],
-        xy=tracks.xy[:, keep],
-        heading=tracks.heading[:, keep],
-        speed=tracks.speed[:, keep],
-        valid=tracks.valid[:, keep],
-        signals=tracks.signals[:, keep],
-    )
+    kept = tracks.part(np.arange(tracks.ids.size), np.flatnonzero(keep))
+    return dataclasses.replace(kept, events=tracks.events)
 
 
 def identity_switches(tracks: Tracks, per_minute: float, rng: np.random.Generator) -> Tracks:

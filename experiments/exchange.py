@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +22,7 @@ from sim.dataset import (
 )
 from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
 from sim.formats.windows import NoWindowError
-from sim.lock import LOCK, sole_writer
+from sim.lock import new_folder
 from sim.road_files import read_road_file
 from sim.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
 
@@ -71,7 +70,7 @@ def import_recordings(
             configuration["left_out"] += f" and {len(others) - LEFT_OUT_NAMED} more"
         sys.stderr.write(f"{source}: left out, no {name} files: {configuration['left_out']}\n")
     entries: list[EpisodeEntry] = []
-    with _all_or_nothing(out), Progress("importing recordings", 0, quiet) as shown:
+    with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
         for index, recording in enumerate(read_recordings(source, name, types)):
             meta = EpisodeMeta(
                 scenario=name,
@@ -87,37 +86,6 @@ def import_recordings(
         manifest = write_manifest(out, configuration, entries)
         write_whole(out / "README.md", data_card(open_dataset(out)).encode())
     return manifest
-
-
-@contextmanager
-def _all_or_nothing(out: Path) -> Iterator[None]:
-    """Hold a new or empty folder for writing; it is as it was if the block ends with an error.
-
-    Args:
-        out: the folder.
-
-    Raises:
-        InputError: if there is something in it, or another process holds it.
-    """
-    known = next((folder for folder in (out, *out.parents) if folder.exists()), out)
-    try:
-        with sole_writer(out):
-            if any(child.name != LOCK for child in out.iterdir()):
-                raise InputError(f"{out}: found something there, expected a new or empty folder")
-            try:
-                yield
-            except BaseException:
-                for child in out.iterdir():
-                    if child.name != LOCK:
-                        shutil.rmtree(child) if child.is_dir() else child.unlink()
-                raise
-    except BaseException:
-        for folder in (out, *out.parents):
-            if folder == known:
-                break
-            with suppress(OSError):
-                folder.rmdir()
-        raise
 
 
 @contextmanager

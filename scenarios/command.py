@@ -169,7 +169,7 @@ def _run(
             pass
         return summary
     from sim.dataset import made_with, write_episode, write_manifest
-    from sim.lock import LOCK, sole_writer
+    from sim.lock import new_folder
     from sim.schema import EpisodeMeta
 
     chosen = {
@@ -188,11 +188,7 @@ def _run(
         options=chosen,
         made_with=made_with(options.engine),
     )
-    with sole_writer(options.out):
-        if any(child.name != LOCK for child in options.out.iterdir()):
-            raise InputError(
-                f"--out: found something in {options.out}, expected a new or empty folder"
-            )
+    with new_folder(options.out):
         entry = write_episode(options.out, meta, frames, agents, scenario.road.source)
         write_manifest(options.out, {"scenario": scenario.name, **chosen}, [entry])
     return summary

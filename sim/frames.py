@@ -367,17 +367,18 @@ class Tracks:
         columns = slice(max(0, stop - steps), stop)
         return self.part(np.flatnonzero(self.valid[:, stop - 1]), columns)
 
-    def part(self, rows: IntArray, columns: slice) -> Tracks:
+    def part(self, rows: IntArray, columns: slice | IntArray) -> Tracks:
         """Some agents at some of the times.
 
         Args:
             rows: indices of the agents, ascending.
-            columns: which times, at least one.
+            columns: which times, at least one; as indices, ascending.
 
         Returns:
             Their tracks, with the events between the first and the last of these times.
         """
         begin, end = self.time_s[columns][0], self.time_s[columns][-1]
+        cells: Any = (rows, columns) if isinstance(columns, slice) else np.ix_(rows, columns)
         return Tracks(
             ids=self.ids[rows],
             names=tuple(self.names[i] for i in rows),
@@ -385,10 +386,10 @@ class Tracks:
             length=self.length[rows],
             width=self.width[rows],
             time_s=self.time_s[columns],
-            xy=self.xy[rows, columns],
-            heading=self.heading[rows, columns],
-            speed=self.speed[rows, columns],
-            valid=self.valid[rows, columns],
+            xy=self.xy[cells],
+            heading=self.heading[cells],
+            speed=self.speed[cells],
+            valid=self.valid[cells],
             signals=self.signals[:, columns],
             behavior=None if self.behavior is None else self.behavior[rows],
             events=tuple(e for e in self.events if begin <= e.time_s <= end),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -50,3 +51,39 @@ def sole_writer(folder: Path) -> Iterator[None]:
     finally:
         path.unlink(missing_ok=True)
         os.close(descriptor)
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """Hold a new or empty folder for writing; it is as it was if the block ends with an error.
+
+    Args:
+        folder: what to hold; created if need be.
+
+    Yields:
+        Nothing; the folder is held inside the block.
+
+    Raises:
+        InputError: if there is something in it, another process holds it, or the path is not a
+            folder.
+        OSError: if the folder cannot be written.
+    """
+    known = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    try:
+        with sole_writer(folder):
+            if any(child.name != LOCK for child in folder.iterdir()):
+                raise InputError(f"{folder}: found something there, expected a new or empty folder")
+            try:
+                yield
+            except BaseException:
+                for child in folder.iterdir():
+                    if child.name != LOCK:
+                        shutil.rmtree(child) if child.is_dir() else child.unlink()
+                raise
+    except BaseException:
+        for path in (folder, *folder.parents):
+            if path == known:
+                break
+            with suppress(OSError):
+                path.rmdir()
+        raise

@@ -28,6 +28,18 @@ def of_trained_classes(
     return (validation[0][known], validation[1][known]) if known.any() else None
 
 
+def showing_every_class(
+    held: tuple[FloatArray, CodeArray] | None, training: tuple[FloatArray, CodeArray]
+) -> tuple[FloatArray, CodeArray]:
+    """Rows to fit a link to probabilities on: a class that it is not shown it never answers.
+
+    Args:
+        held: vectors and classes of other episodes.
+        training: of those learned from, taken where the others lack a class of these.
+    """
+    return held if held is not None and np.isin(training[1], held[1]).all() else training
+
+
 def saved(
     arrays: dict[str, NDArray[Any]], name: str, shape: tuple[int | None, ...] | None = None
 ) -> NDArray[Any]:

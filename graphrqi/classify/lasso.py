@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.classify.checks import of_trained_classes, saved
+from graphrqi.classify.checks import of_trained_classes, saved, showing_every_class
 from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import SoftmaxRegression
 from graphrqi.classify.standardisation import Standardisation
@@ -69,8 +69,7 @@ class IndicatorLasso:
             error = float((missed**2).mean())
             if error < best:
                 best, self._coefficients = error, coefficients
-        if not np.isin(codes, truth).all():  # what the link is not shown it never answers
-            held, truth = x, codes
+        held, truth = showing_every_class((held, truth), (x, codes))
         self._link = SoftmaxRegression.fitted(held @ self._coefficients, truth, self._num_classes)
 
     def posterior(self, features: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.classify.checks import of_trained_classes, saved
+from graphrqi.classify.checks import of_trained_classes, saved, showing_every_class
 from graphrqi.classify.contract import CodeArray, FloatArray
 from graphrqi.classify.softmax import SoftmaxRegression
 from graphrqi.classify.standardisation import Standardisation
@@ -65,10 +65,9 @@ class SupportVectors:
                 self._offset[code] = machine.intercept_[0]
         used = duals.any(axis=1)
         self._vectors, self._duals = x[used], duals[used]
-        held, truth = of_trained_classes(validation, y) or (features[rows], y)
-        if not np.isin(y, truth).all():  # what the link is not shown it never answers
-            held, truth = features[rows], y
-        self._link = SoftmaxRegression.fitted(self._margins(held), truth, self._num_classes)
+        held = of_trained_classes(validation, y)
+        shown, truth = showing_every_class(held, (features[rows], y))
+        self._link = SoftmaxRegression.fitted(self._margins(shown), truth, self._num_classes)
 
     @staticmethod
     def _gamma(width: int) -> float:

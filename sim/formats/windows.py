@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -52,7 +51,8 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
     while column < tracks.time_s.size:
         window.append(column)
         if len(window) == steps:
-            yield _at(tracks, np.array(window))
+            seen = tracks.valid[:, window].any(axis=1)
+            yield tracks.part(np.flatnonzero(seen), np.array(window))
             window = []
         if following[column] < 0:  # a gap: begin anew at whatever comes next
             window = []
@@ -68,22 +68,6 @@ def _following(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     nearer_before = wanted - time_s[after - 1] < time_s[after] - wanted
     nearest = np.where(nearer_before, after - 1, after)
     return np.where(np.abs(time_s[nearest] - wanted) <= TOLERANCE_S, nearest, -1)
-
-
-def _at(tracks: Tracks, columns: NDArray[np.int64]) -> Tracks:
-    """Some time steps of tracks, with the agents that are seen in them."""
-    rows = np.flatnonzero(tracks.valid[:, columns].any(axis=1))
-    span = tracks.part(rows, slice(int(columns[0]), int(columns[-1]) + 1))
-    kept = columns - columns[0]
-    return dataclasses.replace(
-        span,
-        time_s=span.time_s[kept],
-        xy=span.xy[:, kept],
-        heading=span.heading[:, kept],
-        speed=span.speed[:, kept],
-        valid=span.valid[:, kept],
-        signals=span.signals[:, kept],
-    )
 
 
 def focal_agents(window: Tracks) -> list[int]:
