@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import Trait
-from behaviors.presence import Presence
+from behaviors.row_index import RowIndex
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -118,12 +118,12 @@ class RuleEncounter:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What was seen of N agents, one row per agent and time (`Presence`).
+    """What was seen of N agents, one row per agent and time (`RowIndex`).
 
     Distances are +inf and rows -1 where nothing is.
 
     Attributes:
-        presence: the m rows: which agent, when.
+        row_index: the m rows: which agent, when.
         time_s: (T,) s, evenly spaced.
         drives: (N,) whether it is a vehicle.
         length: (N,) m.
@@ -148,7 +148,7 @@ class Seen:
         encounters: rules met, kept or broken.
     """
 
-    presence: Presence
+    row_index: RowIndex
     time_s: FloatArray
     drives: BoolArray
     length: FloatArray
@@ -187,11 +187,11 @@ class Seen:
     @property
     def driving(self) -> BoolArray:
         """(m,) whether the agent is a vehicle."""
-        return self.drives[self.presence.agent]
+        return self.drives[self.row_index.agent]
 
     def when(self, row: int) -> float:
         """The time of a row, s."""
-        return float(self.time_s[self.presence.step[row]])
+        return float(self.time_s[self.row_index.step[row]])
 
 
 def lane_changes(seen: Seen) -> IntArray:
@@ -202,7 +202,7 @@ def lane_changes(seen: Seen) -> IntArray:
         the next is no lane change.
     """
     rows = np.flatnonzero(seen.lane[1:] != seen.lane[:-1]) + 1
-    changed = (seen.edge[rows - 1] == seen.edge[rows]) & ~seen.presence.begins[rows]
+    changed = (seen.edge[rows - 1] == seen.edge[rows]) & ~seen.row_index.begins[rows]
     changed &= (seen.lane[rows - 1] >= 0) & (seen.lane[rows] >= 0) & seen.driving[rows]
     return np.asarray(rows[changed], dtype=np.int64)
 
@@ -219,12 +219,12 @@ def _exhibits(
     return [
         Exhibit(
             trait=trait,
-            agent=int(seen.presence.agent[run.start]),
+            agent=int(seen.row_index.agent[run.start]),
             begin_s=seen.when(run.start),
             end_s=seen.when(run.stop - 1),
             value=value(run),
         )
-        for run in seen.presence.runs(flags, shortest)
+        for run in seen.row_index.runs(flags, shortest)
     ]
 
 
@@ -256,7 +256,7 @@ def driving_close(seen: Seen) -> list[Exhibit]:
 def weaving(seen: Seen) -> list[Exhibit]:
     """Several lane changes in a short time; the value is how many."""
     rows = lane_changes(seen)
-    who, when_s = seen.presence.agent[rows], seen.time_s[seen.presence.step[rows]]
+    who, when_s = seen.row_index.agent[rows], seen.time_s[seen.row_index.step[rows]]
     found = []
     for agent in np.unique(who):
         times = when_s[who == agent]
@@ -282,17 +282,17 @@ def overtaking(seen: Seen) -> list[Exhibit]:
     The distance passed is the former gap made up by the difference of the speeds, so it needs no
     common coordinate along the road.
     """
-    presence, speed = seen.presence, seen.speed
+    row_index, speed = seen.row_index, seen.speed
     ahead = round(OVERTAKING_S / seen.step_s)
     found = []
     for row in lane_changes(seen).tolist():
         leader = int(seen.leader[row - 1])
         if leader < 0:
             continue
-        agent, other = int(presence.agent[row]), int(presence.agent[leader])
-        begin = int(presence.step[row])
+        agent, other = int(row_index.agent[row]), int(row_index.agent[leader])
+        begin = int(row_index.step[row])
         end = min(begin + ahead, seen.time_s.size)
-        faster = presence.over(speed, agent, begin, end, np.nan) - presence.over(
+        faster = row_index.over(speed, agent, begin, end, np.nan) - row_index.over(
             speed, other, begin, end, np.nan
         )
         both = np.isfinite(faster)
@@ -319,7 +319,7 @@ def cutting_in(seen: Seen) -> list[Exhibit]:
     The headway is the new follower's when the box of the one who changes first touches the new
     lane: from then on others must react (UN Regulation 157 sets its reference point there too).
     """
-    begins, agent = seen.presence.begins, seen.presence.agent
+    begins, agent = seen.row_index.begins, seen.row_index.agent
     found = []
     for row in lane_changes(seen).tolist():
         follower = int(seen.follower[row])
@@ -389,7 +389,7 @@ def following_rules(seen: Seen) -> list[Exhibit]:
     found = []
     for agent in sorted({e.agent for e in seen.encounters}):
         met = [e for e in seen.encounters if e.agent == agent]
-        if all(e.kept for e in met) and not fast[seen.presence.rows(agent)].any():
+        if all(e.kept for e in met) and not fast[seen.row_index.rows(agent)].any():
             times = [e.time_s for e in met]
             found.append(
                 Exhibit(Trait.FOLLOWING_RULES, agent, min(times), max(times), float(len(met)))
@@ -399,10 +399,10 @@ def following_rules(seen: Seen) -> list[Exhibit]:
 
 def keeping_neighbors(seen: Seen) -> list[Exhibit]:
     """Staying on the lane behind the same leader; the value is for how long, s."""
-    lead, presence = seen.leader, seen.presence
+    lead, row_index = seen.leader, seen.row_index
     follows = (lead >= 0) & (seen.gap < 4.0 * np.maximum(seen.speed, 5.0))
-    whom = np.where(lead >= 0, presence.agent[lead], -1)
-    same = follows & ~presence.begins
+    whom = np.where(lead >= 0, row_index.agent[lead], -1)
+    same = follows & ~row_index.begins
     same[1:] &= whom[1:] == whom[:-1]
     same[lane_changes(seen)] = False
     return _exhibits(seen, Trait.KEEPING_NEIGHBORS, same, KEEPING_S, _how_long(seen))
@@ -410,7 +410,7 @@ def keeping_neighbors(seen: Seen) -> list[Exhibit]:
 
 def uniform_speed(seen: Seen) -> list[Exhibit]:
     """Driving at an even speed; the value is the coefficient of variation."""
-    presence, steps = seen.presence, round(UNIFORM_S / seen.step_s)
+    row_index, steps = seen.row_index, round(UNIFORM_S / seen.step_s)
     at = np.flatnonzero(seen.driving)
     if at.size < steps:
         return []
@@ -420,19 +420,19 @@ def uniform_speed(seen: Seen) -> list[Exhibit]:
     mean = (total[steps:] - total[:-steps]) / steps
     variance = np.maximum((square[steps:] - square[:-steps]) / steps - mean**2, 0.0)
     first, last = at[: at.size - steps + 1], at[steps - 1 :]
-    whole = (presence.step[last] - presence.step[first] == steps - 1) & (
-        presence.agent[first] == presence.agent[last]
+    whole = (row_index.step[last] - row_index.step[first] == steps - 1) & (
+        row_index.agent[first] == row_index.agent[last]
     )
     steady = whole & (mean > FOLLOWING_MPS) & (np.sqrt(variance) < UNIFORM_VARIATION * mean)
     even = np.zeros(seen.speed.size, dtype=bool)
     even[first[steady]] = True
     found = []
-    for run in presence.runs(even):
+    for run in row_index.runs(even):
         values = seen.speed[run.start : run.stop - 1 + steps]
         found.append(
             Exhibit(
                 trait=Trait.UNIFORM_SPEED,
-                agent=int(presence.agent[run.start]),
+                agent=int(row_index.agent[run.start]),
                 begin_s=seen.when(run.start),
                 end_s=seen.when(run.stop - 2 + steps),
                 value=float(values.std() / values.mean()),
@@ -459,14 +459,14 @@ def not_moving(seen: Seen) -> list[Exhibit]:
 
 def slowing(seen: Seen) -> list[Exhibit]:
     """Slowing down a lot without a reason; the value is the speed lost, m/s."""
-    presence, steps = seen.presence, round(SLOWING_S / seen.step_s)
+    row_index, steps = seen.row_index, round(SLOWING_S / seen.step_s)
     if seen.speed.size <= steps:
         return []
     before, after = seen.speed[:-steps], seen.speed[steps:]
     lost = np.flatnonzero((before > FOLLOWING_MPS) & (after < SLOWING_SHARE * before)) + steps
     # all that time seen, with no reason: every row since continues the one before
     going_on = _no_reason(seen)
-    unbroken = going_on & ~presence.begins
+    unbroken = going_on & ~row_index.begins
     so_far = np.cumsum(unbroken)
     lost = lost[(so_far[lost] - so_far[lost - steps] == steps) & going_on[lost - steps]]
     flags = np.zeros(seen.speed.size, dtype=bool)
@@ -491,8 +491,8 @@ def waits(seen: Seen) -> list[Exhibit]:
         (seen.stop_distance < 12.0) & seen.stop_ahead
     )
     for broken in (e for e in seen.encounters if not e.kept):
-        mine = seen.presence.rows(broken.agent)
-        when_s = seen.time_s[seen.presence.step[mine]]
+        mine = seen.row_index.rows(broken.agent)
+        when_s = seen.time_s[seen.row_index.step[mine]]
         flags[mine] &= np.abs(when_s - broken.time_s) > CROSSING_S
     return _exhibits(seen, Trait.WAITING, flags, seen.step_s, _how_long(seen))
 

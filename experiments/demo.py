@@ -9,16 +9,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from experiments.ending import one_line
-from experiments.generate import GenerateConfig, generate
-from experiments.prediction import metrics_tree, predict_dataset
+from experiments.cli.exit_codes import one_line
+from experiments.cli.tables import write_json
+from experiments.data.generate import GenerateConfig, generate
 from experiments.report.page import printed_tables, write_report
 from experiments.report.run_file import Metrics, RunFile, Score, installed, read_run, write_run
 from experiments.report.tables import Table
-from experiments.tables import write_json
-from experiments.train import train_model
+from experiments.scoring.prediction import metrics_tree, predict_dataset
+from experiments.training.classifier import train_model
 from graphrqi.methods import save_model
-from sim.dataset import open_dataset
+from sim.store.dataset import open_dataset
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 METHODS: Final = ("majority", "graphrqi", "graphrqi-invariant", "graphrqi-plus")

@@ -9,14 +9,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+import graphrqi.predict
+from experiments.cli.exit_codes import one_line
+from experiments.data.generate import GenerateConfig, generate
 from experiments.demo import BEST_METHOD, SCENARIOS
-from experiments.ending import one_line
-from experiments.generate import GenerateConfig, generate
-from experiments.predictor_training import calibrate_drivers, train_predictors
-from experiments.train import TRAINING_LIMITS_MPS, train_on
+from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
+from experiments.training.predictor import calibrate_drivers, train_predictors
 from graphrqi.methods import MODELS
-from graphrqi.predict import learned
-from graphrqi.predict.drivers import CARD
+from graphrqi.predict.rollout.driver_table import CARD
 
 CLASSIFIER_SEEDS: Final = {"sumo": 2020, "sumo-idm": 2022}
 PREDICTOR_SEED: Final = 2021
@@ -74,9 +74,9 @@ def build_models(work: Path, quiet: bool = False) -> None:
     data = work / "predictor"
     config = GenerateConfig(scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES, seed=PREDICTOR_SEED)
     generate(config, data, None, quiet)
-    package = Path(learned.__file__).parent
-    calibrate_drivers(data, package / CARD, quiet=quiet)
-    train_predictors(data, BEST_METHOD, package, quiet=quiet)
+    weights = Path(graphrqi.predict.__file__).parent / "weights"
+    calibrate_drivers(data, weights / CARD, quiet=quiet)
+    train_predictors(data, BEST_METHOD, weights, quiet=quiet)
 
 
 if __name__ == "__main__":

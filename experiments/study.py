@@ -10,9 +10,9 @@ import os
 import sys
 from pathlib import Path
 
-from experiments.benches import BENCHES, NEED_RECORDINGS, run_bench
-from experiments.ending import one_line
-from experiments.tables import write_json
+from experiments.benches.registry import BENCHES, NEED_RECORDINGS, run_bench
+from experiments.cli.exit_codes import one_line
+from experiments.cli.tables import write_json
 
 
 def run_study(out: Path, quick: bool = False) -> list[Path]:

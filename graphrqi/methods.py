@@ -30,7 +30,7 @@ from graphrqi.features.spectrum_observers import (
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.samples import Samples
 from graphrqi.spectrum import SOLVERS
-from sim.atomic import whole_folder
+from sim.store.atomic import whole_folder
 
 FloatArray = NDArray[np.float64]
 

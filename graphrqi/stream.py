@@ -12,8 +12,8 @@ from behaviors.errors import InputError
 from graphrqi.graph.traffic_graph import MAX_COORDINATE_M
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
-from graphrqi.scene_mix import SceneMix
-from sim.buffer import FrameBuffer
+from graphrqi.prior_shift import PriorShift
+from sim.episode.buffer import FrameBuffer
 from sim.frames import Frame, Tracks
 
 MIN_SECONDS: Final = 1.0
@@ -35,7 +35,7 @@ class BehaviorStream:
 
     Uses nothing of a frame but its time and the ids, positions and kinds (driving or walking).
     Evidence on a driver accumulates for as long as it stays in sight, and how common each behaviour
-    is here is learned of all drivers (`graphrqi.scene_mix`).
+    is here is learned of all drivers (`graphrqi.prior_shift`).
 
     Args:
         model: a trained model.
@@ -47,7 +47,7 @@ class BehaviorStream:
         self.min_seconds = min_seconds
         self._observer = model.observer()
         self._buffer = FrameBuffer(HISTORY_STEPS)
-        self._mix = SceneMix(np.array(model.shares))
+        self._mix = PriorShift(np.array(model.shares))
         self._mixed_s = -np.inf
         self._answered: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
 
@@ -62,7 +62,7 @@ class BehaviorStream:
 
         Raises:
             InputError: if the frame's time does not increase or something in it is not usable, see
-                `sim.buffer.FrameBuffer.push`; the stream is as it was before then.
+                `sim.episode.buffer.FrameBuffer.push`; the stream is as it was before then.
         """
         self.push(frame)
         return self.posterior()

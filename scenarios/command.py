@@ -168,9 +168,9 @@ def _run(
         for _ in frames:
             pass
         return summary
-    from sim.dataset import made_with, write_episode, write_manifest
-    from sim.lock import new_folder
-    from sim.schema import EpisodeMeta
+    from sim.store.dataset import made_with, write_episode, write_manifest
+    from sim.store.lock import new_folder
+    from sim.store.schema import EpisodeMeta
 
     chosen = {
         "flow": options.flow,

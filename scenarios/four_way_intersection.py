@@ -11,7 +11,7 @@ from scenarios.demand import parse_flow, parse_kinds, parse_mix
 from scenarios.networks.build import net_of
 from scenarios.networks.geometry import ARM_M, ARMS, LIMIT_MPS, FourWayGeometry
 from sim.frames import AgentKind
-from sim.net import read_road
+from sim.road.net import read_road
 from sim.scenario import DEFAULT_JAYWALK_SHARE, Scenario, Stream
 
 SIGNALISED_FLOWS: Final[dict[str, float]] = {"light": 600.0, "medium": 1200.0, "dense": 1800.0}

@@ -11,7 +11,7 @@ from scenarios.demand import parse_flow, parse_kinds, parse_mix
 from scenarios.networks.build import net_of
 from scenarios.networks.geometry import LIMIT_MPS, TWO_WAY_LENGTH_M, StraightGeometry
 from sim.frames import AgentKind
-from sim.net import read_road
+from sim.road.net import read_road
 from sim.scenario import DEFAULT_JAYWALK_SHARE, Scenario, Stream
 
 FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 300.0, "medium": 700.0, "dense": 1000.0}

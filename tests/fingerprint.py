@@ -12,6 +12,7 @@ import contextlib
 import hashlib
 import io
 import json
+import runpy
 import shutil
 import sys
 import tempfile
@@ -27,10 +28,9 @@ SCENARIOS = ("straight_road", "four_way_intersection", "two_way_road", "priority
 
 def command(*words: str | Path) -> None:
     """Run a ``graphrqi`` command in this process; its printed tables are dropped."""
-    from experiments.cli import main
-
+    sys.argv = ["graphrqi", *(str(word) for word in words)]
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
-        main([str(word) for word in words])
+        runpy.run_module("experiments.cli", run_name="__main__")
 
 
 def of_bytes(data: bytes) -> str:
@@ -54,7 +54,8 @@ def make_dataset(folder: Path, engine: str, *scenarios: str, seconds: int = 60) 
     """A small labelled dataset of one engine."""
     names = [word for name in scenarios for word in ("--scenario", name)]
     command("generate", *names, "--episodes", "1", "--duration-s", str(seconds), "--seed", "3",
-            "--flow", "dense", "--engine", engine, "--out", folder, "--quiet", "--jobs", "1")  # fmt: skip
+            "--flow", "dense", "--engine", engine, "--quiet", "--jobs", "1",
+            "--out", folder)  # fmt: skip
     return folder
 
 
@@ -149,7 +150,8 @@ def environments(_: Path) -> Named:
         environment, seen = gymnasium.make(name), hashlib.sha256()
         state, _info = environment.reset(seed=1)
         for step in range(60):
-            seen.update(np.ascontiguousarray(state).tobytes())
+            for key in sorted(state):
+                seen.update(np.ascontiguousarray(state[key]).tobytes())
             action = environment.action_space
             action.seed(step)
             state, reward, over, out, _info = environment.step(action.sample())
@@ -171,7 +173,7 @@ PARTS: dict[str, Callable[[Path], Named]] = {
 
 def main(parts: list[str]) -> None:
     """Print the hashes of the named parts, or of all."""
-    said = {}
+    said: dict[str, str] = {}
     for part in parts or PARTS:
         with tempfile.TemporaryDirectory() as folder:
             said |= {f"{part}/{name}": value for name, value in PARTS[part](Path(folder))}

@@ -21,7 +21,7 @@ import typer.main
 from sybil import Example, Sybil
 from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
 
-from experiments.cli import bench
+from experiments.cli.commands import bench
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from behaviors.errors import InputError, lookup
-from experiments.exchange import as_dataset
+from experiments.data.exchange import as_dataset
 from experiments.replay.page import MODES, default_mode, write_page
 from experiments.replay.picture import write_picture
 from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.video import check_video, write_video
 from graphrqi.predict import get_predictor
-from sim.dataset import open_dataset
+from sim.store.dataset import open_dataset
 
 
 def write_replay(

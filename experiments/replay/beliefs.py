@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.classification import LABELS
+from experiments.scoring.classification import LABELS
 from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream

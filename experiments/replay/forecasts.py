@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from behaviors.errors import InputError
-from experiments.prediction_file import PREDICTIONS
 from experiments.replay.beliefs import Beliefs, agent_rows, episode_rows, sampled
+from experiments.scoring.prediction_file import PREDICTIONS
 from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction

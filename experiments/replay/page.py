@@ -24,10 +24,10 @@ from behaviors.profiles import PROFILE_FIELDS
 from experiments.replay.packing import differences, pack, quantum
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import Scene
-from sim.atomic import write_whole
 from sim.formats import FORMATS
 from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray, Tracks
-from sim.road_shapes import road_shapes
+from sim.road.shapes import road_shapes
+from sim.store.atomic import write_whole
 
 SCRIPTS: Final = (
     "data.js", "view.js", "colors.js", "draw.js", "timeline.js", "panel.js", "player.js",

@@ -18,9 +18,9 @@ from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import Scene
-from sim.atomic import write_whole
 from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
-from sim.road_shapes import RoadShapes, road_shapes
+from sim.road.shapes import RoadShapes, road_shapes
+from sim.store.atomic import write_whole
 
 FINE: Final = 2
 """How many times larger everything is drawn."""

@@ -11,19 +11,19 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.traits import Exhibit
-from experiments.progress import Progress
+from experiments.cli.progress import Progress
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_watch import WatchedGraph, watch_graph
 from graphrqi.methods import load_model
-from sim.dataset import Dataset, Episode
+from sim.episode.annotate import watch
+from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
 from sim.frames import Tracks
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.schema import EpisodeEntry
-from sim.steps import Steps
-from sim.watching import watch
+from sim.store.dataset import Dataset, Episode
+from sim.store.schema import EpisodeEntry
 
 SHOWN_EVERY_S: Final = 0.1
 """Time between two places that are kept of an agent, s; between them it moves straight."""
@@ -140,7 +140,7 @@ def gather(
         )
     exhibits = episode.exhibits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
-        watched = watch(Steps.of(tracks), road, recorded=True)
+        watched = watch(TrajectoryRows.of(tracks), road, recorded=True)
         exhibits = watched.exhibits
         tracks = dataclasses.replace(tracks, events=watched.events)
     forecasts: list[Forecast] = []

@@ -10,10 +10,10 @@ import numpy as np
 from PIL import Image
 
 from behaviors.errors import InputError
-from experiments.progress import Progress
+from experiments.cli.progress import Progress
 from experiments.replay.picture import Painter
 from experiments.replay.scene import Scene
-from sim.atomic import whole_file
+from sim.store.atomic import whole_file
 
 FRAMES_PER_S: Final = {".mp4": 20.0, ".gif": 10.0}
 """By the file's ending; films play in real time."""

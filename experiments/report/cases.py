@@ -16,19 +16,19 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from behaviors.labelling import characteristic_traits
 from behaviors.labels import BEHAVIORS, TRAITS, Style
-from behaviors.shown_label import characteristic_traits
-from experiments.metrics import balanced_accuracy, bootstrap, confusion, reliability
-from experiments.parallel import in_parallel
-from experiments.progress import Progress
+from experiments.cli.progress import Progress
+from experiments.data.parallel import in_parallel
 from experiments.replay.page import write_page
 from experiments.replay.picture import Painter, png_bytes
 from experiments.replay.scene import Scene, gather
 from experiments.report.charts import Axis, Line, Point, line_chart
 from experiments.report.tables import Cell, Table
-from sim.dataset import open_dataset
+from experiments.scoring.metrics import balanced_accuracy, bootstrap, confusion, reliability
 from sim.frames import FloatArray, IntArray
-from sim.schema import EpisodeEntry
+from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
 
 EPISODES: Final = 4
 """Unseen episodes of each scenario that are looked at (our choice)."""

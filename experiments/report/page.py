@@ -11,13 +11,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.cli.tables import Row
 from experiments.report.cases import look_closer
 from experiments.report.run_file import Metrics
 from experiments.report.sections import LAYOUTS, Section, is_first, sections, shown_predictor
 from experiments.report.source import Source, by_kind, read_source, rows_of
 from experiments.report.tables import Table, name_of, pivot, words
-from experiments.tables import Row
-from sim.atomic import write_whole
+from sim.store.atomic import write_whole
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationErr
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from sim.atomic import write_whole
+from sim.store.atomic import write_whole
 
 SCHEMA_VERSION: Final = 1
 """Of run files; a newer one is refused."""

@@ -9,9 +9,9 @@ from typing import Final
 from markupsafe import Markup
 
 from behaviors.labels import BEHAVIORS
+from experiments.cli.tables import Row
 from experiments.report.charts import Axis, Line, Point, line_chart
 from experiments.report.tables import Table, name_of, pivot, words
-from experiments.tables import Row
 
 OURS: Final = "graphrqi-predict"
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from behaviors.errors import InputError
+from experiments.cli.tables import Row
+from experiments.data.windows import OBSERVED_S
 from experiments.report.run_file import Metrics, RunFile, read_run
-from experiments.tables import Row
-from experiments.windows import OBSERVED_S
 from graphrqi.methods import load_model
 
 MAX_BYTES: Final = 2**28

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.classify.words import WORDS, all_bits, first_bits, keep_where_above
-from graphrqi.compiled import compiled
+from graphrqi.classify.simd import WORDS, all_bits, first_bits, keep_where_above
+from sim.compiled import compiled
 
 
 @compiled

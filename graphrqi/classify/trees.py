@@ -271,8 +271,8 @@ class ShortTrees:
 
     def total(self, features: FloatArray, sums: int) -> FloatArray:
         """(n, sums) as `Trees.total`, to the bit."""
+        from graphrqi.classify.simd import WORDS
         from graphrqi.classify.tree_kernel import sum_of_first_leaves
-        from graphrqi.classify.words import WORDS
 
         n, width = features.shape
         every = np.zeros((-(-n // WORDS), WORDS, width), dtype=np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.compiled import compiled
+from sim.compiled import compiled
 
 
 @compiled

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.compiled import compiled
+from sim.compiled import compiled
 
 
 @compiled

@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.compiled import compiled, inner
+from sim.compiled import compiled, inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

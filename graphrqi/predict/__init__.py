@@ -14,7 +14,7 @@ from behaviors.errors import lookup
 if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
     from graphrqi.predict.prediction import Prediction
-    from graphrqi.predict.scene import Scene
+    from graphrqi.predict.scene.scene import Scene
     from sim.frames import Tracks
     from sim.road import Road
 
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 PREDICTORS: Final[dict[str, str]] = {
     "constant-velocity": "graphrqi.predict.constant:constant_velocity",
     "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
-    "car-following-blind": "graphrqi.predict.following:blind",
-    "car-following": "graphrqi.predict.following:aware",
-    "car-following-wary": "graphrqi.predict.following:wary_following",
-    "behavior-mixture": "graphrqi.predict.mixture:behavior_mixture",
-    "oracle": "graphrqi.predict.following:oracle",
-    "shuffled": "graphrqi.predict.following:shuffled",
-    "lstm": "graphrqi.predict.lstm:lstm",
-    "mlp": "graphrqi.predict.learned:mlp",
-    "graphrqi-predict": "graphrqi.predict.learned:graphrqi_predict",
-    "graphrqi-predict-unlabelled": "graphrqi.predict.learned:unlabelled_predict",
-    "graphrqi-predict-oracle": "graphrqi.predict.learned:oracle_predict",
-    "graphrqi-predict-shuffled": "graphrqi.predict.learned:shuffled_predict",
+    "car-following-blind": "graphrqi.predict.rollout.following:blind",
+    "car-following": "graphrqi.predict.rollout.following:aware",
+    "car-following-wary": "graphrqi.predict.rollout.following:wary_following",
+    "behavior-mixture": "graphrqi.predict.rollout.mixture:behavior_mixture",
+    "oracle": "graphrqi.predict.rollout.following:oracle",
+    "shuffled": "graphrqi.predict.rollout.following:shuffled",
+    "lstm": "graphrqi.predict.learned.lstm:lstm",
+    "mlp": "graphrqi.predict.learned.networks:mlp",
+    "graphrqi-predict": "graphrqi.predict.learned.networks:graphrqi_predict",
+    "graphrqi-predict-unlabelled": "graphrqi.predict.learned.networks:unlabelled_predict",
+    "graphrqi-predict-oracle": "graphrqi.predict.learned.networks:oracle_predict",
+    "graphrqi-predict-shuffled": "graphrqi.predict.learned.networks:shuffled_predict",
 }
 """Where each predictor lives, as "module:function"."""
 
@@ -63,7 +63,7 @@ def predict(
         posterior: beliefs about the drivers; agents it does not name count as unknown.
         road: where it happens; None where there is no map: then lanes are inferred from the
             traffic and all predictors but ``constant-velocity`` come down to one
-            (`graphrqi.predict.mapless`).
+            (`graphrqi.predict.map_free.predictor`).
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
 
@@ -74,8 +74,8 @@ def predict(
         InputError: if the predictor is unknown, the horizon too short, or the history empty or with
             numbers that are not finite where agents were seen.
     """
-    from graphrqi.predict.mapless import predict_unmapped
-    from graphrqi.predict.scene import LEARNED_S, check_history, check_horizon, make_scene
+    from graphrqi.predict.map_free.predictor import predict_unmapped
+    from graphrqi.predict.scene.scene import LEARNED_S, check_history, check_horizon, make_scene
 
     function = get_predictor(predictor)
     check_horizon(horizon_s)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene import Scene
+from graphrqi.predict.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
-from graphrqi.predict.drivers import DriverTable
-from graphrqi.predict.manners import Manners, believed
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout import Rollout, beside, centre_ahead, places, roll
-from graphrqi.predict.scene import Scene
+from graphrqi.predict.rollout.driver_parameters import DriverParameters, believed
+from graphrqi.predict.rollout.driver_table import DriverTable
+from graphrqi.predict.rollout.rollout import Rollout, beside, centre_ahead, places, roll
+from graphrqi.predict.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -144,7 +144,9 @@ def _moved(scene: Scene, ego: int, side: int) -> Scene | None:
     return dataclasses.replace(scene, **changed)
 
 
-def _driving(manners: Manners, ego: int, wish: float, headway_s: float) -> Manners:
+def _driving(
+    manners: DriverParameters, ego: int, wish: float, headway_s: float
+) -> DriverParameters:
     """The manners with the planned vehicle's own: it wants that speed and keeps its lane."""
     following, changing = manners.following.copy(), manners.changing.copy()
     following[ego] = (max(wish, 1e-3), headway_s, *EGO_FOLLOWING)

@@ -8,9 +8,12 @@ Examples:
     [4.0, 1.0]
 """
 
-from graphrqi.spectrum import (
+from graphrqi.spectrum.certified import solver
+from graphrqi.spectrum.certified.solver import certify
+from graphrqi.spectrum.contract import Solver, Spectrum
+from graphrqi.spectrum.full import full_spectrum, topology
+from graphrqi.spectrum.rivals import (
     arpack,
-    certified,
     conjugate_gradient,
     eigh,
     exact,
@@ -21,12 +24,9 @@ from graphrqi.spectrum import (
     svd,
     truncated_svd,
 )
-from graphrqi.spectrum.certified import certify
-from graphrqi.spectrum.contract import Solver, Spectrum
-from graphrqi.spectrum.full import full_spectrum, topology
 
 SOLVERS: dict[str, Solver] = {
-    "graphrqi": certified.solve,
+    "graphrqi": solver.solve,
     "graphrqi-paper": paper.solve,
     "graphrqi-exact": exact.solve,
     "eigh": eigh.solve,

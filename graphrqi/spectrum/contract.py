@@ -137,7 +137,7 @@ def components(graph: TrafficGraph) -> NDArray[np.int32]:
     Returns:
         (d,) from 0, in the order of each component's first row.
     """
-    from graphrqi.spectrum import factorization
+    from graphrqi.spectrum.certified import factorization
 
     return factorization.order_rows(graph.indptr, graph.indices)[1]
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, cast
 from behaviors.errors import InputError, lookup
 
 if TYPE_CHECKING:
-    from sim.formats.recording import Recording
+    from sim.formats.common.recording import Recording
     from sim.frames import Tracks
     from sim.road import Road
 

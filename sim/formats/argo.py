@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 
 from sim.formats.argo_labels import read_labels
-from sim.formats.csv_columns import read_columns
-from sim.formats.ego_motion import remove_ego_motion
-from sim.formats.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, Rows, assemble
+from sim.formats.common.csv_columns import read_columns
+from sim.formats.common.ego_motion import remove_ego_motion
+from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, Rows, assemble
 
 FRAME_RATE_HZ: Final = 10.0
 """Frames per second that are assumed (Argoverse's tracking data has 10)."""

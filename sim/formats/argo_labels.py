@@ -12,7 +12,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
-from sim.formats.csv_columns import read_columns
+from sim.formats.common.csv_columns import read_columns
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from sim.atomic import write_whole
-from sim.formats.csv_columns import read_columns
-from sim.formats.recording import (
+from sim.formats.common.csv_columns import read_columns
+from sim.formats.common.recording import (
     CAR_LENGTH_M,
     CAR_WIDTH_M,
     MAX_NAMES,
@@ -30,8 +29,9 @@ from sim.formats.recording import (
     Rows,
     assemble,
 )
-from sim.formats.windows import NoWindowError, behavior_codes, focal_agents, windows
+from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, Tracks
+from sim.store.atomic import write_whole
 
 STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""

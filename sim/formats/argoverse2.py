@@ -1,7 +1,7 @@
 """Argoverse 2 motion forecasting: a Parquet file and a map per 11 s at 10 Hz.
 
 ``scenario_<id>.parquet`` holds the tracks (box centres, m), ``log_map_archive_<id>.json`` the map
-(`sim.formats.argoverse2_map`); 50 steps are observed, 60 to predict. What we write is read by the
+(`sim.road.maps.argoverse2`); 50 steps are observed, 60 to predict. What we write is read by the
 official ``av2`` package; the behaviours go into ``behavior_<id>.parquet`` beside it, and are read
 from there.
 
@@ -25,9 +25,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from sim.atomic import whole_folder
-from sim.formats.argoverse2_map import read_map, static_map
-from sim.formats.recording import (
+from sim.formats.common.recording import (
     MAX_NAMES,
     Recording,
     Rows,
@@ -35,9 +33,11 @@ from sim.formats.recording import (
     check_size,
     default_size,
 )
-from sim.formats.windows import NoWindowError, behavior_codes, focal_agents, windows
+from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
+from sim.road.maps.argoverse2 import read_map, static_map
+from sim.store.atomic import whole_folder
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110

@@ -20,8 +20,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.csv_columns import Columns, read_columns
-from sim.formats.recording import MOVING_MPS, Recording, Rows, assemble, default_size
+from sim.formats.common.csv_columns import Columns, read_columns
+from sim.formats.common.recording import MOVING_MPS, Recording, Rows, assemble, default_size
 from sim.frames import AgentKind
 
 TYPES: Final[dict[str, AgentKind]] = {

@@ -19,8 +19,8 @@ import numpy as np
 import pyarrow.compute as pc
 
 from behaviors.errors import InputError
-from sim.formats.csv_columns import read_columns
-from sim.formats.recording import MOVING_MPS, Recording, Rows, assemble, default_size
+from sim.formats.common.csv_columns import read_columns
+from sim.formats.common.recording import MOVING_MPS, Recording, Rows, assemble, default_size
 from sim.frames import AgentKind
 
 FRAME_RATE_HZ: Final = 25.0

@@ -23,8 +23,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.csv_columns import Columns, read_columns, read_fields, read_header
-from sim.formats.recording import MAX_CELLS, Recording, Rows, assemble, check_size
+from sim.formats.common.csv_columns import Columns, read_columns, read_fields, read_header
+from sim.formats.common.recording import MAX_CELLS, Recording, Rows, assemble, check_size
 from sim.frames import AgentKind
 
 FOOT_M: Final = 0.3048

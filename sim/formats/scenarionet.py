@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
-from sim.atomic import write_whole
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
+from sim.store.atomic import write_whole
 
 VERSION: Final = "0.1"
 HEIGHT_M: Final = 1.6

@@ -22,8 +22,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
-from sim.atomic import write_whole
-from sim.formats.recording import (
+from sim.formats.common.recording import (
     MAX_BYTES,
     MAX_NAMES,
     MAX_ROWS,
@@ -32,8 +31,9 @@ from sim.formats.recording import (
     assemble,
     check_size,
 )
-from sim.formats.recording import default_size as usual_size
+from sim.formats.common.recording import default_size as usual_size
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
+from sim.store.atomic import write_whole
 
 CHUNK_BYTES: Final = 2**20
 MAX_DEPTH: Final = 16

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.formats.recording import MAX_ROWS, Recording, Rows, assemble, check_size
+from sim.formats.common.recording import MAX_ROWS, Recording, Rows, assemble, check_size
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second that are assumed (the usual rate of such video; not stated anywhere)."""

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.annotation import Resolution, resolve
+from behaviors.agreement import Resolution, resolve
 from behaviors.errors import InputError
 from behaviors.labels import Trait
 from sim.frames import Tracks

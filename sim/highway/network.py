@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.highway.lanes import corners, make_lane
-from sim.lane_graph import LaneGraph
 from sim.road import Connection, Lane, Road
+from sim.road.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
 LaneIndex: TypeAlias = tuple[str, str, int]

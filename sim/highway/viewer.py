@@ -24,7 +24,7 @@ from behaviors.labels import Behavior
 from sim.frames import Signal
 from sim.highway.lanes import corners
 from sim.highway.network import HighwayNetwork, LaneIndex
-from sim.road_shapes import DASH_M, band, hull, zebra_bars
+from sim.road.shapes import DASH_M, band, hull, zebra_bars
 
 if TYPE_CHECKING:
     from sim.highway.traffic import TrafficRoad

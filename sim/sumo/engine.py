@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame
-from sim.net import signal_code
 from sim.road import Road
+from sim.road.net import signal_code
 from sim.scenario import AgentSpec, CarFollowing, Scenario
-from sim.sumo.boxes import draw
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
+from sim.sumo.vehicle_poses import draw
 from sim.sumo.vehicle_types import route_file
 
 LONGEST_STEP_S: Final = 0.1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from behaviors.annotation import cohen_kappa, resolve, style_of
+from behaviors.agreement import cohen_kappa, resolve, style_of
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style, Trait
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from behaviors.annotation import fleiss_kappa
+from behaviors.agreement import fleiss_kappa
 from behaviors.errors import InputError
 
 

@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from behaviors.labelling import ENOUGH, characteristic_traits, shown_label
 from behaviors.labels import TRAITS, Behavior, Trait
-from behaviors.presence import Presence
-from behaviors.shown_label import ENOUGH, characteristic_traits, shown_label
+from behaviors.row_index import RowIndex
 from behaviors.traits import DETECTORS, Exhibit, RuleEncounter, Seen, detect, lane_changes
 
 T = 600
@@ -17,7 +17,7 @@ def scene(agents: int = 2) -> Seen:
     shape = (agents * T,)
     far, none = np.full(shape, np.inf), np.full(shape, -1)
     return Seen(
-        presence=Presence.of(np.ones((agents, T), dtype=bool)),
+        row_index=RowIndex.of(np.ones((agents, T), dtype=bool)),
         time_s=np.arange(1, T + 1) * STEP_S,
         drives=np.ones(agents, dtype=bool),
         length=np.full(agents, 4.5),
@@ -193,7 +193,7 @@ def test_keeping_the_leader():
 
 
 def test_runs_find_stretches_at_both_ends_and_end_with_an_agent_or_a_gap():
-    seen = Presence.of(np.array([[1, 1, 1, 1], [1, 1, 0, 1]], dtype=bool))
+    seen = RowIndex.of(np.array([[1, 1, 1, 1], [1, 1, 0, 1]], dtype=bool))
     flags = np.array([1, 1, 0, 1, 1, 1, 1], dtype=bool)
     assert [(run.start, run.stop) for run in seen.runs(flags)] == [(0, 2), (3, 4), (4, 6), (6, 7)]
     assert [(run.start, run.stop) for run in seen.runs(flags, 2)] == [(0, 2), (4, 6)]
@@ -202,7 +202,7 @@ def test_runs_find_stretches_at_both_ends_and_end_with_an_agent_or_a_gap():
 
 
 def test_rows_of_agents_and_times():
-    seen = Presence.of(np.array([[0, 0, 0], [0, 1, 1], [1, 0, 1]], dtype=bool))
+    seen = RowIndex.of(np.array([[0, 0, 0], [0, 1, 1], [1, 0, 1]], dtype=bool))
     assert seen.agents == 3
     assert [seen.rows(agent) for agent in range(3)] == [slice(0, 0), slice(0, 2), slice(2, 4)]
     assert seen.rows(2, 1, 3) == slice(3, 4)
@@ -226,7 +226,7 @@ def test_what_lies_in_a_gap_is_no_lane_change_and_no_cutting_in():
         number = np.where(kept, np.cumsum(kept) - 1, -1)
         seen = dataclasses.replace(
             whole,
-            presence=Presence.of(valid),
+            row_index=RowIndex.of(valid),
             **{
                 name: getattr(whole, name)[kept]
                 for name in Seen.__dataclass_fields__

@@ -17,7 +17,7 @@ from experiments.replay.scene import Scene
 from scenarios import SCENARIOS
 from sim.frames import AgentKind, Event, EventKind, Tracks
 from sim.scenario import AgentSpec
-from sim.schema import EpisodeEntry
+from sim.store.schema import EpisodeEntry
 
 HOSTILE = '</script><img src=x onerror="document.title=1">'
 

@@ -5,7 +5,13 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.behaviors import COUNTS, METRICS, DriverCounts, rows_of, run_behaviors_bench
+from experiments.benches.behaviors import (
+    COUNTS,
+    METRICS,
+    DriverCounts,
+    rows_of,
+    run_behaviors_bench,
+)
 
 
 def test_rows_are_tidy_and_say_what_the_drivers_did():

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.benches import BENCHES, NEED_RECORDINGS
-from experiments.cli import bench, main
+from experiments.benches.registry import BENCHES, NEED_RECORDINGS
+from experiments.cli.commands import bench, main
 from experiments.study import run_study
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli import app, main
-from experiments.ending import Interrupted
+from experiments.cli.commands import app, main
+from experiments.cli.exit_codes import Interrupted
 from sim.scenario import MAX_DURATION_S, MAX_PER_HOUR
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
@@ -39,7 +39,7 @@ def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "scipy", "torch", "pyarrow", "numba", "sklearn", "sumolib", "sim")
     code = (
         "import sys, contextlib\n"
-        "from experiments.cli import main\n"
+        "from experiments.cli.commands import main\n"
         "with contextlib.suppress(SystemExit): main(['generate', '--help'])\n"
         f"print([m for m in {heavy!r} if m in sys.modules], file=sys.stderr)"
     )
@@ -94,12 +94,12 @@ def test_every_mistake_is_one_line_and_exit_code_2(
 
 
 def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    import experiments.doctor
+    import experiments.cli.doctor
 
     def bug() -> dict[str, list[str]]:
         raise ValueError("not the user's fault")
 
-    monkeypatch.setattr(experiments.doctor, "registered_names", bug)
+    monkeypatch.setattr(experiments.cli.doctor, "registered_names", bug)
     with pytest.raises(ValueError, match="not the user's fault"):
         main(["list"])
 
@@ -171,24 +171,24 @@ def test_the_shell_completes_names(typed: str, offered: str) -> None:
 def test_ctrl_c_ends_it_with_130_and_no_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import experiments.doctor
+    import experiments.cli.doctor
 
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(experiments.doctor, "registered_names", interrupted)
+    monkeypatch.setattr(experiments.cli.doctor, "registered_names", interrupted)
     assert graphrqi(capsys, "list") == (130, "", "graphrqi: stopped\n")
 
 
 def test_a_command_that_says_how_to_go_on_says_it_alone(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import experiments.doctor
+    import experiments.cli.doctor
 
     def interrupted() -> None:
         raise Interrupted("stopped: 1 of 2")
 
-    monkeypatch.setattr(experiments.doctor, "registered_names", interrupted)
+    monkeypatch.setattr(experiments.cli.doctor, "registered_names", interrupted)
     assert graphrqi(capsys, "list") == (130, "", "graphrqi: stopped: 1 of 2\n")
 
 

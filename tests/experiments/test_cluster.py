@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from distributed import Client, LocalCluster
 
-import experiments.cluster
+import experiments.data.cluster
 from behaviors import InputError
-from experiments.generate import GenerateConfig, generate, read_cluster
+from experiments.data.generate import GenerateConfig, generate, read_cluster
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=4, seed=5, duration_s=30.0)
 
@@ -66,7 +66,7 @@ def test_a_killed_worker_changes_nothing(
 
 
 def test_clusters_that_cannot_do_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.cluster.CONNECT_S", 2.0)
+    monkeypatch.setattr("experiments.data.cluster.CONNECT_S", 2.0)
     with pytest.raises(InputError, match="found no scheduler there"):
         generate(CONFIG, tmp_path, quiet=True, cluster="tcp://127.0.0.1:9")
     with (
@@ -80,10 +80,10 @@ def test_clusters_that_cannot_do_it(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_a_worker_with_other_code_is_refused(cluster: LocalCluster, tmp_path: Path) -> None:
     def edit() -> None:
-        experiments.cluster.code = lambda: "edited"
+        experiments.data.cluster.code = lambda: "edited"
 
     def restore() -> None:
-        importlib.reload(experiments.cluster)
+        importlib.reload(experiments.data.cluster)
 
     with Client(cluster.scheduler_address) as client:
         client.wait_for_workers(2)

@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors import InputError
-from experiments.exchange import as_dataset, export_dataset, import_recordings
-from experiments.generate import GenerateConfig, generate
-from sim.dataset import open_dataset
+from experiments.data.exchange import as_dataset, export_dataset, import_recordings
+from experiments.data.generate import GenerateConfig, generate
 from sim.formats import FORMATS
+from sim.store.dataset import open_dataset
 
 ARGO = "frame,id,x,y\n" + "".join(
     f"{t},{i},{t * (1 + i)},{4 * i}\n" for t in range(60) for i in (0, 1)

@@ -14,15 +14,15 @@ from pathlib import Path
 import cloudpickle
 import pytest
 
-import experiments.generate
+import experiments.data.generate
 from behaviors import InputError
-from experiments.generate import GenerateConfig, Task, generate, make_episode, read_config
-from experiments.verify import verify_dataset
+from experiments.data.generate import GenerateConfig, Task, generate, make_episode, read_config
+from experiments.data.verify import verify_dataset
 from scenarios import SCENARIOS
-from sim.dataset import open_dataset
-from sim.lock import sole_writer
 from sim.scenario import Scenario
-from sim.schema import EpisodeEntry
+from sim.store.dataset import open_dataset
+from sim.store.lock import sole_writer
+from sim.store.schema import EpisodeEntry
 
 CONFIG = GenerateConfig(
     scenarios=("straight_road", "four_way_intersection"), episodes=1, seed=7, duration_s=12.0
@@ -109,7 +109,7 @@ def test_seeds_differ_and_depend_on_nothing_else() -> None:
 _HOLDER = """
 import sys, time
 from pathlib import Path
-from sim.lock import sole_writer
+from sim.store.lock import sole_writer
 with sole_writer(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
@@ -235,7 +235,7 @@ def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand_in: object, reason: str
 ) -> None:
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    monkeypatch.setattr(experiments.generate, "make_episode", stand_in)
+    monkeypatch.setattr(experiments.data.generate, "make_episode", stand_in)
     config = CONFIG.model_copy(update={"scenarios": ("straight_road",), "episodes": 4})
     seed = Task(config, "straight_road", 1).seed
     with pytest.raises(InputError, match=rf"1 of 4 .* episode 1 \(seed {seed}\): {reason}"):
@@ -250,12 +250,12 @@ def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
 def test_no_more_workers_than_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
-    class Pool(experiments.generate._Pool):
+    class Pool(experiments.data.generate._Pool):
         def __init__(self, jobs: int) -> None:
             asked.append(jobs)
             super().__init__(jobs)
 
-    monkeypatch.setattr(experiments.generate, "_Pool", Pool)
+    monkeypatch.setattr(experiments.data.generate, "_Pool", Pool)
     config = CONFIG.model_copy(update={"scenarios": ("straight_road",), "duration_s": 2.0})
     generate(config, tmp_path / "data", jobs=24, quiet=True)
     assert asked == [1]

@@ -17,7 +17,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from experiments.generate import GenerateConfig, generate
+from experiments.data.generate import GenerateConfig, generate
 
 pytestmark = pytest.mark.skipif(
     "GRAPHRQI_SLOW" not in os.environ, reason="takes minutes; set GRAPHRQI_SLOW=1 to run it"

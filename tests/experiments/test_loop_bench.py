@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments import loop_bench
+from experiments.benches import loop
 from graphrqi.posterior import Posterior
-from sim.buffer import FrameBuffer
+from sim.episode.buffer import FrameBuffer
 
 
 class Undecided:
@@ -26,13 +26,13 @@ class Undecided:
 
 
 def test_every_stage_is_timed(monkeypatch):
-    monkeypatch.setattr(loop_bench, "load_stream", lambda model: Undecided())
-    monkeypatch.setattr(loop_bench, "QUICK_DURATION_S", 6.0)
-    rows = loop_bench.run_loop_bench(quick=True, predictor="car-following")
-    stages = {*loop_bench.STAGES, "all"}
+    monkeypatch.setattr(loop, "load_stream", lambda model: Undecided())
+    monkeypatch.setattr(loop, "QUICK_DURATION_S", 6.0)
+    rows = loop.run_loop_bench(quick=True, predictor="car-following")
+    stages = {*loop.STAGES, "all"}
     assert {row["stage"] for row in rows} == stages
     assert {row["metric"] for row in rows} == {"ms_median", "ms_p99", "real_time_factor"}
     value = {(row["stage"], row["metric"]): row["value"] for row in rows}
     assert all(value[s, "ms_median"] <= value[s, "ms_p99"] for s in stages)
-    together = sum(1 / value[s, "real_time_factor"] for s in loop_bench.STAGES)
+    together = sum(1 / value[s, "real_time_factor"] for s in loop.STAGES)
     assert np.isclose(together, 1 / value["all", "real_time_factor"])

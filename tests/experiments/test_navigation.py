@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS, Behavior
-from experiments.navigation import ARMS, METRICS, compare, near_misses, steering
-from graphrqi.predict.drivers import default_table
+from experiments.benches.navigation import ARMS, METRICS, compare, near_misses, steering
 from graphrqi.predict.planner import Plan, plan, risks
-from graphrqi.predict.scene import make_scene
+from graphrqi.predict.rollout.driver_table import default_table
+from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from sim.frames import Frame, Tracks
 

@@ -10,8 +10,8 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.cli import main
-from experiments.prediction import (
+from experiments.cli.commands import main
+from experiments.scoring.prediction import (
     GROUPS,
     MEASURES,
     Errors,
@@ -24,16 +24,16 @@ from experiments.prediction import (
     short_table,
     summarize,
 )
-from experiments.prediction_file import PREDICTIONS
-from experiments.predictor_training import calibrate_drivers, samples_of
+from experiments.scoring.prediction_file import PREDICTIONS
+from experiments.training.predictor import calibrate_drivers, samples_of
 from graphrqi.posterior import Posterior
-from graphrqi.predict.drivers import table_from_json
+from graphrqi.predict.rollout.driver_table import table_from_json
 from scenarios import SCENARIOS
-from sim.dataset import open_dataset, write_episode, write_manifest, write_recording
 from sim.engines import get_engine
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
-from sim.schema import EpisodeMeta
+from sim.store.dataset import open_dataset, write_episode, write_manifest, write_recording
+from sim.store.schema import EpisodeMeta
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 

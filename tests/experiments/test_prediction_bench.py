@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.prediction import GROUPS, MEASURES, Errors
-from experiments.prediction_bench import busy_road, compare, rollout_time, shifted_in_time
-from graphrqi.predict.scene import make_scene
+from experiments.benches.prediction import busy_road, compare, rollout_time, shifted_in_time
+from experiments.scoring.prediction import GROUPS, MEASURES, Errors
+from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from sim.frames import Tracks
 

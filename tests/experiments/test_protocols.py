@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.classification_bench import plot_classification, run_classification_bench
-from experiments.disturbances import (
-    DISTURBANCES,
-    cut_tracks,
-    dropped_frames,
-    identity_switches,
-    position_noise,
-)
-from experiments.generate import GenerateConfig, generate
-from experiments.metrics import auc_within, calibration_error, confusion, reliability
-from experiments.protocols import (
+from experiments.benches.classification import plot_classification, run_classification_bench
+from experiments.benches.protocols import (
     LONG_TAIL,
     OURS,
     Disturbed,
@@ -39,11 +30,20 @@ from experiments.protocols import (
     speed_rows,
     transductive,
 )
-from experiments.windows import places_of
+from experiments.data.disturbances import (
+    DISTURBANCES,
+    cut_tracks,
+    dropped_frames,
+    identity_switches,
+    position_noise,
+)
+from experiments.data.generate import GenerateConfig, generate
+from experiments.data.windows import places_of
+from experiments.scoring.metrics import auc_within, calibration_error, confusion, reliability
 from graphrqi.methods import METHODS, load_model
 from graphrqi.samples import Samples
-from sim.dataset import open_dataset
 from sim.frames import Tracks
+from sim.store.dataset import open_dataset
 
 
 def convoy(n: int = 4, seconds: float = 20.0) -> Tracks:

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behaviors.annotation import cohen_kappa, style_of
+from behaviors.agreement import cohen_kappa, style_of
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style, Trait
-from experiments.real_data import (
+from experiments.benches.real_data import (
     VIEWS,
     Video,
     _posterior,
@@ -25,7 +25,7 @@ from experiments.real_data import (
 from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
 from sim.formats import argo, traf
 from sim.formats.argo_labels import read_labels
-from sim.formats.ego_motion import remove_ego_motion, rigid_motion
+from sim.formats.common.ego_motion import remove_ego_motion, rigid_motion
 from sim.formats.traf_sheets import defects, labels, read_sheet, sheets_of
 
 SPACE = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"

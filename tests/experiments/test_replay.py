@@ -15,8 +15,6 @@ from PIL import Image
 from behaviors.colors import COLORS, rgb
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.classification import LABELS
-from experiments.prediction_file import predictions_file, predictions_table
 from experiments.replay import write_replay
 from experiments.replay.beliefs import read_beliefs
 from experiments.replay.forecasts import read_forecasts
@@ -26,12 +24,14 @@ from experiments.replay.page import write_page
 from experiments.replay.picture import Painter, lay_out, write_picture
 from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.video import write_video
+from experiments.scoring.classification import LABELS
+from experiments.scoring.prediction_file import predictions_file, predictions_table
 from graphrqi.features.graph_spectrum import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS
-from sim.dataset import open_dataset, write_manifest, write_recording
-from sim.schema import EpisodeMeta
+from sim.store.dataset import open_dataset, write_manifest, write_recording
+from sim.store.schema import EpisodeMeta
 
 
 @pytest.fixture(scope="module")

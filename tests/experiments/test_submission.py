@@ -7,16 +7,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors.errors import InputError
-from experiments.exchange import import_recordings
-from experiments.submission import STEPS, submit_dataset, write_submission
+from experiments.data.exchange import import_recordings
+from experiments.scoring.submission import STEPS, submit_dataset, write_submission
 from graphrqi.predict.prediction import Prediction
 from scenarios import SCENARIOS
-from sim.dataset import open_dataset, write_manifest, write_recording
 from sim.engines import get_engine
 from sim.formats.argoverse2 import write
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
-from sim.schema import EpisodeMeta
+from sim.store.dataset import open_dataset, write_manifest, write_recording
+from sim.store.schema import EpisodeMeta
 
 
 def futures(agents=2, modes=3, steps=STEPS) -> Prediction:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.generate import GenerateConfig, generate
-from experiments.train import train_on
+from experiments.data.generate import GenerateConfig, generate
+from experiments.training.classifier import train_on
 from graphrqi.samples import NoSamplesError
 from graphrqi.stream import load_stream
 

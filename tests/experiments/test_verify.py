@@ -10,13 +10,13 @@ from pathlib import Path
 import cloudpickle
 import pytest
 
-import experiments.generate
-import experiments.verify
+import experiments.data.generate
+import experiments.data.verify
 from behaviors import InputError
-from experiments.generate import GenerateConfig, Task, generate
-from experiments.verify import verify_dataset
-from sim.dataset import open_dataset
-from sim.schema import EpisodeEntry
+from experiments.data.generate import GenerateConfig, Task, generate
+from experiments.data.verify import verify_dataset
+from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=2, seed=5, duration_s=3.0)
 
@@ -85,7 +85,7 @@ def test_a_full_disk_leaves_everything_as_it_was(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(folder))
 
-    monkeypatch.setattr(experiments.verify, "generate", full)
+    monkeypatch.setattr(experiments.data.verify, "generate", full)
     with pytest.raises(OSError, match="No space left"):
         verify_dataset(folder, mend=True, jobs=1, quiet=True)
     assert content(folder) == before
@@ -102,7 +102,7 @@ def test_an_engine_that_fails_leaves_everything_as_it_was(
     spoil(folder)
     before = content(folder)
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    monkeypatch.setattr(experiments.generate, "make_episode", _failing)
+    monkeypatch.setattr(experiments.data.generate, "make_episode", _failing)
     with pytest.raises(InputError, match="engine: fell over"):
         verify_dataset(folder, mend=True, jobs=1, quiet=True)
     cloudpickle.unregister_pickle_by_value(sys.modules[__name__])

@@ -9,8 +9,8 @@ import pytest
 
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
-from experiments.yield_picture import clearest, draw_cases
-from experiments.yielding import (
+from experiments.benches.yield_picture import clearest, draw_cases
+from experiments.benches.yielding import (
     BELIEFS,
     Asked,
     approaching,
@@ -21,7 +21,7 @@ from experiments.yielding import (
     travelled,
 )
 from graphrqi.posterior import Posterior
-from graphrqi.predict.scene import make_scene
+from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Event, EventKind, Frame, Tracks
 

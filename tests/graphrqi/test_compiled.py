@@ -12,7 +12,7 @@ import pytest
 from numba import njit
 from numba.core import event
 
-import graphrqi.compiled  # noqa: F401  # what is tested
+import sim.compiled  # noqa: F401  # what is tested
 
 
 class _Watch(event.Listener):
@@ -60,7 +60,7 @@ def test_an_edit_of_a_kernel_that_is_called_from_another_folder_is_noticed(
 ) -> None:
     for folder in ("below", "above"):
         (tmp_path / folder).mkdir()
-    head = "from graphrqi.compiled import compiled\n"
+    head = "from sim.compiled import compiled\n"
     kernel = "\n\n@compiled\ndef {}(x):\n    return {}\n"
     (tmp_path / "above" / "kernel.py").write_text(
         head + named + kernel.format("twice", f"2.0 * {called}(x)")

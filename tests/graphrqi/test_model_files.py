@@ -12,7 +12,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from behaviors.errors import InputError
-from experiments.metrics import Estimate
+from experiments.scoring.metrics import Estimate
 from graphrqi.methods import METHODS, load_model, save_model, train
 from graphrqi.samples import Samples
 

@@ -11,8 +11,10 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, get_predictor, predict
-from graphrqi.predict.agreement import agreement
-from graphrqi.predict.drivers import (
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.rollout.agreement import agreement
+from graphrqi.predict.rollout.driver_parameters import DriverParameters, believed, wary
+from graphrqi.predict.rollout.driver_table import (
     DRIVER_FIELDS,
     DriverTable,
     default_table,
@@ -20,11 +22,9 @@ from graphrqi.predict.drivers import (
     table_from_json,
     table_to_json,
 )
-from graphrqi.predict.gates import CLOSED, OPEN
-from graphrqi.predict.manners import Manners, believed, wary
-from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.rollout import places, roll
-from graphrqi.predict.scene import make_scene
+from graphrqi.predict.rollout.rollout import places, roll
+from graphrqi.predict.scene.scene import make_scene
+from graphrqi.predict.scene.stop_constraints import CLOSED, OPEN
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 
@@ -75,13 +75,13 @@ def on_lane(road, lane, s, offset=0.0):
     return line[0] + s * forward + offset * left, float(np.arctan2(forward[1], forward[0]))
 
 
-def driver(scene, **numbers) -> Manners:
+def driver(scene, **numbers) -> DriverParameters:
     """Everyone drives by the profiles' average but for some numbers, and keeps its lane."""
     average = dict(
         zip(DRIVER_FIELDS, np.exp(np.log(initial_table().behavior).mean(axis=0)), strict=True)
     )
     n = scene.ids.size
-    return Manners(
+    return DriverParameters(
         following=np.tile([{**average, **numbers}[f] for f in DRIVER_FIELDS], (n, 1)),
         changing=np.empty((0, 4)),
         ignores=np.zeros((n, scene.closed.shape[0]), dtype=bool),
@@ -190,7 +190,7 @@ def test_longer_headway_keeps_a_longer_gap(straight):
     assert final[1] > final[0] + 10.0
 
 
-def changing(manners: Manners, politeness=0.0, threshold_mps2=1.0) -> Manners:
+def changing(manners: DriverParameters, politeness=0.0, threshold_mps2=1.0) -> DriverParameters:
     """The same drivers, who change lanes by these numbers."""
     row = [politeness, threshold_mps2, 4.0, 1.0]
     return dataclasses.replace(manners, changing=np.tile(row, (len(manners.following), 1)))

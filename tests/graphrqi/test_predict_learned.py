@@ -9,12 +9,19 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from graphrqi.predict import training
-from graphrqi.predict.bases import BASES, KNOT_S, KNOTS, Known
-from graphrqi.predict.learned import MODES, PER_MODE, _spline, decode, load_network, save_network
-from graphrqi.predict.lstm import load_lstm
+from graphrqi.predict.learned.anchors import BASES, KNOT_S, KNOTS, PredictorInputs
+from graphrqi.predict.learned.lstm import load_lstm
+from graphrqi.predict.learned.networks import (
+    MODES,
+    PER_MODE,
+    _spline,
+    decode,
+    load_network,
+    save_network,
+)
 from graphrqi.predict.metrics import covered, log_density, overlap
-from graphrqi.predict.training import Examples, train_lstm, train_perceptron
+from graphrqi.predict.training import fit
+from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
 
 INPUTS = 72
 
@@ -38,9 +45,9 @@ def made_up(count: int, seed: int) -> Examples:
 def small_and_quick():
     """The training of the module at a size that suits made-up examples."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "HIDDEN", (32, 32))
-        patch.setattr(training, "BATCH", 64)
-        patch.setattr(training, "LEARNING_RATE", 5e-3)
+        patch.setattr(fit, "HIDDEN", (32, 32))
+        patch.setattr(fit, "BATCH", 64)
+        patch.setattr(fit, "LEARNING_RATE", 5e-3)
         yield
 
 
@@ -49,8 +56,8 @@ def perceptron(small_and_quick):
     return train_perceptron(made_up(2048, 0), made_up(300, 1), epochs=10)
 
 
-def known(examples: Examples) -> Known:
-    return Known(examples.inputs.astype(np.float64), examples.bases.astype(np.float64))
+def known(examples: Examples) -> PredictorInputs:
+    return PredictorInputs(examples.inputs.astype(np.float64), examples.bases.astype(np.float64))
 
 
 def ade(futures, examples: Examples) -> float:

@@ -10,8 +10,8 @@ import pytest
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
-from graphrqi.predict.mapless import known_unmapped, trusted_way
-from graphrqi.predict.unmapped import inferred_leaders, plausible, smooth
+from graphrqi.predict.map_free.motion import inferred_leaders, plausible, smooth
+from graphrqi.predict.map_free.predictor import map_free_inputs, trusted_way
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Tracks
 
@@ -132,10 +132,10 @@ def test_parked_vehicles_tell_nothing_of_clocks():
 
 def test_the_network_sees_no_neighbours_where_gaps_are_implausible():
     tracks = recording([0.0, 25.0], [12.0, 5.0])
-    seen, alone = (known_unmapped(tracks, believable).inputs for believable in (True, False))
+    seen, alone = (map_free_inputs(tracks, believable).inputs for believable in (True, False))
     follower = recording([0.0], [12.0])
     assert not np.allclose(seen[0], alone[0])
-    assert np.allclose(alone[0], known_unmapped(follower, believable=False).inputs[0])
+    assert np.allclose(alone[0], map_free_inputs(follower, believable=False).inputs[0])
 
 
 @pytest.fixture(scope="module")

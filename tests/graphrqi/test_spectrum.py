@@ -15,15 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors.errors import InputError
-from experiments.runtime import (
+from experiments.benches.spectrum import (
     errors_against_lapack,
     graph_sequence,
     run_spectrum_study,
     traffic_positions,
 )
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum import SOLVERS, certify, exact, full_spectrum, topology
+from graphrqi.spectrum import SOLVERS, certify, full_spectrum, topology
 from graphrqi.spectrum.contract import End, Spectrum, null_space
+from graphrqi.spectrum.rivals import exact
 
 RIGHT = ("graphrqi", "graphrqi-exact", "eigh", "svd")
 """Solvers that promise every answer."""
@@ -159,7 +160,7 @@ def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
 import numpy as np
-from experiments.runtime import graph_sequence
+from experiments.benches.spectrum import graph_sequence
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
@@ -202,7 +203,7 @@ def test_the_previous_answer_may_be_of_other_vehicles() -> None:
 
 def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
     from graphrqi.graph import cell_grid
-    from graphrqi.spectrum import factorization, tracking
+    from graphrqi.spectrum.certified import factorization, tracking
 
     previous: Spectrum | None = None
     for name in ("eigh", "graphrqi", "arpack", "graphrqi"):
@@ -361,8 +362,8 @@ def test_the_printed_update_is_wrong_and_says_so() -> None:
 
 @pytest.mark.parametrize("part", [False, True], ids=["whole", "part"])
 def test_factorisation_counts_and_solves(part: bool) -> None:
-    from graphrqi.spectrum import factorization as f
-    from graphrqi.spectrum.tracking import analyse
+    from graphrqi.spectrum.certified import factorization as f
+    from graphrqi.spectrum.certified.tracking import analyse
 
     rng = np.random.default_rng(6)
     for graph in graph_sequence("crossing", "accumulated", 70, 5, skip=10):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.runtime import (
+from experiments.benches.spectrum import (
     convergence_rows,
     missed_pairs,
     plot_spectrum,

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 
 from behaviors.errors import InputError
 from scenarios import SCENARIOS
-from sim.formats.argoverse2_map import MAX_FOLLOWING, read_map, static_map
+from sim.episode.annotate import watch
+from sim.episode.observables import observe
+from sim.episode.rows import TrajectoryRows
 from sim.frames import AgentKind, Event, Tracks
-from sim.lane_graph import DIRECTIONS, LaneGraph
-from sim.observables import observe
 from sim.road import Road
-from sim.road_files import read_road_file
-from sim.steps import Steps
-from sim.watching import watch
+from sim.road.files import read_road_file
+from sim.road.lane_graph import DIRECTIONS, LaneGraph
+from sim.road.maps.argoverse2 import MAX_FOLLOWING, read_map, static_map
 
 
 def points(*xy: tuple[float, float]) -> list[dict[str, float]]:
@@ -120,7 +120,7 @@ def test_a_hand_written_map(tmp_path: Path) -> None:
 def test_what_is_seen_on_a_map(tmp_path: Path) -> None:
     road = road_of(tmp_path, hand_written())
     x = np.array([[60.0, 62.0, 64.0], [130.0, 131.0, 132.0]])
-    steps = Steps.of(
+    steps = TrajectoryRows.of(
         Tracks(
             ids=np.arange(2), names=("a", "b"), kind=np.full(2, AgentKind.CAR.code),
             length=np.full(2, 4.0), width=np.full(2, 2.0), time_s=np.array([0.1, 0.2, 0.3]),
@@ -227,7 +227,7 @@ def maze(layers: int, *, internal: bool) -> dict[str, Any]:
 
 
 def test_ways_through_a_maze_are_not_all_followed(tmp_path: Path) -> None:
-    from graphrqi.predict.paths import MOST_PATHS, PathTable
+    from graphrqi.predict.scene.paths import MOST_PATHS, PathTable
 
     with pytest.raises(InputError, match="ways through junctions"):
         read_map(put(tmp_path, maze(30, internal=True)))
@@ -269,9 +269,9 @@ def test_the_real_map(tmp_path: Path) -> None:
     home = os.environ.get("GRAPHRQI_DATA")
     if not home:
         pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
-    from experiments.exchange import export_dataset, import_recordings
-    from experiments.verify import find_flaws
-    from sim.dataset import open_dataset
+    from experiments.data.exchange import export_dataset, import_recordings
+    from experiments.data.verify import find_flaws
+    from sim.store.dataset import open_dataset
 
     import_recordings(Path(home) / "argoverse2", tmp_path / "data", quiet=True)
     dataset = open_dataset(tmp_path / "data")
@@ -279,10 +279,10 @@ def test_the_real_map(tmp_path: Path) -> None:
     (entry,) = dataset.episodes()
     road, tracks = dataset.road(entry), dataset.read(entry).tracks
     assert road is not None
-    steps = Steps.of(tracks)
+    steps = TrajectoryRows.of(tracks)
     seen = observe(steps, road)
     # parked cars are beside the lanes, and some come from beyond the map
-    moves = (steps.kind == AgentKind.CAR.code)[steps.presence.agent] & (steps.speed > 2.0)
+    moves = (steps.kind == AgentKind.CAR.code)[steps.row_index.agent] & (steps.speed > 2.0)
     x0, y0, x1, y1 = road.bounds
     moves &= ((steps.xy >= (x0, y0)) & (steps.xy <= (x1, y1))).all(axis=1)
     assert moves.sum() > 100

@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors import InputError
-from experiments.exchange import export_dataset, import_recordings
-from sim.dataset import open_dataset, write_manifest, write_recording
+from experiments.data.exchange import export_dataset, import_recordings
 from sim.formats import get_reader, get_writer, read_recordings
 from sim.formats.argoverse2 import SCHEMA
-from sim.formats.windows import NoWindowError, windows
+from sim.formats.common.windows import NoWindowError, windows
 from sim.frames import Tracks
-from sim.schema import EpisodeMeta
+from sim.store.dataset import open_dataset, write_manifest, write_recording
+from sim.store.schema import EpisodeMeta
 
 FORMATS = ("argoverse1", "argoverse2")
 STEPS = {"argoverse1": 50, "argoverse2": 110}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.atomic import whole_file, write_whole
+from sim.store.atomic import whole_file, write_whole
 
 
 def test_a_link_is_followed(tmp_path: Path) -> None:

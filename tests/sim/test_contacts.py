@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sim.contacts import Contact, contacts
+from sim.episode.contacts import Contact, contacts
+from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, Tracks
-from sim.steps import Steps
 
 
 def scene(xy, heading=None, **changes):
@@ -25,7 +25,7 @@ def scene(xy, heading=None, **changes):
         valid=np.ones((n, t), dtype=bool),
         signals=np.zeros((0, t)),
     )
-    return Steps.of(dataclasses.replace(tracks, **changes))
+    return TrajectoryRows.of(dataclasses.replace(tracks, **changes))
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError, sample_profile
-from sim.atomic import remove_partial, whole_folder, write_whole
-from sim.dataset import (
+from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
+from sim.scenario import AgentSpec
+from sim.store.atomic import remove_partial, whole_folder, write_whole
+from sim.store.dataset import (
     Dataset,
     altered_files,
     episode_id,
@@ -29,9 +31,7 @@ from sim.dataset import (
     write_manifest,
     write_recording,
 )
-from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
-from sim.scenario import AgentSpec
-from sim.schema import (
+from sim.store.schema import (
     AGENTS,
     EPISODE_FILES,
     EVENTS,
@@ -518,7 +518,7 @@ def test_rows_that_no_agent_and_step_can_have_are_refused(tmp_path: Path) -> Non
 def test_what_could_not_be_read_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.dataset.MAX_OBJECTS", 7)
+    monkeypatch.setattr("sim.store.dataset.MAX_OBJECTS", 7)
     with pytest.raises(InputError, match=r"agents\.parquet: found 8 rows, expected at most 7"):
         write_episode(tmp_path, META, frames(), population())
     assert not (tmp_path / "episodes").exists()

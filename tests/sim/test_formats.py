@@ -20,9 +20,9 @@ from behaviors import BEHAVIORS, InputError
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, sumo_fcd
 from sim.formats.argoverse2 import SCHEMA
-from sim.formats.argoverse2_map import offset_line
-from sim.formats.recording import hold_heading, motion
+from sim.formats.common.recording import hold_heading, motion
 from sim.frames import KINDS, AgentKind, Tracks
+from sim.road.maps.argoverse2 import offset_line
 
 FOOT = 0.3048
 
@@ -562,8 +562,8 @@ def test_the_real_argoverse2_scenario_comes_in_to_the_last_digit(tmp_path: Path)
     home = os.environ.get("GRAPHRQI_DATA")
     if not home:
         pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
-    from experiments.exchange import import_recordings
-    from sim.dataset import open_dataset
+    from experiments.data.exchange import import_recordings
+    from sim.store.dataset import open_dataset
 
     import_recordings(Path(home) / "argoverse2", tmp_path / "data", quiet=True)
     dataset = open_dataset(tmp_path / "data")

@@ -11,6 +11,8 @@ import pytest
 from behaviors import PROFILES, Behavior, InputError
 from scenarios import SCENARIOS
 from sim.engines import ENGINES, get_engine
+from sim.episode.observables import observe
+from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
 from sim.highway.demand import Demand
 from sim.highway.engine import network_of, read_frame, run
@@ -18,9 +20,7 @@ from sim.highway.rules import give_orders
 from sim.highway.traffic import CLEAR_AFTER_S, Arrival, TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Walker, find_footway
-from sim.observables import observe
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
-from sim.steps import Steps
 
 STRAIGHT = ("east_in", "east_out")
 
@@ -158,11 +158,11 @@ def test_timid_drivers_keep_a_longer_headway_than_threatening_ones(engine):
     seen = Tracks.from_frames(
         get_engine(engine)(scenario, agents, 0), {a.id: a.behavior for a in agents}
     )
-    steps = Steps.of(seen)
+    steps = TrajectoryRows.of(seen)
     facts = observe(steps, scenario.road)
     headway = {}
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
-        rows = (seen.behavior == behavior.code)[steps.presence.agent]
+        rows = (seen.behavior == behavior.code)[steps.row_index.agent]
         near = facts.on_road[rows] & (facts.headway[rows] < 8.0) & (steps.speed[rows] > 2.0)
         headway[behavior] = float(np.median(facts.headway[rows][near]))
     assert headway[Behavior.TIMID] > 1.5 * headway[Behavior.THREATENING]
@@ -318,7 +318,7 @@ def test_keeps_to_its_path_through_the_junction(turn):
     agent = driver(Behavior.CAREFUL, route=("east_in", turn))
     scenario = SCENARIOS["four_way_intersection"](duration_s=75.0)
     seen = Tracks.from_frames(run(scenario, [agent], 0))
-    facts = observe(Steps.of(seen), scenario.road)
+    facts = observe(TrajectoryRows.of(seen), scenario.road)
     assert np.nanmax(np.abs(facts.offset)) < 0.9
     assert np.isin(turn, [scenario.road.lanes[i].edge for i in facts.lane if i >= 0])
 

@@ -11,8 +11,8 @@ import pytest
 
 from behaviors.errors import InputError
 from sim.engines import get_engine
-from sim.net import read_road
 from sim.road import Road
+from sim.road.net import read_road
 from sim.scenario import Scenario, Stream, sample_agents
 
 HEAD = (

@@ -12,7 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
 
 from behaviors import PROFILES, Behavior, InputError
-from experiments.highway import run_highway_bench
+from experiments.benches.highway import run_highway_bench
 from scenarios import SCENARIOS
 from sim.highway.engine import network_of, run
 from sim.highway.fast_road import FastRoad, separation

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.exchange import as_dataset, import_recordings
+from experiments.data.exchange import as_dataset, import_recordings
 from sim.formats import read_recordings, recognise, recording_files
 from sim.frames import KINDS, AgentKind
 from tests.sim.test_formats import (

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from scenarios.networks.build import SHIPPED, net_of
-from sim.exhibits import exhibited, met, see
+from sim.episode.incidents import incidents
+from sim.episode.rows import TrajectoryRows
+from sim.episode.shown_traits import exhibited, met, see
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
-from sim.incidents import incidents
-from sim.net import read_road
-from sim.steps import Steps
+from sim.road.net import read_road
 
 STEP_S = 0.1
 SOUTH = -math.pi / 2
@@ -41,7 +41,7 @@ def tracks_of(road, paths, *, kinds=None, signal=Signal.GREEN, events=()):
     for i, k in (kinds or {}).items():
         kind[i] = k.code
     walks = kind == AgentKind.PEDESTRIAN.code
-    return Steps.of(
+    return TrajectoryRows.of(
         Tracks(
             ids=np.arange(n),
             names=tuple(map(str, range(n))),

@@ -6,8 +6,8 @@ import pytest
 from behaviors.errors import InputError
 from scenarios.networks.build import SHIPPED, net_of
 from sim.frames import Signal
-from sim.net import read_road, signal_code
 from sim.road import SignalPlan
+from sim.road.net import read_road, signal_code
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim.episode.observables import CROSSING_MARGIN_M, crossing_people, observe
+from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
-from sim.lane_graph import DIRECTIONS, LaneGraph
-from sim.lane_search import along, nearest
-from sim.observables import CROSSING_MARGIN_M, crossing_people, observe
 from sim.road import Connection, Crossing, Lane, Road
-from sim.steps import Steps
+from sim.road.lane_graph import DIRECTIONS, LaneGraph
+from sim.road.lane_search import along, nearest
 
 
 def lane(name, points, edge=None, index=0, limit=10.0, internal=False, walking=False):
@@ -147,11 +147,11 @@ def test_tracks_give_at_each_instant_what_each_frame_gives(junction):
             frame(xy, rng.uniform(0, 14, 20), rng.normal(0, 0.1, 20), time_s=0.1 * step,
                   kind=(np.arange(20) % 7 == 0) * PEDESTRIAN, signals=rng.integers(0, 3, 2))
         )  # fmt: skip
-    steps = Steps.of(Tracks.from_frames(frames))
-    together, agent = observe(steps, junction), steps.presence.agent
+    steps = TrajectoryRows.of(Tracks.from_frames(frames))
+    together, agent = observe(steps, junction), steps.row_index.agent
     for step, one in enumerate(frames):
         alone = observe(one, junction)
-        here = steps.presence.step == step
+        here = steps.row_index.step == step
         for name in ("gap", "lane", "signal", "crossing_occupied", "s"):
             assert np.array_equal(
                 getattr(together, name)[here], getattr(alone, name), equal_nan=name == "s"
@@ -165,7 +165,7 @@ def test_who_is_not_seen_leads_nobody(junction):
     tracks = Tracks.from_frames(
         [frame([[60, 0], [90, 0]], [5, 5]), frame([[61, 0]], [5], time_s=1.0)]
     )
-    seen = observe(Steps.of(tracks), junction)
+    seen = observe(TrajectoryRows.of(tracks), junction)
     assert seen.leader.tolist() == [2, -1, -1]  # agent 0 twice, then agent 1
 
 

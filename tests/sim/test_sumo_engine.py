@@ -14,12 +14,12 @@ from behaviors.profiles import PROFILES
 from behaviors.traits import cutting_in
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
-from sim.exhibits import see
+from sim.episode.incidents import incidents
+from sim.episode.observables import observe
+from sim.episode.rows import TrajectoryRows
+from sim.episode.shown_traits import see
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
-from sim.incidents import incidents
-from sim.observables import observe
 from sim.scenario import AgentSpec, sample_agents
-from sim.steps import Steps
 from sim.sumo.engine import SumoError, run
 from sim.sumo.vehicle_types import ATTRIBUTES, route_file, vehicle_type
 
@@ -114,7 +114,7 @@ def test_a_timid_driver_keeps_a_longer_headway_than_a_threatening_one():
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
         scenario = short(mix=f"{behavior}=1", duration_s=90.0, flow=2400.0, pedestrians_per_h=0.0)
         tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
-        seen, speed = observe(Steps.of(tracks), scenario.road), tracks.speed[tracks.valid]
+        seen, speed = observe(TrajectoryRows.of(tracks), scenario.road), tracks.speed[tracks.valid]
         follows = (np.abs(seen.closing) < 1.0) & (speed > 4.0) & (seen.headway < 8.0)
         headway[behavior] = float(np.median(seen.headway[follows]))
     assert headway[Behavior.TIMID] > 2.5 * headway[Behavior.THREATENING]
@@ -125,7 +125,7 @@ def test_red_lights_are_run_by_the_reckless_only():
     for mix in ("reckless=1", "careful=.4,cautious=.3,timid=.3"):
         scenario = get_scenario("four_way_intersection")(mix=mix, duration_s=120.0)
         tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
-        events = incidents(Steps.of(tracks), scenario.road)
+        events = incidents(TrajectoryRows.of(tracks), scenario.road)
         runs[mix] = sum(e.kind is EventKind.RED_RUN for e in events)
         if mix.startswith("careful"):
             assert not any(e.kind is EventKind.COLLISION for e in events)
@@ -140,7 +140,7 @@ def test_only_the_reckless_drive_on_the_wrong_side():
         mix = f"{behavior}=.5,timid=.5"
         scenario = get_scenario("two_way_road")(mix=mix, duration_s=200.0, flow=400.0)
         tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 2), 2))
-        steps = Steps.of(tracks)
+        steps = TrajectoryRows.of(tracks)
         seen = observe(steps, scenario.road)
         wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
         metres[behavior] = float(steps.speed[wrong].sum()) * 0.1
@@ -164,7 +164,7 @@ def test_the_wrong_side_is_used_on_wide_roads_too():
         duration_s=240.0,
     )  # fmt: skip
     tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 1), 1))
-    steps = Steps.of(tracks)
+    steps = TrajectoryRows.of(tracks)
     seen = observe(steps, scenario.road)
     wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
     assert float(steps.speed[wrong].sum()) * 0.1 > 50.0
@@ -174,7 +174,7 @@ def test_threatening_drivers_cut_in_and_the_careful_do_not():
     scenario = short(mix="threatening=.5,careful=.5", duration_s=150.0, flow=2400.0)
     agents = sample_agents(scenario, 0)
     tracks = Tracks.from_frames(run(scenario, agents, 0))
-    cuts = cutting_in(see(Steps.of(tracks), scenario.road))
+    cuts = cutting_in(see(TrajectoryRows.of(tracks), scenario.road))
     behavior = {a.id: a.behavior for a in agents}
     who = [behavior[int(tracks.ids[cut.agent])] for cut in cuts]
     assert who.count(Behavior.THREATENING) > 20
@@ -189,7 +189,7 @@ def test_the_conservative_cause_no_collision_with_a_vehicle():
     style = {a.id: None if a.behavior is None else a.behavior.style for a in agents}
     assert not [
         e
-        for e in incidents(Steps.of(tracks), scenario.road)
+        for e in incidents(TrajectoryRows.of(tracks), scenario.road)
         if e.kind is EventKind.COLLISION and style[e.agent] is Style.CONSERVATIVE
     ]
 
@@ -205,7 +205,7 @@ def test_who_lets_others_finish_stays_before_the_line_until_the_junction_is_clea
     crossing = lone(scenario, id=1, route=("east_in", "west_out"), profile=careful, depart_s=7.0)
     tracks = Tracks.from_frames(run(scenario, [turning, crossing], 0))
     inside = np.zeros(tracks.valid.shape, dtype=bool)
-    inside[tracks.valid] = observe(Steps.of(tracks), scenario.road).stop_distance < 0
+    inside[tracks.valid] = observe(TrajectoryRows.of(tracks), scenario.road).stop_distance < 0
     assert inside.any(axis=1).all()
     assert inside.all(axis=0).any() == at_once
 
@@ -395,7 +395,7 @@ def test_nothing_is_printed_and_other_engines_names_are_suggested():
 
 def test_importing_the_layers_loads_no_simulator():
     code = (
-        "import sys, scenarios, sim.engines, sim.net, sim.scenario, behaviors\n"
+        "import sys, scenarios, sim.engines, sim.road.net, sim.scenario, behaviors\n"
         "scenarios.SCENARIOS['straight_road']\n"
         "assert not {'libsumo', 'highway_env', 'torch'} & set(sys.modules)\n"
     )

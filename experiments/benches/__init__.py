@@ -1,0 +1,1 @@
+"""Benches: every measured figure, as tidy rows that name what was measured."""

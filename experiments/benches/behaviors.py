@@ -1,0 +1,345 @@
+"""Do drivers behave as they are labelled? Every behaviour against the paper's traits, in numbers.
+
+Episodes are driven, watched with the trait detectors, and counted driver by driver; the intervals
+come from drawing drivers anew (bootstrap).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labelling import shown_label
+from behaviors.labels import BEHAVIORS, Trait
+from behaviors.traits import FOLLOWING_MPS, Exhibit, Seen, lane_changes, waits
+from scenarios import SCENARIOS, get_scenario
+from sim.engines import get_engine
+from sim.episode.annotate import watch
+from sim.episode.rows import TrajectoryRows
+from sim.frames import Event, EventKind, Tracks
+from sim.scenario import sample_agents
+
+FREE_HEADWAY_S: Final = 6.0
+"""A road is free for who has this much headway or more (our choice)."""
+
+STEADY_MPS2: Final = 0.3
+"""Who accelerates or brakes more is not yet at the speed chosen (our choice)."""
+
+LONGEST_STAND_S: Final = 180.0
+"""Standing longer is standing for good."""
+
+CLEARING_S: Final = 300.0
+"""So long after the demand ends every vehicle should have left; episodes are driven on for it.
+Pedestrians may still walk: half a straight road takes them longer."""
+
+RESAMPLES: Final = 1000
+
+QUICK: Final = {"seeds": 2, "duration_s": 120.0}
+"""What a quick run is cut down to."""
+
+METRICS: Final[tuple[tuple[str, str, str], ...]] = (
+    ("red_run_share", "red_runs", "red_faced"),
+    ("yield_share", "yields", "crossing_encounters"),
+    ("headway_median_s", "headway", ""),
+    ("lane_changes_per_km", "lane_changes", "km"),
+    ("cut_ins_per_km", "cut_ins", "km"),
+    ("over_limit_share", "over_limit_s", "free_s"),
+    ("unprovoked_stops_per_km", "unprovoked_stops", "km"),
+    ("wait_per_encounter_s", "wait_s", "waits"),
+    ("wrong_way_m", "wrong_way_m", "drivers"),
+    ("collisions_caused", "collisions", ""),
+    ("pedestrians_hit", "pedestrians_hit", ""),
+    ("halted_share", "halted", "drivers"),
+    ("label_agreement", "agrees", "drivers"),
+)
+"""Metric, the count above, the count below: "" for a median (``headway``) or a sum."""
+
+COUNTS: Final[tuple[str, ...]] = (
+    "drivers", "km", "red_faced", "red_runs", "crossing_encounters", "yields", "headway",
+    "lane_changes", "cut_ins", "free_s", "over_limit_s", "unprovoked_stops", "waits", "wait_s",
+    "wrong_way_m", "collisions", "pedestrians_hit", "halted", "agrees",
+)  # fmt: skip
+"""What is counted for every driver; ``headway`` is the driver's median, NaN without any."""
+
+
+NOT_WAITED_FOR: Final = (EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED)
+"""Encounters in which somebody did not wait, though a rule says so: waits of 0 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriverCounts:
+    """What the drivers of one or more episodes did.
+
+    Attributes:
+        behavior: (n,) codes into ``BEHAVIORS``.
+        counts: (n, len(COUNTS)) in the order of ``COUNTS``.
+        jaywalks: how often pedestrians jaywalked.
+        walkers: how many pedestrians there were.
+        teleports: how many agents jumped.
+        left_behind: how many vehicles were still there when all should have left.
+        longest_stand_s: how long somebody stood at most, s.
+    """
+
+    behavior: NDArray[np.int8]
+    counts: NDArray[np.float64]
+    jaywalks: int
+    walkers: int
+    teleports: int
+    left_behind: int
+    longest_stand_s: float
+
+    @classmethod
+    def joined(cls, parts: Sequence[DriverCounts]) -> DriverCounts:
+        """The drivers of several episodes together."""
+        return cls(
+            behavior=np.concatenate([p.behavior for p in parts]),
+            counts=np.concatenate([p.counts for p in parts]),
+            jaywalks=sum(p.jaywalks for p in parts),
+            walkers=sum(p.walkers for p in parts),
+            teleports=sum(p.teleports for p in parts),
+            left_behind=sum(p.left_behind for p in parts),
+            longest_stand_s=max(p.longest_stand_s for p in parts),
+        )
+
+
+def count_episode(
+    scenario: str, seed: int, duration_s: float, engine: str = "sumo"
+) -> DriverCounts:
+    """Drive one episode and count what its drivers did.
+
+    Args:
+        scenario: a key of ``SCENARIOS``.
+        seed: of the population and the engine.
+        duration_s: for how long agents set out, s; the episode lasts ``CLEARING_S`` longer.
+        engine: a key of ``ENGINES``.
+
+    Returns:
+        The counts, one row per driver.
+    """
+    made = get_scenario(scenario)(duration_s=duration_s)
+    agents = sample_agents(made, seed)
+    made = dataclasses.replace(made, duration_s=duration_s + CLEARING_S)
+    tracks = Tracks.from_frames(
+        get_engine(engine)(made, agents, seed), {a.id: a.behavior for a in agents}
+    )
+    watched = watch(TrajectoryRows.of(tracks), made.road)
+    return count(tracks, watched.seen, watched.events, watched.exhibits)
+
+
+def count(
+    tracks: Tracks, seen: Seen, events: Sequence[Event], exhibits: Sequence[Exhibit]
+) -> DriverCounts:
+    """Count what the labelled drivers of an episode did.
+
+    Args:
+        tracks: with labels.
+        seen: what the detectors looked at.
+        events: from `sim.episode.incidents.incidents`.
+        exhibits: from `sim.episode.shown_traits.exhibited`.
+
+    Returns:
+        The counts, one row per labelled driver.
+    """
+    labels = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
+    table = {name: np.zeros(tracks.ids.size) for name in COUNTS}
+    row = {int(agent): i for i, agent in enumerate(tracks.ids)}
+    table["drivers"][:] = 1.0
+    row_index, headway = seen.row_index, seen.headway
+
+    def in_all(values: NDArray[np.float64] | NDArray[np.bool_]) -> NDArray[np.float64]:
+        counts = np.bincount(row_index.agent, values, minlength=tracks.ids.size)
+        return np.asarray(counts, dtype=np.float64)
+
+    table["km"] = in_all(seen.speed) * seen.step_s / 1000.0
+    steady = (np.abs(seen.closing) < 1.5) & (headway < FREE_HEADWAY_S)
+    for i in range(tracks.ids.size):
+        rows = row_index.rows(i)
+        values = headway[rows][steady[rows]]
+        table["headway"][i] = np.median(values) if values.size else np.nan
+    np.add.at(table["lane_changes"], row_index.agent[lane_changes(seen)], 1.0)
+    free = _free(seen)
+    table["free_s"] = in_all(free) * seen.step_s
+    table["over_limit_s"] = in_all(free & (seen.speed > seen.limit)) * seen.step_s
+    for exhibit in waits(seen):
+        table["waits"][exhibit.agent] += 1.0
+        table["wait_s"][exhibit.agent] += exhibit.value
+    stands = list(row_index.runs(seen.driving & (seen.speed < 0.1)))
+    longest_s = max((run.stop - run.start for run in stands), default=0) * seen.step_s
+    for run in stands:
+        if (run.stop - run.start) * seen.step_s > LONGEST_STAND_S:
+            table["halted"][row_index.agent[run.start]] = 1.0
+    for event in events:
+        i = row[event.agent]
+        if event.kind is EventKind.RED_RUN:
+            table["red_runs"][i] += 1.0
+            table["red_faced"][i] += 1.0
+        elif event.kind is EventKind.STOPPED and event.rule == "red light":
+            table["red_faced"][i] += 1.0
+        elif event.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED):
+            table["crossing_encounters"][i] += 1.0
+            table["yields"][i] += event.kind is EventKind.YIELDED
+        elif event.kind is EventKind.COLLISION and event.other is not None:
+            walks = not seen.drives[row[event.other]]
+            table["pedestrians_hit" if walks else "collisions"][i] += 1.0
+        if event.kind in NOT_WAITED_FOR:
+            table["waits"][i] += 1.0
+    shown: dict[int, list[Exhibit]] = {i: [] for i in row.values()}
+    for exhibit in exhibits:
+        i = row[exhibit.agent]
+        shown[i].append(exhibit)
+        if exhibit.trait is Trait.CUTTING_IN:
+            table["cut_ins"][i] += 1.0
+        elif exhibit.trait is Trait.NOT_MOVING:
+            table["unprovoked_stops"][i] += 1.0
+        elif exhibit.trait is Trait.WRONG_DIRECTION:
+            table["wrong_way_m"][i] += exhibit.value
+    for i, mine in shown.items():
+        label = shown_label(mine)
+        table["agrees"][i] = label is not None and label.code == labels[i]
+    jump = np.hypot(*np.moveaxis(np.diff(tracks.xy, axis=1), 2, 0))
+    keep = np.flatnonzero((labels >= 0) & seen.drives)
+    return DriverCounts(
+        behavior=labels[keep].astype(np.int8),
+        counts=np.stack([table[name] for name in COUNTS], axis=1)[keep],
+        jaywalks=sum(e.trait is Trait.JAYWALKING for e in exhibits),
+        walkers=int((~seen.drives).sum()),
+        teleports=int((np.nan_to_num(jump) > 60.0 * seen.step_s).sum()),
+        left_behind=int((tracks.valid[:, -1] & seen.drives).sum()),
+        longest_stand_s=float(longest_s),
+    )
+
+
+def _free(seen: Seen) -> NDArray[np.bool_]:
+    """(m,) whether an agent drives at the speed chosen, with nobody and nothing near ahead."""
+    before = np.roll(seen.speed, 1)
+    before[seen.row_index.begins] = 0.0  # who has just come is not known to drive evenly
+    change = np.abs(seen.speed - before) / seen.step_s
+    near = seen.gap < FREE_HEADWAY_S * np.maximum(seen.speed, FOLLOWING_MPS)
+    near |= seen.stop_distance < 60.0
+    return np.asarray(seen.driving & ~near & (change < STEADY_MPS2))
+
+
+def rows_of(
+    counts: DriverCounts, engine: str, scenario: str, seed: int = 0
+) -> list[dict[str, object]]:
+    """One row per behaviour and metric, with a 95 % interval over drivers.
+
+    Args:
+        counts: of one scenario.
+        engine: what drove it.
+        scenario: its name.
+        seed: of the bootstrap.
+
+    Returns:
+        Rows with the keys ``engine scenario behavior metric value low high n``; n is the number of
+        drivers with something to count.
+    """
+    rng = np.random.default_rng(seed)
+    found: list[dict[str, object]] = []
+    for behavior in BEHAVIORS:
+        mine = counts.counts[counts.behavior == behavior.code]
+        weights = (
+            rng.multinomial(len(mine), np.full(len(mine), 1 / len(mine)), RESAMPLES)
+            if (len(mine))
+            else np.zeros((RESAMPLES, 0))
+        )
+        for metric, above, below in METRICS:
+            top = mine[:, COUNTS.index(above)]
+            low = high = value = None
+            if metric == "headway_median_s":
+                top = top[np.isfinite(top)]
+                n = top.size
+                if n:
+                    value = float(np.median(top))
+                    drawn = np.median(top[rng.integers(n, size=(RESAMPLES, n))], axis=1)
+                    low, high = (float(q) for q in np.percentile(drawn, [2.5, 97.5]))
+            elif below:
+                bottom = mine[:, COUNTS.index(below)]
+                n = int((bottom > 0).sum())
+                if n:
+                    value = float(top.sum() / bottom.sum())
+                    with np.errstate(invalid="ignore", divide="ignore"):
+                        ratio = (weights @ top) / (weights @ bottom)
+                    low, high = (float(q) for q in np.nanpercentile(ratio, [2.5, 97.5]))
+            else:
+                n = len(mine)
+                value = float(top.sum())
+            found.append(_row(engine, scenario, behavior.value, metric, value, low, high, n))
+    everyone = len(counts.behavior) + counts.walkers
+    for who, metric, total, n in (
+        ("pedestrian", "jaywalks", counts.jaywalks, counts.walkers),
+        ("all", "teleports", counts.teleports, everyone),
+        ("all", "left_behind", counts.left_behind, everyone),
+        ("all", "longest_stand_s", counts.longest_stand_s, len(counts.behavior)),
+    ):
+        found.append(_row(engine, scenario, who, metric, float(total), None, None, n))
+    return found
+
+
+def _row(
+    engine: str,
+    scenario: str,
+    behavior: str,
+    metric: str,
+    value: float | None,
+    low: float | None,
+    high: float | None,
+    n: int,
+) -> dict[str, object]:
+    return {
+        "engine": engine,
+        "scenario": scenario,
+        "behavior": behavior,
+        "metric": metric,
+        "value": value,
+        "low": low,
+        "high": high,
+        "n": n,
+    }
+
+
+def run_behaviors_bench(
+    scenarios: Sequence[str] | None = None,
+    seeds: Sequence[int] = range(5),
+    duration_s: float = 600.0,
+    engine: str = "sumo",
+    jobs: int = 1,
+    quick: bool = False,
+) -> list[dict[str, object]]:
+    """Every behaviour against every trait, on every scenario.
+
+    Args:
+        scenarios: keys of ``SCENARIOS``; all by default.
+        seeds: one episode per scenario and seed.
+        duration_s: length of each episode, s.
+        engine: a key of ``ENGINES``.
+        jobs: processes; an engine may run once per process only.
+        quick: two seeds of two minutes, to see that it works.
+
+    Returns:
+        Rows with the keys ``engine scenario behavior metric value low high n``; of several
+        scenarios also those of all together, as scenario ``all``.
+    """
+    names = list(SCENARIOS) if scenarios is None else [get_scenario(n).name for n in scenarios]
+    if quick:
+        seeds, duration_s = list(seeds)[: int(QUICK["seeds"])], QUICK["duration_s"]
+    tasks = [(name, int(seed), duration_s, engine) for name in names for seed in seeds]
+    if jobs == 1:
+        counted = [count_episode(*task) for task in tasks]
+    else:
+        from loky import ProcessPoolExecutor
+
+        with ProcessPoolExecutor(max_workers=jobs) as pool:
+            counted = list(pool.map(count_episode, *zip(*tasks, strict=True)))
+    found: list[dict[str, object]] = []
+    for name in names:
+        parts = [c for task, c in zip(tasks, counted, strict=True) if task[0] == name]
+        found += rows_of(DriverCounts.joined(parts), engine, name)
+    if len(names) > 1:
+        found += rows_of(DriverCounts.joined(counted), engine, "all")
+    return found

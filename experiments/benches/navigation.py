@@ -1,0 +1,350 @@
+"""Does knowing who drives how help to drive? A planned vehicle among the six behaviours.
+
+In every episode the same planner (`graphrqi.predict.planner`) drives the ego vehicle of a gymnasium
+environment among the same traffic three times: taking everybody for the average driver, by the
+classifier's beliefs, and by the true behaviours. Near misses are counted afterwards, in what was
+driven, not in what was planned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from behaviors.labels import BEHAVIORS
+from experiments.cli.tables import Row
+from experiments.data.parallel import in_parallel
+from experiments.scoring.metrics import bootstrap
+from graphrqi.predict.planner import ACT_S, Plan, plan
+from graphrqi.predict.rollout.driver_table import default_table
+from graphrqi.predict.scene.scene import make_scene
+from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, load_stream
+from sim.episode.buffer import FrameBuffer
+from sim.episode.observables import observe
+from sim.episode.rows import TrajectoryRows
+from sim.frames import FloatArray, Frame, IntArray, Tracks
+from sim.road import Road
+from sim.scenario import sample_agents
+
+ENVIRONMENTS: Final[dict[str, str]] = {
+    "straight_road": "graphrqi/StraightRoad-v0",
+    "four_way_intersection": "graphrqi/FourWayIntersection-v0",
+}
+"""Where it is driven."""
+
+ARMS: Final = ("blind", "classified", "true")
+"""What the planner is told of the others: nothing, the classifier's beliefs, or the truth."""
+
+SEEDS, QUICK_SEEDS = 100, 2
+"""Episodes per environment and arm."""
+
+SETTING: Final[dict[str, Any]] = {"flow": "dense", "duration_s": 90.0}
+"""How the environments are configured (our choice: in light traffic nothing happens)."""
+
+QUICK: Final = {"duration_s": 3.0, "warmup_s": 3.0}
+
+FIRST_SEED: Final = 500_000
+"""Seed of the first episode; the planner was tuned on other ones."""
+
+NEAR_MISS_S: Final = 1.5
+"""Time to collision below which somebody ahead or behind counts as a near miss, s."""
+
+APART_S: Final = 1.0
+"""Near misses less than this apart are one, s (our choice)."""
+
+LOOK_AHEAD_M, LOOK_AHEAD_S = 8.0, 1.2
+"""The steering looks at the centre line this far ahead (Coulter 1992's pure pursuit; our choice
+of lengths: a lane change takes some 3 s)."""
+
+MOST_ACCEL_MPS2: Final = 8.0
+"""The ego vehicle's accelerator and brake reach this, m/s2."""
+
+EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
+"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (our
+choice: as hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
+
+METRICS: Final = (
+    "near_misses", "near_misses_ahead", "near_misses_behind", "env_near_misses", "collisions",
+    "red_runs", "mean_speed_mps", "arrived", "time_to_goal_s", "label_accuracy",
+)  # fmt: skip
+"""What is measured of an episode."""
+
+
+class Watcher:
+    """Sees every frame of an environment, and remembers and, if asked to, classifies what it saw.
+
+    Environments call it as their classifier; their observation of beliefs stays uniform, since the
+    planner asks the stream itself, when it plans.
+
+    Args:
+        model: the classifier; None: nobody is classified.
+    """
+
+    def __init__(self, model: str | None) -> None:
+        self.model = model
+        self._begin()
+
+    def _begin(self) -> None:
+        self.stream = None if self.model is None else load_stream(self.model)
+        self.buffer = FrameBuffer(HISTORY_STEPS)
+        self.frames: list[Frame] = []
+
+    def __call__(self, frame: Frame) -> Watcher:
+        """Take the next frame; one from before the last begins a new episode."""
+        if self.frames and frame.time_s <= self.frames[-1].time_s:
+            self._begin()
+        self.frames.append(frame)
+        self.buffer.push(frame)
+        if self.stream is not None:
+            self.stream.push(frame)
+        return self
+
+    def of(self, ids: IntArray) -> FloatArray:
+        """Uniform beliefs."""
+        return np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+
+
+def steering(plan: Plan, xy: FloatArray, heading: float, speed: float, length: float) -> float:
+    """The front wheels' angle that leads onto the plan's line, rad, positive to the left.
+
+    Pure pursuit: a circle through a point on the line ahead, driven by highway-env's bicycle.
+    """
+    reach = max(LOOK_AHEAD_M, LOOK_AHEAD_S * speed)
+    away = np.hypot(*(plan.centre - xy).T)
+    ahead = np.flatnonzero(away >= reach)
+    nearest = int(away.argmin())
+    ahead = ahead[ahead > nearest]
+    goal = plan.centre[ahead[0] if ahead.size else -1] - xy
+    angle = math.atan2(goal[1], goal[0]) - heading
+    curvature = 2.0 * math.sin(angle) / max(float(np.hypot(*goal)), 1.0)
+    slip = math.asin(max(-0.7, min(0.7, curvature * length / 2.0)))
+    return math.atan(2.0 * math.tan(slip))
+
+
+def safe_accel(frame: Frame, road: Road, me: int) -> float:
+    """The most at which one can still stop behind the leader, if that one brakes to a stop, m/s2.
+
+    The emergency brake of every arm: what others are believed to do may be wrong. The safe speed is
+    Krauss's; see `graphrqi.predict.rollout.kernel`.
+    """
+    seen = observe(frame, road)
+    leader, speed = int(seen.leader[me]), float(frame.speed[me])
+    if leader < 0:
+        return math.inf
+    room = max(float(seen.gap[me]) - EMERGENCY_GAP_M, 0.0)
+    reach = EMERGENCY_DECEL_MPS2 * EMERGENCY_S
+    ahead = float(frame.speed[leader])
+    safe = -reach + math.sqrt(reach**2 + ahead**2 + 2.0 * EMERGENCY_DECEL_MPS2 * room)
+    return (safe - speed) / EMERGENCY_S
+
+
+def drive(
+    scenario: str, arm: str, seed: int, model: str = DEFAULT_MODEL,
+    changes: Mapping[str, float] | None = None,
+) -> dict[str, float]:  # fmt: skip
+    """Drive one episode.
+
+    Args:
+        scenario: a key of `ENVIRONMENTS`.
+        arm: one of `ARMS`.
+        seed: of the traffic.
+        model: the classifier.
+        changes: to the environment's configuration.
+
+    Returns:
+        The `METRICS`; NaN where there is none.
+    """
+    import gymnasium
+
+    import scenarios  # noqa: F401  registers the environments
+
+    watcher = Watcher(model if arm == "classified" else None)
+    limits = {"type": "ContinuousAction", "acceleration_range": [-MOST_ACCEL_MPS2, MOST_ACCEL_MPS2]}
+    config: dict[str, Any] = {
+        "seed": seed, "observation": "posterior", "classifier": watcher, "observed": 1,
+        "action": limits, "policy_frequency": 10, **SETTING, **(changes or {}),
+    }  # fmt: skip
+    env = gymnasium.make(ENVIRONMENTS[scenario], config=config, disable_env_checker=True)
+    env.reset(seed=seed)
+    inner: Any = env.unwrapped
+    agents = sample_agents(inner.scenario, seed)
+    truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
+    ego_id = max((a.id for a in agents), default=-1) + 1
+    road: Road = inner.scenario.road
+    begun = len(watcher.frames)
+    counts = {"env_near_misses": 0, "collisions": 0, "red_runs": 0}
+    arrived = False
+    right: list[float] = []
+    current: Plan | None = None
+    next_s = 0.0
+    ended = cut = False
+    time_s = 0.0
+    while not (ended or cut):
+        frame = watcher.frames[-1]
+        row = np.flatnonzero(frame.ids == ego_id)
+        if time_s >= next_s - 1e-6 and row.size:
+            beliefs, hits = _beliefs(arm, watcher, frame, truth)
+            right += hits
+            current = _look(watcher.buffer.tracks(), road, ego_id, beliefs) or current
+            next_s = time_s + ACT_S
+        action = np.zeros(2, dtype=np.float32)
+        if current is not None and row.size:
+            me = int(row[0])
+            turn = steering(
+                current, frame.xy[me], float(frame.heading[me]), float(frame.speed[me]),
+                float(frame.length[me]),
+            )  # fmt: skip
+            accel = min(current.accel, safe_accel(frame, road, me))
+            action[0] = accel / MOST_ACCEL_MPS2
+            action[1] = -turn / (math.pi / 4)  # highway-env's y points to the right
+        _, _, ended, cut, info = env.step(np.clip(action, -1.0, 1.0))
+        time_s = info["time_s"]
+        counts["env_near_misses"] += info["near_misses"]
+        counts["collisions"] += info["collisions"]
+        counts["red_runs"] += info["red_runs"]
+        arrived = info["arrived"]
+    env.close()
+    driven = Tracks.from_frames(watcher.frames[begun:])
+    ahead, behind = near_misses(driven, road, ego_id)
+    me = int(np.searchsorted(driven.ids, ego_id))
+    return {
+        "near_misses": float(ahead + behind),
+        "near_misses_ahead": float(ahead),
+        "near_misses_behind": float(behind),
+        **{name: float(count) for name, count in counts.items()},
+        "mean_speed_mps": float(np.nanmean(driven.speed[me])),
+        "arrived": float(arrived),
+        "time_to_goal_s": float(time_s) if arrived else float("nan"),
+        "label_accuracy": float(np.mean(right)) if right else float("nan"),
+    }
+
+
+def _look(history: Tracks, road: Road, ego_id: int, beliefs: FloatArray) -> Plan | None:
+    """Plan from what is seen; None where the ego vehicle is on no lane."""
+    scene = make_scene(history, road)
+    ego = int(np.searchsorted(scene.ids, ego_id))
+    if not scene.on_path[ego]:
+        return None
+    return plan(scene, ego, beliefs, default_table())
+
+
+def _beliefs(
+    arm: str, watcher: Watcher, frame: Frame, truth: Mapping[int, int]
+) -> tuple[FloatArray, list[float]]:
+    """What the planner is told of everybody in a frame, and which of the labels are right."""
+    n = frame.ids.size
+    if arm == "blind":
+        return np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS)), []
+    if arm == "true":
+        told = np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+        for i, agent in enumerate(frame.ids):
+            if int(agent) in truth:
+                told[i] = np.eye(len(BEHAVIORS))[truth[int(agent)]]
+        return told, []
+    assert watcher.stream is not None
+    posterior = watcher.stream.posterior()
+    hits = [
+        float(code == truth[int(agent)])
+        for agent, code in zip(posterior.ids, posterior.most_likely, strict=True)
+        if int(agent) in truth
+    ]
+    return posterior.of(frame.ids), hits
+
+
+def near_misses(driven: Tracks, road: Road, ego_id: int) -> tuple[int, int]:
+    """How often somebody ahead or behind came nearer than `NEAR_MISS_S` to colliding.
+
+    Args:
+        driven: the episode.
+        road: where.
+        ego_id: whose near misses.
+
+    Returns:
+        Those with the leader and those with the follower.
+    """
+    me = int(np.searchsorted(driven.ids, ego_id))
+    steps = TrajectoryRows.of(driven)
+    seen, row_index = observe(steps, road), steps.row_index
+    close = (seen.gap >= 0.0) & (seen.time_to_collision < NEAR_MISS_S)
+    mine = row_index.agent == me
+    behind = mine[seen.leader] & (seen.leader >= 0)
+    return (
+        _events(row_index.step[close & mine], driven.step_s),
+        _events(np.unique(row_index.step[close & behind]), driven.step_s),
+    )
+
+
+def _events(at: np.ndarray[Any, np.dtype[np.int64]], step_s: float) -> int:
+    """How many events make up these times' indices: those closer than `APART_S` are one."""
+    return int(at.size > 0) + int((np.diff(at) > APART_S / step_s).sum())
+
+
+def run_navigation_bench(
+    quick: bool = False,
+    model: str = DEFAULT_MODEL,
+    jobs: int | None = None,
+    seeds: int | None = None,
+    first_seed: int = FIRST_SEED,
+) -> list[Row]:
+    """Drive every environment by every arm.
+
+    Args:
+        quick: few short episodes, to see that it works.
+        model: the classifier.
+        jobs: processes; None for one per core.
+        seeds: episodes per environment and arm; by default `SEEDS`.
+        first_seed: of the first episode.
+
+    Returns:
+        Rows ``environment arm metric value low high n``: means per episode; beside the blind arm's
+        ``METRIC_minus_blind`` and ``near_misses_over_blind``, paired by seed.
+    """
+    many = seeds or (QUICK_SEEDS if quick else SEEDS)
+    each = range(first_seed, first_seed + many)
+    rows: list[Row] = []
+    for scenario in ENVIRONMENTS:
+        arguments = [
+            (scenario, arm, seed, model, QUICK if quick else {}) for seed in each for arm in ARMS
+        ]
+        found = list(in_parallel(drive, arguments, jobs))
+        table = np.array([[one[m] for m in METRICS] for one in found])
+        rows += compare(scenario, table.reshape(many, len(ARMS), len(METRICS)))
+    return rows
+
+
+def compare(environment: str, table: FloatArray) -> list[Row]:
+    """Rows of (seeds, arms, metrics) numbers, with intervals over seeds."""
+    rows: list[Row] = []
+    for a, arm in enumerate(ARMS):
+        key = {"environment": environment, "arm": arm}
+        for m, metric in enumerate(METRICS):
+            own, blind = table[:, a, m], table[:, 0, m]
+            rows += _row(key, metric, _ratio, own[:, None])
+            if a and np.isfinite(blind).any():
+                rows += _row(key, f"{metric}_minus_blind", _ratio, (own - blind)[:, None])
+        if a:
+            m = METRICS.index("near_misses")
+            pair = np.stack([table[:, a, m], table[:, 0, m]], axis=1)
+            rows += _row(key, "near_misses_over_blind", _ratio, pair)
+    return rows
+
+
+def _row(key: Mapping[str, str], metric: str, statistic: Any, values: FloatArray) -> Sequence[Row]:
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        return []
+    value, low, high = bootstrap(statistic, np.column_stack([values, np.ones(len(values))]))
+    if not np.isfinite(value):
+        return []
+    known = np.isfinite([low, high]).all()
+    ends = {"low": low, "high": high} if known else {"low": None, "high": None}
+    return [{**key, "metric": metric, "value": value, **ends, "n": len(values)}]
+
+
+def _ratio(sums: FloatArray) -> FloatArray:
+    """First sums over second ones; a mean, where the second counts."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(sums[..., 0] / sums[..., 1])

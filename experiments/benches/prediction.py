@@ -1,0 +1,315 @@
+"""Every figure of the predictors on unseen episodes, and how long their rollouts take."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from behaviors.labels import BEHAVIORS
+from experiments.benches import yielding
+from experiments.benches.yield_picture import Case, clearest, draw_cases
+from experiments.benches.yielding import NOTHING_ASKED, Asked, ask, score_chances
+from experiments.cli.tables import Row
+from experiments.data.generate import GenerateConfig, generate
+from experiments.data.parallel import in_parallel
+from experiments.scoring.metrics import bootstrap
+from experiments.scoring.prediction import (
+    EVERY_S,
+    HORIZONS_S,
+    MEASURES,
+    Errors,
+    beliefs,
+    evaluate,
+    instants,
+    summarize,
+)
+from graphrqi.methods import load_model
+from graphrqi.predict import PREDICTORS
+from graphrqi.predict.rollout.driver_table import default_table
+from graphrqi.predict.rollout.mixture import mixture_with
+from graphrqi.predict.scene.scene import make_scene
+from graphrqi.stream import DEFAULT_MODEL
+from scenarios import get_scenario
+from sim.frames import FloatArray, Frame, Tracks
+from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
+
+SCENARIOS: Final = ("straight_road", "four_way_intersection")
+
+SEED: Final = 9_172_026
+"""Seed of the episodes predicted on: no shipped model was trained on them."""
+
+EPISODES, QUICK_EPISODES = 10, 2
+"""Episodes per scenario."""
+
+QUICK_DURATION_S: Final = 40.0
+
+AGENTS, REPEATS = 100, 40
+"""Size of the timed scene, and how often it is rolled out."""
+
+
+MAPLESS: Final = ("constant-velocity", "graphrqi-predict")
+"""What is compared without a map, where all but the first are one."""
+
+MOST_SHIFT_S: Final = 4.0
+"""By so much at most each vehicle's clock is put wrong, as in some recordings in circulation, s."""
+
+RATIOS: Final = (
+    ("graphrqi-predict", "ade_m", "constant-velocity"),
+    ("graphrqi-predict", "ade_m", "car-following-blind"),
+    ("graphrqi-predict", "ade_m", "lstm"),
+    ("graphrqi-predict", "ade_m", "graphrqi-predict-unlabelled"),
+    ("graphrqi-predict", "rmse_m", "constant-velocity"),
+    ("graphrqi-predict", "collisions", "constant-velocity"),
+    ("graphrqi-predict-shuffled", "ade_m", "graphrqi-predict-unlabelled"),
+    ("shuffled", "ade_m", "car-following-blind"),
+    ("car-following-wary", "ade_m", "car-following"),
+    ("lstm", "ade_m", "mlp"),
+)
+"""Whose figure is divided by whose, at the longest horizon."""
+
+GAINS: Final = (
+    ("graphrqi-predict-unlabelled", "graphrqi-predict", "graphrqi-predict-oracle"),
+    ("car-following-blind", "car-following", "oracle"),
+)
+"""Told nothing, told what the classifier believes, told the truth: how much of what the truth gains
+the classifier's labels gain."""
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """What one episode contributes.
+
+    Attributes:
+        errors: with its road.
+        mapless: without its road.
+        shifted: without its road, every vehicle's clock wrong.
+        asked: of yielding.
+    """
+
+    errors: Mapping[str, Errors]
+    mapless: Mapping[str, Errors]
+    shifted: Mapping[str, Errors]
+    asked: Asked
+
+
+def run_prediction_bench(
+    quick: bool = False,
+    predictors: Sequence[str] | None = None,
+    model: str = DEFAULT_MODEL,
+    jobs: int | None = None,
+    picture: Path | None = None,
+) -> list[Row]:
+    """Predict on fresh episodes of both scenarios with a classifier's beliefs.
+
+    Args:
+        quick: few short episodes, to see that it works.
+        predictors: keys of ``PREDICTORS``; all by default.
+        model: the classifier whose beliefs are used.
+        jobs: processes; None for one per core.
+        picture: where to draw a driver foreseen to yield and one foreseen not to; None: nowhere.
+
+    Returns:
+        Flat rows ``scenario predictor horizon_s behavior split metric value low high n``.
+    """
+    names = list(PREDICTORS if predictors is None else predictors)
+    rows: list[Row] = []
+    cases: list[Case] = []
+    with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
+        folder = Path(scratch) / "data"
+        config = GenerateConfig(
+            scenarios=SCENARIOS,
+            episodes=QUICK_EPISODES if quick else EPISODES,
+            seed=SEED,
+            duration_s=QUICK_DURATION_S if quick else None,
+        )
+        generate(config, folder, jobs=jobs, quiet=True)
+        dataset = open_dataset(folder)
+        for scenario in SCENARIOS:
+            entries = dataset.episodes(None, scenario)
+            arguments = [(folder, entry, names, model) for entry in entries]
+            found = list(in_parallel(bench_episode, arguments, jobs))
+            for split, episodes in (
+                ("unseen", [one.errors for one in found]),
+                ("unseen, no map", [one.mapless for one in found]),
+                ("unseen, no map, clocks shifted", [one.shifted for one in found]),
+            ):
+                rows += summarize(episodes, scenario, split)
+                rows += compare(episodes, scenario, split)
+            rows += score_chances([one.asked for one in found], scenario, "unseen")
+            cases += [case for one in found for case in one.asked.cases]
+    if picture is not None and cases:
+        draw_cases(clearest(cases), picture)
+    return [*rows, rollout_time()]
+
+
+def bench_episode(
+    folder: Path, entry: EpisodeEntry, predictors: Sequence[str], model: str
+) -> EpisodeResult:
+    """Errors and yielding chances of predictors in one episode."""
+    dataset = open_dataset(folder)
+    tracks, road = dataset.read(entry).tracks, dataset.road(entry)
+    scored = sorted(instants(tracks, max(HORIZONS_S), EVERY_S))
+    stops = {*scored, *instants(tracks, max(HORIZONS_S), yielding.EVERY_S)}
+    posteriors = beliefs(tracks, load_model(model), sorted(stops))
+    moments = {stop: posteriors[stop] for stop in scored}
+    late = shifted_in_time(tracks, entry.seed)
+    return EpisodeResult(
+        errors=evaluate(tracks, moments, road, predictors),
+        mapless=evaluate(tracks, moments, None, MAPLESS),
+        shifted=evaluate(late, moments, None, MAPLESS),
+        asked=NOTHING_ASKED if road is None else ask(tracks, road, posteriors, predictors),
+    )
+
+
+def shifted_in_time(tracks: Tracks, seed: int) -> Tracks:
+    """The same tracks, each agent's clock off by its own time of up to `MOST_SHIFT_S`."""
+    most = round(MOST_SHIFT_S / tracks.step_s)
+    rng = np.random.default_rng(seed)
+    late = rng.integers(-most, most + 1, tracks.ids.size)
+    column = np.arange(tracks.time_s.size)[None] - late[:, None]
+    inside = (column >= 0) & (column < tracks.time_s.size)
+    row, at = np.arange(tracks.ids.size)[:, None], np.clip(column, 0, tracks.time_s.size - 1)
+    return replace(
+        tracks,
+        xy=tracks.xy[row, at],
+        heading=tracks.heading[row, at],
+        speed=tracks.speed[row, at],
+        valid=tracks.valid[row, at] & inside,
+    )
+
+
+def compare(
+    episodes: Sequence[Mapping[str, Errors]], scenario: str, split: str
+) -> list[dict[str, Any]]:
+    """Ratios of predictors' figures, with intervals over episodes.
+
+    Args:
+        episodes: errors by predictor.
+        scenario: its name, for the rows.
+        split: which part of the data, for the rows.
+
+    Returns:
+        Rows whose metric is ``METRIC_over_PREDICTOR``, ``min_ade_m_over_ade_m`` or
+        ``label_gain_share``, of those predictors that were run.
+    """
+    rows: list[dict[str, Any]] = []
+
+    def total(name: str, metric: str) -> FloatArray:
+        return np.array([e[name].total[0, -1, MEASURES.index(metric)] for e in episodes])
+
+    def add(name: str, metric: str, statistic: Statistic, sums: list[FloatArray]) -> None:
+        value, low, high = bootstrap(statistic, np.stack(sums, axis=1))
+        if not np.isfinite(value):
+            return
+        count = int(sum(e[name].count[0] for e in episodes))
+        sure = np.isfinite([low, high]).all()
+        ends = {"low": low, "high": high} if sure else {"low": None, "high": None}
+        rows.append(
+            {
+                "scenario": scenario, "predictor": name, "horizon_s": max(HORIZONS_S),
+                "behavior": "all", "split": split, "metric": metric, "value": value, **ends,
+                "n": count,
+            }
+        )  # fmt: skip
+
+    there = set(episodes[0]) if episodes else set()
+    for name, metric, other in RATIOS:
+        if {name, other} <= there:
+            ratio = _root_ratio if metric == "rmse_m" else _ratio
+            sums = [total(name, metric), total(other, metric)]
+            add(name, f"{metric}_over_{other}", ratio, sums)
+    for name in sorted(there):
+        if name in LEARNED:
+            sums = [total(name, "min_ade_m"), total(name, "ade_m")]
+            add(name, "min_ade_m_over_ade_m", _ratio, sums)
+    for blind, told, truth in GAINS:
+        if {blind, told, truth} <= there:
+            add(told, "label_gain_share", _share, [total(n, "ade_m") for n in (blind, told, truth)])
+    return rows
+
+
+Statistic: TypeAlias = Callable[[FloatArray], FloatArray]
+
+LEARNED: Final = ("graphrqi-predict", "lstm", "mlp")
+"""Those whose futures are made to cover what may happen."""
+
+
+def _ratio(sums: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(sums[..., 0] / sums[..., 1])
+
+
+def _root_ratio(sums: FloatArray) -> FloatArray:
+    return np.sqrt(_ratio(sums))
+
+
+def _share(sums: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((sums[..., 0] - sums[..., 1]) / (sums[..., 0] - sums[..., 2]))
+
+
+def busy_road(agents: int = AGENTS) -> Tracks:
+    """A history of that many vehicles on the straight road, a second long."""
+    road = get_scenario("straight_road")().road
+    rng = np.random.default_rng(0)
+    lanes = [i for i, lane in enumerate(road.lanes) if not lane.walking and not lane.internal]
+    frames: list[Frame] = []
+    speed = rng.uniform(6.0, 14.0, agents)
+    place = [
+        (lanes[i % len(lanes)], 12.0 + (i // len(lanes)) * 20.0 + rng.uniform(0.0, 5.0))
+        for i in range(agents)
+    ]
+    begin = np.array([road.lanes[lane].centerline[0] for lane, _ in place])
+    end = np.array([road.lanes[lane].centerline[-1] for lane, _ in place])
+    facing = (end - begin) / np.linalg.norm(end - begin, axis=1, keepdims=True)
+    s = np.array([at for _, at in place])
+    for step in range(11):
+        xy = begin + (s + speed * (step - 10) * 0.1)[:, None] * facing
+        frames.append(
+            Frame(
+                time_s=step * 0.1,
+                ids=np.arange(agents),
+                xy=xy,
+                heading=np.arctan2(facing[:, 1], facing[:, 0]),
+                speed=speed,
+                length=np.full(agents, 4.6),
+                width=np.full(agents, 1.8),
+                kind=np.zeros(agents, dtype=np.int8),
+            )
+        )
+    return Tracks.from_frames(frames)
+
+
+def rollout_time(agents: int = AGENTS, repeats: int = REPEATS) -> dict[str, Any]:
+    """Time of the central processor to roll out all modes of a scene for 5 s, leaders included.
+
+    Args:
+        agents: vehicles in the scene.
+        repeats: how often; the first call, which compiles, is left out.
+
+    Returns:
+        One row; value, low and high are the median and the 2.5 and 97.5 % quantiles, ms.
+    """
+    road = get_scenario("straight_road")().road
+    scene = make_scene(busy_road(agents), road)
+    belief = np.full((agents, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+    table = default_table()
+    mixture_with(scene, belief, table)
+    taken_ms = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        mixture_with(scene, belief, table)
+        taken_ms.append(1e3 * (time.process_time() - begin))
+    low, value, high = np.quantile(taken_ms, [0.025, 0.5, 0.975])
+    return {
+        "scenario": "straight_road", "predictor": "behavior-mixture", "horizon_s": 5.0,
+        "behavior": "all", "split": "made up", "metric": f"rollout_ms_{agents}_agents_6_modes",
+        "value": float(value), "low": float(low), "high": float(high), "n": repeats,
+    }  # fmt: skip

@@ -1,0 +1,142 @@
+"""The paper's pedestrian figure: a driver foreseen to let somebody cross, and one who is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.scene.scene import Scene
+from sim.frames import PEDESTRIAN, FloatArray
+from sim.store.atomic import whole_file
+
+SHOWN_M: Final = 45.0
+"""The picture shows this much around the driver, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A driver before an occupied crossing.
+
+    Attributes:
+        predictor: whose prediction.
+        chance: predicted, that it yields.
+        yielded: whether it did.
+        time_s: when.
+        box: (n, 5) of everyone near: x, y, heading, length, width, the driver first.
+        walks: (n,) who walks.
+        futures: (K, H, 2) predicted places of the driver, m.
+        probability: (K,).
+        truth: (H, 2) where it went, m.
+        lanes: centre lines near by.
+        crossings: their centre lines and widths.
+    """
+
+    predictor: str
+    chance: float
+    yielded: bool
+    time_s: float
+    box: FloatArray
+    walks: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    futures: FloatArray
+    probability: FloatArray
+    truth: FloatArray
+    lanes: tuple[FloatArray, ...]
+    crossings: tuple[tuple[FloatArray, float], ...]
+
+    @classmethod
+    def of(
+        cls, scene: Scene, prediction: Prediction, row: int, chance: float, yielded: bool,
+        truth: FloatArray, predictor: str,
+    ) -> Case:  # fmt: skip
+        """What is drawn of one driver of a scene."""
+        away = np.hypot(*(scene.xy - scene.xy[row]).T)
+        away[row] = -1.0
+        near = np.argsort(away, kind="stable")
+        near = near[away[near] < SHOWN_M]
+        history = scene.history
+        box = np.column_stack(
+            [scene.xy, scene.heading, history.length, history.width],
+        )[near]
+        return cls(
+            predictor=predictor, chance=chance, yielded=yielded, time_s=float(history.time_s[-1]),
+            box=box, walks=history.kind[near] == PEDESTRIAN, futures=prediction.xy[row],
+            probability=prediction.probability[row], truth=truth,
+            lanes=tuple(x.centerline for x in scene.road.lanes if not x.walking),
+            crossings=tuple((c.centerline, c.width_m) for c in scene.road.crossings),
+        )  # fmt: skip
+
+
+def clearest(cases: Sequence[Case]) -> list[Case]:
+    """Of those who yielded the one most expected to, of the others the one least expected to."""
+    yes = [case for case in cases if case.yielded]
+    no = [case for case in cases if not case.yielded]
+    found = [max(yes, key=lambda c: c.chance)] if yes else []
+    return found + ([min(no, key=lambda c: c.chance)] if no else [])
+
+
+def draw_cases(cases: Sequence[Case], path: Path) -> None:
+    """Draw cases side by side.
+
+    Args:
+        cases: at least one.
+        path: picture to write; its ending says the format.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4 * len(cases), 5.2), layout="constrained")
+    for axis, case in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases, strict=True):
+        for line in case.lanes:
+            axis.plot(*line.T, color="#d9d9d9", linewidth=14, solid_capstyle="butt", zorder=0)
+        for line, width_m in case.crossings:
+            axis.plot(*line.T, color="#fff3b0", linewidth=2.2 * width_m, zorder=1)
+        order = np.argsort(case.probability)
+        for k in order:
+            axis.plot(
+                *case.futures[k].T, color="#0072B2", zorder=3,
+                linewidth=1.5, alpha=0.25 + 0.75 * float(case.probability[k]),
+                label=f"{case.predictor}, 5 s" if k == order[-1] else None,
+            )  # fmt: skip
+            axis.plot(*case.futures[k, -1], "o", color="#0072B2", markersize=4, zorder=3,
+                      alpha=0.25 + 0.75 * float(case.probability[k]))  # fmt: skip
+        axis.plot(*case.truth.T, "--", color="#D55E00", zorder=4, label="what it did")
+        for i, (x, y, heading, length, width) in enumerate(case.box):
+            _box(axis, x, y, heading, length, width, bool(case.walks[i]), driver=i == 0)
+        x, y = case.box[0, :2]
+        ahead = 15.0 * np.array([np.cos(case.box[0, 2]), np.sin(case.box[0, 2])])
+        axis.set_xlim(x + ahead[0] - SHOWN_M / 1.5, x + ahead[0] + SHOWN_M / 1.5)
+        axis.set_ylim(y + ahead[1] - SHOWN_M / 2.5, y + ahead[1] + SHOWN_M / 2.5)
+        axis.set_aspect("equal")
+        did = "it yielded" if case.yielded else "it did not yield"
+        axis.set_title(f"chance of yielding {case.chance:.0%}; {did}")
+        axis.set_xlabel("x, m")
+        axis.legend(loc="lower left", fontsize="small")
+    with whole_file(path) as partial:
+        figure.savefig(partial, format=path.suffix.lstrip(".") or "png", dpi=130)
+
+
+def _box(
+    axis: object, x: float, y: float, heading: float, length: float, width: float, walks: bool,
+    *, driver: bool,
+) -> None:  # fmt: skip
+    """Draw a vehicle as its box and a pedestrian as a dot."""
+    from typing import cast
+
+    from matplotlib.axes import Axes
+    from matplotlib.patches import Polygon
+
+    on = cast(Axes, axis)
+    if walks:
+        on.plot([x], [y], "o", color="#009E73", markersize=6, zorder=5)
+        return
+    cos, sin = np.cos(heading), np.sin(heading)
+    corner = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (length / 2, width / 2)
+    turned = corner @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+    on.add_patch(Polygon(turned, color="#CC79A7" if driver else "#8C8C8C", zorder=5))

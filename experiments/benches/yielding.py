@@ -1,0 +1,320 @@
+"""Will it let the pedestrian go first? The paper's pedestrian figure, as numbers.
+
+An encounter is a driver that reaches a crossing in about two seconds, at its present speed, while
+someone is or will be in its way there, and with no red light before it. Two things are asked.
+
+- Will it let the pedestrian go first? Asked where the simulator's own rule tells what it did
+  (`sim.episode.incidents`): somebody was in its way or would have been, it could have stopped, and
+  nothing but the pedestrian held it. Beliefs about who drives how answer it with what the
+  behaviours' profiles say of yielding; predictors with their futures.
+- Will it have entered the crossing `DECIDED_S` later? Asked of every encounter: others hold who
+  would not have yielded, and who would may find the crossing free again when it gets there. What a
+  predictor says of it is the share of its futures that have not entered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from experiments.benches.yield_picture import Case, clearest
+from experiments.scoring.metrics import RESAMPLES
+from experiments.scoring.prediction import HISTORY_S, future
+from graphrqi.posterior import Posterior
+from graphrqi.predict import get_predictor
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.rollout.driver_table import YIELDS
+from graphrqi.predict.scene.scene import LEARNED_S, Scene, make_scene
+from graphrqi.predict.scene.stop_constraints import OPEN
+from sim.frames import EventKind, FloatArray, IntArray, Tracks
+from sim.road import Road
+
+BEFORE_S: Final = (1.5, 2.5)
+"""An encounter is judged when the crossing is between these times away, s: two seconds."""
+
+DECIDED_S: Final = 3.5
+"""Who has not entered the crossing so much later has yielded, s (our choice: 1.5 s late)."""
+
+LEAST_SPEED_MPS: Final = 2.0
+"""Slower drivers have decided already (our choice)."""
+
+ENTERED_M: Final = 1.0
+"""So far into the crossing counts as having entered it (our choice)."""
+
+SAME_PLACE_M: Final = 3.0
+"""An event counts as that of an encounter if it happens within this of where the crossing was, m
+(our choice: less than lies between two crossings)."""
+
+BELIEFS: Final = "beliefs"
+"""What stands for the beliefs alone where predictors are named."""
+
+EVERY_S: Final = 0.5
+"""How often encounters are looked for, s, so that hardly any is missed."""
+
+DRAWN: Final = "graphrqi-predict"
+"""Whose predictions are drawn."""
+
+VAGUE_M: Final = 1.5
+"""Spread taken for predictors that give none, m (our choice)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Encounters:
+    """Drivers before occupied crossings at one instant.
+
+    Attributes:
+        row: (m,) rows of the scene.
+        room: (m,) front bumper to the crossing's near edge, m.
+        yielded: (m,) 1 who let the pedestrian go first, 0 who did not, NaN where the simulator's
+            rule tells neither.
+        waited: (m,) 1 who has not entered the crossing `DECIDED_S` later, else 0.
+        went: (m, H, 2) where they went, every half second, m.
+    """
+
+    row: IntArray
+    room: FloatArray
+    yielded: FloatArray
+    waited: FloatArray
+    went: FloatArray
+
+
+def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
+    """Rows of the drivers about two seconds before an occupied crossing, and the room left, m."""
+    graph, paths = scene.graph, scene.paths
+    zones = graph.cross_lane.size
+    row, room = [], []
+    soon = scene.closed[:, : round(BEFORE_S[1] / STEP_S) + 1]
+    shut = (soon != OPEN).any(axis=1)
+    for i in np.flatnonzero(scene.on_path & (scene.speed > LEAST_SPEED_MPS)):
+        q = scene.path[i]
+        front = scene.s[i] + scene.history.length[i] / 2
+        for j, lane in enumerate(paths.lane[q]):
+            if lane < 0:
+                break
+            for z in np.flatnonzero(graph.cross_lane == lane):
+                left = float(paths.start[q, j] + graph.cross_s[z] - front)
+                timely = BEFORE_S[0] <= left / scene.speed[i] <= BEFORE_S[1]
+                gates = (paths.gate_row[q] < paths.groups) & (
+                    paths.gate_x[q] <= paths.start[q, j] + graph.cross_s[z] + 1e-6
+                )
+                red = shut[paths.gate_row[q][gates & (paths.gate_x[q] > front)]].any()
+                if timely and shut[paths.groups + z] and not red:
+                    row.append(i)
+                    room.append(left)
+    if zones == 0 or not row:
+        return np.empty(0, np.int64), np.empty(0)
+    first = np.unique(np.array(row), return_index=True)[1]
+    return np.array(row, dtype=np.int64)[first], np.array(room)[first]
+
+
+def travelled(xy: FloatArray, start: FloatArray) -> FloatArray:
+    """(...,) length of the way from start (..., 2) through places (..., H, 2), m."""
+    steps = np.diff(np.concatenate([start[..., None, :], xy], axis=-2), axis=-2)
+    return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
+
+
+def wait_chance(
+    prediction: Prediction, scene: Scene, row: IntArray, room: FloatArray
+) -> FloatArray:
+    """(m,) predicted chance that each driver has not entered the crossing at `DECIDED_S`."""
+    from scipy.special import ndtr
+
+    last = int(np.searchsorted(prediction.time_s, DECIDED_S - 1e-6)) + 1
+    xy = prediction.xy[row, :, :last]
+    gone = travelled(xy, np.repeat(scene.xy[row][:, None], xy.shape[1], axis=1))
+    spread = (
+        np.full(gone.shape, VAGUE_M)
+        if prediction.spread is None
+        else prediction.spread[row, :, last - 1]
+    )
+    not_entered = ndtr((room[:, None] + ENTERED_M - gone) / spread)
+    return np.asarray((prediction.probability[row] * not_entered).sum(axis=1))
+
+
+def encounters(
+    tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior]
+) -> Iterator[tuple[Scene, Posterior, Encounters]]:
+    """Every first encounter of a driver in an episode, at the instants of the posteriors.
+
+    Yields:
+        The scene, the beliefs and who meets whom.
+    """
+    met: set[int] = set()
+    ahead = np.arange(1, round(DECIDED_S / 0.5) + 1, dtype=np.float64) * 0.5
+    for stop, posterior in posteriors.items():
+        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
+        if not history.ids.size:
+            continue
+        scene = make_scene(history, road, LEARNED_S)
+        row, room = approaching(scene)
+        rows = np.searchsorted(tracks.ids, history.ids[row])
+        truth = future(tracks, rows, stop, ahead)
+        new = np.array([int(i) not in met for i in history.ids[row]], dtype=bool) & np.isfinite(
+            truth
+        ).all(axis=(1, 2))
+        if not new.any():
+            continue
+        row, room, truth = row[new], room[new], truth[new]
+        met |= {int(i) for i in history.ids[row]}
+        gone = travelled(truth, scene.xy[row])
+        waited = (gone < room + ENTERED_M).astype(np.float64)
+        yielded = outcome(tracks, stop - 1, np.searchsorted(tracks.ids, history.ids[row]), room)
+        yield scene, posterior, Encounters(row, room, yielded, waited, truth)
+
+
+def outcome(tracks: Tracks, column: int, rows: IntArray, room: FloatArray) -> FloatArray:
+    """(m,) whether drivers went on to yield, 1 or 0, by the events of the episode; NaN: none.
+
+    Args:
+        tracks: the episode.
+        column: the present.
+        rows: (m,) drivers.
+        room: (m,) way left to the crossing, m.
+    """
+    found = np.full(len(rows), np.nan)
+    now_s = float(tracks.time_s[column])
+    for k, row in enumerate(rows):
+        events = [
+            e for e in tracks.events
+            if e.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED)
+            and e.agent == tracks.ids[row] and e.time_s > now_s
+        ]  # fmt: skip
+        if not events:
+            continue
+        first = min(events, key=lambda event: event.time_s)
+        until = int(np.searchsorted(tracks.time_s, first.time_s - 1e-6))
+        way = tracks.xy[row, column : until + 1]
+        if abs(travelled(way[1:], way[0]) - room[k]) <= SAME_PLACE_M:
+            found[k] = first.kind == EventKind.YIELDED
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What predictors said of the encounters of an episode.
+
+    Attributes:
+        chance: (m,) chance of not having entered by predictor, and of yielding by `BELIEFS`.
+        yielded: (m,) 1 where the driver yielded, 0 where it did not, NaN where that was not asked.
+        waited: (m,) 1 where it has not entered.
+        cases: the clearest two by the default predictor, to be drawn.
+    """
+
+    chance: Mapping[str, FloatArray]
+    yielded: FloatArray
+    waited: FloatArray
+    cases: tuple[Case, ...] = ()
+
+
+NOTHING_ASKED: Final = Asked({}, np.empty(0), np.empty(0))
+"""Of an episode without encounters."""
+
+
+def ask(
+    tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior], predictors: Sequence[str]
+) -> Asked:
+    """Ask predictors about every encounter of an episode.
+
+    Args:
+        tracks: the episode.
+        road: where it happened.
+        posteriors: beliefs by the index one past each instant.
+        predictors: keys of ``PREDICTORS``.
+
+    Returns:
+        Chances and outcomes.
+    """
+    chance: dict[str, list[FloatArray]] = {name: [] for name in (*predictors, BELIEFS)}
+    yielded: list[FloatArray] = []
+    waited: list[FloatArray] = []
+    cases: list[Case] = []
+    for scene, posterior, met in encounters(tracks, road, posteriors):
+        yielded.append(met.yielded)
+        waited.append(met.waited)
+        believed = posterior.of(scene.ids[met.row]) @ YIELDS
+        chance[BELIEFS].append(believed)
+        for name in predictors:
+            prediction = get_predictor(name)(scene, posterior)
+            chance[name].append(wait_chance(prediction, scene, met.row, met.room))
+            if name == DRAWN:
+                cases += [
+                    Case.of(scene, prediction, int(i), float(p), bool(y), went, name)
+                    for i, p, y, went in zip(met.row, believed, met.yielded, met.went, strict=True)
+                    if not np.isnan(y)
+                ]
+    if not waited:
+        return NOTHING_ASKED
+    return Asked(
+        {n: np.concatenate(c) for n, c in chance.items()},
+        np.concatenate(yielded),
+        np.concatenate(waited),
+        tuple(clearest(cases)),
+    )
+
+
+def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[dict[str, Any]]:
+    """AUC and Brier score of each predictor's chances, with intervals over encounters.
+
+    Args:
+        episodes: from `ask`.
+        scenario: its name, for the rows.
+        split: which part of the data, for the rows.
+
+    Returns:
+        Flat rows, ``yield_auc`` and ``yield_brier`` of who yielded, ``wait_auc`` and ``wait_brier``
+        of who had not entered; none of a question that has but one answer.
+    """
+    episodes = [e for e in episodes if e.waited.size]
+    if not episodes:
+        return []
+    rows: list[dict[str, Any]] = []
+    for question, answers in (
+        ("yield", [e.yielded for e in episodes]),
+        ("wait", [e.waited for e in episodes]),
+    ):
+        happened = np.concatenate(answers)
+        asked = ~np.isnan(happened)
+        happened = happened[asked]
+        if not happened.size or happened.min() == happened.max():
+            continue
+        shape = RESAMPLES // 4, happened.size
+        draws = np.random.default_rng(0).integers(0, happened.size, shape)
+        for name in episodes[0].chance:
+            told = np.concatenate([e.chance[name] for e in episodes])[asked]
+            for metric, score in (("auc", auc), ("brier", brier)):
+                low, high = np.nanquantile(
+                    [score(told[d], happened[d]) for d in draws], [0.025, 0.975]
+                )
+                rows.append(
+                    {
+                        "scenario": scenario, "predictor": name, "horizon_s": DECIDED_S,
+                        "behavior": "all", "split": split, "metric": f"{question}_{metric}",
+                        "value": score(told, happened), "low": float(low), "high": float(high),
+                        "n": int(happened.size),
+                    }
+                )  # fmt: skip
+    return rows
+
+
+def auc(chance: FloatArray, happened: FloatArray) -> float:
+    """Probability that one who yielded was given a higher chance than one who did not.
+
+    Examples:
+        >>> auc(np.array([0.9, 0.4, 0.4]), np.array([1.0, 1.0, 0.0]))
+        0.75
+    """
+    yes, no = chance[happened > 0.5], chance[happened <= 0.5]
+    if not yes.size or not no.size:
+        return float("nan")
+    order = np.sort(no)
+    below = np.searchsorted(order, yes, side="left")
+    up_to = np.searchsorted(order, yes, side="right")
+    return float((below + up_to).mean() / (2 * no.size))
+
+
+def brier(chance: FloatArray, happened: FloatArray) -> float:
+    """Mean squared difference between chance and outcome."""
+    return float(((chance - happened) ** 2).mean())

@@ -1,0 +1,615 @@
+"""The ``graphrqi`` command.
+
+Only typer is imported here; each command imports what it needs when it runs, so that help appears
+at once. Whatever a user can do wrong ends in one line on stderr and exit code 2.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.exit_codes import STOPPED, Interrupted, one_line
+
+app = typer.Typer(
+    name="graphrqi",
+    help="Label, classify and predict drivers in simulated and recorded traffic.",
+    epilog="example: graphrqi run straight_road --stream. Exit codes: 0 done; 2 something asked "
+    "for is wrong or missing, said in one line; 130 stopped by Ctrl-C; 1 a defect of the program.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _names_of(what: str) -> Callable[[str], list[str]]:
+    """What the shell offers when a registered name is being typed."""
+
+    def complete(incomplete: str) -> list[str]:
+        from experiments.cli.doctor import names_of
+
+        return [name for name in names_of(what) if name.startswith(incomplete)]
+
+    return complete
+
+
+Json = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        dir_okay=False,
+        allow_dash=True,
+        metavar="FILE",
+        help="Write the table as JSON; - for standard output.",
+    ),
+]
+ModelName = Annotated[
+    str, typer.Option("--model", help="A model that ships, or a folder written by train.")
+]
+FormatName = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        metavar="KEY",
+        help="Told from the content if left out.",
+        autocompletion=_names_of("format"),
+    ),
+]
+Net = Annotated[
+    Path | None,
+    typer.Option(
+        "--net",
+        dir_okay=False,
+        metavar="FILE",
+        help="SUMO net or map that a recording was made on.",
+    ),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+Engine = Annotated[
+    str,
+    typer.Option(help="Which simulator; see graphrqi list.", autocompletion=_names_of("engine")),
+]
+Flow = Annotated[
+    str | None,
+    typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour, at most 100000."),
+]
+Mix = Annotated[
+    str | None,
+    typer.Option(metavar="MIX", help="Share of each behaviour: impatient=.2,timid=.8."),
+]
+Spread = Annotated[
+    float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")
+]
+DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s; at most 86400.")]
+
+
+@app.command("list", epilog="example: graphrqi list")
+def list_names(json: Json = None) -> None:
+    """Show the names that other commands take."""
+    from experiments.cli.doctor import registered_names
+    from experiments.cli.tables import show_table
+
+    rows = [
+        {"what": what, "name": name} for what, names in registered_names().items() for name in names
+    ]
+    show_table(rows, json)
+
+
+@app.command(epilog="example: graphrqi run straight_road --flow dense --stream --predict")
+def run(
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a scenario; see graphrqi list.", autocompletion=_names_of("scenario")
+        ),
+    ],
+    engine: Engine = "sumo",
+    stream: Annotated[bool, typer.Option("--stream", help="Classify drivers as they go.")] = False,
+    predict: Annotated[bool, typer.Option("--predict", help="Predict, and score it.")] = False,
+    model: ModelName = "graphrqi-plus",
+    seed: Seed = 0,
+    flow: Flow = None,
+    mix: Mix = None,
+    spread: Spread = None,
+    duration_s: DurationS = None,
+    quiet: Quiet = False,
+    json: Json = None,
+) -> None:
+    """Run a scenario headless and sum up what happened."""
+    from experiments.cli.tables import show_table
+    from experiments.data.generate import read_config
+    from experiments.run import run_scenario
+
+    config = read_config(
+        None, scenarios=[scenario], episodes=1, seed=seed, engine=engine, flow=flow, mix=mix,
+        spread=spread, duration_s=duration_s,
+    )  # fmt: skip
+    show_table(run_scenario(config, model if stream or predict else None, predict, quiet), json)
+
+
+@app.command(
+    epilog="example: graphrqi generate --scenario straight_road --episodes 10 --seed 1 --out roads"
+)
+def generate(
+    out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A scenario's name; repeat for several. Needed, here or in the file.",
+            autocompletion=_names_of("scenario"),
+        ),
+    ] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes per scenario. Needed, here or in the file.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE.toml", help="The same options in a file."),
+    ] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(help="Which simulator [default: sumo].", autocompletion=_names_of("engine")),
+    ] = None,
+    flow: Flow = None,
+    mix: Mix = None,
+    spread: Spread = None,
+    duration_s: DurationS = None,
+    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of processes.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a dataset, or what is missing of it."""
+    from experiments.data.generate import generate as make
+    from experiments.data.generate import read_cluster, read_config
+
+    chosen = read_config(
+        config, scenarios=scenario or None, episodes=episodes, engine=engine, flow=flow, mix=mix,
+        spread=spread, duration_s=duration_s, seed=seed,
+    )  # fmt: skip
+    manifest = make(chosen, out, jobs, quiet, read_cluster(config, cluster))
+    steps = sum(e.agent_steps for e in manifest.episodes)
+    typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
+
+
+@app.command(epilog="example: graphrqi train data --method graphrqi-plus --out model")
+def train(
+    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
+    out: Annotated[Path, typer.Option(help="Folder of the model.")],
+    method: Annotated[
+        str, typer.Option(help="See graphrqi list.", autocompletion=_names_of("method"))
+    ] = "graphrqi-plus",
+    seed: Seed = 0,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Train a method on a dataset's training split."""
+    from experiments.training.classifier import train_on
+
+    train_on([dataset], method, out, seed, quiet, jobs)
+    typer.echo(f"{out}: {method} trained on {dataset}")
+
+
+@app.command(epilog="example: graphrqi classify data --out labels.parquet")
+def classify(
+    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    out: Annotated[
+        Path, typer.Option(dir_okay=False, metavar="FILE", help="Parquet file for the labels.")
+    ],
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Name each driver's behaviour as it drives."""
+    from experiments.cli.tables import show_table
+    from experiments.data.exchange import as_dataset
+    from experiments.scoring.classification import classify_dataset
+
+    with as_dataset(source, format, net) as dataset:
+        rows = classify_dataset(dataset, model, out, quiet)
+    show_table(rows, json)
+
+
+@app.command(epilog="example: graphrqi predict data --predictors car-following --horizon-s 5")
+def predict(
+    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    predictors: Annotated[
+        str, typer.Option(metavar="A,B", help="Names, separated by commas; see graphrqi list.")
+    ] = "constant-velocity,car-following-blind,graphrqi-predict",
+    horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False, metavar="FILE", help="Parquet file for the futures themselves."
+        ),
+    ] = None,
+    submission: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Parquet file of the last predictor's futures as Argoverse 2's challenge takes "
+            "them: of 6 s, 5 s after the beginning of each recording.",
+        ),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Predict where everyone goes, and score it."""
+    from experiments.cli.tables import show_table, write_json
+    from experiments.data.exchange import as_dataset
+    from experiments.scoring.prediction import NothingToScore, predict_dataset, short_table
+
+    names = _words(predictors)
+    with as_dataset(source, format, net) as dataset:
+        try:
+            rows = predict_dataset(
+                dataset, names, horizon_s, model, out=out, jobs=jobs, quiet=quiet
+            )
+        except NothingToScore as reason:
+            # The challenge's own test recordings end where the futures begin.
+            if submission is None or out is not None or json is not None:
+                raise
+            typer.echo(f"graphrqi: not scored: {reason}", err=True)
+        else:
+            if json is not None:
+                write_json(rows, json)
+            if str(json) != "-":
+                show_table(short_table(rows), title="prediction")
+        if submission is not None:
+            from experiments.scoring.submission import submit_dataset
+
+            submit_dataset(dataset, names[-1], model, submission)
+
+
+@app.command(epilog="example: graphrqi replay data --episode straight_road --out replay.html")
+def replay(
+    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    out: Annotated[
+        Path, typer.Option(dir_okay=False, metavar="FILE.html", help="The page.")
+    ] = Path("replay.html"),
+    episode: Annotated[
+        str | None, typer.Option(metavar="ID", help="Its id or the beginning of it, or a scenario.")
+    ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE", help="From classify [default: made here]."),
+    ] = None,
+    predictions: Annotated[
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE", help="From predict [default: made here]."),
+    ] = None,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    predictor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="See graphrqi list; none for no predictions [default: graphrqi-predict, or the "
+            "first in --predictions].",
+            autocompletion=_names_of("predictor"),
+        ),
+    ] = None,
+    color: Annotated[
+        str | None,
+        typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option(dir_okay=False, metavar="FILE", help="Film it too: .mp4 or .gif.")
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE.png", help="Draw one moment of it too."),
+    ] = None,
+    begin_s: Annotated[
+        float | None, typer.Option("--begin-s", help="When page, film or picture begin, s.")
+    ] = None,
+    end_s: Annotated[float | None, typer.Option("--end-s", help="When the film ends, s.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a page that plays an episode in a browser."""
+    from experiments.replay import write_replay
+
+    written = write_replay(
+        source, out, episode=episode, labels=labels, predictions=predictions, format=format,
+        net=net, model=model, predictor=predictor, color=color, begin_s=begin_s, end_s=end_s,
+        video=video, picture=picture, quiet=quiet,
+    )  # fmt: skip
+    for path in written:
+        typer.echo(path)
+
+
+@app.command(epilog="example: graphrqi report runs/demo runs/other --out comparison.html")
+def report(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or files of rows.")
+    ],
+    out: Annotated[
+        Path, typer.Option(dir_okay=False, metavar="FILE", help="The page that compares several.")
+    ] = Path("comparison.html"),
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make the page of each run; of several, also one that compares them."""
+    from experiments.report import write_comparison, write_report
+
+    for run in runs:
+        typer.echo(write_report(run, jobs, quiet))
+    if len(runs) > 1:
+        typer.echo(write_comparison(runs, out))
+
+
+@app.command("import", epilog="example: graphrqi import recordings --format ngsim --out data")
+def import_(
+    source: Annotated[Path, typer.Argument(help="A recording, or a folder of recordings.")],
+    out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
+    format: FormatName = None,
+    net: Net = None,
+    types: Annotated[
+        Path | None,
+        typer.Option(dir_okay=False, metavar="FILE", help="vTypes of a SUMO recording, for sizes."),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a dataset of recordings in other formats."""
+    from experiments.data.exchange import import_recordings
+
+    manifest = import_recordings(source, out, format, net, quiet=quiet, types=types)
+    steps = sum(e.agent_steps for e in manifest.episodes)
+    typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
+
+
+@app.command(epilog="example: graphrqi export data --format argoverse2 --out exported")
+def export(
+    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
+    format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="KEY",
+            help="See graphrqi list.",
+            autocompletion=_names_of("format"),
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write into.")],
+    quiet: Quiet = False,
+) -> None:
+    """Write a dataset in another format."""
+    from experiments.data.exchange import export_dataset
+
+    written = export_dataset(dataset, out, format, quiet)
+    typer.echo(f"{out}: {len(written)} written")
+
+
+@app.command(epilog="example: graphrqi verify data --repair")
+def verify(
+    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
+    repair: Annotated[bool, typer.Option("--repair", help="Make wrong files again.")] = False,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare every file with its checksum."""
+    from experiments.cli.tables import show_table
+    from experiments.data.verify import verify_dataset
+
+    flaws = verify_dataset(dataset, repair, jobs, quiet)
+    if flaws or json is not None:
+        show_table([{"file": str(f.path), "state": f.state} for f in flaws], json)
+    if flaws:
+        typer.echo(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
+        raise typer.Exit(2)
+    if json is None:
+        typer.echo(f"{dataset}: every file is as its manifest says")
+
+
+bench = typer.Typer(
+    help="Measure, and print one row per figure.",
+    epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+app.add_typer(bench, name="bench")
+
+Quick = Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")]
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+@bench.command(
+    "spectrum",
+    epilog="example: graphrqi bench spectrum --sizes 100,1000 --ends largest --plot cost.png",
+)
+def bench_spectrum(
+    sizes: Annotated[
+        str, typer.Option(metavar="D,D", help="Numbers of vehicles.")
+    ] = "25,100,400,1000,4000,20000",
+    pairs: Annotated[int, typer.Option(min=1, help="Eigenpairs asked for.")] = 8,
+    ends: Annotated[str, typer.Option(help="Ends of the spectrum.")] = "largest,smallest",
+    graphs: Annotated[str, typer.Option(help="Where the vehicles are.")] = "road,crossing",
+    kinds: Annotated[str, typer.Option(help="Kinds of graph.")] = "instantaneous,accumulated",
+    steps: Annotated[int, typer.Option(min=1, help="Steps of each sequence.")] = 60,
+    solvers: Annotated[
+        str, typer.Option(metavar="A,B", help="Algorithms to measure [default: all].")
+    ] = "",
+    plot: Annotated[
+        Path | None, typer.Option(dir_okay=False, metavar="FILE", help="Draw cost against size.")
+    ] = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Measure every eigenvalue algorithm on the same graphs, in one process.
+
+    FILE is written after every sequence: a run that is stopped keeps what it has measured.
+    """
+    from functools import partial
+    from typing import cast
+
+    from behaviors.errors import InputError
+    from experiments.benches.spectrum import plot_spectrum, run_spectrum_bench, spectrum_table
+    from experiments.cli.tables import show_table, write_json
+    from graphrqi.spectrum.contract import End
+
+    try:
+        numbers = [int(word) for word in _words(sizes)]
+    except ValueError:
+        raise InputError(f"--sizes: found {sizes!r}, expected whole numbers: 25,100") from None
+    if quick:
+        numbers, steps = [25, 50], 10
+    rows = run_spectrum_bench(
+        numbers, pairs, cast("list[End]", _words(ends)), _words(graphs), _words(kinds), steps,
+        _words(solvers) or None,
+        progress=lambda line: typer.echo(line, err=True),
+        keep=None if json is None or str(json) == "-" else partial(write_json, json_path=json),
+    )  # fmt: skip
+    if json is not None:
+        write_json(rows, json)
+    if json is None or str(json) != "-":
+        show_table(spectrum_table(rows))
+    if plot is not None:
+        plot_spectrum(rows, plot)
+
+
+@bench.command(
+    "real-data", epilog="example: graphrqi bench real-data --data recordings --test-videos TRAF53_8"
+)
+def bench_real_data(
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of recordings [default: GRAPHRQI_DATA].")
+    ] = None,
+    test_videos: Annotated[
+        str, typer.Option(metavar="A,B", help="Videos that are only tested on.")
+    ] = "",
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Score methods on labelled recordings, leaving one video out at a time."""
+    from experiments.benches.real_data import run_real_data_bench
+    from experiments.cli.tables import show_table
+
+    show_table(run_real_data_bench(data, _words(test_videos), quick), json)
+
+
+@bench.command(
+    "classification", epilog="example: graphrqi bench classification --data data --json rows.json"
+)
+def bench_classification(
+    data: Annotated[
+        Path | None, typer.Option(help="A dataset to learn and score on [default: one is made].")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Where datasets are made; those that are there are used.")
+    ] = Path("runs/classification"),
+    protocols: Annotated[
+        str, typer.Option(metavar="A,B,...", help="Only these [default: all].")
+    ] = "",
+    plot: Annotated[
+        Path | None, typer.Option(help="Picture of reliability and noise to write.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Score every method under every protocol.
+
+    The JSON is written after every protocol: a run that is stopped keeps what it has measured.
+    """
+    from functools import partial
+
+    from experiments.benches.classification import (
+        PROTOCOLS,
+        plot_classification,
+        run_classification_bench,
+    )
+    from experiments.cli.tables import show_table, write_json
+
+    wanted = _words(protocols) or tuple(PROTOCOLS)
+    keep = None if json is None or str(json) == "-" else partial(write_json, json_path=json)
+    rows = run_classification_bench(quick, data, out, wanted, jobs, keep)
+    if plot is not None:
+        plot_classification(rows, plot)
+    show_table(rows, json)
+
+
+@bench.command("prediction", epilog="example: graphrqi bench prediction --quick --plot yield.png")
+def bench_prediction(
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw a driver foreseen to let somebody cross, and one not."
+        ),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Measure every predictor's errors on unseen episodes."""
+    from experiments.benches.prediction import run_prediction_bench
+    from experiments.cli.tables import show_table
+
+    show_table(run_prediction_bench(quick, jobs=jobs, picture=plot), json)
+
+
+def _add_bench(name: str, what: str) -> None:
+    @bench.command(name, help=what, epilog=f"example: graphrqi bench {name} --quick")
+    def measure(quick: Quick = False, json: Json = None) -> None:
+        from experiments.benches.registry import run_bench
+        from experiments.cli.tables import show_table
+
+        show_table(run_bench(name, quick), json)
+
+
+for _name, _what in {
+    "behaviors": "Measure which behaviour shows which trait, in every scenario.",
+    "highway": "Measure the highway-env engine's speed beside the stock road's.",
+    "navigation": "Drive among others, told and not told who drives how.",
+    "loop": "Time classifying and predicting while a simulation runs, stage by stage.",
+    "generate": "Measure the cost of generating data.",
+}.items():
+    _add_bench(_name, _what)
+
+
+@app.command(epilog="example: graphrqi doctor")
+def doctor(json: Json = None) -> None:
+    """Say what is installed, missing, and how to get it."""
+    from experiments.cli.doctor import examine
+    from experiments.cli.tables import show_table
+
+    findings = examine()
+    show_table([finding.row for finding in findings], json)
+    broken = [finding for finding in findings if finding.state == "broken"]
+    if broken:
+        typer.echo(f"graphrqi: error: {broken[0].what}: {broken[0].found}", err=True)
+        raise typer.Exit(2)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and end the process.
+
+    Args:
+        arguments: the command's arguments; by default those of the process.
+    """
+    with one_line():
+        code = app(arguments, prog_name="graphrqi", standalone_mode=False)
+        if code == STOPPED:
+            raise Interrupted("stopped")  # typer swallows a Ctrl-C and returns its code
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""Looks over an installation: what is there, what is missing, and how to get it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from typing import Final, Literal
+
+from behaviors.errors import InputError, lookup
+from experiments.cli.tables import Row
+
+START_LIMIT_S: Final = 120.0
+"""Longest that a simulator may take to start, s (our choice; a slow disk takes tens of seconds)."""
+
+EXTRAS: Final[dict[str, str]] = {
+    "cluster": "only needed to generate on many machines",
+    "networks": "only needed to build roads of your own",
+    "video": "only needed for films in MP4",
+    "docs": "only needed to build the documentation's pages",
+    "dev": "only needed to test and change the code",
+}
+"""What each optional part is for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        what: the thing.
+        state: "ok", "optional" (missing, and not needed), or "broken".
+        found: its version or what happened.
+        fix: what to do, if something is to be done.
+    """
+
+    what: str
+    state: Literal["ok", "optional", "broken"]
+    found: str
+    fix: str = ""
+
+    @property
+    def row(self) -> Row:
+        """The finding as a table row."""
+        return asdict(self)
+
+
+REGISTRIES: Final[dict[str, str]] = {
+    "scenario": "scenarios:SCENARIOS",
+    "engine": "sim.engines:ENGINES",
+    "method": "graphrqi.methods:METHODS",
+    "solver": "graphrqi.spectrum:SOLVERS",
+    "predictor": "graphrqi.predict:PREDICTORS",
+    "format": "sim.formats:FORMATS",
+    "bench": "experiments.benches.registry:BENCHES",
+}
+"""Where the names live that the commands take, as "module:dictionary", by what they name."""
+
+
+def names_of(what: str) -> list[str]:
+    """The registered names of one kind of thing.
+
+    Args:
+        what: a key of ``REGISTRIES``.
+
+    Returns:
+        Its names, in the registry's order.
+
+    Examples:
+        >>> names_of("engine")
+        ['sumo', 'sumo-idm', 'highway', 'highway-krauss']
+    """
+    module, dictionary = lookup(REGISTRIES, what, "registry").split(":")
+    return list(getattr(importlib.import_module(module), dictionary))
+
+
+def registered_names() -> dict[str, list[str]]:
+    """Every name that the commands take, by what it names."""
+    return {what: names_of(what) for what in REGISTRIES}
+
+
+def _requirements() -> Iterator[tuple[str, str]]:
+    """Name and extra ("" for none) of everything that the package asks for."""
+    for line in metadata.requires("graphrqi") or []:
+        name = re.match(r"[A-Za-z0-9._-]+", line)
+        extra = re.search(r"""extra\s*==\s*['"]([^'"]+)['"]""", line)
+        if name is not None:
+            yield name.group(), extra.group(1) if extra else ""
+
+
+def _packages() -> Iterator[Finding]:
+    for name, extra in _requirements():
+        what = f"{name} ({extra})" if extra else name
+        try:
+            yield Finding(what, "ok", metadata.version(name))
+        except metadata.PackageNotFoundError:
+            if extra:
+                reason = f"pip install 'graphrqi[{extra}]'"
+                purpose = EXTRAS.get(extra, "")
+                yield Finding(what, "optional", "missing", f"{reason} ({purpose})")
+            else:
+                yield Finding(what, "broken", "missing", f"pip install {name}")
+
+
+def _scenarios() -> str:
+    from scenarios import SCENARIOS
+
+    lanes = {name: len(make().road.lanes) for name, make in SCENARIOS.items()}
+    return ", ".join(f"{name} {count} lanes" for name, count in lanes.items())
+
+
+_START_SUMO = """
+from scenarios import SCENARIOS
+from sim.engines import get_engine
+from sim.scenario import sample_agents
+scenario = SCENARIOS["straight_road"](duration_s=5.0)
+print(sum(len(f) for f in get_engine("sumo")(scenario, sample_agents(scenario, 0), 0)))
+"""
+
+
+def _sumo() -> str:
+    run = subprocess.run(
+        [sys.executable, "-c", _START_SUMO],
+        capture_output=True,
+        text=True,
+        timeout=START_LIMIT_S,
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )
+    if run.returncode != 0:
+        said = run.stderr.strip().splitlines()
+        raise InputError(said[-1] if said else f"ended with code {run.returncode}")
+    return f"5 s simulated, {run.stdout.strip()} agent-steps"
+
+
+def _model() -> str:
+    from graphrqi.stream import DEFAULT_MODEL, load_stream
+
+    load_stream(DEFAULT_MODEL)
+    return DEFAULT_MODEL
+
+
+def _tried(what: str, check: Callable[[], str], fix: str) -> Finding:
+    try:
+        return Finding(what, "ok", check())
+    except (InputError, OSError, ImportError, subprocess.TimeoutExpired) as error:
+        return Finding(what, "broken", " ".join(str(error).split()), fix)
+
+
+def examine() -> list[Finding]:
+    """Look at everything.
+
+    Returns:
+        What was found, in the order it was looked at.
+    """
+    version = ".".join(map(str, sys.version_info[:3]))
+    supported = (3, 11) <= sys.version_info[:2] <= (3, 13)
+    system = platform.system()
+    again = "install graphrqi again: pip install --force-reinstall --no-deps graphrqi"
+    return [
+        Finding(
+            "python", "ok" if supported else "broken", version, "" if supported else "use 3.11-3.13"
+        ),
+        Finding("system", "ok", f"{system} {platform.machine()}"),
+        Finding("graphrqi", "ok", metadata.version("graphrqi")),
+        *_packages(),
+        _tried("scenarios", _scenarios, again),
+        _tried("sumo starts", _sumo, "pip install --force-reinstall libsumo"),
+        _tried("default model", _model, again),
+    ]

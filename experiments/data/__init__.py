@@ -1,0 +1,1 @@
+"""Datasets made, brought in, written out, checked and cut into windows."""

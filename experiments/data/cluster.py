@@ -1,0 +1,160 @@
+"""Makes episodes on a Dask cluster: the same episodes, the same bytes, on many machines.
+
+Scheduler and workers are started with Dask's own commands; every worker needs this package, one
+thread (SUMO runs one simulation per process) and the dataset's folder on a shared disk.
+
+References:
+    Rocklin (2015), Dask: parallel computation with blocked algorithms and task scheduling, SciPy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import behaviors
+import experiments
+import graphrqi
+import scenarios
+import sim
+from behaviors.errors import InputError
+from sim.store.dataset import made_with
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from experiments.cli.progress import Progress
+    from experiments.data.generate import Task
+    from sim.store.schema import EpisodeEntry
+
+CONNECT_S: Final = 20.0
+"""Longest wait for the scheduler and its first worker, s (our choice)."""
+
+
+def _sees(folder: str) -> bool:
+    return Path(folder).is_dir()
+
+
+def code() -> str:
+    """Fingerprint of this machine's code: an edited copy of the same version makes other data."""
+    digest = hashlib.sha256()
+    for package in (behaviors, sim, scenarios, graphrqi, experiments):
+        folder = Path(package.__path__[0])
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(f"{package.__name__}/{file.relative_to(folder).as_posix()}".encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _answers(client: Client, ask: Callable[..., Any], *arguments: object) -> dict[str, Any]:
+    """What every worker answers, but for those that die while they are asked."""
+    found = client.run(ask, *arguments, on_error="return")
+    return {worker: said for worker, said in found.items() if not isinstance(said, OSError)}
+
+
+@contextmanager
+def _connected(address: str, folder: Path, engine: str) -> Iterator[Client]:
+    """A client of a cluster whose workers can do the work."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            "cluster: found no distributed, expected it: pip install 'graphrqi[cluster]'"
+        ) from None
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"cluster {address}: found no scheduler there ({reason})") from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError:
+            raise InputError(f"cluster {address}: found no worker, expected one or more") from None
+        for worker, threads in client.nthreads().items():
+            if threads != 1:
+                raise InputError(
+                    f"cluster {address}: found worker {worker} with {threads} threads, expected "
+                    "1: start it with --nthreads 1"
+                )
+        here = made_with(engine)
+        for worker, there in _answers(client, made_with, engine).items():
+            if there != here:
+                raise InputError(f"cluster {address}: found {there} on {worker}, expected {here}")
+        ours = code()
+        for worker, theirs in _answers(client, code).items():
+            if theirs != ours:
+                raise InputError(
+                    f"cluster {address}: found other code of the same version on {worker}, "
+                    "expected the same: install the same copy there"
+                )
+        for worker, seen in _answers(client, _sees, str(folder)).items():
+            if not seen:
+                raise InputError(
+                    f"{folder}: found no such folder on {worker}, expected a shared disk"
+                )
+        yield client
+
+
+def make_on_cluster(
+    make: Callable[[Path, Task], EpisodeEntry],
+    folder: Path,
+    tasks: Sequence[Task],
+    address: str,
+    shown: Progress,
+) -> tuple[list[EpisodeEntry], list[str]]:
+    """Make every episode; those that fail are reported in words, all others are made.
+
+    Args:
+        make: makes one episode.
+        folder: the dataset.
+        tasks: the episodes.
+        address: of the scheduler, ``tcp://host:port``.
+        shown: told of each episode made.
+
+    Returns:
+        Entries of those made, and what failed.
+
+    Raises:
+        InputError: if the cluster cannot do the work.
+        OSError: if something cannot be written.
+    """
+    from distributed import as_completed
+
+    folder = folder.resolve()
+    made: list[EpisodeEntry] = []
+    failed: list[str] = []
+
+    def gather(futures: dict[Any, Task], last: bool) -> list[Task]:
+        """Take what comes; returns the tasks whose worker died, unless this was their last try."""
+        from distributed import KilledWorker
+
+        suspects: list[Task] = []
+        for future in as_completed(list(futures)):
+            task, error = futures[future], future.exception()
+            if error is None:
+                entry = future.result()
+                made.append(entry)
+                shown.advance(entry.agents, entry.agent_steps)
+            elif isinstance(error, KilledWorker):
+                if last:
+                    failed.append(f"{task}: killed its workers")
+                else:
+                    suspects.append(task)
+            elif isinstance(error, InputError):
+                failed.append(f"{task}: {error}")
+            else:
+                raise error
+            future.release()
+        return suspects
+
+    with _connected(address, folder, tasks[0].config.engine) as client:
+        # Dask tries an episode again when its worker dies. Who was only waiting on a worker that
+        # others kept killing is tried once more, alone.
+        suspects = gather({client.submit(make, folder, t, pure=False): t for t in tasks}, False)
+        for task in suspects:
+            gather({client.submit(make, folder, task, pure=False): task}, True)
+    return made, failed

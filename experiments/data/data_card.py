@@ -1,0 +1,98 @@
+"""The data card: what a dataset holds, for people, as Markdown beside the data."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from typing import Final
+
+import pyarrow.parquet as pq
+
+from behaviors.labels import BEHAVIORS
+from sim.frames import KINDS
+from sim.store.dataset import Dataset
+from sim.store.schema import Split
+
+LIMITS: Final = (
+    "Labels are what each driver was drawn to be. What a driver had the chance to show in the"
+    " time it was seen may be less.",
+    "Behaviours are those of a simulator's drivers with the profile numbers in"
+    " `agents.parquet`; they are not measured from people.",
+    "Positions and speeds are rounded to 2^-10 m and m/s, headings to 2^-13 rad.",
+)
+"""What everyone who uses the data should know."""
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    lines = [header, tuple("---" for _ in header), *rows]
+    return ["| " + " | ".join(cells) + " |" for cells in lines]
+
+
+def _limits(dataset: Dataset) -> list[str]:
+    """What is known to be missing or assumed."""
+    if "format" not in dataset.manifest.configuration:
+        return list(LIMITS)
+    notes = [e.options.get("notes", []) for e in dataset.manifest.episodes]
+    return sorted({str(note) for some in notes if isinstance(some, list) for note in some})
+
+
+def data_card(dataset: Dataset) -> str:
+    """Describe a dataset: counts, configuration, columns, known limits.
+
+    Args:
+        dataset: what to describe.
+
+    Returns:
+        Markdown. Equal datasets have equal cards.
+
+    Raises:
+        OSError: if an episode's agents cannot be read.
+    """
+    counts: dict[str, Counter[str]] = {}
+    for entry in dataset.manifest.episodes:
+        path = dataset.path / "episodes" / entry.id / "agents.parquet"
+        table = pq.read_table(path, columns=["kind", "behavior"])
+        scenario = counts.setdefault(entry.scenario, Counter())
+        for column in ("kind", "behavior"):
+            scenario.update(word for word in table.column(column).to_pylist() if word is not None)
+    episodes = Counter((e.scenario, e.split) for e in dataset.manifest.episodes)
+    steps = Counter[str]()
+    for entry in dataset.manifest.episodes:
+        steps[entry.scenario] += entry.agent_steps
+    configuration = json.dumps(dataset.manifest.configuration, indent=2, sort_keys=True)
+    splits: tuple[Split, ...] = ("train", "validation", "test")
+    names = dataset.scenarios
+    kinds = [k for k in KINDS if any(counts[n][k] for n in names)]
+    return "\n".join(
+        [
+            "# Traffic episodes with labelled driver behaviour",
+            "",
+            f"Schema version {dataset.manifest.schema_version}; the columns are described in"
+            " `sim/store/schema.py`.",
+            "",
+            "## Episodes by split",
+            "",
+            *_table(
+                ("scenario", *splits, "agent-steps"),
+                [(n, *(str(episodes[n, s]) for s in splits), str(steps[n])) for n in names],
+            ),
+            "",
+            "## Agents drawn, by behaviour and kind",
+            "",
+            *_table(
+                ("scenario", *BEHAVIORS, *kinds),
+                [(n, *(str(counts[n][w]) for w in (*BEHAVIORS, *kinds))) for n in names],
+            ),
+            "",
+            "## Known limits",
+            "",
+            *(f"- {limit}" for limit in _limits(dataset)),
+            "",
+            "## Made with",
+            "",
+            "```json",
+            configuration,
+            "```",
+            "",
+        ]
+    )

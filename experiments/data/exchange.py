@@ -1,0 +1,156 @@
+"""Brings recordings of other formats in, and writes datasets out in them."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from behaviors.errors import InputError
+from experiments.cli.progress import Progress
+from experiments.data.data_card import data_card
+from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
+from sim.formats.common.windows import NoWindowError
+from sim.road.files import read_road_file
+from sim.store.atomic import write_whole
+from sim.store.dataset import (
+    MANIFEST,
+    made_with,
+    open_dataset,
+    write_manifest,
+    write_recording,
+)
+from sim.store.lock import new_folder
+from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
+
+LEFT_OUT_NAMED: Final = 5
+"""So many files that are left out are named (our choice)."""
+
+
+def import_recordings(
+    source: Path,
+    out: Path,
+    name: str | None = None,
+    net: Path | None = None,
+    split: Split | None = None,
+    quiet: bool = False,
+    types: Path | None = None,
+) -> Manifest:
+    """Make a dataset of recordings, their numbers kept to the last digit.
+
+    Args:
+        source: a file, or a folder with files of one format.
+        out: folder of the dataset, new or empty.
+        name: a key of ``sim.formats.FORMATS``; None to tell it from the content.
+        net: the SUMO net or Argoverse 2 map that the recordings were made on; None for what comes
+            with each, if anything does.
+        split: which part of the data everything belongs to; None to split by index.
+        quiet: whether to show no progress.
+        types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InputError: if a file is broken or of no known format, or ``out`` is not empty.
+        OSError: if something cannot be written.
+    """
+    name = name or recognise(source)
+    get_reader(name)
+    if net is not None:
+        read_road_file(net)
+    configuration = {"format": name, "source": source.name}
+    others = recording_files(source, name)[1]
+    if others:
+        configuration["left_out"] = ", ".join(file.name for file in others[:LEFT_OUT_NAMED])
+        if len(others) > LEFT_OUT_NAMED:
+            configuration["left_out"] += f" and {len(others) - LEFT_OUT_NAMED} more"
+        sys.stderr.write(f"{source}: left out, no {name} files: {configuration['left_out']}\n")
+    entries: list[EpisodeEntry] = []
+    with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
+        for index, recording in enumerate(read_recordings(source, name, types)):
+            meta = EpisodeMeta(
+                scenario=name,
+                engine=name,
+                index=index,
+                split=split or split_of(index),
+                options={"recording": recording.name, "notes": list(recording.notes)},
+                made_with=made_with(name),
+            )
+            entry = write_recording(out, meta, recording.tracks, net or recording.road)
+            entries.append(entry)
+            shown.advance(entry.agents, entry.agent_steps)
+        manifest = write_manifest(out, configuration, entries)
+        write_whole(out / "README.md", data_card(open_dataset(out)).encode())
+    return manifest
+
+
+@contextmanager
+def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -> Iterator[Path]:
+    """A dataset as it is, or recordings as a dataset that lasts while the block does.
+
+    Args:
+        source: a dataset's folder, a file, or a folder of files.
+        name: format of the recordings; None to tell it from the content.
+        net: as in `import_recordings`.
+
+    Yields:
+        Folder of a dataset; recordings are all in its test split.
+
+    Raises:
+        InputError: if a file is broken or of no known format.
+    """
+    is_dataset = (source / MANIFEST).is_file() or (source / "episodes").is_dir()
+    if not source.exists():
+        raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
+    if name is None and is_dataset:
+        yield source
+        return
+    with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:
+        folder = Path(scratch) / (source.resolve().name or "recordings")
+        import_recordings(source, folder, name, net, split="test", quiet=True)
+        yield folder
+
+
+def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> list[Path]:
+    """Write every episode of a dataset in another format.
+
+    Episodes that have no window of the format's length are left out; a line on stderr says so.
+
+    Args:
+        dataset: folder of the dataset.
+        out: where; created if need be. Files of the same names are replaced.
+        name: a key of ``sim.formats.FORMATS`` that has a writer.
+        quiet: whether to show no progress.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: if the dataset is broken, an episode's step does not fit the format, or no
+            episode has a window of its length.
+        OSError: if something cannot be written.
+    """
+    writer = get_writer(name)
+    opened = open_dataset(dataset)
+    out.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    left_out: list[NoWindowError] = []
+    episodes = opened.manifest.episodes
+    with Progress("exporting episodes", len(episodes), quiet) as shown:
+        for entry in episodes:
+            tracks = opened.read(entry).tracks
+            try:
+                written += writer(out, entry.id, tracks, opened.road(entry))
+            except NoWindowError as reason:
+                left_out.append(reason)
+            shown.advance(entry.agents, entry.agent_steps)
+    if left_out:
+        told = f"{len(left_out)} of {len(episodes)} episodes left out, first {left_out[0]}"
+        if not written:
+            raise InputError(f"{dataset}: {told}")
+        print(f"{dataset}: {told}", file=sys.stderr)
+    return written

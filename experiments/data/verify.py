@@ -1,0 +1,241 @@
+"""Looks whether a dataset is what its manifest says, and makes again what is not."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import ValidationError
+
+from behaviors.errors import InputError
+from experiments.data.generate import GenerateConfig, generate
+from sim.store.atomic import write_whole
+from sim.store.dataset import (
+    ENTRY,
+    MANIFEST,
+    Dataset,
+    altered_files,
+    made_with,
+    open_dataset,
+    road_path,
+)
+from sim.store.lock import LOCK, sole_writer
+from sim.store.schema import EPISODE_FILES, EpisodeEntry
+
+State = Literal["missing", "altered", "foreign"]
+
+DATA_CARD: Final = "README.md"
+
+_OURS: Final = frozenset({MANIFEST, LOCK, DATA_CARD})
+"""Files of a dataset that no episode owns."""
+
+_FOLDERS: Final = ("episodes", "roads")
+"""Folders of a dataset. They may be links to other disks; nothing inside them may be one to a
+folder."""
+
+ASIDE_PREFIX: Final = ".aside-"
+"""How the name of the folder begins in which a repair keeps what is in its way. Unlike what is
+partial, nobody removes it when a repair was killed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flaw:
+    """One file that is not as it should be.
+
+    Attributes:
+        path: the file, relative to the dataset; of a link to a folder, the link.
+        state: missing, altered (another size or content, or no file), or foreign (not of this
+            dataset).
+        episode: the episode that it belongs to; None for roads and foreign files.
+    """
+
+    path: Path
+    state: State
+    episode: str | None
+
+
+def find_flaws(dataset: Dataset) -> list[Flaw]:
+    """Compare every file of a dataset with the manifest.
+
+    Args:
+        dataset: which.
+
+    Returns:
+        What is wrong, in order of path; empty if nothing is.
+    """
+    flaws = [flaw for entry in dataset.manifest.episodes for flaw in _flaws_of(dataset, entry)]
+    flaws += [Flaw(path, "foreign", None) for path in _foreign(dataset)]
+    return sorted(set(flaws), key=lambda f: f.path)
+
+
+def _flaws_of(dataset: Dataset, entry: EpisodeEntry) -> Iterator[Flaw]:
+    wrong = altered_files(dataset.path, entry)
+    if _told(dataset, entry) != entry:
+        wrong.append(_own(dataset, entry))
+    for path in wrong:
+        state: State = "altered" if path.exists() else "missing"
+        road = path.parent.name == "roads"
+        yield Flaw(path.relative_to(dataset.path), state, None if road else entry.id)
+
+
+def _own(dataset: Dataset, entry: EpisodeEntry) -> Path:
+    return dataset.path / "episodes" / entry.id / ENTRY
+
+
+def _told(dataset: Dataset, entry: EpisodeEntry) -> EpisodeEntry | None:
+    """What the episode's own file says of it; None if nothing that can be read."""
+    own = _own(dataset, entry)
+    try:
+        return EpisodeEntry.model_validate_json(own.read_bytes()) if own.is_file() else None
+    except ValidationError:
+        return None
+
+
+def _foreign(dataset: Dataset) -> Iterator[Path]:
+    known = {*_OURS, *_FOLDERS}
+    for entry in dataset.manifest.episodes:
+        known |= {f"episodes/{entry.id}/{name}" for name in (*EPISODE_FILES, ENTRY)}
+    roads = [road_path(dataset.path, sha256) for sha256 in dataset.manifest.roads]
+    known |= {path.relative_to(dataset.path).as_posix() for path in roads}
+    for path in sorted(dataset.path.rglob("*")):
+        relative = path.relative_to(dataset.path)
+        if (path.is_symlink() or not path.is_dir()) and relative.as_posix() not in known:
+            yield relative
+
+
+def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> list[Flaw]:
+    """Make again what is missing or altered, and remove what is foreign among episodes and roads.
+
+    Foreign files elsewhere in the folder are left alone. A bad episode stays until its successor is
+    whole; if something cannot be made, the rest of the dataset is as it was.
+
+    Args:
+        dataset: which; it must have been generated, with the packages that are installed now.
+        jobs: worker processes; None for one per processor.
+        quiet: whether to show no progress.
+
+    Returns:
+        What is still wrong afterwards.
+
+    Raises:
+        InputError: if the dataset cannot be made again here, or comes out differently.
+        OSError: if something cannot be written.
+    """
+    config = _configuration(dataset)
+    config.check()
+    flaws = find_flaws(dataset)
+    for sha256 in dataset.manifest.roads:
+        road = road_path(dataset.path, sha256)
+        if road.is_dir():
+            raise InputError(f"{road}: found a folder, expected a file; move it away")
+    obstacles = list(_obstacles(dataset))
+    with _as_it_was(dataset.path), _aside(dataset.path, obstacles):
+        again = generate(config, dataset.path, jobs, quiet)
+        if again != dataset.manifest:
+            raise InputError(
+                f"{dataset.path}: came out differently than its manifest said, expected the same; "
+                "it was made on another platform"
+            )
+    with sole_writer(dataset.path):
+        for flaw in flaws:
+            path = dataset.path / flaw.path
+            ours = flaw.path.parts[0] in _FOLDERS
+            if flaw.state == "foreign" and ours and path not in obstacles and os.path.lexists(path):
+                path.unlink()
+        for folder in sorted((dataset.path / "episodes").rglob("*/"), reverse=True):
+            if not any(folder.iterdir()):
+                folder.rmdir()
+    return find_flaws(dataset)
+
+
+def _obstacles(dataset: Dataset) -> Iterator[Path]:
+    """What generating again would stumble over, or take for an episode of this dataset."""
+    for entry in dataset.manifest.episodes:
+        own = _own(dataset, entry)
+        home = own.parent
+        if home.is_symlink() or home.is_file():
+            yield home
+        elif own.exists() and _told(dataset, entry) != entry:
+            yield own
+
+
+@contextmanager
+def _aside(folder: Path, paths: Sequence[Path]) -> Iterator[None]:
+    """Keep some paths of a folder out of the way while the block lasts.
+
+    They are removed when it ends, or put back if it fails and their place is still empty. A link is
+    moved as a link: what it points to is not touched.
+    """
+    if not paths:
+        yield
+        return
+    kept = Path(tempfile.mkdtemp(prefix=ASIDE_PREFIX, dir=folder))
+    places = {kept / str(number): path for number, path in enumerate(paths)}
+    try:
+        with sole_writer(folder):
+            for place, path in places.items():
+                path.rename(place)
+        yield
+    except BaseException:
+        for place, path in places.items():
+            if os.path.lexists(place) and not os.path.lexists(path):
+                place.rename(path)
+        shutil.rmtree(kept)
+        raise
+    shutil.rmtree(kept)
+
+
+@contextmanager
+def _as_it_was(folder: Path) -> Iterator[None]:
+    """Put manifest and data card back if the block fails: they tell what was to come out."""
+    paths = [folder / MANIFEST, folder / DATA_CARD]
+    before = {path: path.read_bytes() for path in paths if path.is_file()}
+    try:
+        yield
+    except BaseException:
+        for path, data in before.items():
+            if not path.is_file() or path.read_bytes() != data:
+                write_whole(path, data)
+        raise
+
+
+def _configuration(dataset: Dataset) -> GenerateConfig:
+    fields: dict[str, Any] = dict(dataset.manifest.configuration)
+    versions = fields.pop("made_with", None)
+    try:
+        config = GenerateConfig.model_validate(fields)
+    except ValidationError:
+        raise InputError(
+            f"{dataset.path}: was not made by generate, expected a generated dataset; "
+            "import it again"
+        ) from None
+    here = made_with(config.engine)
+    if versions != here:
+        raise InputError(
+            f"{dataset.path}: was made with {versions}, found {here}; install those versions"
+        )
+    return config
+
+
+def verify_dataset(
+    path: Path, mend: bool = False, jobs: int | None = None, quiet: bool = False
+) -> list[Flaw]:
+    """What ``graphrqi verify`` does.
+
+    Args:
+        path: folder of a dataset.
+        mend: whether to repair.
+        jobs: worker processes for a repair; None for one per processor.
+        quiet: whether to show no progress.
+
+    Returns:
+        What is (still) wrong.
+    """
+    dataset = open_dataset(path)
+    return repair(dataset, jobs, quiet) if mend else find_flaws(dataset)

@@ -1,0 +1,118 @@
+"""Windows of observation from the episodes of a dataset, made in parallel."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from behaviors.errors import InputError
+from experiments.cli.progress import Progress
+from experiments.data.parallel import in_parallel
+from graphrqi.methods import METHODS
+from graphrqi.samples import NoSamplesError, Samples, collect
+from sim.store.dataset import Dataset, open_dataset
+from sim.store.schema import EpisodeEntry, Split
+
+OBSERVED_S: Final = 10.0
+"""Length of observation that scores are given for."""
+
+
+def episode_samples(
+    folder: Path,
+    entry: EpisodeEntry,
+    number: int,
+    method: str,
+    solver: str,
+    windows_s: Sequence[float],
+    every_s: float,
+    per_moment: int | None,
+    seed: int,
+) -> Samples | str:
+    """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
+    tracks = open_dataset(folder).read(entry).tracks
+    observer = METHODS[method].observer(solver)
+    try:
+        return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
+    except NoSamplesError as reason:
+        return f"{folder}: episode {entry.id}: {reason}"
+
+
+def places_of(datasets: Sequence[Dataset]) -> list[str]:
+    """Scenario of each episode number of `gather`, with its engine where there are several."""
+    episodes = [e for d in datasets for e in d.manifest.episodes]
+    if len({e.engine for e in episodes}) == 1:
+        return [e.scenario for e in episodes]
+    return [f"{e.scenario}, {e.engine}" for e in episodes]
+
+
+def gather(
+    datasets: Sequence[Dataset],
+    split: Split,
+    method: str,
+    *,
+    scenario: str | None = None,
+    solver: str = "graphrqi",
+    windows_s: Sequence[float] = (OBSERVED_S,),
+    every_s: float = 1.0,
+    per_moment: int | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    quiet: bool = True,
+) -> Samples:
+    """Samples of every episode of a split, made in parallel.
+
+    Episodes without any are left out, each in a line on stderr.
+
+    Args:
+        datasets: where from.
+        split: which part.
+        method: whose observer to use.
+        scenario: only this one; None for all.
+        solver: a key of ``SOLVERS``.
+        windows_s: lengths of observation.
+        every_s: time between the ends of windows.
+        per_moment: how many lengths to draw per driver and moment; None for all.
+        seed: of that draw.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        The samples; episodes are numbered as in the manifests, one after another.
+
+    Raises:
+        InputError: if the split has no episode.
+        NoSamplesError: if no episode has labels and a driver that is seen for long enough.
+    """
+    arguments = []
+    first = 0
+    for dataset in datasets:
+        numbered = {e.id: first + i for i, e in enumerate(dataset.manifest.episodes)}
+        first += len(numbered)
+        arguments += [
+            (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s,
+             per_moment, seed)
+            for e in dataset.episodes(split, scenario)
+        ]  # fmt: skip
+    if not arguments:
+        where = f" of scenario {scenario}" if scenario else ""
+        paths = ", ".join(str(d.path) for d in datasets)
+        raise InputError(
+            f"{paths}: found no {split} episode{where}, expected at least one; "
+            "generate more episodes"
+        )
+    parts: list[Samples] = []
+    left_out: list[str] = []
+    with Progress(f"{method}: observing {split} episodes", len(arguments), quiet) as progress:
+        for part in in_parallel(episode_samples, arguments, jobs):
+            if isinstance(part, str):
+                left_out.append(part)
+            else:
+                parts.append(part)
+            progress.advance()
+    if not parts:
+        raise NoSamplesError(left_out[0])
+    for reason in left_out:
+        sys.stderr.write(f"graphrqi: left out {reason}\n")
+    return Samples.join(parts)

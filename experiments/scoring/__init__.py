@@ -1,0 +1,1 @@
+"""Scores of classifiers and predictors, with intervals over episodes."""

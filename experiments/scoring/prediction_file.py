@@ -1,0 +1,94 @@
+"""Predictions on disk: one tidy Parquet file, a row per future and place.
+
+The futures of each predictor, agent and instant are told apart by ``mode``; a future's probability
+is repeated in each of its rows. Places are given every half second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from graphrqi.predict.metrics import SAMPLE_S
+from graphrqi.predict.prediction import Prediction
+from sim.frames import Tracks
+from sim.store.atomic import whole_file
+
+PREDICTIONS: Final = pa.schema(
+    [
+        pa.field("episode", pa.string()),
+        pa.field("predictor", pa.dictionary(pa.int32(), pa.string())),
+        pa.field("agent", pa.string()),
+        pa.field("time_s", pa.float64()),
+        pa.field("mode", pa.int8()),
+        pa.field("probability", pa.float32()),
+        pa.field("ahead_s", pa.float32()),
+        pa.field("x_m", pa.float64()),
+        pa.field("y_m", pa.float64()),
+    ]
+)
+"""Columns of a predictions file. The agent is the source's own id, ``time_s`` when it was
+predicted, ``ahead_s`` how much later it is to be there."""
+
+
+def predictions_table(
+    prediction: Prediction, history: Tracks, predictor: str, episode: str, horizon_s: float
+) -> pa.Table:
+    """One instant's futures as rows.
+
+    Args:
+        prediction: the futures of the agents of the history.
+        history: what was predicted from; its last column is the present.
+        predictor: whose futures they are.
+        episode: its id.
+        horizon_s: no place farther ahead is kept, s.
+
+    Returns:
+        A table with the columns `PREDICTIONS`; agents, futures and times ascend.
+    """
+    ahead = np.arange(1, round(horizon_s / SAMPLE_S) + 1) * SAMPLE_S
+    ahead = ahead[ahead <= prediction.time_s[-1] + 1e-6]
+    xy = prediction.xy[:, :, np.searchsorted(prediction.time_s, ahead - 1e-6)]
+    n, modes, times, _ = xy.shape
+    rows = n * modes * times
+    agent = np.repeat(np.searchsorted(history.ids, prediction.ids), modes * times)
+    columns = [
+        pa.array([episode] * rows, pa.string()),
+        pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), [predictor]),
+        pa.array(history.names, pa.string()).take(pa.array(agent)),
+        pa.array(np.full(rows, history.time_s[-1])),
+        pa.array(np.tile(np.repeat(np.arange(modes), times), n).astype(np.int8)),
+        pa.array(np.repeat(prediction.probability.ravel(), times).astype(np.float32)),
+        pa.array(np.tile(ahead, n * modes).astype(np.float32)),
+        pa.array(xy[..., 0].ravel()),
+        pa.array(xy[..., 1].ravel()),
+    ]
+    return pa.Table.from_arrays(columns, schema=PREDICTIONS)
+
+
+class TakesTables(Protocol):
+    """What tables are written to."""
+
+    def write_table(self, table: pa.Table) -> None:
+        """Add a table's rows."""
+        ...
+
+
+@contextmanager
+def predictions_file(path: Path) -> Iterator[TakesTables]:
+    """A new predictions file; it appears whole when the block ends, or not at all.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    with (
+        whole_file(path) as partial,
+        pq.ParquetWriter(partial, PREDICTIONS, compression="zstd") as writer,
+    ):
+        yield writer

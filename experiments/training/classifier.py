@@ -1,0 +1,140 @@
+"""Train a method on datasets' training episodes and save the model with its card."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from behaviors.errors import lookup
+from experiments.data.windows import OBSERVED_S, gather
+from experiments.scoring.models import Scored, majority_of, score_model
+from graphrqi.methods import METHODS, Model, check_model_folder, save_model, train
+from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
+from sim.store.dataset import Dataset, open_dataset
+from sim.store.schema import Split
+
+TRAINING_EVERY_S: Final = 3.0
+"""Time between the ends of training windows of one driver (our choice)."""
+
+TRAINING_PER_MOMENT: Final = 1
+"""Window lengths drawn for each driver and moment in training (our choice)."""
+
+TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
+"""Speed limits of training data, episode by episode: a third of the training episodes have another
+one, so that speeds are understood beside the pace of the place; the episodes to validate and to
+score on have the usual one."""
+
+
+def train_model(
+    datasets: Sequence[Dataset],
+    method: str,
+    *,
+    solver: str = "graphrqi",
+    per_moment: int = TRAINING_PER_MOMENT,
+    seed: int = 0,
+    jobs: int | None = None,
+    quiet: bool = True,
+) -> tuple[Model, dict[str, Scored]]:
+    """Train on the training episodes of all scenarios; validation episodes stop and calibrate.
+
+    Args:
+        datasets: with train, validation and (for the card) test episodes.
+        method: a key of ``METHODS``.
+        solver: a key of ``SOLVERS``.
+        per_moment: window lengths drawn for each driver and moment.
+        seed: same seed and data, same model.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        The model, whose card tells the data, the split and the scores; and its scores on the
+        test episodes of each scenario.
+    """
+    chosen = lookup(METHODS, method, "method")
+    wanted: dict[str, Any] = {
+        "solver": solver,
+        "windows_s": WINDOWS_S,
+        "every_s": TRAINING_EVERY_S,
+        "per_moment": per_moment,
+        "seed": seed,
+        "jobs": jobs,
+        "quiet": quiet,
+    }
+    training = gather(datasets, "train", chosen.name, **wanted)
+    has_validation = any(dataset.episodes("validation") for dataset in datasets)
+    validation, scored = None, dict[str, Scored]()
+    if has_validation:
+        with _left_out():
+            validation = gather(datasets, "validation", chosen.name, **wanted)
+    model = train(chosen.name, training, validation, solver, seed)
+    if any(dataset.episodes("test") for dataset in datasets):
+        with _left_out():
+            scored = score_model(datasets, model, majority_of(training), jobs=jobs, quiet=quiet)
+    return dataclasses.replace(model, card=_card(datasets, model, training, scored)), scored
+
+
+@contextmanager
+def _left_out() -> Iterator[None]:
+    """Do without a part of the data from which nothing can be told, and say so."""
+    try:
+        yield
+    except NoSamplesError as reason:
+        sys.stderr.write(f"graphrqi: left out {reason}\n")
+
+
+def _card(
+    datasets: Sequence[Dataset], model: Model, training: Samples, scored: dict[str, Scored]
+) -> dict[str, Any]:
+    return {
+        "summary": model.method.summary,
+        "data": {
+            "configurations": [dict(dataset.manifest.configuration) for dataset in datasets],
+            "schema_versions": [dataset.manifest.schema_version for dataset in datasets],
+            "episodes": {
+                s: sum(len(dataset.episodes(s)) for dataset in datasets) for s in get_args(Split)
+            },
+        },
+        "training_windows": len(training),
+        "windows_s": [w if math.isfinite(w) else "life so far" for w in WINDOWS_S],
+        "protocol": f"test episodes were never trained on; windows of {OBSERVED_S:g} s, one a "
+        "second for every driver; 95 % intervals by bootstrap over episodes",
+        "scores": {
+            scenario: {name: value.as_dict() for name, value in found.scores.items()}
+            for scenario, found in scored.items()
+        },
+    }
+
+
+def train_on(
+    datasets: Sequence[Path],
+    method: str,
+    out: Path,
+    seed: int = 0,
+    quiet: bool = False,
+    jobs: int | None = None,
+    per_moment: int = TRAINING_PER_MOMENT,
+) -> Model:
+    """What ``graphrqi train`` does.
+
+    Args:
+        datasets: folders of datasets.
+        method: a key of ``METHODS``.
+        out: where to save the model.
+        seed: same seed and data, same model.
+        quiet: whether to show no progress.
+        jobs: processes; None for one per core.
+        per_moment: window lengths drawn for each driver and moment.
+
+    Returns:
+        The trained model, saved.
+    """
+    opened = [open_dataset(dataset) for dataset in datasets]
+    check_model_folder(out)
+    model, _ = train_model(opened, method, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet)
+    save_model(model, out)
+    return model

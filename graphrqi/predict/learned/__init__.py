@@ -1,0 +1,1 @@
+"""Networks that correct rollouts, and the learned rival without labels."""

@@ -1,0 +1,1 @@
+"""Prediction for recordings that come without a map."""

@@ -1,0 +1,1 @@
+"""Driving a scene on by car-following and lane-changing laws."""

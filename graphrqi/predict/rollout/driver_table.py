@@ -1,0 +1,174 @@
+"""How drivers of each behaviour drive, as numbers of the rollout's car-following law.
+
+The numbers are calibrated on training episodes (`graphrqi.predict.training.calibrate`), because a
+simulator's own parameters put straight into another law predict badly.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from behaviors.profiles import PROFILES
+
+FloatArray = NDArray[np.float64]
+
+DRIVER_FIELDS: Final = (
+    "speed_factor",
+    "time_headway_s",
+    "min_gap_m",
+    "max_accel_mps2",
+    "decel_mps2",
+)
+"""Columns of a driver's numbers in the rollout."""
+
+CARD: Final = "drivers.json"
+"""The calibrated numbers with their card, beside this module."""
+
+SCHEMA_VERSION: Final = 2
+
+
+@dataclass(frozen=True, slots=True)
+class DriverTable:
+    """Calibrated numbers.
+
+    Attributes:
+        behavior: (6, 5) numbers of each behaviour, columns as `DRIVER_FIELDS`.
+        average: (5,) numbers of the one average driver.
+        decay_s: time in which a driver's residual acceleration falls to 1/e, s.
+        average_decay_s: the same with the average driver, s.
+        change_margin_mps2: how much more than by its own threshold a lane change has to gain until
+            it is foreseen, m/s2.
+    """
+
+    behavior: FloatArray
+    average: FloatArray
+    decay_s: float
+    average_decay_s: float
+    change_margin_mps2: float = 0.0
+
+    def expected(self, probability: FloatArray) -> FloatArray:
+        """(n, 5) numbers expected under (n, 6) beliefs: geometric means, as scales combine."""
+        return np.asarray(np.exp(probability @ np.log(self.behavior)), dtype=np.float64)
+
+    def changing(self, probability: FloatArray) -> FloatArray:
+        """(n, 4) lane-changing numbers expected under (n, 6) beliefs: politeness as a mean."""
+        scales = np.exp(probability @ np.log(CHANGING[:, 1:]))
+        out = np.concatenate([probability @ CHANGING[:, :1], scales], axis=1)
+        out[:, 1] += self.change_margin_mps2
+        return np.asarray(out, dtype=np.float64)
+
+
+RUNS_RED: Final[FloatArray] = np.array([PROFILES[b].red_run_probability for b in BEHAVIORS])
+"""(6,) chance that a driver of each behaviour runs a red light."""
+
+YIELDS: Final[FloatArray] = np.array([PROFILES[b].yield_probability for b in BEHAVIORS])
+"""(6,) chance that a driver of each behaviour lets pedestrians go first."""
+
+
+CHANGE_GAIN_MPS2: Final = 0.2
+"""Acceleration that an average driver wants to gain by changing lanes, m/s2 (Kesting et al. 2007
+use 0.1, highway-env 0.2)."""
+
+IMPOSED_BRAKING_MPS2: Final = 2.0
+"""Braking that an average driver imposes on who is behind then, m/s2 (highway-env's; Kesting et al.
+use 4)."""
+
+MOST_IMPOSED_MPS2: Final = 6.0
+"""Nobody imposes more, m/s2 (our choice: hard braking without locking wheels)."""
+
+LEAST_CHANGE_GAP_M: Final = 0.5
+"""Nobody changes into a smaller gap, m (our choice)."""
+
+LEAST_GAIN: Final = 0.01
+"""Eagerness and assertiveness count as no less, so that there are scales to combine (ours)."""
+
+CHANGING_FIELDS: Final = ("politeness", "threshold_mps2", "imposed_braking_mps2", "least_gap_m")
+"""Columns of a driver's lane-changing numbers in the rollout."""
+
+
+CHANGING: Final[FloatArray] = np.array(
+    [
+        [
+            p.politeness,
+            CHANGE_GAIN_MPS2 / max(p.lane_change_gain, LEAST_GAIN),
+            min(
+                IMPOSED_BRAKING_MPS2 * max(p.lane_change_assertiveness, LEAST_GAIN),
+                MOST_IMPOSED_MPS2,
+            ),
+            max(p.min_gap_m / max(p.lane_change_assertiveness, LEAST_GAIN), LEAST_CHANGE_GAP_M),
+        ]
+        for p in (PROFILES[b] for b in BEHAVIORS)
+    ]
+)
+"""(6, 4) each profile's own numbers for MOBIL, columns as `CHANGING_FIELDS`."""
+
+
+def initial_table() -> DriverTable:
+    """The profiles' own numbers: where calibration starts."""
+    rows = np.array(
+        [
+            [p.speed_factor, p.time_headway_s, p.min_gap_m, p.max_accel_mps2, p.comfort_decel_mps2]
+            for p in (PROFILES[b] for b in BEHAVIORS)
+        ]
+    )
+    return DriverTable(rows, np.exp(np.log(rows).mean(axis=0)), 2.0, 2.0)
+
+
+def table_to_json(table: DriverTable, card: dict[str, Any]) -> str:
+    """The table as the text of the package's file."""
+    behavior = {
+        str(b): dict(zip(DRIVER_FIELDS, map(float, row), strict=True))
+        for b, row in zip(BEHAVIORS, table.behavior.round(4), strict=True)
+    }
+    data = {
+        "schema_version": SCHEMA_VERSION,
+        "card": card,
+        "decay_s": round(table.decay_s, 3),
+        "average_decay_s": round(table.average_decay_s, 3),
+        "change_margin_mps2": round(table.change_margin_mps2, 3),
+        "average": dict(zip(DRIVER_FIELDS, map(float, table.average.round(4)), strict=True)),
+        "behavior": behavior,
+    }
+    return json.dumps(data, indent=2) + "\n"
+
+
+def table_from_json(text: str, name: str) -> DriverTable:
+    """The table in the text of a file.
+
+    Raises:
+        InputError: if it is not such a file, or a newer one.
+    """
+    try:
+        data = json.loads(text)
+        version = data["schema_version"]
+        if version != SCHEMA_VERSION:
+            raise InputError(f"{name}: schema_version: found {version}, expected {SCHEMA_VERSION}")
+        return DriverTable(
+            behavior=np.array(
+                [[float(data["behavior"][b][f]) for f in DRIVER_FIELDS] for b in BEHAVIORS]
+            ),
+            average=np.array([float(data["average"][f]) for f in DRIVER_FIELDS]),
+            decay_s=float(data["decay_s"]),
+            average_decay_s=float(data["average_decay_s"]),
+            change_margin_mps2=float(data["change_margin_mps2"]),
+        )
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{name}: expected calibrated drivers, found a broken file: {error}"
+        ) from None
+
+
+@functools.cache
+def default_table() -> DriverTable:
+    """The calibrated numbers that ship in the package."""
+    text = resources.files("graphrqi.predict").joinpath("weights", CARD).read_text(encoding="utf-8")
+    return table_from_json(text, CARD)

@@ -1,0 +1,102 @@
+"""Predictors that drive everyone on by a car-following law: blind, and knowing who drives how."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from graphrqi.posterior import Posterior
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.rollout.driver_parameters import DriverParameters, average, believed, wary
+from graphrqi.predict.rollout.driver_table import DriverTable, default_table
+from graphrqi.predict.rollout.rollout import places, roll
+from graphrqi.predict.rollout.route import on_likely_paths
+from graphrqi.predict.scene.scene import Scene
+from sim.frames import PEDESTRIAN
+
+FloatArray = NDArray[np.float64]
+
+
+def blind(scene: Scene, posterior: Posterior) -> Prediction:
+    """Everyone drives as the average driver does."""
+    return blind_with(scene, default_table())
+
+
+def aware(scene: Scene, posterior: Posterior) -> Prediction:
+    """Everyone drives by the numbers expected of its behaviour.
+
+    The numbers are the posterior's expectation over the behaviours' calibrated ones, not those of
+    the most likely behaviour alone: with a classifier that is often wrong, the latter loses what
+    knowing the behaviour gains. Who is unknown yet drives as the mean of all behaviours.
+    """
+    return aware_with(scene, posterior.of(scene.ids), default_table())
+
+
+def wary_following(scene: Scene, posterior: Posterior) -> Prediction:
+    """`aware`, and conservative drivers keep away from neighbours believed to be aggressive."""
+    return wary_with(scene, posterior.of(scene.ids), default_table())
+
+
+def blind_with(scene: Scene, table: DriverTable) -> Prediction:
+    """`blind` with the given numbers."""
+    return _driven(scene, average(scene, table), table.average_decay_s)
+
+
+def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
+    """`aware` with the given numbers and (n, 6) beliefs."""
+    return _driven(scene, believed(scene, probability, table), table.decay_s)
+
+
+def wary_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
+    """`wary_following` with the given numbers and (n, 6) beliefs."""
+    manners = wary(believed(scene, probability, table), probability)
+    return _driven(scene, manners, table.decay_s)
+
+
+def _driven(scene: Scene, manners: DriverParameters, decay_s: float) -> Prediction:
+    """Everyone driven on along its most likely way."""
+    routed = on_likely_paths(scene, manners)
+    return scene.predicted(places(routed, roll(routed, manners, decay_s)))
+
+
+def oracle(scene: Scene, posterior: Posterior) -> Prediction:
+    """`aware` knowing every driver's true behaviour: what perfect classification would give.
+
+    Raises:
+        InputError: if the history carries no labels.
+    """
+    return aware_with(scene, true_behavior(scene), default_table())
+
+
+def true_behavior(scene: Scene) -> FloatArray:
+    """(n, 6) beliefs of one who knows the true behaviours; uniform for those that have none.
+
+    Raises:
+        InputError: if the history carries no labels.
+    """
+    behavior = scene.history.behavior
+    if behavior is None:
+        raise InputError("oracle: found a history without behaviours, expected labelled tracks")
+    code = behavior.astype(np.int64)
+    sure = np.full((code.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+    sure[code >= 0] = np.eye(len(BEHAVIORS))[code[code >= 0]]
+    return sure
+
+
+def shuffled(scene: Scene, posterior: Posterior) -> Prediction:
+    """`aware` with the beliefs dealt out to the wrong drivers: what wrong labels cost."""
+    return aware(scene, shuffled_posterior(scene, posterior))
+
+
+def shuffled_posterior(scene: Scene, posterior: Posterior) -> Posterior:
+    """The beliefs about the drivers of a scene, each given to another one.
+
+    Who gets whose is the same whenever the same agents are present.
+    """
+    drives = np.flatnonzero(scene.history.kind != PEDESTRIAN)
+    probability = posterior.of(scene.ids)
+    rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in scene.ids[drives]])
+    probability[drives] = probability[drives][rng.permutation(drives.size)]
+    return Posterior(scene.ids, probability)

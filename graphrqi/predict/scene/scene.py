@@ -1,0 +1,206 @@
+"""The present as a predictor needs it: drivers on their paths, gates and pedestrians foreseen.
+
+A `Scene` is made once per instant and shared by all predictors, so that they differ only in what
+they do with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.scene.paths import PathTable
+from graphrqi.predict.scene.sight import Sight, look
+from graphrqi.predict.scene.stop_constraints import gates_to_come
+from sim.frames import Tracks
+from sim.road import Road
+from sim.road.lane_graph import LaneGraph
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+LEARNED_S: Final = 5.0
+"""Horizon that the learned predictors are made for, s."""
+
+LONGEST_S: Final = 30.0
+"""Longest horizon answered, s (our choice: beyond it nothing is known)."""
+
+RETURN_MPS: Final = 0.5
+"""Speed at which a driver off its lane's centre returns to it at least (our choice)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One instant, ready to be driven on; rows are the agents of the history.
+
+    Attributes:
+        history: what was seen; its last column is the present.
+        road: where.
+        graph: its lanes.
+        paths: its paths.
+        steps: how many steps of `STEP_S` are predicted.
+        on_path: (n,) whether the agent drives along a lane.
+        lane: (n,) lane of each, -1 off the road.
+        s: (n,) distance along it, m.
+        offset: (n,) distance to the left of its centre line, m.
+        sideways: (n,) speed to the left, m/s.
+        accel: (n,) present acceleration, m/s2.
+        path: (n,) most likely path of each agent, row of the road's `PathTable`.
+        closed: (R, steps + 1) state of every gate at each step to come.
+        seen: what the history shows of each agent.
+    """
+
+    history: Tracks
+    road: Road
+    graph: LaneGraph
+    paths: PathTable
+    steps: int
+    on_path: BoolArray
+    lane: IntArray
+    s: FloatArray
+    offset: FloatArray
+    sideways: FloatArray
+    accel: FloatArray
+    path: IntArray
+    closed: NDArray[np.int8]
+    seen: Sight
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,) agent ids."""
+        return self.history.ids
+
+    @cached_property
+    def xy(self) -> FloatArray:
+        """(n, 2) present places, m."""
+        return self.history.xy[:, -1].copy()
+
+    @cached_property
+    def speed(self) -> FloatArray:
+        """(n,) present speeds, m/s."""
+        return self.history.speed[:, -1].copy()
+
+    @cached_property
+    def heading(self) -> FloatArray:
+        """(n,) present headings, rad."""
+        return self.history.heading[:, -1].copy()
+
+    @cached_property
+    def time_s(self) -> FloatArray:
+        """(H,) seconds from the present of each predicted place."""
+        return np.arange(1, self.steps + 1, dtype=np.float64) * STEP_S
+
+    def offsets(self) -> FloatArray:
+        """(n, H) distance to the left of the lane: drivers move to its centre and stay, m."""
+        pace = np.maximum(np.abs(self.sideways), RETURN_MPS)
+        left = np.maximum(np.abs(self.offset)[:, None] - pace[:, None] * self.time_s[None], 0.0)
+        return np.asarray(np.sign(self.offset)[:, None] * left)
+
+    def straight_on(
+        self, who: BoolArray | slice = slice(None), time_s: FloatArray | None = None
+    ) -> FloatArray:
+        """(n, H, 2) everyone, or some, at constant velocity, at the predicted or other times, m."""
+        heading = self.heading[who]
+        facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        travelled = self.speed[who, None] * (self.time_s if time_s is None else time_s)
+        return np.asarray(self.xy[who, None] + travelled[..., None] * facing[:, None])
+
+    def predicted(self, xy: FloatArray, probability: FloatArray | None = None) -> Prediction:
+        """A `Prediction` of these agents; ``xy`` (n, H, 2) for one future or (n, K, H, 2)."""
+        futures = xy[:, None] if xy.ndim == 3 else xy
+        if probability is None:
+            probability = np.full(futures.shape[:2], 1.0 / futures.shape[1])
+        return Prediction(self.ids, self.time_s, futures, probability)
+
+    def but(self, **changed: IntArray | FloatArray) -> Scene:
+        """The same scene with other paths, lanes, offsets or speeds sideways.
+
+        Unlike `dataclasses.replace` it keeps what was already worked out of the history.
+        """
+        other = object.__new__(Scene)
+        other.__dict__.update(self.__dict__, **changed)
+        return other
+
+    def with_path(self, path: IntArray) -> Scene:
+        """The same scene with other paths taken."""
+        return self.but(path=path)
+
+
+def check_horizon(horizon_s: float) -> None:
+    """Refuse a horizon that is shorter than a step or longer than `LONGEST_S`."""
+    known = isinstance(horizon_s, (int, float, np.number))
+    if not known or not STEP_S <= horizon_s <= LONGEST_S:
+        raise InputError(
+            f"horizon_s: found {horizon_s!r}, expected seconds from {STEP_S} to {LONGEST_S:g}"
+        )
+
+
+def check_history(history: Tracks) -> None:
+    """Refuse a history that no predictor can read.
+
+    Args:
+        history: tracks.
+
+    Raises:
+        InputError: if times do not increase, or a number is not finite where an agent was seen.
+    """
+    time_s = history.time_s
+    if not (np.isfinite(time_s).all() and (np.diff(time_s) > 0.0).all()):
+        raise InputError("history.time_s: found times that do not increase, expected seconds")
+    for name in ("xy", "heading", "speed", "length", "width"):
+        values = getattr(history, name)
+        seen = values if values.ndim == 1 else values[history.valid]
+        if not np.isfinite(seen).all():
+            raise InputError(
+                f"history.{name}: found a number that is not finite where an agent was seen"
+            )
+
+
+def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
+    """Read the present from a history.
+
+    Args:
+        history: tracks whose last column is the present; agents seen there are kept.
+        road: where it happens.
+        horizon_s: how far ahead to look, s.
+
+    Returns:
+        The scene of the agents present now.
+
+    Raises:
+        InputError: if the horizon is shorter than a step or the history is empty.
+    """
+    check_horizon(horizon_s)
+    if history.time_s.size == 0:
+        raise InputError("history: found no frame, expected at least 1")
+    if not history.valid[:, -1].all():
+        history = history.window(history.time_s.size, history.time_s.size)
+    steps = round(horizon_s / STEP_S)
+    graph, paths = LaneGraph.of(road), PathTable.of(road)
+    seen = look(history, road)
+    lane = seen.lane
+    on_path = lane >= 0
+    path = np.where(on_path, paths.likeliest[np.maximum(lane, 0)], 0)
+    return Scene(
+        history=history,
+        road=road,
+        graph=graph,
+        paths=paths,
+        steps=steps,
+        on_path=on_path,
+        lane=lane,
+        s=seen.s,
+        offset=seen.offset,
+        sideways=seen.sideways,
+        accel=seen.accel,
+        path=path,
+        closed=gates_to_come(history, road, graph, paths, lane, seen.s, path, steps),
+        seen=seen,
+    )

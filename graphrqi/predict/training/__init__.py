@@ -1,0 +1,1 @@
+"""Training the learned predictors and calibrating the numbers of the rollouts."""

@@ -1,0 +1,274 @@
+"""Trains the learned predictors with torch.
+
+The single best guess is trained on its mean distance (so that it is a median, not a mean, of what
+may happen), the other futures winner-takes-all, the scores to name the nearest future, and the
+spreads on the likelihood of what happened under the nearest one. The epoch that does best on
+validation episodes is kept; there the spreads are also scaled to cover what they promise.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.predict.learned.anchors import BASES, KNOT_S, KNOTS, PredictorInputs
+from graphrqi.predict.learned.lstm import Lstm, make_module
+from graphrqi.predict.learned.networks import MODES, PER_MODE, Futures, Perceptron
+from graphrqi.predict.metrics import covered
+
+if TYPE_CHECKING:
+    import torch
+
+FloatArray = NDArray[np.float64]
+
+HIDDEN: Final = (256, 256, 256)
+"""Widths of the hidden layers (our choice, as in the first study)."""
+
+BATCH: Final = 1024
+LEARNING_RATE: Final = 2e-3
+WEIGHT_DECAY: Final = 1e-3
+"""AdamW's settings (our choice on validation episodes)."""
+
+RELAXATION: Final = 0.05
+"""Share of the loss that also pulls on futures that did not win (Rupprecht et al.)."""
+
+CHECKED: Final = 1000
+"""Validation examples at most from which the spreads' scale is found (our choice)."""
+
+SCORE_WEIGHT, SPREAD_WEIGHT = 0.2, 0.1
+"""Weights of the scores' and the spreads' losses against displacement in metres (our choice)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examples:
+    """What is known of drivers and what they did.
+
+    Attributes:
+        inputs: (m, F) float32.
+        bases: (m, B, KNOTS, 2) float32, m.
+        truth: (m, KNOTS, 2) float32, where they went, in their own frame, m.
+    """
+
+    inputs: NDArray[np.float32]
+    bases: NDArray[np.float32]
+    truth: NDArray[np.float32]
+
+    @classmethod
+    def join(cls, parts: list[Examples]) -> Examples:
+        """One after the other."""
+        if not parts:
+            raise InputError("examples: found none, expected at least one episode")
+        return cls(
+            np.concatenate([p.inputs for p in parts]),
+            np.concatenate([p.bases for p in parts]),
+            np.concatenate([p.truth for p in parts]),
+        )
+
+
+def displacement_loss(raw: torch.Tensor, bases: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+    """The loss of a batch: (m, K PER_MODE) outputs, (m, B, KNOTS, 2), (m, KNOTS, 2)."""
+    import torch
+
+    n, b = raw.shape[0], len(BASES)
+    each = raw.view(n, MODES, PER_MODE)
+    time_s = torch.arange(1, KNOTS + 1) * KNOT_S
+    weight = torch.softmax(each[..., :b], dim=-1)
+    residual = each[..., b : b + 2 * KNOTS].reshape(n, MODES, KNOTS, 2) * time_s[:, None]
+    own = torch.einsum("nkb,nbtc->nktc", weight, bases) + residual
+    gap = torch.sqrt(((own - truth[:, None]) ** 2).sum(-1) + 1e-4)
+    mean_gap = gap.mean(-1)
+    guess = mean_gap[:, 0].mean()
+    others = mean_gap[:, 1:]
+    winner = (1 - RELAXATION) * others.min(dim=1).values.mean() + RELAXATION * others.mean()
+    nearest = mean_gap.argmin(dim=1)
+    score = torch.nn.functional.cross_entropy(each[..., -1], nearest)
+    log_scale = each[..., b + 2 * KNOTS : b + 3 * KNOTS].clamp(-6.0, 4.0) + torch.log(time_s)
+    row = torch.arange(n)
+    log_scale = log_scale[row, nearest]
+    squared = gap.detach()[row, nearest] ** 2
+    spread = (2 * log_scale + 0.5 * squared * torch.exp(-2 * log_scale)).mean()
+    return guess + 0.5 * winner + SCORE_WEIGHT * score + SPREAD_WEIGHT * spread
+
+
+def fit(
+    module: torch.nn.Module,
+    draw: Callable[[int], Examples],
+    validation: Examples,
+    epochs: int,
+    seed: int,
+    tell: Callable[[int, float], None],
+) -> float:
+    """Fit a module that maps inputs to outputs, keeping the epoch best on validation.
+
+    Args:
+        module: called with standardised inputs (m, F).
+        draw: the training episodes' examples for an epoch; as many every time.
+        validation: of others.
+        epochs: passes over the training examples.
+        seed: of the order.
+        tell: called with each epoch and its validation ADE, m.
+
+    Returns:
+        The best validation ADE, m; the module holds that epoch's weights.
+    """
+    import torch
+
+    optimizer = torch.optim.AdamW(module.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    training = draw(0)
+    steps = max(1, len(training.inputs) // BATCH) * epochs
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, max_lr=LEARNING_RATE, total_steps=steps + 1, pct_start=0.1
+    )
+    generator = torch.Generator().manual_seed(seed)
+    best, kept = float("inf"), {k: v.clone() for k, v in module.state_dict().items()}
+    for epoch in range(epochs):
+        module.train()
+        training = draw(epoch) if epoch else training
+        inputs, bases = torch.from_numpy(training.inputs), torch.from_numpy(training.bases)
+        truth = torch.from_numpy(training.truth)
+        order = torch.randperm(len(inputs), generator=generator)
+        whole = max(1, len(order) // BATCH) * BATCH
+        for batch in torch.split(order[:whole], BATCH):
+            loss = displacement_loss(module(inputs[batch]), bases[batch], truth[batch])
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(module.parameters(), 5.0)
+            optimizer.step()
+            schedule.step()
+        ade = validation_ade(module, validation)
+        tell(epoch, ade)
+        if ade < best:
+            best, kept = ade, {k: v.clone() for k, v in module.state_dict().items()}
+    module.load_state_dict(kept)
+    return best
+
+
+def validation_ade(module: torch.nn.Module, examples: Examples) -> float:
+    """Mean distance of the best guess, m."""
+    import torch
+
+    from graphrqi.predict.learned.networks import decode
+
+    module.eval()
+    with torch.no_grad():
+        raw = module(torch.from_numpy(examples.inputs)).numpy().astype(np.float64)
+    own = decode(raw, examples.bases.astype(np.float64), 1.0).own[:, 0]
+    return float(np.linalg.norm(own - examples.truth, axis=-1).mean())
+
+
+def standardization(inputs: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+    """(F,) means and (F,) standard deviations; constant inputs are left as they are."""
+    mean = inputs.mean(axis=0, dtype=np.float64)
+    scale = inputs.std(axis=0, dtype=np.float64)
+    return mean, np.where(scale > 1e-4, scale, 1.0)
+
+
+def standardized(examples: Examples, mean: FloatArray, scale: FloatArray) -> Examples:
+    """The same examples with standardised inputs, clipped as at inference."""
+    inputs = np.clip((examples.inputs - mean) / scale, -8.0, 8.0).astype(np.float32)
+    return replace(examples, inputs=inputs)
+
+
+def train_perceptron(
+    training: Examples | Callable[[int], Examples],
+    validation: Examples,
+    *,
+    epochs: int = 30,
+    seed: int = 0,
+    tell: Callable[[int, float], None] = lambda epoch, ade: None,
+) -> Perceptron:
+    """Train the network of `graphrqi.predict.learned.networks`.
+
+    Args:
+        training: of training episodes; or what draws them anew for each epoch.
+        validation: of others, to choose the epoch and to scale the spreads.
+        epochs: passes over the training examples.
+        seed: of weights and order.
+        tell: called with each epoch and its validation ADE, m.
+
+    Returns:
+        The trained network.
+    """
+    import torch
+
+    torch.manual_seed(seed)
+    draw = training if callable(training) else lambda epoch: training
+    mean, scale = standardization(draw(0).inputs)
+    sizes = (mean.size, *HIDDEN, MODES * PER_MODE)
+    layers: list[torch.nn.Module] = []
+    for i, (inside, outside) in enumerate(itertools.pairwise(sizes)):
+        linear = torch.nn.Linear(inside, outside)
+        layers.append(linear)
+        if i < len(sizes) - 2:
+            layers.append(torch.nn.SiLU())
+        else:
+            with torch.no_grad():  # begin as the likeliest rollout
+                linear.weight.mul_(0.05)
+                linear.bias.zero_()
+                linear.bias.view(MODES, PER_MODE)[:, 0] = 2.0
+    module = torch.nn.Sequential(*layers)
+    fit(
+        module,
+        lambda epoch: standardized(draw(epoch), mean, scale),
+        standardized(validation, mean, scale),
+        epochs,
+        seed,
+        tell,
+    )
+    linears = [m for m in module if isinstance(m, torch.nn.Linear)]
+    network = Perceptron(
+        mean,
+        scale,
+        tuple(np.ascontiguousarray(m.weight.detach().numpy().T) for m in linears),
+        tuple(m.bias.detach().numpy() for m in linears),
+        1.0,
+    )
+    futures = network(
+        PredictorInputs(validation.inputs.astype(np.float64), validation.bases.astype(float))
+    )
+    return replace(network, spread_scale=right_spread(futures, validation.truth))
+
+
+def train_lstm(
+    training: Examples,
+    validation: Examples,
+    *,
+    epochs: int = 30,
+    seed: int = 0,
+    tell: Callable[[int, float], None] = lambda epoch, ade: None,
+) -> Lstm:
+    """Train the network of `graphrqi.predict.learned.lstm`; see `train_perceptron`."""
+    import torch
+
+    torch.manual_seed(seed)
+    mean, scale = standardization(training.inputs)
+    train = standardized(training, mean, scale)
+    module = make_module(training.inputs.shape[1])
+    fit(
+        module, lambda epoch: train, standardized(validation, mean, scale),
+        epochs, seed, tell,
+    )  # fmt: skip
+    network = Lstm(module, mean, scale, 1.0)
+    futures = network(
+        PredictorInputs(validation.inputs.astype(np.float64), validation.bases.astype(float))
+    )
+    return Lstm(module, mean, scale, right_spread(futures, validation.truth))
+
+
+def right_spread(futures: Futures, truth: NDArray[np.float32]) -> float:
+    """Factor for the spreads with which nominal 90 % sets cover 90 % at the last knot."""
+    low, high = 0.1, 10.0
+    every = max(1, len(truth) // CHECKED)
+    own, spread = futures.own[::every, :, -1], futures.spread[::every, :, -1]
+    probability, ended = futures.probability[::every], truth[::every, -1].astype(np.float64)
+    for _ in range(20):
+        middle = float(np.sqrt(low * high))
+        inside = covered(own, spread * middle, probability, ended)
+        low, high = (middle, high) if inside.mean() < 0.9 else (low, middle)
+    return float(np.sqrt(low * high))

@@ -1,0 +1,1 @@
+"""GraphRQI, certified: the default solver and the kernels that it is made of."""

@@ -1,0 +1,367 @@
+"""GraphRQI, certified: the default solver.
+
+Rayleigh-quotient iterations for the k wanted pairs that share their factorisations:
+
+1. Reverse Cuthill-McKee order (kept from step to step while it serves), elimination tree, pattern
+   (almost no fill on traffic graphs).
+2. Rayleigh-Ritz in the span of the earlier eigenvectors, carried over by vehicle id. In a large
+   graph the eigenvectors of the largest eigenvalues live around a few vehicles of high degree:
+   all of this is done first for the part of the matrix where they are, which gives vectors that
+   the whole matrix only has to confirm. What that part misses, steps 3 to 5 find.
+3. One kernel factorises L - s I at eight shifts s at once: the Rayleigh quotients of the
+   unconverged vectors, and places where something has to be counted. Each factorisation is
+   applied twice to its vector, and a Rayleigh-Ritz step in the span of the eight results, outside
+   the pairs found already, gives the next ones. Where by the gain so far the same factors will do
+   for all that is left, they are applied once more (twice, where the factor is dense) instead.
+4. The number of negative pivots of each factorisation is the number of eigenvalues below its
+   shift (Sylvester's law of inertia). These counts say in which interval an eigenvalue is
+   missing; there a new vector is started, mostly noise on the vehicles whose edges changed,
+   because every eigenvector that the change made has a part there.
+5. It ends when a count just below the k-th value equals the number of pairs found above it,
+   allowing for the rounding error of the factorisation (largest pivot times unit roundoff).
+   Where eigenvalues equal to the k-th follow, those are found too.
+
+At the smallest end it runs on -L outside the null space, which is known exactly (the component
+indicators). Where the certificate is not reached it starts again without the earlier vectors,
+then falls back on dense solutions by component (d up to 3000), then on ARPACK with a count;
+``note`` says so, and ``certified`` is False if even that could not be shown.
+
+Assumes little fill: costs O(d) per step where the factor has O(d) entries, as for vehicles on roads
+seen at one time; an accumulated graph of a crowded crossing fills in, and each factorisation then
+costs the sum of the squared column counts. Small graphs, and requests for a third of all pairs or
+more, are answered densely by component, which is faster there.
+
+References:
+    Parlett (1998), The Symmetric Eigenvalue Problem, sections 3.3, 4.6-4.9, 11.
+    Grimes, Lewis, Simon (1994), A shifted block Lanczos algorithm, SIMAX 15, 228-272.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum.contract import (
+    End,
+    Floats,
+    Spectrum,
+    answer,
+    carry_rows,
+    check_arguments,
+    components,
+    lambda_max_floor,
+    null_space,
+    pick,
+)
+from graphrqi.spectrum.full import pairs_by_component
+from graphrqi.spectrum.rivals import arpack, eigh
+
+DENSE_BELOW = 32
+"""Vehicles below which a dense solution is faster (measured)."""
+DENSE_SHARE = 3
+"""One in this many pairs wanted, and a dense solution is faster (measured)."""
+MAX_SWEEPS = 25
+"""Factorisations before starting again without the earlier vectors; the median is 2 to 5."""
+MAX_SWEEPS_COLD = 150
+"""Factorisations before falling back (our choice)."""
+DENSE_UP_TO = 3000
+"""Vehicles up to which the fallback is dense: 9e6 doubles (our choice)."""
+MAX_WORK = 1e9
+"""Multiplications of a factorisation above which none is tried (our choice: a few seconds)."""
+LIVELY_FROM = 600
+"""Vertices from which the part where the vectors are is treated first (measured)."""
+STALE = 1.15
+"""Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
+WITHOUT_NULL_SPACE, WITH_NULL_SPACE = 0.1, 0.9
+"""An answer at the smallest end leaves the null space out, or holds a vector of it, if the cosine
+between the two is below or above these (our choice: rounding and residuals move it by 1e-4 where
+eigenvalues are not themselves of the order of the tolerance)."""
+EXTRA = 8
+"""Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What the next step starts from.
+
+    Attributes:
+        vectors: (d, m) all eigenvectors found, m >= k, without the null space.
+        order: (d,) elimination order to use again, or None to find a new one.
+        fill: entries of the factor to one of the matrix when that order was found.
+        product: (d,) a number per row of the Laplacian, see `tracking.Analysis`, if known.
+        room: (r, 8) memory that a factor fitted into; its numbers mean nothing.
+    """
+
+    vectors: Floats
+    order: NDArray[np.int32] | None = None
+    fill: float = 0.0
+    product: Floats | None = None
+    room: Floats | None = None
+
+
+def solve(
+    graph: TrafficGraph,
+    num_pairs: int = 8,
+    end: End = "largest",
+    previous: Spectrum | None = None,
+    tol: float = 1e-8,
+    nonzero: bool = False,
+) -> Spectrum:
+    """Compute pairs at one end and certify that none was missed.
+
+    Args:
+        graph: d vehicles.
+        num_pairs: how many pairs, at most d are returned.
+        end: "largest" or "smallest".
+        previous: earlier answer to start from, of other vehicles too.
+        tol: residual asked for, relative to max(1, lambda_max).
+        nonzero: leave out the null space.
+
+    Returns:
+        The pairs, certified; ``note`` tells of a fallback.
+
+    Raises:
+        InputError: for an argument out of range.
+
+    Examples:
+        >>> road = [(i, i + 1) for i in range(99)]
+        >>> first = solve(TrafficGraph.from_edges(range(100), road), 3)
+        >>> exact = 2 - 2 * np.cos(np.pi * np.arange(99, 96, -1) / 100)
+        >>> bool(abs(first.eigenvalues - exact).max() < 1e-12), first.certified
+        (True, True)
+        >>> closed = TrafficGraph.from_edges(range(100), [*road, (99, 0)])
+        >>> solve(closed, 3, previous=first).eigenvalues.round(6).tolist()
+        [4.0, 3.996053, 3.996053]
+    """
+    check_arguments(num_pairs, end, tol)
+    d = graph.ids.size
+    if d < DENSE_BELOW:
+        values, vectors = eigh.dense_pairs(graph, nonzero)
+        chosen = pick(values, num_pairs, end)
+        kept = vectors[:, chosen]
+        return answer(graph, values[chosen], kept, end, tol, True, "", Found(kept))
+    if DENSE_SHARE * num_pairs >= d:
+        return _dense(graph, num_pairs, end, tol, nonzero, "")
+    warm = previous if previous is not None and previous.end == end else None
+    found = _track(graph, num_pairs, end, warm, tol, nonzero)
+    if found is None and warm is not None:
+        again = _track(graph, num_pairs, end, None, tol, nonzero)
+        if again is not None:
+            found = replace(again, note="started again without the earlier vectors")
+    if found is None:
+        found = _fall_back(graph, num_pairs, end, tol, nonzero)
+    return found
+
+
+def _track(
+    graph: TrafficGraph,
+    num_pairs: int,
+    end: End,
+    previous: Spectrum | None,
+    tol: float,
+    nonzero: bool,
+) -> Spectrum | None:
+    """Analyse a Laplacian, track its pairs, and put the answer together; None if given up."""
+    from graphrqi.spectrum.certified import tracking
+
+    d = graph.ids.size
+    start = _start(graph, previous)
+    smallest = end == "smallest"
+    analysis = tracking.analyse(graph, start.order, -1.0 if smallest else 1.0, start.product)
+    zeros, k = 0, num_pairs
+    if smallest and not nonzero:
+        zeros = min(analysis.components, num_pairs)
+        k = num_pairs - zeros
+    elif smallest or nonzero:
+        k = min(k, d - analysis.components)
+    if DENSE_SHARE * k >= d - analysis.components:
+        return _dense(graph, num_pairs, end, tol, nonzero, "")
+    if analysis.work > MAX_WORK:
+        return None
+    if k == 0:
+        null, carried = null_space(graph)[:, :zeros], Found(np.empty((d, 0)))
+        return answer(graph, np.zeros(zeros), null, end, tol, True, "", carried)
+    fill = (analysis.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
+    first_fill = fill if start.order is None else start.fill
+    order = analysis.order if fill <= STALE * first_fill else None
+    scale = analysis.scale
+    low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
+    if smallest:
+        low, high = -high, 0.0
+    warm = start.vectors
+    room = tracking.room_for(analysis, start.room)
+    if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
+        warm = tracking.track_lively(graph, analysis, warm, k, tol, EXTRA, room)
+    certified, pairs, found, departure = tracking.track(
+        *analysis.pattern, smallest, warm, analysis.changed, k, scale, tol, low, high,
+        MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA, room,
+    )  # fmt: skip
+    if not certified:
+        return None
+    values, residuals = pairs[0, :k].copy(), pairs[1, :k].copy()
+    if smallest:
+        values = -values
+    if departure > 1e-12:
+        # Newton's step to the nearest orthonormal block squares the departure
+        found = 1.5 * found - 0.5 * found @ (found.T @ found)
+        residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
+        if residuals.max() > tol * scale or departure > 1e-5:
+            return None
+    vectors = found[:, :k].copy()
+    if zeros:
+        values = np.concatenate([np.zeros(zeros), values])
+        residuals = np.concatenate([np.zeros(zeros), residuals])
+        vectors = np.hstack([null_space(graph)[:, :zeros], vectors])
+    carried = Found(found, order, first_fill, analysis.product, room)
+    return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
+
+
+def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
+    """Count eigenvalues, and say whether a solver's answer is complete.
+
+    Args:
+        spectrum: k pairs from any solver, the null space left out or not.
+        tol: residual up to which pairs count as converged, relative to max(1, lambda_max).
+
+    Returns:
+        The same pairs, certified if they are converged, orthonormal, and a count of the
+        eigenvalues just beyond the last one finds no more than they are. Where more eigenvalues
+        equal the last one, a count just before it will do. A rounding error in the count that
+        could matter leaves the answer uncertified, and so do vectors of which it cannot be told
+        whether they are to hold the null space.
+    """
+    from graphrqi.spectrum.certified import factorization, tracking
+
+    graph = spectrum.graph
+    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
+    measured = answer(graph, values, vectors, spectrum.end, tol, True, spectrum.note)
+    k, d = values.size, graph.ids.size
+    if not measured.certified or k == 0:
+        return measured
+    scale = max(1.0, lambda_max_floor(graph))
+    analysis = tracking.analyse(graph)
+    if analysis.work > MAX_WORK:
+        return replace(measured, certified=False)
+    away = -1.0 if spectrum.end == "largest" else 1.0
+    floor = 1e-13 * scale
+    last = values.min() if spectrum.end == "largest" else values.max()
+    delta = min(tol * scale, max(floor, 1e-2 * abs(last)))
+    steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
+    lanes = np.empty((5, 8))
+    lanes[factorization.SHIFT] = last + away * steps
+    factorization.factor_and_solve(
+        *analysis[1:8], lanes, 1e-15 * scale, True, 0, np.empty((analysis.rows.size, 8)),
+        np.empty((d, 8)), np.empty((d, 8)), np.zeros((d, 8)),
+    )  # fmt: skip
+    zeros = 0
+    if spectrum.end == "smallest":
+        cosine = _null_space_cosine(graph, vectors)
+        if WITHOUT_NULL_SPACE < cosine < WITH_NULL_SPACE:
+            return replace(measured, certified=False)
+        zeros = analysis.components if cosine <= WITHOUT_NULL_SPACE else 0
+    complete = False
+    for s, n, g in lanes[: factorization.GROWTH + 1].T:
+        error = 4.0 * 2.2e-16 * g
+        if (np.abs(values - s) <= error + measured.residuals).any():
+            continue
+        if spectrum.end == "largest":
+            same = int((values > s).sum()) == int(n)
+            beyond = s + error <= last + delta
+        else:
+            same = int((values < s).sum()) == d - int(n) - zeros
+            beyond = s - error >= last - delta
+        complete = complete or (same and bool(beyond))
+    return answer(
+        graph, values, vectors, spectrum.end, tol, complete, spectrum.note, spectrum.carried
+    )
+
+
+def _null_space_cosine(graph: TrafficGraph, vectors: Floats) -> float:
+    """Cosine of the least angle between the null space and a span: 1 if they share a vector.
+
+    Args:
+        graph: d vehicles.
+        vectors: (d, k) orthonormal columns.
+
+    Returns:
+        The largest singular value of N^T V, N the indicators of the components.
+    """
+    label = components(graph)
+    along = np.stack([np.bincount(label, weights=column) for column in vectors.T])
+    return float(np.linalg.norm(along / np.sqrt(np.bincount(label)), 2))
+
+
+class _Start(NamedTuple):
+    """What the tracker starts from.
+
+    Attributes:
+        vectors: (d, m) earlier vectors, by row of the new graph; m may be 0.
+        product: (d,) its numbers per row, infinite for a new one; None if not known.
+        order: (d,) its elimination order, None if it will not do,
+        fill: and its fill.
+        room: memory for a factor, if there is any.
+    """
+
+    vectors: Floats
+    product: Floats | None
+    order: NDArray[np.int32] | None
+    fill: float
+    room: Floats | None
+
+
+def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
+    d = graph.ids.size
+    if previous is None:
+        return _Start(np.empty((d, 0)), None, None, 0.0, None)
+    found = previous.carried
+    if not isinstance(found, Found):
+        found = Found(previous.eigenvectors)
+    vectors, product, order = found.vectors, found.product, found.order
+    if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
+        vectors, order = carry_rows(previous, graph, vectors), None
+        if product is not None:
+            product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
+    if not vectors.flags.writeable:  # for another type the kernel would be compiled anew
+        vectors = vectors.copy()
+    return _Start(vectors, product, order, found.fill, found.room)
+
+
+def _dense(
+    graph: TrafficGraph, num_pairs: int, end: End, tol: float, nonzero: bool, note: str
+) -> Spectrum:
+    values, vectors, null = pairs_by_component(graph)
+    carried = Found(np.empty((graph.ids.size, 0)))
+    if not nonzero:
+        values = np.concatenate([np.zeros(null.shape[1]), values])
+        vectors = np.hstack([null, vectors])
+    if end == "largest":
+        values, vectors = values[::-1], vectors[:, ::-1]
+    values, vectors = values[:num_pairs].copy(), vectors[:, :num_pairs].copy()
+    carried = Found(vectors)
+    return answer(graph, values, vectors, end, tol, True, note, carried)
+
+
+def _fall_back(
+    graph: TrafficGraph, num_pairs: int, end: End, tol: float, nonzero: bool
+) -> Spectrum:
+    if graph.ids.size <= DENSE_UP_TO:
+        return _dense(graph, num_pairs, end, tol, nonzero, "fell back on a dense solution")
+    found = arpack.solve(graph, num_pairs, end, None, tol, nonzero)
+    return certify(
+        Spectrum(
+            found.ids,
+            found.eigenvalues,
+            found.eigenvectors,
+            found.residuals,
+            False,
+            graph,
+            end,
+            "fell back on ARPACK",
+            Found(found.eigenvectors),
+        ),
+        tol,
+    )

@@ -1,0 +1,155 @@
+"""GraphRQI as it is printed, with the residual it really has.
+
+Chandra et al. (2020), eq. 2 and algorithm 1: every arrival of edges at a vehicle is taken as
+
+    L_t = [L_{t-1} 0; 0 1] + delta delta^T
+
+(without the border where the vehicle was there already), delta being 1 at its new neighbours,
+and each eigenpair follows by Rayleigh-quotient iterations x <- (L_t - mu I)^-1 x, the inverse by
+Sherman-Morrison in the old eigenbasis. For no binary delta is this matrix a Laplacian, so the
+pairs drift away from the graph's by order 1 at the first step; edges that vanish have no update
+at all; several pairs converge to the same vector, so the columns are not orthonormal. Nothing here
+mends that: the answer's ``residuals`` say what it costs. docs/spectrum.md shows each error in two
+lines; `graphrqi.spectrum.rivals.exact` is the same algorithm made right.
+
+The printed loop, "while ||x_new - x_old|| <= eps", is reversed (it would stop at once); it is run
+the way it must have been meant. Costs O(d^2) per iteration and O(d^3) per arrival.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graphrqi.graph import TrafficGraph, change_between
+from graphrqi.spectrum.contract import (
+    End,
+    Floats,
+    Spectrum,
+    answer,
+    check_arguments,
+    null_space,
+    pick,
+)
+from graphrqi.spectrum.rivals import eigh
+from graphrqi.spectrum.rivals.exact import AllPairs
+
+MAX_ITERATIONS = 5
+"""Rayleigh-quotient iterations per pair and update (our choice; none is printed)."""
+CHANGE = 1e-8
+"""The printed eps: change of the unit vector at which the iteration ends (our choice of value)."""
+
+
+def solve(
+    graph: TrafficGraph,
+    num_pairs: int = 8,
+    end: End = "largest",
+    previous: Spectrum | None = None,
+    tol: float = 1e-8,
+    nonzero: bool = False,
+) -> Spectrum:
+    """Update all pairs of ``previous`` by the printed formula and return those asked for.
+
+    Args:
+        graph: d vehicles.
+        num_pairs: how many pairs, at most d are returned.
+        end: "largest" or "smallest".
+        previous: this solver's last answer; without it, or where vehicles departed, the start
+            is a dense solution.
+        tol: only what the answer is judged by.
+        nonzero: leave out as many of the smallest values as there are components.
+
+    Returns:
+        The pairs, of unit length but not orthogonal, with their residuals against the graph's
+        true Laplacian; certified only at a dense start.
+
+    Raises:
+        InputError: for an argument out of range.
+    """
+    check_arguments(num_pairs, end, tol)
+    pairs = None
+    if previous is not None and isinstance(previous.carried, AllPairs):
+        before = previous.graph
+        if np.array_equal(graph.ids[: before.ids.size], before.ids):
+            pairs = _follow(previous.carried, before, graph)
+    fresh = pairs is None
+    null = null_space(graph)
+    if pairs is None:
+        values, vectors = eigh.dense_pairs(graph, True)
+        values = np.concatenate([np.zeros(null.shape[1]), values])
+        vectors = np.hstack([null, vectors])
+        order = np.arange(values.size)
+    else:
+        values, vectors = pairs
+        order = np.argsort(values, kind="stable")
+    if nonzero:
+        order = order[null.shape[1] :]
+    chosen = order[pick(values[order], num_pairs, end)]
+    note = "solved anew" if fresh else ""
+    return answer(
+        graph, values[chosen], vectors[:, chosen], end, tol, fresh, note, AllPairs(values, vectors)
+    )
+
+
+def _follow(pairs: AllPairs, before: TrafficGraph, graph: TrafficGraph) -> tuple[Floats, Floats]:
+    """Apply the printed update once for every vehicle that gained edges.
+
+    Args:
+        pairs: all pairs of the earlier graph, as this algorithm has them.
+        before: the earlier graph, whose rows come first in ``graph``.
+        graph: the later graph.
+
+    Returns:
+        (d,) values and (d, d) unit vectors.
+    """
+    values, vectors = pairs.values, pairs.vectors
+    change = change_between(before, graph)
+    order = np.argsort(graph.ids)
+    ends = order[np.searchsorted(graph.ids[order], change.edges[change.weights > 0.0])]
+    first, last = np.sort(ends, axis=1).T
+    grown = set(range(before.ids.size, graph.ids.size))
+    for vertex in sorted({*last.tolist(), *grown}):
+        d = values.size
+        if vertex in grown:
+            d += 1
+            values = np.append(values, 1.0)
+            border = np.eye(d)
+            border[: d - 1, : d - 1] = vectors
+            vectors = border
+        delta = np.zeros(d)
+        delta[first[last == vertex]] = 1.0
+        values, vectors = _rank_one(values, vectors, delta)
+    return values, vectors
+
+
+def _rank_one(values: Floats, vectors: Floats, delta: Floats) -> tuple[Floats, Floats]:
+    """Rayleigh-quotient iterations for every pair of U Lambda U^T + delta delta^T.
+
+    Args:
+        values: (d,) Lambda.
+        vectors: (d, d) U, taken for orthonormal as the paper does.
+        delta: (d,).
+
+    Returns:
+        (d,) Rayleigh quotients and (d, d) unit vectors; nothing keeps these different.
+    """
+    r = vectors.T @ delta
+    x = np.eye(values.size)
+    shift = values + r**2
+    for _ in range(MAX_ITERATIONS):
+        gap = values[:, None] - shift
+        gap = np.where(np.abs(gap) < 1e-14, 1e-14, gap)
+        ax, ar = x / gap, r[:, None] / gap
+        denominator = 1.0 + r @ ar
+        denominator = np.where(np.abs(denominator) < 1e-14, 1e-14, denominator)
+        y = ax - ar * ((r @ ax) / denominator)  # Sherman-Morrison
+        length = np.linalg.norm(y, axis=0)
+        usable = (length > 0.0) & np.isfinite(length)
+        y = np.where(usable, y / np.where(usable, length, 1.0), x)
+        change = np.minimum(np.linalg.norm(y - x, axis=0), np.linalg.norm(y + x, axis=0)).max()
+        x = y
+        shift = values @ x**2 + (r @ x) ** 2
+        if change <= CHANGE:
+            break
+    moved = vectors @ x  # the columns of U may have become dependent: a zero column stays zero
+    length = np.linalg.norm(moved, axis=0)
+    return shift, moved / np.where(length > 0.0, length, 1.0)

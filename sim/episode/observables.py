@@ -1,0 +1,234 @@
+"""What can be seen of the traffic from positions, headings and speeds on a known road.
+
+Who is on which lane, who follows whom and how closely, what limit holds, which signal, stop line
+or crossing lies ahead and whether someone walks there. One function serves a single frame and a
+whole episode: every instant is worked on at once.
+
+Leaders are looked for along the lane and onward over the junctions. Where a lane goes on in
+several ways the straightest one is followed, because a frame does not say where a driver wants to
+go; gaps are bumper to bumper. Vehicles on a junction's other paths are not leaders.
+
+References:
+    Surrogate safety measures: Hayward (1972), "Near miss determination through use of a scale of
+    danger" (time to collision).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sim.episode.rows import TrajectoryRows
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal
+from sim.road import Road, lane_search
+from sim.road.lane_graph import LaneGraph, project
+
+LOOK_AHEAD_M: Final = 200.0
+"""Leaders, signals and crossings farther than this are not seen (our choice: 14 s at 14 m/s)."""
+
+MAX_LANES_AHEAD: Final = 8
+"""How many lanes onward are searched at most: junction paths are short (our choice)."""
+
+MIN_SPEED_MPS: Final = 0.1
+"""Below this a headway in seconds means nothing; it is infinite (our choice)."""
+
+CROSSING_MARGIN_M: Final = 2.0
+"""A pedestrian this close beside a crossing or its end counts as near it (our choice: one stride
+and the width of the kerb)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observables:
+    """What is seen of n agents of a `Frame`, or in the n rows of `TrajectoryRows`.
+
+    Distances are +inf and indices -1 where there is nothing; for pedestrians everything is.
+
+    Attributes:
+        on_road: (n,) whether the agent drives on a lane (its centre within the lane's width).
+        lane: (n,) index into ``Road.lanes``.
+        s: (n,) distance along the lane, m.
+        offset: (n,) signed distance to the left of the lane's centre line, m.
+        lane_heading: (n,) heading relative to the lane's, rad in (-pi, pi]; near pi: the wrong way.
+        limit: (n,) speed limit, m/s; NaN where unknown.
+        leader: (n,) row of the vehicle ahead.
+        gap: (n,) bumper to bumper to the leader, m; negative when boxes overlap.
+        closing: (n,) own speed minus the leader's, m/s; 0 without leader.
+        headway: (n,) gap over own speed, s.
+        time_to_collision: (n,) gap over closing speed, s; +inf when not closing.
+        follower: (n,) row of the nearest vehicle that has this one as its leader.
+        stop_distance: (n,) front bumper to the next junction entry, m; negative when inside one.
+        signal: (n,) code into ``SIGNALS`` of the signal there; ``OFF`` if none.
+        crossing: (n,) the next crossing on the way, index into ``Road.crossings``.
+        crossing_distance: (n,) front bumper to the near edge of it, m.
+        crossing_occupied: (n,) whether a pedestrian is on that crossing.
+        crossing_waiting: (n,) whether one stands within reach of either end of it.
+    """
+
+    on_road: BoolArray
+    lane: IntArray
+    s: FloatArray
+    offset: FloatArray
+    lane_heading: FloatArray
+    limit: FloatArray
+    leader: IntArray
+    gap: FloatArray
+    closing: FloatArray
+    headway: FloatArray
+    time_to_collision: FloatArray
+    follower: IntArray
+    stop_distance: FloatArray
+    signal: CodeArray
+    crossing: IntArray
+    crossing_distance: FloatArray
+    crossing_occupied: BoolArray
+    crossing_waiting: BoolArray
+
+
+def observe(traffic: Frame | TrajectoryRows, road: Road) -> Observables:
+    """Everything `Observables` lists, for one frame or a whole episode.
+
+    Args:
+        traffic: a frame, or the steps of an episode or a recording.
+        road: where it happens.
+
+    Returns:
+        Arrays in the order of the frame's agents, or of the rows; so are the indices in them.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from sim.road import Lane
+        >>> lane = Lane("a", "e", 0, np.array([[0.0, 0.0], [100.0, 0.0]]), 3.2, 10.0)
+        >>> road = Road("line", (lane,), (), (), (), Path("none"))
+        >>> frame = Frame(
+        ...     time_s=0.0, ids=[0, 1], xy=[[10.0, 0.0], [34.0, 0.0]], heading=[0.0, 0.0],
+        ...     speed=[10.0, 5.0], length=[4.0, 4.0], width=[2.0, 2.0], kind=[0, 0])
+        >>> seen = observe(frame, road)
+        >>> seen.leader.tolist(), seen.gap.tolist(), seen.time_to_collision[0].item()
+        ([1, -1], [20.0, inf], 4.0)
+    """
+    if isinstance(traffic, Frame):
+        n = len(traffic)
+        return _observe(
+            road, traffic.xy, traffic.heading, traffic.speed, traffic.length,
+            traffic.kind == PEDESTRIAN, traffic.signals[:, None],
+            np.zeros(n, np.int64), np.arange(n), np.array([0, n]),
+        )  # fmt: skip
+    row_index = traffic.row_index
+    return _observe(
+        road, traffic.xy, traffic.heading, traffic.speed, traffic.length[row_index.agent],
+        traffic.walking, traffic.signals, row_index.step, *row_index.by_time(),
+    )  # fmt: skip
+
+
+def crossing_people(
+    road: Road, instant: IntArray, xy: FloatArray, instants: int
+) -> tuple[BoolArray, BoolArray]:
+    """On which crossings someone walks, and beside which someone stands.
+
+    Args:
+        road: where it happens.
+        instant: (p,) instant of each pedestrian seen.
+        xy: (p, 2) where, m.
+        instants: how many instants there are.
+
+    Returns:
+        (C, instants) occupied, and (C, instants) someone within `CROSSING_MARGIN_M` of an end.
+    """
+    occupied = np.zeros((len(road.crossings), instants), dtype=bool)
+    waiting = np.zeros_like(occupied)
+    for c, crossing in enumerate(road.crossings):
+        u, across, total = lane_search.along(crossing.centerline, xy)
+        beside = np.abs(across) <= crossing.width_m / 2 + CROSSING_MARGIN_M
+        on = beside & (u > 0) & (u < total)
+        near = beside & ~on & (u > -CROSSING_MARGIN_M) & (u < total + CROSSING_MARGIN_M)
+        occupied[c, instant[on]] = True
+        waiting[c, instant[near]] = True
+    return occupied, waiting
+
+
+def _observe(
+    road: Road,
+    xy: FloatArray,
+    heading: FloatArray,
+    speed: FloatArray,
+    length: FloatArray,
+    walking: BoolArray,
+    signals: CodeArray,
+    instant: IntArray,
+    by_time: IntArray,
+    begins: IntArray,
+) -> Observables:
+    """What is seen in m rows.
+
+    Args:
+        road: where it happens.
+        xy: (m, 2) m.
+        heading: (m,) rad.
+        speed: (m,) m/s.
+        length: (m,) m.
+        walking: (m,) whether the row is a pedestrian's.
+        signals: (S, T) codes.
+        instant: (m,) index of the row's time.
+        by_time: (m,) the rows in order of time.
+        begins: (T + 1,) where in ``by_time`` those of each time begin, and m.
+    """
+    graph = LaneGraph.of(road)
+    m = speed.size
+    place = project(road, xy, heading)
+    xy_of_place, facing = graph.position(place.lane, place.s, place.offset)
+    lane_heading = np.pi - (np.pi - (heading - facing)) % (2 * np.pi)
+    inside = np.abs(place.offset) <= graph.width[place.lane] / 2 + 0.5  # half a metre: our choice
+    on_road = ~walking & inside & (np.hypot(*(xy - xy_of_place).T) < 5.0)
+    lane = np.where(on_road, place.lane, -1)
+    forward = np.where(on_road & (np.abs(lane_heading) < np.pi / 2), lane, -1)
+
+    leader, distance = lane_search.leaders(
+        by_time, begins, lane, forward, place.s, graph.length, graph.ahead, MAX_LANES_AHEAD,
+        LOOK_AHEAD_M,
+    )  # fmt: skip
+    has = leader >= 0
+    gap = np.full(m, np.inf)
+    closing = np.zeros(m)
+    gap[has] = distance[has] - (length[has] + length[leader[has]]) / 2
+    closing[has] = speed[has] - speed[leader[has]]
+    headway = np.full(m, np.inf)
+    np.divide(gap, speed, out=headway, where=has & (speed > MIN_SPEED_MPS))
+    collision = np.full(m, np.inf)
+    np.divide(np.maximum(gap, 0.0), closing, out=collision, where=has & (closing > 1e-6))
+
+    signal = np.full(m, Signal.OFF.code, dtype=np.int8)
+    stop_distance, group, crossing, crossing_distance = lane_search.stops_ahead(
+        forward, place.s + length / 2, graph.length, graph.ahead, graph.internal, graph.signal,
+        graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, MAX_LANES_AHEAD,
+        LOOK_AHEAD_M,
+    )  # fmt: skip
+    lit = np.flatnonzero((group >= 0) & (group < signals.shape[0]))
+    signal[lit] = signals[group[lit], instant[lit]]
+
+    occupied, waiting = crossing_people(road, instant[walking], xy[walking], signals.shape[1])
+    meets = crossing >= 0
+    is_occupied, is_waiting = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
+    is_occupied[meets] = occupied[crossing[meets], instant[meets]]
+    is_waiting[meets] = waiting[crossing[meets], instant[meets]]
+    return Observables(
+        on_road=on_road,
+        lane=lane,
+        s=np.where(on_road, place.s, np.nan),
+        offset=np.where(on_road, place.offset, np.nan),
+        lane_heading=np.where(on_road, lane_heading, np.nan),
+        limit=np.where(on_road, graph.limit[place.lane], np.nan),
+        leader=leader,
+        gap=gap,
+        closing=closing,
+        headway=headway,
+        time_to_collision=collision,
+        follower=lane_search.followers(leader, gap),
+        stop_distance=stop_distance,
+        signal=signal,
+        crossing=crossing,
+        crossing_distance=crossing_distance,
+        crossing_occupied=is_occupied,
+        crossing_waiting=is_waiting,
+    )

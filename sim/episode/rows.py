@@ -1,0 +1,82 @@
+"""An episode as one row per agent and time: what is looked for over a whole episode works on these.
+
+`sim.frames.Tracks` hold the same as dense arrays, which are mostly empty when an episode is long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from behaviors.row_index import RowIndex
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, Event, FloatArray, IntArray, Tracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryRows:
+    """What was seen of N agents at T times: m rows, by agent, then by time.
+
+    Attributes:
+        row_index: which agent each row is of, and when.
+        ids: (N,) agent ids, ascending.
+        kind: (N,) codes into ``KINDS``.
+        length: (N,) m.
+        width: (N,) m.
+        time_s: (T,) s, increasing.
+        step_s: time between frames, s.
+        xy: (m, 2) m.
+        heading: (m,) rad.
+        speed: (m,) m/s.
+        signals: (S, T) codes into ``SIGNALS``.
+        events: what the source told, in time order.
+    """
+
+    row_index: RowIndex
+    ids: IntArray
+    kind: CodeArray
+    length: FloatArray
+    width: FloatArray
+    time_s: FloatArray
+    step_s: float
+    xy: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    signals: CodeArray
+    events: tuple[Event, ...] = ()
+
+    @classmethod
+    def of(cls, tracks: Tracks) -> TrajectoryRows:
+        """The rows of an episode or a recording.
+
+        Args:
+            tracks: at least two frames long.
+
+        Examples:
+            >>> TrajectoryRows.of(Tracks(
+            ...     ids=[7], names=("7",), kind=[0], length=[4.0], width=[2.0], time_s=[0.1, 0.2],
+            ...     xy=[[[np.nan, np.nan], [3.0, 4.0]]], heading=[[np.nan, 0.0]],
+            ...     speed=[[np.nan, 5.0]], valid=[[False, True]], signals=np.zeros((0, 2)))).xy
+            array([[3., 4.]])
+        """
+        row_index = RowIndex.of(tracks.valid)
+        at = row_index.agent, row_index.step
+        return cls(
+            row_index=row_index,
+            ids=tracks.ids,
+            kind=tracks.kind,
+            length=tracks.length,
+            width=tracks.width,
+            time_s=tracks.time_s,
+            step_s=tracks.step_s,
+            xy=tracks.xy[at],
+            heading=tracks.heading[at],
+            speed=tracks.speed[at],
+            signals=tracks.signals,
+            events=tracks.events,
+        )
+
+    @property
+    def walking(self) -> BoolArray:
+        """(m,) whether the agent is a pedestrian."""
+        return np.asarray((self.kind == PEDESTRIAN)[self.row_index.agent])

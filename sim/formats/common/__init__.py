@@ -1,0 +1,1 @@
+"""What the readers of recordings share: columns, windows, units and the way to `Tracks`."""

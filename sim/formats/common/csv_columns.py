@@ -1,0 +1,236 @@
+"""Named columns of a CSV file as arrays, with every way to be broken as one clear error."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pv
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size
+
+MAX_HEADER_BYTES: Final = 65536
+"""Longest first line (our choice; the longest known has 300)."""
+
+_COLUMN: Final = re.compile(r"In CSV column #(\d+): ")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns that were asked for.
+
+    Attributes:
+        path: the file.
+        table: one column per name asked for.
+    """
+
+    path: Path
+    table: pa.Table
+
+    def __contains__(self, name: str) -> bool:
+        """Whether the file has the column."""
+        return name in self.table.column_names
+
+    def __len__(self) -> int:
+        """How many rows there are."""
+        return int(self.table.num_rows)
+
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """(m,) a column of numbers, all finite.
+
+        Raises:
+            InputError: naming the column and the row of the first that is not.
+        """
+        values: NDArray[np.float64] = self.table.column(name).to_numpy()
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(
+                f"{self.path}: column {name}, row {int(bad[0]) + 2}: found {values[bad[0]]}, "
+                "expected a finite number"
+            )
+        return values
+
+    def names(self, *columns: str) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+        """(m,) which agent each row is, and the agents' names, from columns that tell them apart.
+
+        A further column is added to a name only where the first does not tell agents apart.
+
+        Raises:
+            InputError: if there are more agents than fit.
+        """
+        keys = [self.table.column(c).combine_chunks().dictionary_encode() for c in columns]
+        for column, key in zip(columns, keys, strict=True):
+            if len(key.dictionary) > MAX_NAMES:
+                raise InputError(
+                    f"{self.path}: column {column}: found {len(key.dictionary)} different values, "
+                    f"expected at most {MAX_NAMES}"
+                )
+        codes = np.stack([np.asarray(k.indices.to_numpy(), dtype=np.int64) for k in keys])
+        unique, agent = np.unique(codes, axis=1, return_inverse=True)
+        words = [k.dictionary.to_pylist() for k in keys]
+        first, counts = np.unique(unique[0], return_counts=True)
+        several = set(first[counts > 1].tolist())
+        labels = tuple(
+            "-".join(str(words[i][column[i]]) for i in range(len(columns)))
+            if int(column[0]) in several
+            else str(words[0][column[0]])
+            for column in unique.T
+        )
+        return np.asarray(agent, dtype=np.int64).ravel(), labels
+
+    def first(self, name: str, agent: NDArray[np.int64]) -> list[Any]:
+        """The first value of a column for each agent."""
+        _, at = np.unique(agent, return_index=True)
+        values: list[Any] = self.table.column(name).take(pa.array(at)).to_pylist()
+        return values
+
+
+def read_header(path: Path) -> list[str]:
+    """Names in the first line, in lower case.
+
+    Raises:
+        InputError: if the line is too long or not UTF-8.
+    """
+    with path.open("rb") as file:
+        line = file.readline(MAX_HEADER_BYTES + 1)
+    if len(line) > MAX_HEADER_BYTES:
+        raise InputError(f"{path}: line 1: found no end within {MAX_HEADER_BYTES} bytes")
+    try:
+        text = line.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: line 1: found bytes that are not UTF-8") from None
+    return [name.strip().strip('"').lower() for name in text.rstrip("\r\n").split(",")]
+
+
+def read_columns(
+    path: Path,
+    numbers: Sequence[str],
+    words: Sequence[str] = (),
+    optional: Sequence[str] = (),
+) -> Columns:
+    """Read some columns of a CSV file with a header line; upper and lower case do not matter.
+
+    Args:
+        path: the file.
+        numbers: names, in lower case, of columns of numbers.
+        words: names of columns of text.
+        optional: those of ``numbers`` and ``words`` that may be missing.
+
+    Returns:
+        The columns.
+
+    Raises:
+        InputError: naming the file and the column or row that is wrong.
+    """
+    check_size(path)
+    header = read_header(path)
+    for name in (*numbers, *words):
+        count = header.count(name)
+        if count > 1:
+            raise InputError(f"{path}: found column {name} {count} times, expected once")
+        if count == 0 and name not in optional:
+            raise InputError(f"{path}: found no column {name}, expected it")
+    types = {name: pa.float64() for name in numbers} | {name: pa.string() for name in words}
+    wanted = [name for name in types if name in header]
+    return Columns(path, _parse(path, header, wanted, types, skip=1, delimiter=","))
+
+
+def read_fields(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Columns:
+    """Read columns of numbers from a file without a header, fields separated by white space.
+
+    Args:
+        path: the file.
+        header: names of all columns, in order.
+        wanted: names of those to read.
+
+    Returns:
+        The columns.
+
+    Raises:
+        InputError: naming the file and the line that is wrong.
+    """
+    check_size(path)
+    columns: dict[str, list[float]] = {name: [] for name in wanted}
+    places = [(columns[name], header.index(name)) for name in wanted]
+    with path.open("rb") as file:
+        for number, line in enumerate(iter(lambda: file.readline(MAX_HEADER_BYTES), b""), 1):
+            fields = line.split()
+            if not fields:
+                continue
+            if len(fields) != len(header):
+                raise InputError(
+                    f"{path}: line {number}: found {len(fields)} fields, expected {len(header)}"
+                )
+            if number > MAX_ROWS:
+                raise InputError(f"{path}: found more than {MAX_ROWS} lines")
+            try:
+                for column, place in places:
+                    column.append(float(fields[place]))
+            except ValueError:
+                raise InputError(
+                    f"{path}: line {number}: found {line[:60]!r}, expected numbers"
+                ) from None
+    if not columns[wanted[0]]:
+        raise InputError(f"{path}: found no rows, expected at least one")
+    return Columns(path, pa.table({n: pa.array(v, pa.float64()) for n, v in columns.items()}))
+
+
+def _parse(
+    path: Path,
+    header: Sequence[str],
+    wanted: Sequence[str],
+    types: Mapping[str, pa.DataType],
+    skip: int,
+    delimiter: str,
+) -> pa.Table:
+    # Columns that nobody asked for may have any name, even the same one twice.
+    names = [name if name in wanted else f"#{i}" for i, name in enumerate(header)]
+    tables: list[pa.Table] = []
+    rows = 0
+    try:
+        with pv.open_csv(
+            path,
+            read_options=pv.ReadOptions(
+                column_names=names, skip_rows=skip, block_size=2**22, use_threads=False
+            ),
+            parse_options=pv.ParseOptions(delimiter=delimiter),
+            convert_options=pv.ConvertOptions(
+                column_types=dict(types),
+                include_columns=list(wanted),
+                null_values=[],
+                strings_can_be_null=False,
+            ),
+        ) as reader:
+            for batch in reader:
+                rows += batch.num_rows
+                if rows > MAX_ROWS:
+                    raise InputError(f"{path}: found more than {MAX_ROWS} rows")
+                tables.append(pa.Table.from_batches([batch]))
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: {_told(error, names)}") from None
+    if not tables:
+        raise InputError(f"{path}: found no rows, expected at least one")
+    table = pa.concat_tables(tables)
+    for name in wanted:
+        if pc.any(pc.is_null(table.column(name))).as_py():
+            raise InputError(f"{path}: column {name}: found an empty field, expected a value")
+    return table
+
+
+def _told(error: Exception, names: Sequence[str]) -> str:
+    """Arrow's message in one line, with the column's name instead of its number."""
+    text = " ".join(str(error).split())
+
+    def named(match: re.Match[str]) -> str:
+        number = int(match.group(1))
+        return f"column {names[number]}: " if number < len(names) else match.group()
+
+    return _COLUMN.sub(named, text)

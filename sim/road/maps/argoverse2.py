@@ -1,0 +1,363 @@
+"""The map of an Argoverse 2 scenario, read as a `Road` and written from one.
+
+Lane segments carry a centre line, borders, neighbours and successors; crosswalks two edges. Limits,
+signals and priority are not in the format: they are unknown (a limit is NaN, no crossing or way has
+priority).
+
+References:
+    Wilson et al. (2021), Argoverse 2, NeurIPS Datasets and Benchmarks.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from behaviors.errors import InputError
+from sim.formats.common.recording import MAX_MAGNITUDE
+from sim.road import Connection, Crossing, Lane, Road
+
+MAX_MAP_BYTES: Final = 2**23
+"""Largest map that is read (our choice: 8 MiB; those of scenarios have some 0.2)."""
+
+MAX_SEGMENTS, MAX_CROSSWALKS = 5_000, 500
+"""Most lane segments and most crosswalks of a map (our choice; scenarios have some 100 and 10)."""
+
+MAX_FOLLOWING: Final = 16
+"""Most segments that one may lead to (our choice; five are common)."""
+
+MAX_WAYS: Final = 100_000
+"""Most ways through junctions of a map (our choice)."""
+
+MAX_LENGTH_M: Final = 1e7
+"""Longest that all lanes and crossings of a map may be together, m (our choice; a city's streets
+are some thousand km): what is drawn of them stays small."""
+
+STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
+"""A way that turns by less than the first goes straight, by more than the second goes back (our
+choice: about as SUMO's netconvert has it)."""
+
+
+# --- reading ------------------------------------------------------------------------------------
+
+_Number = Annotated[float, Field(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE, allow_inf_nan=False)]
+_Identity = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _Part(BaseModel):
+    """A part of a map; what else is in it is not read."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
+
+
+class _Point(_Part):
+    x: _Number
+    y: _Number
+
+
+_Line = Annotated[list[_Point], Field(min_length=2)]
+
+
+class _Segment(_Part):
+    id: _Identity
+    is_intersection: bool
+    lane_type: str
+    centerline: _Line
+    left_lane_boundary: _Line
+    right_lane_boundary: _Line
+    left_neighbor_id: _Identity | None
+    right_neighbor_id: _Identity | None
+    successors: Annotated[list[_Identity], Field(max_length=MAX_FOLLOWING)]
+
+
+class _Crosswalk(_Part):
+    id: _Identity
+    edge1: _Line
+    edge2: _Line
+
+
+class _Archive(_Part):
+    lane_segments: Annotated[dict[str, _Segment], Field(max_length=MAX_SEGMENTS)]
+    pedestrian_crossings: Annotated[dict[str, _Crosswalk], Field(max_length=MAX_CROSSWALKS)]
+
+
+def read_map(path: Path, name: str | None = None) -> Road | None:
+    """Read a map.
+
+    Args:
+        path: ``log_map_archive_<id>.json``.
+        name: what to call the road; by default the file's name without its ending.
+
+    Returns:
+        Its lanes, ways and crossings; lane and crossing ids are those of the file. None for a map
+        without lane segments.
+
+    Raises:
+        InputError: if the file is missing, too large or no such map; names the place in it.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected a map (log_map_archive_<id>.json)")
+    stat = path.stat()
+    if stat.st_size > MAX_MAP_BYTES:
+        raise InputError(f"{path}: found {stat.st_size} bytes, expected at most {MAX_MAP_BYTES}")
+    return _read(path.absolute(), name, stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=16)
+def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road | None:
+    """The road in a map's file: read once as long as the file stays as it is."""
+    try:
+        archive = _Archive.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part) for part in first["loc"])[:200] or "JSON"
+        raise InputError(f"{path}: {where}: {' '.join(first['msg'].split())}") from None
+    segments = _by_id(path, archive.lane_segments)
+    _by_id(path, archive.pedestrian_crossings)
+    if not segments:
+        return None
+    lines = {i: _array(segment.centerline) for i, segment in segments.items()}
+    if not any(_pieces(line).size for line in lines.values()):
+        raise InputError(f"{path}: lane_segments: found no centre line of any length")
+    crossings = tuple(_crossing(c) for c in archive.pedestrian_crossings.values())
+    together = [*lines.values(), *(crossing.centerline for crossing in crossings)]
+    length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in together)
+    if length_m > MAX_LENGTH_M:
+        raise InputError(f"{path}: found {length_m:.3g} m of lanes, expected {MAX_LENGTH_M:g}")
+    lanes = _lanes(segments, lines)
+    return Road(
+        name=name if name is not None else path.stem,
+        lanes=tuple(lanes),
+        connections=tuple(_connections(path, segments, lines)),
+        crossings=crossings,
+        signal_groups=(),
+        source=path,
+    )
+
+
+def _by_id(path: Path, parts: Mapping[str, Any]) -> dict[int, Any]:
+    """Parts in order of their ids."""
+    found = {part.id: part for part in parts.values()}
+    if len(found) != len(parts):
+        raise InputError(f"{path}: found an id twice, expected each once")
+    return dict(sorted(found.items()))
+
+
+def _array(line: list[_Point]) -> NDArray[np.float64]:
+    points = np.array([(point.x, point.y) for point in line])
+    points.flags.writeable = False
+    return points
+
+
+def _pieces(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(k, 2) the steps along a line that lead anywhere, m."""
+    step = np.diff(line, axis=0)
+    return np.asarray(step[np.hypot(step[:, 0], step[:, 1]) > 1e-9])
+
+
+def _lanes(segments: dict[int, _Segment], lines: dict[int, NDArray[np.float64]]) -> Iterator[Lane]:
+    """Every segment as a lane; those side by side in one direction share an edge.
+
+    Bicycles' and buses' lanes are edges of their own: nobody else changes to them.
+    """
+    right: dict[int, int] = {}
+    for i, segment in segments.items():
+        beside = segments.get(-1 if (j := segment.right_neighbor_id) is None else j)
+        if (
+            beside is not None
+            and beside.left_neighbor_id == i
+            and beside.lane_type == segment.lane_type
+            and beside.is_intersection == segment.is_intersection
+            and (lines[i][-1] - lines[i][0]) @ (lines[beside.id][-1] - lines[beside.id][0]) >= 0
+        ):
+            right[i] = beside.id
+    junction = _junctions(segments)
+    for i, segment in segments.items():
+        first, index = i, 0
+        while first in right and right[first] != i:
+            first, index = right[first], index + 1
+        ends = _array(segment.left_lane_boundary)[[0, -1]]
+        across = ends - _array(segment.right_lane_boundary)[[0, -1]]
+        yield Lane(
+            id=str(i),
+            edge=f":{junction[i]}_{first}" if segment.is_intersection else str(first),
+            index=index,
+            centerline=lines[i],
+            width_m=float(np.hypot(*across.T).mean()),  # of its beginning and its end
+            speed_limit_mps=math.nan,
+            internal=segment.is_intersection,
+        )
+
+
+def _junctions(segments: dict[int, _Segment]) -> dict[int, int]:
+    """The number of the junction that each segment is in: those that part, join or follow."""
+    inside = [i for i, segment in segments.items() if segment.is_intersection]
+    place = {i: k for k, i in enumerate(inside)}
+    pairs: list[tuple[int, int]] = []
+    into: dict[int, int] = {}
+    for i, segment in segments.items():
+        ways = [place[j] for j in segment.successors if j in place]
+        pairs += pairwise(ways)
+        if i in place:
+            pairs += [(place[i], j) for j in ways]
+            for j in segment.successors:
+                pairs.append((into.setdefault(j, place[i]), place[i]))
+    one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    shape = (len(inside), len(inside))
+    _, number = connected_components(coo_array((np.ones(one.size), (one, other)), shape=shape))
+    return {i: int(number[k]) for i, k in place.items()}
+
+
+def _connections(
+    path: Path, segments: dict[int, _Segment], lines: dict[int, NDArray[np.float64]]
+) -> list[Connection]:
+    """Every way from a lane over a junction to the next, and what of such a way the map shows."""
+    following = {i: [j for j in s.successors if j in segments] for i, s in segments.items()}
+    entered = {j for ways in following.values() for j in ways}
+    inside = {i for i, segment in segments.items() if segment.is_intersection}
+    found: list[Connection] = []
+    for begin in segments:
+        if begin in inside and begin in entered:
+            continue
+        chains = [[begin, j] for j in following[begin]]
+        while chains:
+            chain = chains.pop()
+            onward = [j for j in following[chain[-1]] if j not in chain]
+            if chain[-1] in inside and onward:
+                chains += [[*chain, j] for j in onward]
+            else:
+                found.append(_connection(chain, lines))
+            if len(found) + len(chains) > MAX_WAYS:
+                raise InputError(f"{path}: found more than {MAX_WAYS} ways through junctions")
+    return sorted(found, key=lambda c: (int(c.from_lane), [int(i) for i in (*c.via, c.to_lane)]))
+
+
+def _connection(chain: list[int], lines: dict[int, NDArray[np.float64]]) -> Connection:
+    before, after = _pieces(lines[chain[0]])[-1:], _pieces(lines[chain[-1]])[:1]
+    turned = 0.0
+    if before.size and after.size:
+        (bx, by), (ax, ay) = before[0], after[0]
+        turned = math.atan2(bx * ay - by * ax, bx * ax + by * ay)
+    if abs(turned) <= STRAIGHT_RAD:
+        direction = "straight"
+    elif abs(turned) >= BACK_RAD:
+        direction = "turnaround"
+    else:
+        direction = "left" if turned > 0 else "right"
+    names = [str(i) for i in chain]
+    return Connection(names[0], names[-1], tuple(names[1:-1]), direction)
+
+
+def _crossing(crosswalk: _Crosswalk) -> Crossing:
+    one, other = _array(crosswalk.edge1)[[0, -1]], _array(crosswalk.edge2)[[0, -1]]
+    if (one[1] - one[0]) @ (other[1] - other[0]) < 0:
+        other = other[::-1]
+    return Crossing(
+        id=str(crosswalk.id),
+        centerline=(one + other) / 2,
+        width_m=float(np.hypot(*(one - other).T).mean()),
+        edges=(),
+        priority=False,
+    )
+
+
+# --- writing ------------------------------------------------------------------------------------
+
+
+def _points(line: NDArray[np.float64]) -> list[dict[str, float]]:
+    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]
+
+
+def offset_line(line: NDArray[np.float64], left_m: float) -> NDArray[np.float64]:
+    """(P, 2) a line moved to its left.
+
+    Args:
+        line: (P, 2) points, m; P at least 2.
+        left_m: how far, m; negative moves it to the right.
+
+    Returns:
+        The moved points: each along the bisecting normal of its two segments.
+    """
+    step = np.diff(line, axis=0)
+    normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
+    mean = np.concatenate([normal[:1], normal[:-1] + normal[1:], normal[-1:]])
+    mean /= np.maximum(np.hypot(mean[:, 0], mean[:, 1]), 1e-9)[:, None]
+    return np.asarray(line + left_m * mean, dtype=np.float64)
+
+
+def static_map(road: Road | None) -> dict[str, Any]:
+    """The map as the official package reads it.
+
+    Args:
+        road: what to describe; None for an empty map.
+
+    Returns:
+        Lane segments, drivable areas and pedestrian crossings by id.
+    """
+    if road is None:
+        return {"drivable_areas": {}, "lane_segments": {}, "pedestrian_crossings": {}}
+    number = {lane.id: i + 1 for i, lane in enumerate(road.lanes) if not lane.walking}
+    chains = [(c.from_lane, *c.via, c.to_lane) for c in road.connections]
+    follows = {pair for chain in chains for pair in pairwise(chain)}
+    by_place = {(lane.edge, lane.index): lane for lane in road.lanes if not lane.walking}
+    segments = {}
+    areas = {}
+    for lane in road.lanes:
+        if lane.walking:
+            continue
+        left = offset_line(lane.centerline, 0.5 * lane.width_m)
+        right = offset_line(lane.centerline, -0.5 * lane.width_m)
+        identity = number[lane.id]
+        segments[str(identity)] = {
+            "id": identity,
+            "is_intersection": lane.internal,
+            "lane_type": "VEHICLE",
+            "centerline": _points(lane.centerline),
+            "left_lane_boundary": _points(left),
+            "right_lane_boundary": _points(right),
+            **_sides(lane, by_place, number),
+            "predecessors": sorted(number[a] for a, b in follows if b == lane.id and a in number),
+            "successors": sorted(number[b] for a, b in follows if a == lane.id and b in number),
+        }
+        boundary = np.concatenate([left, right[::-1]])
+        areas[str(identity)] = {"id": identity, "area_boundary": _points(boundary)}
+    crossings = {}
+    for i, crossing in enumerate(road.crossings):
+        identity = len(road.lanes) + 1 + i
+        ends = crossing.centerline[[0, -1]]
+        crossings[str(identity)] = {
+            "id": identity,
+            "edge1": _points(offset_line(ends, 0.5 * crossing.width_m)),
+            "edge2": _points(offset_line(ends, -0.5 * crossing.width_m)),
+        }
+    return {
+        "drivable_areas": areas,
+        "lane_segments": segments,
+        "pedestrian_crossings": crossings,
+    }
+
+
+def _sides(
+    lane: Lane, by_place: dict[tuple[str, int], Lane], number: dict[str, int]
+) -> dict[str, Any]:
+    left = by_place.get((lane.edge, lane.index + 1))
+    right = by_place.get((lane.edge, lane.index - 1))
+    outer = "NONE" if lane.internal else "SOLID_WHITE"
+    inner = "NONE" if lane.internal else "DASHED_WHITE"
+    return {
+        "left_neighbor_id": None if left is None else number[left.id],
+        "right_neighbor_id": None if right is None else number[right.id],
+        "left_lane_mark_type": outer if left is None else inner,
+        "right_lane_mark_type": outer if right is None else inner,
+    }

@@ -1,0 +1,273 @@
+"""The road: lanes, how they connect, where one must stop, where people cross.
+
+One geometry serves every engine, the predictors, the trait detectors and the pictures. It is read
+from a SUMO net by `sim.road.net.read_road`, or from a recording's own map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.frames import Signal
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """One lane, or one path across a junction.
+
+    Attributes:
+        id: unique name.
+        edge: the edge (stretch of road in one direction) it belongs to.
+        index: place on its edge, 0 rightmost.
+        centerline: (P, 2) points in driving direction, m.
+        width_m: m.
+        speed_limit_mps: m/s; NaN where unknown.
+        walking: whether it is a sidewalk (pedestrians only).
+        internal: whether it crosses a junction.
+        opposite: id of the neighbouring lane of the other direction; "" if there is none that may
+            be used for overtaking.
+        cars: whether cars may drive on it; a lane for bicycles, buses or trams only is none of
+            theirs.
+    """
+
+    id: str
+    edge: str
+    index: int
+    centerline: FloatArray
+    width_m: float
+    speed_limit_mps: float
+    walking: bool = False
+    internal: bool = False
+    opposite: str = ""
+    cars: bool = True
+
+    @property
+    def length_m(self) -> float:
+        """Length of the centre line, m."""
+        return float(np.hypot(*np.diff(self.centerline, axis=0).T).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A way from the end of one lane to the start of another.
+
+    Attributes:
+        from_lane: id of the lane that ends.
+        to_lane: id of the lane that begins.
+        via: ids of the internal lanes in between, in order.
+        direction: "straight", "left", "right" or "turnaround".
+        signal: index of the signal group that controls it, -1 if none.
+        must_yield: whether other vehicles have priority over it (pedestrians: see `Crossing`).
+        must_stop: whether it has a stop sign.
+        yields_to: indices into ``Road.connections`` of those that have priority over it.
+    """
+
+    from_lane: str
+    to_lane: str
+    via: tuple[str, ...]
+    direction: str
+    signal: int = -1
+    must_yield: bool = False
+    must_stop: bool = False
+    yields_to: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """Where pedestrians cross the road.
+
+    Attributes:
+        id: unique name.
+        centerline: (P, 2) points along the walking direction, m.
+        width_m: m.
+        edges: ids of the road edges that it crosses.
+        signal: index of the signal group that controls it, -1 if none.
+        priority: whether pedestrians have priority over vehicles.
+    """
+
+    id: str
+    centerline: FloatArray
+    width_m: float
+    edges: tuple[str, ...]
+    signal: int = -1
+    priority: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class SignalPlan:
+    """The fixed-time programme of one set of traffic lights.
+
+    Attributes:
+        id: the traffic lights' id in the net.
+        groups: indices of the signal groups that it controls.
+        links: for each of those groups, one of its links' index in the programme's state strings.
+        duration_s: (P,) length of each phase, s.
+        states: per phase, the code into ``SIGNALS`` of each of its groups.
+        offset_s: how far into the programme time 0 is, s, negated as SUMO has it.
+    """
+
+    id: str
+    groups: tuple[int, ...]
+    links: tuple[int, ...]
+    duration_s: tuple[float, ...]
+    states: tuple[tuple[int, ...], ...]
+    offset_s: float = 0.0
+
+    def state_at(self, time_s: float) -> tuple[int, ...]:
+        """Codes into ``SIGNALS`` of ``groups`` at a time.
+
+        Examples:
+            >>> plan = SignalPlan("t", (0,), (0,), (30.0, 30.0), ((2,), (0,)))
+            >>> plan.state_at(29.9), plan.state_at(30.0), plan.state_at(60.0)
+            ((2,), (0,), (2,))
+        """
+        into = (time_s - self.offset_s) % sum(self.duration_s)
+        for duration, state in zip(self.duration_s, self.states, strict=True):
+            into -= duration
+            if into < -1e-9:
+                return state
+        return self.states[0]
+
+
+@dataclass(frozen=True, slots=True)
+class LanePosition:
+    """Points in lane coordinates.
+
+    Attributes:
+        lane: (n,) index into ``Road.lanes``.
+        s: (n,) distance along the lane's centre line, m.
+        offset: (n,) signed distance to the left of the centre line, m.
+    """
+
+    lane: IntArray
+    s: FloatArray
+    offset: FloatArray
+
+
+@dataclass(frozen=True)
+class Road:
+    """A road network.
+
+    Attributes:
+        name: what it is called.
+        lanes: all lanes, junction paths and sidewalks.
+        connections: ways between lanes (vehicles only).
+        crossings: where pedestrians cross.
+        signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
+        source: the file it was read from.
+        signal_plans: the programmes behind the signal groups.
+    """
+
+    name: str
+    lanes: tuple[Lane, ...]
+    connections: tuple[Connection, ...]
+    crossings: tuple[Crossing, ...]
+    signal_groups: tuple[str, ...]
+    source: Path
+    signal_plans: tuple[SignalPlan, ...] = ()
+
+    @cached_property
+    def lane_index(self) -> dict[str, int]:
+        """Index into ``lanes`` of each lane id."""
+        return {lane.id: i for i, lane in enumerate(self.lanes)}
+
+    @cached_property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Smallest x and y and largest x and y of any centre line, m."""
+        points = np.concatenate([lane.centerline for lane in self.lanes])
+        (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+        return float(x0), float(y0), float(x1), float(y1)
+
+    @cached_property
+    def _drivable_segments(
+        self,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
+        """Start, unit direction, length, lane, start distance and turn cost of each segment."""
+        start, direction, length, lane, at = [], [], [], [], []
+        for i, one in enumerate(self.lanes):
+            if one.walking:
+                continue
+            step = np.diff(one.centerline, axis=0)
+            size = np.hypot(step[:, 0], step[:, 1])
+            keep = size > 1e-9
+            start.append(one.centerline[:-1][keep])
+            direction.append(step[keep] / size[keep, None])
+            length.append(size[keep])
+            lane.append(np.full(int(keep.sum()), i, dtype=np.int64))
+            at.append((np.cumsum(size) - size)[keep])
+        if not start:
+            raise InputError(f"road {self.name!r}: found no drivable lane, expected at least one")
+        return (
+            np.concatenate(start),
+            np.concatenate(direction),
+            np.concatenate(length),
+            np.concatenate(lane),
+            np.concatenate(at),
+            # our choice: a lane is some 3 m wide
+            np.where([self.lanes[i].internal for i in np.concatenate(lane)], 4.0, 0.7),
+        )
+
+    def green_together(self, one: int, other: int) -> bool:
+        """Whether two signal groups ever let go at the same time.
+
+        Args:
+            one: index of a signal group; -1, without a signal, lets go always.
+            other: likewise.
+        """
+        if one < 0 or other < 0:
+            return True
+        green = Signal.GREEN.code
+        return any(
+            states[plan.groups.index(one)] == green == states[plan.groups.index(other)]
+            for plan in self.signal_plans
+            if one in plan.groups and other in plan.groups
+            for states in plan.states
+        )
+
+    def first_come(self, one: int, two: int) -> bool:
+        """Whether of two connections neither has priority: who comes first goes first.
+
+        So it is where signals never let both go, and where each yields to the other (all-way
+        stops).
+
+        Args:
+            one: index of a connection.
+            two: likewise.
+        """
+        first, second = self.connections[one], self.connections[two]
+        if not self.green_together(first.signal, second.signal):
+            return True
+        return two in first.yields_to and one in second.yields_to
+
+    def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
+        """Lane coordinates of points, on the drivable lane that fits place and heading best.
+
+        The fit is the distance to the centre line plus, in metres, how far the heading is from
+        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
+        junctions, where paths overlap and only the heading tells them apart.
+
+        Args:
+            xy: (n, 2) m.
+            heading: (n,) rad.
+
+        Returns:
+            Lane index, distance along it and signed offset of each point.
+        """
+        from sim.road.lane_search import fit  # compiled: only who asks pays for loading it
+
+        start, direction, length, lane, at, turn_cost_m = self._drivable_segments
+        best, along, across = fit(
+            np.ascontiguousarray(xy, dtype=np.float64),
+            np.ascontiguousarray(heading, dtype=np.float64),
+            start, direction, length, turn_cost_m,
+        )  # fmt: skip
+        return LanePosition(lane=lane[best], s=at[best] + along, offset=across)

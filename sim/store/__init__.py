@@ -1,0 +1,1 @@
+"""Datasets on disk: their schema, how episodes are written whole and read back."""
