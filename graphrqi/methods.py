@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from behaviors.registry import Registry
 from graphrqi.classify import Classifier, make_classifier, restore_classifier
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
@@ -60,78 +61,82 @@ class Method:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-METHODS: Final[dict[str, Method]] = {
-    "majority": Method(
-        "majority",
-        "the most frequent class of the training data, whatever is seen",
-        BlindObserver,
-        "majority",
-    ),
-    "graphrqi": Method(
-        "graphrqi",
-        "the paper: rows of the largest-end eigenvectors, perceptron, squared error",
-        EigenvectorObserver,
-        "mlp",
-        {"loss": "squared-error", "hidden": (64, 32), "dropout": 0.0},
-    ),
-    "logistic": Method(
-        "logistic",
-        "the paper's ablation: logistic regression on the rows that graphrqi sees",
-        EigenvectorObserver,
-        "logistic",
-    ),
-    "svm": Method(
-        "svm",
-        "the paper's ablation: support vector machine on the rows that graphrqi sees",
-        EigenvectorObserver,
-        "svm",
-    ),
-    "lstm": Method(
-        "lstm",
-        "the paper's ablation: long short-term memory along the rows that graphrqi sees",
-        EigenvectorObserver,
-        "lstm",
-    ),
-    "dane": Method(
-        "dane",
-        "dynamic attributed network embedding (Li et al. 2017), perceptron",
-        EmbeddingObserver,
-        "mlp",
-        {"hidden": (64, 32), "dropout": 0.0},
-    ),
-    "cheung": Method(
-        "cheung",
-        "lasso on trajectory features (Cheung et al. 2018)",
-        TrajectoryObserver,
-        "lasso",
-    ),
-    "forest": Method(
-        "forest",
-        "random forest on motion and interaction, without graph or inference",
-        PlainObserver,
-        "forest",
-    ),
-    "boosted": Method(
-        "boosted",
-        "gradient-boosted trees on motion and interaction, without graph or inference",
-        PlainObserver,
-        "boosted",
-    ),
-    "graphrqi-invariant": Method(
-        "graphrqi-invariant",
-        "the spectrum alone, independent of sign, rotation, order and size",
-        SpectrumObserver,
-        "mlp",
-        {"hidden": (64, 32), "dropout": 0.0},
-    ),
-    "graphrqi-plus": Method(
-        "graphrqi-plus",
-        "boosted trees on spectrum, graph signals, motion, interaction and inferred drivers",
-        DrivingObserver,
-        "boosted",
-        {"rounds": 320, "max_leaves": 31, "max_depth": 7, "feature_share": 0.15},
-    ),
-}
+METHODS: Final[Registry[Method]] = Registry(
+    "method",
+    "graphrqi.methods",
+    {
+        "majority": Method(
+            "majority",
+            "the most frequent class of the training data, whatever is seen",
+            BlindObserver,
+            "majority",
+        ),
+        "graphrqi": Method(
+            "graphrqi",
+            "the paper: rows of the largest-end eigenvectors, perceptron, squared error",
+            EigenvectorObserver,
+            "mlp",
+            {"loss": "squared-error", "hidden": (64, 32), "dropout": 0.0},
+        ),
+        "logistic": Method(
+            "logistic",
+            "the paper's ablation: logistic regression on the rows that graphrqi sees",
+            EigenvectorObserver,
+            "logistic",
+        ),
+        "svm": Method(
+            "svm",
+            "the paper's ablation: support vector machine on the rows that graphrqi sees",
+            EigenvectorObserver,
+            "svm",
+        ),
+        "lstm": Method(
+            "lstm",
+            "the paper's ablation: long short-term memory along the rows that graphrqi sees",
+            EigenvectorObserver,
+            "lstm",
+        ),
+        "dane": Method(
+            "dane",
+            "dynamic attributed network embedding (Li et al. 2017), perceptron",
+            EmbeddingObserver,
+            "mlp",
+            {"hidden": (64, 32), "dropout": 0.0},
+        ),
+        "cheung": Method(
+            "cheung",
+            "lasso on trajectory features (Cheung et al. 2018)",
+            TrajectoryObserver,
+            "lasso",
+        ),
+        "forest": Method(
+            "forest",
+            "random forest on motion and interaction, without graph or inference",
+            PlainObserver,
+            "forest",
+        ),
+        "boosted": Method(
+            "boosted",
+            "gradient-boosted trees on motion and interaction, without graph or inference",
+            PlainObserver,
+            "boosted",
+        ),
+        "graphrqi-invariant": Method(
+            "graphrqi-invariant",
+            "the spectrum alone, independent of sign, rotation, order and size",
+            SpectrumObserver,
+            "mlp",
+            {"hidden": (64, 32), "dropout": 0.0},
+        ),
+        "graphrqi-plus": Method(
+            "graphrqi-plus",
+            "boosted trees on spectrum, graph signals, motion, interaction and inferred drivers",
+            DrivingObserver,
+            "boosted",
+            {"rounds": 320, "max_leaves": 31, "max_depth": 7, "feature_share": 0.15},
+        ),
+    },
+)
 """The methods there are; the keys are the methods' names."""
 
 
@@ -186,8 +191,8 @@ def train(
     Raises:
         InputError: if there is no such method or solver, no sample, or the seed is out of range.
     """
-    chosen = lookup(METHODS, method, "method")
-    lookup(SOLVERS, solver, "solver")
+    chosen = METHODS[method]
+    _ = SOLVERS[solver]  # refuses an unknown name before anything is trained
     if not 0 <= seed <= MOST_SEED:
         raise InputError(f"seed: found {seed}, expected 0 to {MOST_SEED}")
     if not len(training):
@@ -311,8 +316,8 @@ def load_model(name_or_folder: str | Path) -> Model:
     if min(file.shares) < 0.0 or not math.isclose(total, 1.0, abs_tol=1e-6):
         raise InputError(f"{path}: shares: found a sum of {total:g} or less than 0, expected 1")
     try:
-        method = lookup(METHODS, file.method, "method")
-        lookup(SOLVERS, file.solver, "solver")
+        method = METHODS[file.method]
+        _ = SOLVERS[file.solver]  # refuses an unknown name
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if file.features != method.observer(file.solver).feature_names:

@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
+import functools
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, cast
+from dataclasses import dataclass
+from typing import Any, Final
 
 from behaviors.errors import InputError, lookup
+from behaviors.registry import Registry
 from scenarios.registration import ENVIRONMENTS, register_environments
 from sim.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)
 class ScenarioEntry:
-    """A scenario that is loaded when it is first made.
+    """A scenario by its registered name.
 
     Attributes:
         name: what it is registered as.
-        source: the function that makes it, as "module:function".
-        fixed: options that make this scenario what it is.
+        function: makes it from keyword options; those that a `functools.partial` has set are fixed.
     """
 
     name: str
-    source: str
-    fixed: Mapping[str, Any] = field(default_factory=dict)
+    function: Callable[..., Scenario]
 
     @property
     def options(self) -> Mapping[str, inspect.Parameter]:
         """The options that it takes, with their defaults."""
-        parameters = inspect.signature(self._make()).parameters
-        return {name: p for name, p in parameters.items() if name not in self.fixed}
+        fixed = self.function.keywords if isinstance(self.function, functools.partial) else ()
+        parameters = inspect.signature(self.function).parameters
+        return {name: p for name, p in parameters.items() if name not in fixed}
 
     def __call__(self, **options: Any) -> Scenario:
         """Make the scenario; its function's own docstring tells the options.
@@ -46,11 +46,7 @@ class ScenarioEntry:
                 raise InputError(
                     f"{name}: found {value!r}, expected a value like {parameter.default!r}"
                 )
-        return dataclasses.replace(self._make()(**self.fixed, **options), name=self.name)
-
-    def _make(self) -> Callable[..., Scenario]:
-        module, function = self.source.split(":")
-        return cast(Callable[..., Scenario], getattr(importlib.import_module(module), function))
+        return dataclasses.replace(self.function(**options), name=self.name)
 
 
 def _fits(value: object, default: object) -> bool:
@@ -63,20 +59,19 @@ def _fits(value: object, default: object) -> bool:
     return True
 
 
-_STRAIGHT: Final = "scenarios.straight_road:straight_road"
-_FOUR_WAY: Final = "scenarios.four_way_intersection:four_way_intersection"
-
-SCENARIOS: Final[dict[str, ScenarioEntry]] = {
-    entry.name: entry
-    for entry in (
-        ScenarioEntry("straight_road", _STRAIGHT),
-        ScenarioEntry("two_way_road", _STRAIGHT, {"two_way": True, "lanes": 1, "crossing": False}),
-        ScenarioEntry("four_way_intersection", _FOUR_WAY),
-        ScenarioEntry("priority_intersection", _FOUR_WAY, {"control": "priority"}),
-        ScenarioEntry("all_way_stop", _FOUR_WAY, {"control": "allway_stop"}),
-        ScenarioEntry("right_before_left", _FOUR_WAY, {"control": "right_before_left"}),
-    )
-}
+SCENARIOS: Final[Registry[ScenarioEntry]] = Registry(
+    "scenario",
+    "graphrqi.scenarios",
+    {
+        "straight_road": "scenarios.straight_road:straight_road",
+        "two_way_road": "scenarios.two_way_road:two_way_road",
+        "four_way_intersection": "scenarios.four_way_intersection:four_way_intersection",
+        "priority_intersection": "scenarios.priority_intersection:priority_intersection",
+        "all_way_stop": "scenarios.all_way_stop:all_way_stop",
+        "right_before_left": "scenarios.right_before_left:right_before_left",
+    },
+    made=ScenarioEntry,
+)
 """Every scenario by name."""
 
 
@@ -86,7 +81,7 @@ def get_scenario(name: str) -> ScenarioEntry:
     Raises:
         InputError: if there is none; the message suggests the nearest name.
     """
-    return lookup(SCENARIOS, name, "scenario")
+    return SCENARIOS[name]
 
 
 register_environments()

@@ -1,12 +1,15 @@
-"""A four-way intersection whose east-west road has priority.
-
-The road and the demand are made by the function that `scenarios.SCENARIOS` names; this module is
-the scenario's command.
-"""
+"""A four-way intersection whose east-west road has priority."""
 
 from __future__ import annotations
 
-from scenarios.command import main
+import functools
+from typing import Final
+
+from scenarios.four_way_intersection import four_way_intersection
+
+priority_intersection: Final = functools.partial(four_way_intersection, control="priority")
 
 if __name__ == "__main__":
+    from scenarios.command import main
+
     raise SystemExit(main("priority_intersection"))

@@ -1,12 +1,15 @@
-"""A straight two-way road, one lane each way, where overtaking means the oncoming lane.
-
-The road and the demand are made by the function that `scenarios.SCENARIOS` names; this module is
-the scenario's command.
-"""
+"""A straight two-way road, one lane each way, where overtaking means the oncoming lane."""
 
 from __future__ import annotations
 
-from scenarios.command import main
+import functools
+from typing import Final
+
+from scenarios.straight_road import straight_road
+
+two_way_road: Final = functools.partial(straight_road, two_way=True, lanes=1, crossing=False)
 
 if __name__ == "__main__":
+    from scenarios.command import main
+
     raise SystemExit(main("two_way_road"))

@@ -7,23 +7,26 @@ early closes the simulation. Engines are named by strings and loaded when first 
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final, TypeAlias, cast
+from typing import Final, TypeAlias
 
-from behaviors.errors import lookup
+from behaviors.registry import Registry
 from sim.frames import Frame
 from sim.scenario import AgentSpec, Scenario
 
 Engine: TypeAlias = Callable[[Scenario, Sequence[AgentSpec], int], Iterator[Frame]]
 
-ENGINES: Final[dict[str, str]] = {
-    "sumo": "sim.sumo.engine:run",
-    "sumo-idm": "sim.sumo.engine:run_idm",
-    "highway": "sim.highway.engine:run",
-    "highway-krauss": "sim.highway.engine:run_krauss",
-}
-"""Where each engine lives, as "module:function"."""
+ENGINES: Final[Registry[Engine]] = Registry(
+    "engine",
+    "graphrqi.engines",
+    {
+        "sumo": "sim.sumo.engine:run",
+        "sumo-idm": "sim.sumo.engine:run_idm",
+        "highway": "sim.highway.engine:run",
+        "highway-krauss": "sim.highway.engine:run_krauss",
+    },
+)
+"""Every engine by name."""
 
 
 def get_engine(name: str) -> Engine:
@@ -38,5 +41,4 @@ def get_engine(name: str) -> Engine:
     Raises:
         InputError: if there is no such engine.
     """
-    module, function = lookup(ENGINES, name, "engine").split(":")
-    return cast(Engine, getattr(importlib.import_module(module), function))
+    return ENGINES[name]

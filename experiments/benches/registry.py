@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, cast
 
-from behaviors.errors import lookup
+from behaviors.registry import Registry
 from experiments.cli.tables import Row
 
 
@@ -66,17 +66,21 @@ def _loop(quick: bool) -> list[Row]:
     return [row for engine in ("sumo", "highway") for row in run_loop_bench(quick, engine)]
 
 
-BENCHES: Final[dict[str, Callable[[bool], list[Row]]]] = {
-    "spectrum": _spectrum,
-    "behaviors": _behaviors,
-    "highway": _highway,
-    "generate": _generate,
-    "classification": _classification,
-    "real-data": _real_data,
-    "prediction": _prediction,
-    "navigation": _navigation,
-    "loop": _loop,
-}
+BENCHES: Final[Registry[Callable[[bool], list[Row]]]] = Registry(
+    "bench",
+    "graphrqi.benches",
+    {
+        "spectrum": _spectrum,
+        "behaviors": _behaviors,
+        "highway": _highway,
+        "generate": _generate,
+        "classification": _classification,
+        "real-data": _real_data,
+        "prediction": _prediction,
+        "navigation": _navigation,
+        "loop": _loop,
+    },
+)
 """Every bench; each takes whether to be quick and returns flat rows."""
 
 
@@ -97,4 +101,4 @@ def run_bench(name: str, quick: bool = False) -> list[Row]:
     Raises:
         InputError: if there is no such bench.
     """
-    return lookup(BENCHES, name, "bench")(quick)
+    return BENCHES[name](quick)

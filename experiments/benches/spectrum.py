@@ -779,7 +779,7 @@ def run_spectrum_study(
         ``uncertified``, ``fallbacks``, ``eigenvalue_error_max`` and ``residual_max`` (both
         relative to max(1, lambda_max)), ``orthonormality_error_max``.
     """
-    solve = lookup(SOLVERS, solver, "solver")
+    solve = SOLVERS[solver]
     last: dict[str, Spectrum] = {}
     wrong = uncertified = fallbacks = 0
     worst = np.zeros(3)

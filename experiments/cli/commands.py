@@ -90,14 +90,11 @@ DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s
 
 @app.command("list", epilog="example: graphrqi list")
 def list_names(json: Json = None) -> None:
-    """Show the names that other commands take."""
+    """Show every registered name and the distribution that it comes from."""
     from experiments.cli.doctor import registered_names
     from experiments.cli.tables import show_table
 
-    rows = [
-        {"what": what, "name": name} for what, names in registered_names().items() for name in names
-    ]
-    show_table(rows, json)
+    show_table(registered_names(), json)
 
 
 @app.command(epilog="example: graphrqi run straight_road --flow dense --stream --predict")

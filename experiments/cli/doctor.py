@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import platform
 import re
@@ -14,6 +13,7 @@ from importlib import metadata
 from typing import Final, Literal
 
 from behaviors.errors import InputError, lookup
+from behaviors.registry import Registry, loaded
 from experiments.cli.tables import Row
 
 START_LIMIT_S: Final = 120.0
@@ -57,10 +57,11 @@ REGISTRIES: Final[dict[str, str]] = {
     "method": "graphrqi.methods:METHODS",
     "solver": "graphrqi.spectrum:SOLVERS",
     "predictor": "graphrqi.predict:PREDICTORS",
+    "classifier": "graphrqi.classify:CLASSIFIERS",
     "format": "sim.formats:FORMATS",
     "bench": "experiments.benches.registry:BENCHES",
 }
-"""Where the names live that the commands take, as "module:dictionary", by what they name."""
+"""The registries, as "module:attribute", by what they hold."""
 
 
 def names_of(what: str) -> list[str]:
@@ -76,13 +77,22 @@ def names_of(what: str) -> list[str]:
         >>> names_of("engine")
         ['sumo', 'sumo-idm', 'highway', 'highway-krauss']
     """
-    module, dictionary = lookup(REGISTRIES, what, "registry").split(":")
-    return list(getattr(importlib.import_module(module), dictionary))
+    return list(_registry(what))
 
 
-def registered_names() -> dict[str, list[str]]:
-    """Every name that the commands take, by what it names."""
-    return {what: names_of(what) for what in REGISTRIES}
+def registered_names() -> list[Row]:
+    """Every registered name: what it names and which distribution it comes from."""
+    return [
+        {"what": what, "name": name, "from": registry.origin(name)}
+        for what in REGISTRIES
+        for registry in (_registry(what),)
+        for name in registry
+    ]
+
+
+def _registry(what: str) -> Registry[object]:
+    registry: Registry[object] = loaded(lookup(REGISTRIES, what, "registry"))
+    return registry
 
 
 def _requirements() -> Iterator[tuple[str, str]]:

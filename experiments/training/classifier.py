@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from behaviors.errors import lookup
 from experiments.data.windows import OBSERVED_S, gather
 from experiments.scoring.models import Scored, majority_of, score_model
 from graphrqi.methods import METHODS, Model, check_model_folder, save_model, train
@@ -55,7 +54,7 @@ def train_model(
         The model, whose card tells the data, the split and the scores; and its scores on the
         test episodes of each scenario.
     """
-    chosen = lookup(METHODS, method, "method")
+    chosen = METHODS[method]
     wanted: dict[str, Any] = {
         "solver": solver,
         "windows_s": WINDOWS_S,

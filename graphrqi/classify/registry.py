@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
+from behaviors.registry import Registry
 from graphrqi.classify.contract import Classifier
 
-CLASSIFIERS: Final[dict[str, str]] = {
-    "boosted": "graphrqi.classify.boosted:Boosted",
-    "forest": "graphrqi.classify.forest:Forest",
-    "lasso": "graphrqi.classify.lasso:IndicatorLasso",
-    "logistic": "graphrqi.classify.logistic:Logistic",
-    "lstm": "graphrqi.classify.lstm:Lstm",
-    "majority": "graphrqi.classify.majority:Majority",
-    "mlp": "graphrqi.classify.mlp:Mlp",
-    "svm": "graphrqi.classify.svm:SupportVectors",
-}
-"""Where each classifier lives, as "module:class"."""
+CLASSIFIERS: Final[Registry[Callable[..., Classifier]]] = Registry(
+    "classifier",
+    "graphrqi.classifiers",
+    {
+        "boosted": "graphrqi.classify.boosted:Boosted",
+        "forest": "graphrqi.classify.forest:Forest",
+        "lasso": "graphrqi.classify.lasso:IndicatorLasso",
+        "logistic": "graphrqi.classify.logistic:Logistic",
+        "lstm": "graphrqi.classify.lstm:Lstm",
+        "majority": "graphrqi.classify.majority:Majority",
+        "mlp": "graphrqi.classify.mlp:Mlp",
+        "svm": "graphrqi.classify.svm:SupportVectors",
+    },
+)
+"""Every classifier's class by name."""
 
 
 def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
@@ -38,9 +43,7 @@ def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
     Raises:
         InputError: if there is no such classifier.
     """
-    module, attribute = lookup(CLASSIFIERS, name, "classifier").split(":")
-    made: Classifier = getattr(importlib.import_module(module), attribute)(num_classes, **options)
-    return made
+    return CLASSIFIERS[name](num_classes, **options)
 
 
 CHECKED_WHOLE: Final = ("boosted", "forest")

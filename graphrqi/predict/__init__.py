@@ -5,11 +5,10 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, TypeAlias, cast
+from typing import TYPE_CHECKING, Final, TypeAlias
 
-from behaviors.errors import lookup
+from behaviors.registry import Registry
 
 if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
@@ -20,23 +19,27 @@ if TYPE_CHECKING:
 
     Predictor: TypeAlias = Callable[[Scene, Posterior], Prediction]
 
-PREDICTORS: Final[dict[str, str]] = {
-    "constant-velocity": "graphrqi.predict.constant:constant_velocity",
-    "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
-    "car-following-blind": "graphrqi.predict.rollout.following:blind",
-    "car-following": "graphrqi.predict.rollout.following:aware",
-    "car-following-wary": "graphrqi.predict.rollout.following:wary_following",
-    "behavior-mixture": "graphrqi.predict.rollout.mixture:behavior_mixture",
-    "oracle": "graphrqi.predict.rollout.following:oracle",
-    "shuffled": "graphrqi.predict.rollout.following:shuffled",
-    "lstm": "graphrqi.predict.learned.lstm:lstm",
-    "mlp": "graphrqi.predict.learned.networks:mlp",
-    "graphrqi-predict": "graphrqi.predict.learned.networks:graphrqi_predict",
-    "graphrqi-predict-unlabelled": "graphrqi.predict.learned.networks:unlabelled_predict",
-    "graphrqi-predict-oracle": "graphrqi.predict.learned.networks:oracle_predict",
-    "graphrqi-predict-shuffled": "graphrqi.predict.learned.networks:shuffled_predict",
-}
-"""Where each predictor lives, as "module:function"."""
+PREDICTORS: Final[Registry[Predictor]] = Registry(
+    "predictor",
+    "graphrqi.predictors",
+    {
+        "constant-velocity": "graphrqi.predict.constant:constant_velocity",
+        "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
+        "car-following-blind": "graphrqi.predict.rollout.following:blind",
+        "car-following": "graphrqi.predict.rollout.following:aware",
+        "car-following-wary": "graphrqi.predict.rollout.following:wary_following",
+        "behavior-mixture": "graphrqi.predict.rollout.mixture:behavior_mixture",
+        "oracle": "graphrqi.predict.rollout.following:oracle",
+        "shuffled": "graphrqi.predict.rollout.following:shuffled",
+        "lstm": "graphrqi.predict.learned.lstm:lstm",
+        "mlp": "graphrqi.predict.learned.networks:mlp",
+        "graphrqi-predict": "graphrqi.predict.learned.networks:graphrqi_predict",
+        "graphrqi-predict-unlabelled": "graphrqi.predict.learned.networks:unlabelled_predict",
+        "graphrqi-predict-oracle": "graphrqi.predict.learned.networks:oracle_predict",
+        "graphrqi-predict-shuffled": "graphrqi.predict.learned.networks:shuffled_predict",
+    },
+)
+"""Every predictor by name."""
 
 
 def get_predictor(name: str) -> Predictor:
@@ -45,8 +48,7 @@ def get_predictor(name: str) -> Predictor:
     Raises:
         InputError: if there is none; the message suggests the nearest name.
     """
-    module, function = lookup(PREDICTORS, name, "predictor").split(":")
-    return cast("Predictor", getattr(importlib.import_module(module), function))
+    return PREDICTORS[name]
 
 
 def predict(

@@ -8,36 +8,30 @@ Examples:
     [4.0, 1.0]
 """
 
-from graphrqi.spectrum.certified import solver
+from typing import Final
+
+from behaviors.registry import Registry
 from graphrqi.spectrum.certified.solver import certify
 from graphrqi.spectrum.contract import Solver, Spectrum
 from graphrqi.spectrum.full import full_spectrum, topology
-from graphrqi.spectrum.rivals import (
-    arpack,
-    conjugate_gradient,
-    eigh,
-    exact,
-    incremental_svd,
-    lobpcg,
-    paper,
-    restart_svd,
-    svd,
-    truncated_svd,
-)
 
-SOLVERS: dict[str, Solver] = {
-    "graphrqi": solver.solve,
-    "graphrqi-paper": paper.solve,
-    "graphrqi-exact": exact.solve,
-    "eigh": eigh.solve,
-    "svd": svd.solve,
-    "truncated-svd": truncated_svd.solve,
-    "incremental-svd": incremental_svd.solve,
-    "restart-svd": restart_svd.solve,
-    "conjugate-gradient": conjugate_gradient.solve,
-    "arpack": arpack.solve,
-    "lobpcg": lobpcg.solve,
-}
+SOLVERS: Final[Registry[Solver]] = Registry(
+    "solver",
+    "graphrqi.solvers",
+    {
+        "graphrqi": "graphrqi.spectrum.certified.solver:solve",
+        "graphrqi-paper": "graphrqi.spectrum.rivals.paper:solve",
+        "graphrqi-exact": "graphrqi.spectrum.rivals.exact:solve",
+        "eigh": "graphrqi.spectrum.rivals.eigh:solve",
+        "svd": "graphrqi.spectrum.rivals.svd:solve",
+        "truncated-svd": "graphrqi.spectrum.rivals.truncated_svd:solve",
+        "incremental-svd": "graphrqi.spectrum.rivals.incremental_svd:solve",
+        "restart-svd": "graphrqi.spectrum.rivals.restart_svd:solve",
+        "conjugate-gradient": "graphrqi.spectrum.rivals.conjugate_gradient:solve",
+        "arpack": "graphrqi.spectrum.rivals.arpack:solve",
+        "lobpcg": "graphrqi.spectrum.rivals.lobpcg:solve",
+    },
+)
 """Every eigenvalue algorithm by name; the first is the default."""
 
 __all__ = ["SOLVERS", "Solver", "Spectrum", "certify", "full_spectrum", "topology"]

@@ -8,7 +8,6 @@ its own file, is loaded when first asked for, and refuses what is broken with on
 from __future__ import annotations
 
 import codecs
-import importlib
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,7 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
+from behaviors.registry import Registry, loaded
 
 if TYPE_CHECKING:
     from sim.formats.common.recording import Recording
@@ -61,78 +61,79 @@ def _columns(*names: str) -> re.Pattern[bytes]:
     return re.compile(b"^" + every.encode())
 
 
-FORMATS: Final[dict[str, Format]] = {
-    "argoverse2": Format(
-        ("scenario_*.parquet",),
-        re.compile(rb"^par1"),
-        "sim.formats.argoverse2:read",
-        "sim.formats.argoverse2:write",
-        own_names=True,
-    ),
-    "argoverse1": Format(
-        ("*.csv",),
-        _columns("timestamp", "track_id", "object_type", "x", "y"),
-        "sim.formats.argoverse1:read",
-        "sim.formats.argoverse1:write",
-    ),
-    "ngsim": Format(
-        ("*.csv", "*.txt"),
-        re.compile(
-            _columns("vehicle_id", "local_x", "local_y").pattern
-            + rb"|^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"
+FORMATS: Final[Registry[Format]] = Registry(
+    "format",
+    "graphrqi.formats",
+    {
+        "argoverse2": Format(
+            ("scenario_*.parquet",),
+            re.compile(rb"^par1"),
+            "sim.formats.argoverse2:read",
+            "sim.formats.argoverse2:write",
+            own_names=True,
         ),
-        "sim.formats.ngsim:read",
-    ),
-    "ind": Format(
-        ("*_tracks.csv",),
-        _columns("trackid", "xcenter", "ycenter", "heading"),
-        "sim.formats.levelx:read_ind",
-        own_names=True,
-    ),
-    "round": Format(
-        ("*_tracks.csv",),
-        _columns("trackid", "xcenter", "ycenter", "heading"),
-        "sim.formats.levelx:read_ind",
-        own_names=True,
-    ),
-    "highd": Format(
-        ("*_tracks.csv",),
-        _columns("frame", "id", "width", "height", "xvelocity"),
-        "sim.formats.levelx:read_highd",
-        own_names=True,
-    ),
-    "interaction": Format(
-        ("vehicle_tracks_*.csv",),
-        _columns("track_id", "timestamp_ms", "agent_type"),
-        "sim.formats.interaction:read",
-        own_names=True,
-    ),
-    "sumo-fcd": Format(
-        ("*.xml", "*.xml.gz"),
-        re.compile(rb"<fcd-export"),
-        "sim.formats.sumo_fcd:read",
-        "sim.formats.sumo_fcd:write",
-        beside=("*.types.xml",),
-    ),
-    "traf": Format(
-        ("*.txt",),
-        re.compile(rb"^\d+[ \t]*,[ \t]*\d+(?:[ \t]*,[ \t]*-?\d+)*[ \t,-]*(?:\r?\n|\Z)"),
-        "sim.formats.traf:read",
-        unit="px",
-    ),
-    "argo": Format(
-        ("*.csv",),
-        re.compile(rb'^"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
-        "sim.formats.argo:read",
-    ),
-    "scenarionet": Format(("*.pkl",), re.compile(rb"(?!)"), writer="sim.formats.scenarionet:write"),
-}
+        "argoverse1": Format(
+            ("*.csv",),
+            _columns("timestamp", "track_id", "object_type", "x", "y"),
+            "sim.formats.argoverse1:read",
+            "sim.formats.argoverse1:write",
+        ),
+        "ngsim": Format(
+            ("*.csv", "*.txt"),
+            re.compile(
+                _columns("vehicle_id", "local_x", "local_y").pattern
+                + rb"|^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"
+            ),
+            "sim.formats.ngsim:read",
+        ),
+        "ind": Format(
+            ("*_tracks.csv",),
+            _columns("trackid", "xcenter", "ycenter", "heading"),
+            "sim.formats.levelx:read_ind",
+            own_names=True,
+        ),
+        "round": Format(
+            ("*_tracks.csv",),
+            _columns("trackid", "xcenter", "ycenter", "heading"),
+            "sim.formats.levelx:read_ind",
+            own_names=True,
+        ),
+        "highd": Format(
+            ("*_tracks.csv",),
+            _columns("frame", "id", "width", "height", "xvelocity"),
+            "sim.formats.levelx:read_highd",
+            own_names=True,
+        ),
+        "interaction": Format(
+            ("vehicle_tracks_*.csv",),
+            _columns("track_id", "timestamp_ms", "agent_type"),
+            "sim.formats.interaction:read",
+            own_names=True,
+        ),
+        "sumo-fcd": Format(
+            ("*.xml", "*.xml.gz"),
+            re.compile(rb"<fcd-export"),
+            "sim.formats.sumo_fcd:read",
+            "sim.formats.sumo_fcd:write",
+            beside=("*.types.xml",),
+        ),
+        "traf": Format(
+            ("*.txt",),
+            re.compile(rb"^\d+[ \t]*,[ \t]*\d+(?:[ \t]*,[ \t]*-?\d+)*[ \t,-]*(?:\r?\n|\Z)"),
+            "sim.formats.traf:read",
+            unit="px",
+        ),
+        "argo": Format(
+            ("*.csv",),
+            re.compile(rb'^"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
+            "sim.formats.argo:read",
+        ),
+        "scenarionet": Format(
+            ("*.pkl",), re.compile(rb"(?!)"), writer="sim.formats.scenarionet:write"
+        ),
+    },
+)
 """Every format by name."""
-
-
-def _loaded(name: str) -> object:
-    module, function = name.split(":")
-    return getattr(importlib.import_module(module), function)
 
 
 def get_reader(name: str) -> Reader:
@@ -141,10 +142,10 @@ def get_reader(name: str) -> Reader:
     Raises:
         InputError: if there is none.
     """
-    source = lookup(FORMATS, name, "format").reader
+    source = FORMATS[name].reader
     if source is None:
         raise InputError(f"format {name}: found no reader, expected one that can be read")
-    return cast("Reader", _loaded(source))
+    return cast("Reader", loaded(source))
 
 
 def get_writer(name: str) -> Writer:
@@ -153,11 +154,11 @@ def get_writer(name: str) -> Writer:
     Raises:
         InputError: if there is none.
     """
-    source = lookup(FORMATS, name, "format").writer
+    source = FORMATS[name].writer
     if source is None:
         able = ", ".join(key for key, entry in FORMATS.items() if entry.writer)
         raise InputError(f"format {name}: found no writer, expected one of {able}")
-    return cast("Writer", _loaded(source))
+    return cast("Writer", loaded(source))
 
 
 def _head(path: Path) -> bytes:

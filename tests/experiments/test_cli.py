@@ -96,7 +96,7 @@ def test_every_mistake_is_one_line_and_exit_code_2(
 def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     import experiments.cli.doctor
 
-    def bug() -> dict[str, list[str]]:
+    def bug() -> list[dict[str, str]]:
         raise ValueError("not the user's fault")
 
     monkeypatch.setattr(experiments.cli.doctor, "registered_names", bug)
@@ -109,6 +109,7 @@ def test_list_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     names = {(row["what"], row["name"]) for row in json.loads(out)}
     assert code == 0
     assert {("scenario", "straight_road"), ("engine", "sumo"), ("solver", "graphrqi")} <= names
+    assert {row["from"] for row in json.loads(out)} == {"graphrqi"}
 
 
 def test_run_sums_up(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -1,0 +1,150 @@
+"""The registries: names of things, each of which is loaded when it is first asked for.
+
+A registry is written as a dict of "module:attribute" strings. Other installed distributions add
+entries through entry points, in the group that the registry names; see ``docs/extend.md``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+
+from behaviors.errors import InputError, lookup
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+T = TypeVar("T")
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """Things by name: those of this package, then those of installed plugins.
+
+    Looking at the names loads nothing. Asking for an unknown name is an `InputError` that suggests
+    the nearest one. Entries can be set and deleted to try something out in one process.
+
+    Args:
+        what: what the registry holds, in the singular ("solver"); used in messages.
+        group: the group of entry points that adds to it ("graphrqi.solvers").
+        entries: the things of this package; a string "module:attribute" is imported when asked for.
+        made: what turns a name and what was imported for it into the entry; the entry is what was
+            imported if not given.
+
+    Examples:
+        >>> roots = Registry("root", "graphrqi.roots", {"square": "math:sqrt", "cube": "math:cbrt"})
+        >>> list(roots)
+        ['square', 'cube']
+        >>> roots["square"](9.0)
+        3.0
+        >>> roots["cub"]
+        Traceback (most recent call last):
+        ...
+        behaviors.errors.InputError: unknown root 'cub': did you mean 'cube'? (square, cube)
+    """
+
+    def __init__(
+        self,
+        what: str,
+        group: str,
+        entries: Mapping[str, str | T],
+        made: Callable[[str, Any], T] | None = None,
+    ) -> None:
+        self._what = what
+        self._group = group
+        self._entries = dict(entries)
+        self._made = made
+        self._loaded: dict[str, T] = {}
+
+    def __getitem__(self, name: str) -> T:
+        """The entry of that name, imported if it is asked for the first time."""
+        plugins = self._plugins()
+        if name not in self._loaded:
+            known: dict[str, str | T | EntryPoint] = {**self._entries, **plugins}
+            entry = lookup(known, name, self._what)
+            self._loaded[name] = self._load(name, plugins.get(name), entry)
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names: those of this package, then those of plugins."""
+        return iter((*self._entries, *self._plugins()))
+
+    def __len__(self) -> int:
+        """How many names there are."""
+        return len(self._entries) + len(self._plugins())
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is an entry of that name; nothing is imported."""
+        return name in self._entries or name in self._plugins()
+
+    def __setitem__(self, name: str, entry: T) -> None:
+        """Set an entry in this process."""
+        self._entries[name] = entry
+        self._loaded.pop(name, None)
+
+    def __delitem__(self, name: str) -> None:
+        """Delete an entry in this process."""
+        del self._entries[name]
+        self._loaded.pop(name, None)
+
+    def origin(self, name: str) -> str:
+        """The distribution that an entry comes from: "graphrqi" or a plugin's name and version."""
+        plugin = self._plugins().get(name)
+        return "graphrqi" if plugin is None else _distribution(plugin)
+
+    def _plugins(self) -> Mapping[str, EntryPoint]:
+        """The entries that other distributions add; no name stands twice."""
+        found: dict[str, EntryPoint] = {}
+        for plugin in _entry_points(tuple(sys.path)).get(self._group, ()):
+            if plugin.name in self._entries or plugin.name in found:
+                other = found.get(plugin.name)
+                owner = "graphrqi" if other is None else _distribution(other)
+                raise InputError(
+                    f"{self._what} {plugin.name!r}: found it in {owner} and in the plugin "
+                    f"{_distribution(plugin)} ({plugin.value}), expected it once; "
+                    "uninstall or rename one"
+                )
+            found[plugin.name] = plugin
+        return found
+
+    def _load(self, name: str, plugin: EntryPoint | None, entry: object) -> T:
+        if plugin is not None:
+            try:
+                entry = plugin.load()
+            except Exception as error:  # a plugin's code may fail in any way
+                reason = " ".join(f"{type(error).__name__}: {error}".split())
+                raise InputError(
+                    f"{self._what} {name!r}: found a plugin that does not load, "
+                    f"{_distribution(plugin)} ({plugin.value}): {reason}"
+                ) from error
+        elif isinstance(entry, str):
+            entry = loaded(entry)
+        else:
+            return cast(T, entry)
+        return cast(T, entry) if self._made is None else self._made(name, entry)
+
+
+def loaded(source: str) -> Any:
+    """What a "module:attribute" string names; the module is imported if it is not yet."""
+    module, attribute = source.split(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def _distribution(plugin: EntryPoint) -> str:
+    return (
+        "an unknown distribution"
+        if plugin.dist is None
+        else f"{plugin.dist.name} {plugin.dist.version}"
+    )
+
+
+@lru_cache(maxsize=1)
+def _entry_points(path: tuple[str, ...]) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Every entry point of our groups, by group; looked for again when ``sys.path`` changes."""
+    from importlib.metadata import entry_points
+
+    installed = entry_points()
+    groups = sorted(group for group in installed.groups if group.startswith("graphrqi."))
+    return {group: tuple(installed.select(group=group)) for group in groups}
