@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from experiments.cli.exit_codes import one_line
-from experiments.cli.tables import write_json
+from experiments.console.exit_codes import one_line
+from experiments.console.tables import write_json
 from experiments.data.generate import GenerateConfig, generate
 from experiments.report.page import printed_tables, write_report
 from experiments.report.run_file import Metrics, RunFile, Score, installed, read_run, write_run

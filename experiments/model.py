@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import graphrqi.predict
-from experiments.cli.exit_codes import one_line
+from experiments.console.exit_codes import one_line
 from experiments.data.generate import GenerateConfig, generate
 from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.data.generate import GenerateConfig
 from scenarios.command import RunSummary
 from sim.engines import get_engine

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 
 from experiments.benches.registry import BENCHES, NEED_RECORDINGS, run_bench
-from experiments.cli.exit_codes import one_line
-from experiments.cli.tables import write_json
+from experiments.console.exit_codes import one_line
+from experiments.console.tables import write_json
 
 
 def run_study(out: Path, quick: bool = False) -> list[Path]:

@@ -28,7 +28,7 @@ from experiments.benches.protocols import (
     speed_rows,
     transductive,
 )
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.data.generate import GenerateConfig, generate
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.data.generate import GenerateConfig, Task, generate, make_episode
 from experiments.data.parallel import in_parallel
 from scenarios import get_scenario

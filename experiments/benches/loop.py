@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.data.parallel import in_parallel
 from experiments.scoring.metrics import bootstrap
 from graphrqi.predict.planner import ACT_S, Plan, plan

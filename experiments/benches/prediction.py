@@ -15,7 +15,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.benches import yielding
 from experiments.benches.yield_picture import Case, clearest, draw_cases
 from experiments.benches.yielding import NOTHING_ASKED, Asked, ask, score_chances
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.data.generate import GenerateConfig, generate
 from experiments.data.parallel import in_parallel
 from experiments.scoring.metrics import bootstrap

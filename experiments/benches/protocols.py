@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Style
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.cli.tables import Cell, Row
+from experiments.console.tables import Cell, Row
 from experiments.data.disturbances import DISTURBANCES
 from experiments.data.parallel import in_parallel
 from experiments.scoring.metrics import (

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from behaviors.agreement import Resolution
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS, Style
-from experiments.cli.tables import Cell, Row
+from experiments.console.tables import Cell, Row
 from experiments.data.parallel import in_parallel
 from experiments.scoring.metrics import (
     auc_within,

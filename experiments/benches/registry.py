@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final, cast
 
 from behaviors.registry import Registry
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 
 
 def _generate(quick: bool) -> list[Row]:

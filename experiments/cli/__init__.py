@@ -1,1 +1,1 @@
-"""The ``graphrqi`` command, and how its commands talk to their user."""
+"""The ``graphrqi`` command."""

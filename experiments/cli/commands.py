@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.exit_codes import STOPPED, Interrupted, one_line
+from experiments.console.exit_codes import STOPPED, Interrupted, one_line
 
 app = typer.Typer(
     name="graphrqi",
@@ -92,7 +92,7 @@ DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s
 def list_names(json: Json = None) -> None:
     """Show every registered name and the distribution that it comes from."""
     from experiments.cli.doctor import registered_names
-    from experiments.cli.tables import show_table
+    from experiments.console.tables import show_table
 
     show_table(registered_names(), json)
 
@@ -118,7 +118,7 @@ def run(
     json: Json = None,
 ) -> None:
     """Run a scenario headless and sum up what happened."""
-    from experiments.cli.tables import show_table
+    from experiments.console.tables import show_table
     from experiments.data.generate import read_config
     from experiments.run import run_scenario
 
@@ -207,7 +207,7 @@ def classify(
     quiet: Quiet = False,
 ) -> None:
     """Name each driver's behaviour as it drives."""
-    from experiments.cli.tables import show_table
+    from experiments.console.tables import show_table
     from experiments.data.exchange import as_dataset
     from experiments.scoring.classification import classify_dataset
 
@@ -245,7 +245,7 @@ def predict(
     quiet: Quiet = False,
 ) -> None:
     """Predict where everyone goes, and score it."""
-    from experiments.cli.tables import show_table, write_json
+    from experiments.console.tables import show_table, write_json
     from experiments.data.exchange import as_dataset
     from experiments.scoring.prediction import NothingToScore, predict_dataset, short_table
 
@@ -400,7 +400,7 @@ def verify(
     quiet: Quiet = False,
 ) -> None:
     """Compare every file with its checksum."""
-    from experiments.cli.tables import show_table
+    from experiments.console.tables import show_table
     from experiments.data.verify import verify_dataset
 
     flaws = verify_dataset(dataset, repair, jobs, quiet)
@@ -459,7 +459,7 @@ def bench_spectrum(
 
     from behaviors.errors import InputError
     from experiments.benches.spectrum import plot_spectrum, run_spectrum_bench, spectrum_table
-    from experiments.cli.tables import show_table, write_json
+    from experiments.console.tables import show_table, write_json
     from graphrqi.spectrum.contract import End
 
     try:
@@ -497,7 +497,7 @@ def bench_real_data(
 ) -> None:
     """Score methods on labelled recordings, leaving one video out at a time."""
     from experiments.benches.real_data import run_real_data_bench
-    from experiments.cli.tables import show_table
+    from experiments.console.tables import show_table
 
     show_table(run_real_data_bench(data, _words(test_videos), quick), json)
 
@@ -533,7 +533,7 @@ def bench_classification(
         plot_classification,
         run_classification_bench,
     )
-    from experiments.cli.tables import show_table, write_json
+    from experiments.console.tables import show_table, write_json
 
     wanted = _words(protocols) or tuple(PROTOCOLS)
     keep = None if json is None or str(json) == "-" else partial(write_json, json_path=json)
@@ -557,7 +557,7 @@ def bench_prediction(
 ) -> None:
     """Measure every predictor's errors on unseen episodes."""
     from experiments.benches.prediction import run_prediction_bench
-    from experiments.cli.tables import show_table
+    from experiments.console.tables import show_table
 
     show_table(run_prediction_bench(quick, jobs=jobs, picture=plot), json)
 
@@ -566,7 +566,7 @@ def _add_bench(name: str, what: str) -> None:
     @bench.command(name, help=what, epilog=f"example: graphrqi bench {name} --quick")
     def measure(quick: Quick = False, json: Json = None) -> None:
         from experiments.benches.registry import run_bench
-        from experiments.cli.tables import show_table
+        from experiments.console.tables import show_table
 
         show_table(run_bench(name, quick), json)
 
@@ -585,7 +585,7 @@ for _name, _what in {
 def doctor(json: Json = None) -> None:
     """Say what is installed, missing, and how to get it."""
     from experiments.cli.doctor import examine
-    from experiments.cli.tables import show_table
+    from experiments.console.tables import show_table
 
     findings = examine()
     show_table([finding.row for finding in findings], json)

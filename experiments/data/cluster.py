@@ -26,7 +26,7 @@ from sim.store.dataset import made_with
 if TYPE_CHECKING:
     from distributed import Client
 
-    from experiments.cli.progress import Progress
+    from experiments.console.progress import Progress
     from experiments.data.generate import Task
     from sim.store.schema import EpisodeEntry
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from experiments.cli.progress import Progress
+from experiments.console.progress import Progress
 from experiments.data.data_card import data_card
 from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
 from sim.formats.common.windows import NoWindowError

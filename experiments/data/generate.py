@@ -22,8 +22,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
-from experiments.cli.exit_codes import Interrupted
-from experiments.cli.progress import Progress
+from experiments.console.exit_codes import Interrupted
+from experiments.console.progress import Progress
 from experiments.data.parallel import start_worker
 from scenarios import get_scenario
 from sim.engines import get_engine

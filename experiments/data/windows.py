@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from experiments.cli.progress import Progress
+from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from graphrqi.methods import METHODS
 from graphrqi.samples import NoSamplesError, Samples, collect

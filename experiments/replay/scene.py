@@ -11,7 +11,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.traits import Exhibit
-from experiments.cli.progress import Progress
+from experiments.console.progress import Progress
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_watch import WatchedGraph, watch_graph

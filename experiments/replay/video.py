@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from behaviors.errors import InputError
-from experiments.cli.progress import Progress
+from experiments.console.progress import Progress
 from experiments.replay.picture import Painter
 from experiments.replay.scene import Scene
 from sim.store.atomic import whole_file

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from behaviors.labelling import characteristic_traits
 from behaviors.labels import BEHAVIORS, TRAITS, Style
-from experiments.cli.progress import Progress
+from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.replay.page import write_page
 from experiments.replay.picture import Painter, png_bytes

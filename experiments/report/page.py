@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.report.cases import look_closer
 from experiments.report.run_file import Metrics
 from experiments.report.sections import LAYOUTS, Section, is_first, sections, shown_predictor

@@ -9,7 +9,7 @@ from typing import Final
 from markupsafe import Markup
 
 from behaviors.labels import BEHAVIORS
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.report.charts import Axis, Line, Point, line_chart
 from experiments.report.tables import Table, name_of, pivot, words
 

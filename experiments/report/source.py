@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from behaviors.errors import InputError
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 from experiments.data.windows import OBSERVED_S
 from experiments.report.run_file import Metrics, RunFile, read_run
 from graphrqi.methods import load_model

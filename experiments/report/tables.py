@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from experiments.cli.tables import Row
+from experiments.console.tables import Row
 
 _FIGURE: Final = frozenset({"metric", "value", "low", "high", "n", "split"})
 

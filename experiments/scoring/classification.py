@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.labels import BEHAVIORS
-from experiments.cli.progress import Progress
+from experiments.console.progress import Progress
 from graphrqi.methods import Model, load_model
 from graphrqi.stream import BehaviorStream
 from sim.frames import Tracks

@@ -19,8 +19,8 @@ import pyarrow as pa
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.cli.progress import Progress
-from experiments.cli.tables import Row
+from experiments.console.progress import Progress
+from experiments.console.tables import Row
 from experiments.data.parallel import in_parallel
 from experiments.scoring.metrics import bootstrap
 from experiments.scoring.prediction_file import PREDICTIONS, predictions_file, predictions_table

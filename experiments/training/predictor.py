@@ -11,7 +11,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.cli.progress import Progress
+from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.scoring.prediction import (
     HISTORY_S,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from experiments.cli.commands import app, main
-from experiments.cli.exit_codes import Interrupted
+from experiments.console.exit_codes import Interrupted
 from sim.scenario import MAX_DURATION_S, MAX_PER_HOUR
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from behaviors.errors import InputError
-from experiments.cli.exit_codes import Interrupted, one_line
+from experiments.console.exit_codes import Interrupted, one_line
 
 
 @pytest.mark.parametrize(
