@@ -4,6 +4,7 @@
 # make docs   the documentation's pages into build/site
 # make study  every measured figure at full size into runs/study
 # make model  train the models that ship with the package again
+# make release  what is published: sdist, wheel, hash-pinned lock, bill of materials, licences -> dist/
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
@@ -13,7 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 # Many small processes are faster than a few that fight over the cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: install demo test docs study model
+.PHONY: install demo test docs study model release
 
 install: $(VENV)/.installed
 
@@ -48,3 +49,24 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable '.[dev]'
 	@touch $(VENV)/.installed $@
+
+# The release tools live in an environment of their own, so that what they need is not locked.
+release: $(VENV)/.installed $(VENV)-release/.installed
+	rm -rf dist && mkdir dist
+	$(VENV)-release/bin/python -m build --quiet --no-isolation --outdir dist .
+	$(VENV)-release/bin/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras \
+	    --no-header --no-emit-options --no-emit-index-url --no-emit-trusted-host \
+	    --no-emit-find-links --constraint constraints.txt --output-file dist/requirements.lock \
+	    pyproject.toml
+	$(VENV)-release/bin/cyclonedx-py requirements --output-reproducible --validate \
+	    --pyproject pyproject.toml --output-file dist/sbom.cdx.json dist/requirements.lock
+	$(VENV)-release/bin/pip-licenses --python $(BIN)/python --format markdown --order license \
+	    --from mixed --with-urls --output-file dist/licences.md \
+	    --packages $$(sed -n 's/^\([A-Za-z0-9._-]*\)==.*/\1/p' dist/requirements.lock)
+	cd dist && sha256sum * > SHA256SUMS
+
+$(VENV)-release/.installed: pyproject.toml constraints.txt | $(BIN)/python
+	$(PYTHON) -m venv $(VENV)-release
+	$(VENV)-release/bin/python -m pip install --quiet --disable-pip-version-check \
+	    -c constraints.txt build cyclonedx-bom pip-licenses pip-tools setuptools
+	@touch $@
