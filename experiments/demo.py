@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from experiments.console.exit_codes import one_line
-from experiments.console.tables import write_json
 from experiments.data.generate import GenerateConfig, generate
 from experiments.report.page import printed_tables, write_report
 from experiments.report.run_file import Metrics, RunFile, Score, installed, read_run, write_run
 from experiments.report.tables import Table
+from experiments.rows import write_json
 from experiments.scoring.prediction import metrics_tree, predict_dataset
 from experiments.training.classifier import train_model
 from graphrqi.methods import save_model

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.console.tables import Row
 from experiments.data.generate import GenerateConfig
+from experiments.rows import Row
 from scenarios.command import RunSummary
 from sim.engines import get_engine
 from sim.frames import EventKind, Frame, Tracks

@@ -10,9 +10,9 @@ import os
 import sys
 from pathlib import Path
 
-from experiments.benches.registry import BENCHES, NEED_RECORDINGS, run_bench
+from experiments.benches.registry import BENCHES
 from experiments.console.exit_codes import one_line
-from experiments.console.tables import write_json
+from experiments.rows import write_json
 
 
 def run_study(out: Path, quick: bool = False) -> list[Path]:
@@ -31,12 +31,12 @@ def run_study(out: Path, quick: bool = False) -> list[Path]:
         if path.exists():
             print(f"{path}: is there", file=sys.stderr)
             continue
-        if name in NEED_RECORDINGS and not os.environ.get("GRAPHRQI_DATA"):
-            print(f"{path}: skipped, GRAPHRQI_DATA names no recordings", file=sys.stderr)
+        bench = BENCHES[name]
+        if bench.needs and not os.environ.get(bench.needs):
+            print(f"{path}: skipped, {bench.needs} names no recordings", file=sys.stderr)
             continue
         print(f"{path}: measuring", file=sys.stderr, flush=True)
-        rows = run_bench(name, quick)
-        write_json(rows, path)
+        write_json(bench.run(bench.quick if quick else bench.full), path)
     return [path for path in paths.values() if path.exists()]
 
 

@@ -7,7 +7,7 @@ come from drawing drivers anew (bootstrap).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from behaviors.labelling import shown_label
 from behaviors.labels import BEHAVIORS, Trait
 from behaviors.traits import FOLLOWING_MPS, Exhibit, Seen, lane_changes, waits
+from experiments.benches.contract import Bench, option
+from experiments.data.parallel import in_parallel
+from experiments.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.episode.annotate import watch
@@ -38,9 +41,6 @@ CLEARING_S: Final = 300.0
 Pedestrians may still walk: half a straight road takes them longer."""
 
 RESAMPLES: Final = 1000
-
-QUICK: Final = {"seeds": 2, "duration_s": 120.0}
-"""What a quick run is cut down to."""
 
 METRICS: Final[tuple[tuple[str, str, str], ...]] = (
     ("red_run_share", "red_runs", "red_faced"),
@@ -224,9 +224,7 @@ def _free(seen: Seen) -> NDArray[np.bool_]:
     return np.asarray(seen.driving & ~near & (change < STEADY_MPS2))
 
 
-def rows_of(
-    counts: DriverCounts, engine: str, scenario: str, seed: int = 0
-) -> list[dict[str, object]]:
+def rows_of(counts: DriverCounts, engine: str, scenario: str, seed: int = 0) -> list[Row]:
     """One row per behaviour and metric, with a 95 % interval over drivers.
 
     Args:
@@ -240,8 +238,9 @@ def rows_of(
         drivers with something to count.
     """
     rng = np.random.default_rng(seed)
-    found: list[dict[str, object]] = []
+    found: list[Row] = []
     for behavior in BEHAVIORS:
+        keys = _keys(engine, scenario, behavior.value)
         mine = counts.counts[counts.behavior == behavior.code]
         weights = (
             rng.multinomial(len(mine), np.full(len(mine), 1 / len(mine)), RESAMPLES)
@@ -269,7 +268,7 @@ def rows_of(
             else:
                 n = len(mine)
                 value = float(top.sum())
-            found.append(_row(engine, scenario, behavior.value, metric, value, low, high, n))
+            found.append(tidy_row(keys, metric, value, low, high, n))
     everyone = len(counts.behavior) + counts.walkers
     for who, metric, total, n in (
         ("pedestrian", "jaywalks", counts.jaywalks, counts.walkers),
@@ -277,69 +276,56 @@ def rows_of(
         ("all", "left_behind", counts.left_behind, everyone),
         ("all", "longest_stand_s", counts.longest_stand_s, len(counts.behavior)),
     ):
-        found.append(_row(engine, scenario, who, metric, float(total), None, None, n))
+        found.append(tidy_row(_keys(engine, scenario, who), metric, total, None, None, n))
     return found
 
 
-def _row(
-    engine: str,
-    scenario: str,
-    behavior: str,
-    metric: str,
-    value: float | None,
-    low: float | None,
-    high: float | None,
-    n: int,
-) -> dict[str, object]:
-    return {
-        "engine": engine,
-        "scenario": scenario,
-        "behavior": behavior,
-        "metric": metric,
-        "value": value,
-        "low": low,
-        "high": high,
-        "n": n,
-    }
+def _keys(engine: str, scenario: str, behavior: str) -> dict[str, Cell]:
+    return {"engine": engine, "scenario": scenario, "behavior": behavior}
 
 
-def run_behaviors_bench(
-    scenarios: Sequence[str] | None = None,
-    seeds: Sequence[int] = range(5),
-    duration_s: float = 600.0,
-    engine: str = "sumo",
-    jobs: int = 1,
-    quick: bool = False,
-) -> list[dict[str, object]]:
-    """Every behaviour against every trait, on every scenario.
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is driven.
 
-    Args:
-        scenarios: keys of ``SCENARIOS``; all by default.
+    Attributes:
+        scenarios: keys of ``SCENARIOS``; () for all.
+        engine: a key of ``ENGINES``.
         seeds: one episode per scenario and seed.
         duration_s: length of each episode, s.
-        engine: a key of ``ENGINES``.
-        jobs: processes; an engine may run once per process only.
-        quick: two seeds of two minutes, to see that it works.
-
-    Returns:
-        Rows with the keys ``engine scenario behavior metric value low high n``; of several
-        scenarios also those of all together, as scenario ``all``.
+        jobs: processes; None for one per core.
     """
-    names = list(SCENARIOS) if scenarios is None else [get_scenario(n).name for n in scenarios]
-    if quick:
-        seeds, duration_s = list(seeds)[: int(QUICK["seeds"])], QUICK["duration_s"]
-    tasks = [(name, int(seed), duration_s, engine) for name in names for seed in seeds]
-    if jobs == 1:
-        counted = [count_episode(*task) for task in tasks]
-    else:
-        from loky import ProcessPoolExecutor
 
-        with ProcessPoolExecutor(max_workers=jobs) as pool:
-            counted = list(pool.map(count_episode, *zip(*tasks, strict=True)))
-    found: list[dict[str, object]] = []
+    scenarios: tuple[str, ...] = option((), "Scenarios to drive in [default: all].")
+    engine: str = option("sumo", "Which simulator.")
+    seeds: tuple[int, ...] = option((0, 1, 2, 3, 4), "One episode for each.", "N,N")
+    duration_s: float = option(600.0, "Length of each episode, s.")
+    jobs: int | None = option(1, "Processes.")
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
+    """Every behaviour against every trait, on every scenario.
+
+    Yields:
+        The rows of each scenario; last, where there are several, those of all together, as
+        scenario ``all``.
+    """
+    names = [get_scenario(name).name for name in settings.scenarios] or list(SCENARIOS)
+    everything: list[DriverCounts] = []
     for name in names:
-        parts = [c for task, c in zip(tasks, counted, strict=True) if task[0] == name]
-        found += rows_of(DriverCounts.joined(parts), engine, name)
+        tasks = [(name, seed, settings.duration_s, settings.engine) for seed in settings.seeds]
+        counted = list(in_parallel(count_episode, tasks, settings.jobs))
+        everything += counted
+        yield rows_of(DriverCounts.joined(counted), settings.engine, name)
     if len(names) > 1:
-        found += rows_of(DriverCounts.joined(counted), engine, "all")
-    return found
+        yield rows_of(DriverCounts.joined(everything), settings.engine, "all")
+
+
+BENCH: Final = Bench(
+    name="behaviors",
+    summary="Measure which behaviour shows which trait, in every scenario.",
+    keys=("engine", "scenario", "behavior"),
+    full=Settings(),
+    quick=Settings(seeds=(0, 1), duration_s=120.0),
+    measure=measure,
+)

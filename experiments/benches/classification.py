@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 from behaviors.errors import lookup
+from experiments.benches.contract import Bench, option
 from experiments.benches.protocols import (
     MAIN_S,
     OURS,
@@ -28,8 +29,8 @@ from experiments.benches.protocols import (
     speed_rows,
     transductive,
 )
-from experiments.console.tables import Row
 from experiments.data.generate import GenerateConfig, generate
+from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS
 from sim.store.dataset import open_dataset
@@ -49,14 +50,18 @@ TRAFFIC: Final[dict[str, dict[str, Any]]] = {
 
 
 @dataclass(frozen=True)
-class Sizes:
-    """How much is made and measured.
+class Settings:
+    """How much data is made, and what is measured on it.
 
     Attributes:
+        data: a dataset to learn from and score on; None makes one.
+        out: where datasets are made, and used again; None for a temporary folder.
+        protocols: keys of ``PROTOCOLS``; () for all.
+        jobs: processes; None for one per core.
         base: options of `GenerateConfig` for the data that is learned.
-        other: the same for what is only scored.
+        other: the same for data that are only scored.
         engine: the same for drivers of another law and of the other engine, scored and learned.
-        fresh: the same for what the shipped model is scored on.
+        fresh: the same for the data on which the shipped model is scored.
         many: the same for the leak probe, whose interval needs episodes; None for the base.
         traffic: which of ``TRAFFIC``.
         methods: compared with one another.
@@ -64,200 +69,163 @@ class Sizes:
         levels: of each disturbance; None for all.
     """
 
-    base: Mapping[str, Any]
-    other: Mapping[str, Any]
-    engine: Mapping[str, Any]
-    fresh: Mapping[str, Any]
-    many: Mapping[str, Any] | None
-    traffic: tuple[str, ...]
-    methods: tuple[str, ...]
-    main: tuple[str, ...]
+    data: Path | None = option(None, "A dataset to learn and score on [default: one is made].")
+    out: Path | None = option(
+        Path("runs/classification"), "Where datasets are made; those that are there are used."
+    )
+    protocols: tuple[str, ...] = option((), "Only these [default: all].", "A,B,...")
+    jobs: int | None = option(None, "Processes [default: one per core].")
+    base: Mapping[str, Any] = field(
+        default_factory=lambda: {
+            "episodes": 15, "duration_s": 150.0, "limits_mps": TRAINING_LIMITS_MPS,
+        }
+    )  # fmt: skip
+    other: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 12, "duration_s": 150.0})
+    engine: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 20, "duration_s": 300.0})
+    fresh: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 6, "duration_s": 300.0})
+    many: Mapping[str, Any] | None = field(
+        default_factory=lambda: {"episodes": 40, "duration_s": 150.0}
+    )
+    traffic: tuple[str, ...] = tuple(TRAFFIC)
+    methods: tuple[str, ...] = (OURS, *(name for name in METHODS if name != OURS))
+    main: tuple[str, ...] = (OURS,)
     levels: int | None = None
 
 
-FULL: Final = Sizes(
-    base={"episodes": 15, "duration_s": 150.0, "limits_mps": TRAINING_LIMITS_MPS},
-    other={"episodes": 12, "duration_s": 150.0},
-    engine={"episodes": 20, "duration_s": 300.0},
-    fresh={"episodes": 6, "duration_s": 300.0},
-    many={"episodes": 40, "duration_s": 150.0},
-    traffic=tuple(TRAFFIC),
-    methods=(OURS, *(name for name in METHODS if name != OURS)),
-    main=(OURS,),
-)
-"""Nine episodes a scenario to learn from and three to score on; some 50 minutes of CPU time."""
-
-QUICK: Final = Sizes(
-    base={"episodes": 5, "duration_s": 40.0},
-    other={"episodes": 3, "duration_s": 30.0},
-    engine={"episodes": 3, "duration_s": 30.0},
-    fresh={"episodes": 1, "duration_s": 30.0},
-    many=None,
-    traffic=("dense flow",),
-    methods=("cheung",),
-    main=("cheung",),
-    levels=1,
-)
-"""To see that it works."""
-
-
-class Bench:
+class Datasets:
     """The datasets, each made when first asked for.
 
     Args:
-        sizes: how much is made and measured.
-        dataset: learned from and scored on; None makes one.
-        folder: where datasets are made; what is there is used again.
-        jobs: processes; None for one per core.
+        settings: how much is made.
+        folder: where datasets are made, and used again.
     """
 
-    def __init__(self, sizes: Sizes, dataset: Path | None, folder: Path, jobs: int | None) -> None:
-        self.sizes = sizes
-        self._dataset, self._folder, self._jobs = dataset, folder, jobs
+    def __init__(self, settings: Settings, folder: Path) -> None:
+        self.settings, self._folder = settings, folder
 
     def _made(self, name: str, **options: Any) -> Recordings:
-        where = self._folder / name.replace(" ", "-").replace("/", "")
-        generate(GenerateConfig(**{"scenarios": SCENARIOS, **options}), where, self._jobs, True)
-        return Recordings(open_dataset(where), self._jobs)
+        where, jobs = self._folder / name.replace(" ", "-").replace("/", ""), self.settings.jobs
+        generate(GenerateConfig(**{"scenarios": SCENARIOS, **options}), where, jobs, True)
+        return Recordings(open_dataset(where), jobs)
 
     @cached_property
     def base(self) -> Recordings:
         """What is learned, and the unseen episodes beside it."""
-        if self._dataset is not None:
-            return Recordings(open_dataset(self._dataset), self._jobs)
-        return self._made("base", **self.sizes.base, seed=11)
+        if self.settings.data is not None:
+            return Recordings(open_dataset(self.settings.data), self.settings.jobs)
+        return self._made("base", **self.settings.base, seed=11)
 
     @cached_property
     def traffic(self) -> dict[str, Recordings]:
         """What is never trained on, by what differs."""
         return {
-            name: self._made(name, **{**self.sizes.other, "seed": 12, **TRAFFIC[name]})
-            for name in self.sizes.traffic
+            name: self._made(name, **{**self.settings.other, "seed": 12, **TRAFFIC[name]})
+            for name in self.settings.traffic
         }
 
     @cached_property
     def fresh(self) -> Recordings:
         """Usual traffic that nothing was ever trained on."""
-        return self._made("fresh", **self.sizes.fresh, seed=14)
+        return self._made("fresh", **self.settings.fresh, seed=14)
 
     @cached_property
     def many(self) -> Recordings:
         """Usual traffic for what looks at nothing of it."""
-        if self._dataset is not None or self.sizes.many is None:
+        if self.settings.data is not None or self.settings.many is None:
             return self.base
-        return self._made("many", **self.sizes.many, seed=15)
+        return self._made("many", **self.settings.many, seed=15)
 
     @cached_property
     def idm(self) -> Recordings:
         """Drivers in SUMO who follow by the other law."""
-        return self._made("idm", **self.sizes.engine, engine="sumo-idm", seed=16)
+        return self._made("idm", **self.settings.engine, engine="sumo-idm", seed=16)
 
     @cached_property
     def highway(self) -> Recordings:
         """Drivers of the other engine."""
-        return self._made("highway", **self.sizes.engine, engine="highway", seed=13)
+        return self._made("highway", **self.settings.engine, engine="highway", seed=13)
 
     @cached_property
     def krauss(self) -> Recordings:
         """Drivers of the other engine who follow by SUMO's law."""
-        return self._made("krauss", **self.sizes.engine, engine="highway-krauss", seed=17)
+        return self._made("krauss", **self.settings.engine, engine="highway-krauss", seed=17)
 
 
-def _shipped(bench: Bench) -> list[Row]:
-    others = {**bench.traffic, "highway engine": bench.highway}
-    parts = [shipped(bench.fresh)]
+def _shipped(data: Datasets) -> list[Row]:
+    others = {**data.traffic, "highway engine": data.highway}
+    parts = [shipped(data.fresh)]
     parts += [shipped(other, (MAIN_S,), name) for name, other in others.items()]
     return [row for rows in parts for row in rows]
 
 
-def _inductive(bench: Bench) -> list[Row]:
-    methods = bench.sizes.methods
+def _inductive(data: Datasets) -> list[Row]:
+    methods = data.settings.methods
     return [
-        *inductive(bench.base, methods, SCORED_S),
-        *ceiling(bench.base),
-        *interpretability(bench.base),
+        *inductive(data.base, methods, SCORED_S),
+        *ceiling(data.base),
+        *interpretability(data.base),
     ]
 
 
-def _across_traffic(bench: Bench) -> list[Row]:
-    return across_datasets([bench.base], bench.traffic, bench.sizes.main, "across-traffic")
+def _across_traffic(data: Datasets) -> list[Row]:
+    return across_datasets([data.base], data.traffic, data.settings.main, "across-traffic")
 
 
-def _across_engines(bench: Bench) -> list[Row]:
-    sumo, highway = bench.base, bench.highway
+def _across_engines(data: Datasets) -> list[Row]:
+    sumo, highway = data.base, data.highway
     ways = [
         ("sumo, scored on highway", [sumo], highway),
-        ("sumo with both laws, scored on highway", [sumo, bench.idm], highway),
-        ("highway, scored on sumo", [highway], bench.fresh),
-        ("highway with both laws, scored on sumo", [highway, bench.krauss], bench.fresh),
+        ("sumo with both laws, scored on highway", [sumo, data.idm], highway),
+        ("highway, scored on sumo", [highway], data.fresh),
+        ("highway with both laws, scored on sumo", [highway, data.krauss], data.fresh),
     ]
     return [
         row
         for name, learned, other in ways
         for row in across_datasets(
-            learned, {f"trained on {name}": other}, bench.sizes.main, "across-engines"
+            learned, {f"trained on {name}": other}, data.settings.main, "across-engines"
         )
     ]
 
 
-PROTOCOLS: Final[dict[str, Callable[[Bench], list[Row]]]] = {
+PROTOCOLS: Final[dict[str, Callable[[Datasets], list[Row]]]] = {
     "shipped": _shipped,
     "inductive": _inductive,
     "leak-probe": lambda b: leak_probe(b.many),
     "random-rows": lambda b: random_rows(b.base, [m for m in (OURS, "graphrqi", "majority")
-                                                  if m in b.sizes.methods]),
-    "transductive": lambda b: transductive(b.base, b.sizes.methods),
-    "ablation": lambda b: ablation(b.base) if OURS in b.sizes.methods else [],
-    "across-scenarios": lambda b: across_scenarios(b.base, b.sizes.main),
+                                                  if m in b.settings.methods]),
+    "transductive": lambda b: transductive(b.base, b.settings.methods),
+    "ablation": lambda b: ablation(b.base) if OURS in b.settings.methods else [],
+    "across-scenarios": lambda b: across_scenarios(b.base, b.settings.main),
     "across-traffic": _across_traffic,
     "across-engines": _across_engines,
-    "robustness": lambda b: robustness(b.base, b.sizes.main, b.sizes.levels),
-    "speed": lambda b: speed_rows(b.base, b.sizes.main),
+    "robustness": lambda b: robustness(b.base, b.settings.main, b.settings.levels),
+    "speed": lambda b: speed_rows(b.base, b.settings.main),
 }  # fmt: skip
 """What is measured, by name."""
 
 
-def run_classification_bench(
-    quick: bool = False,
-    dataset: Path | None = None,
-    folder: Path = Path("runs/classification"),
-    protocols: Sequence[str] = tuple(PROTOCOLS),
-    jobs: int | None = None,
-    keep: Callable[[list[Row]], None] | None = None,
-) -> list[Row]:
-    """What ``graphrqi bench classification`` measures.
+def measure(settings: Settings) -> Iterator[list[Row]]:
+    """Measure protocol after protocol.
 
-    Args:
-        quick: few short episodes, one level of each disturbance, one method.
-        dataset: learn from and score on this one; None makes one.
-        folder: where datasets are made; what is there is used again.
-        protocols: keys of ``PROTOCOLS``.
-        jobs: processes; None for one per core.
-        keep: told all rows measured so far after every protocol.
-
-    Returns:
-        Flat rows keyed by protocol, scenario, method, window_s and variation.
+    Yields:
+        The rows of each protocol.
 
     Raises:
         InputError: if there is no such protocol.
     """
-    wanted = [lookup(PROTOCOLS, name, "protocol") for name in protocols]
+    wanted = [lookup(PROTOCOLS, name, "protocol") for name in settings.protocols or PROTOCOLS]
     with tempfile.TemporaryDirectory() as made:
-        sizes, where = (QUICK, Path(made)) if quick else (FULL, folder)
-        bench = Bench(sizes, dataset, where, jobs)
-        rows: list[Row] = []
-        for measure in wanted:
-            rows += measure(bench)
-            if keep is not None:
-                keep(rows)
-    return rows
+        datasets = Datasets(settings, Path(made) if settings.out is None else settings.out)
+        for protocol in wanted:
+            yield protocol(datasets)
 
 
 def plot_classification(rows: Sequence[Row], path: Path) -> None:
     """Draw how confidence and accuracy agree, and what noise costs.
 
     Args:
-        rows: of `run_classification_bench`, with the protocols ``inductive`` and ``robustness``.
+        rows: of the bench, with the protocols ``inductive`` and ``robustness``.
         path: picture to write, its ending says the format.
     """
     from matplotlib.figure import Figure
@@ -288,3 +256,27 @@ def plot_classification(rows: Sequence[Row], path: Path) -> None:
         if axis.get_legend_handles_labels()[0]:
             axis.legend(fontsize="x-small")
     figure.savefig(path)
+
+
+BENCH: Final = Bench(
+    name="classification",
+    summary="Score every method under every protocol.",
+    keys=("protocol", "scenario", "method", "window_s", "variation"),
+    full=Settings(),
+    quick=Settings(
+        out=None,
+        base={"episodes": 5, "duration_s": 40.0},
+        other={"episodes": 3, "duration_s": 30.0},
+        engine={"episodes": 3, "duration_s": 30.0},
+        fresh={"episodes": 1, "duration_s": 30.0},
+        many=None,
+        traffic=("dense flow",),
+        methods=("cheung",),
+        main=("cheung",),
+        levels=1,
+    ),
+    measure=measure,
+    plot=plot_classification,
+)
+"""At full size nine episodes a scenario to learn from and three to score on: some 50 minutes of CPU
+time."""

@@ -7,16 +7,17 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from experiments.console.tables import Row
+from experiments.benches.contract import Bench, option
 from experiments.data.generate import GenerateConfig, Task, generate, make_episode
 from experiments.data.parallel import in_parallel
+from experiments.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.scenario import sample_agents
 from sim.store.schema import EpisodeEntry
@@ -124,63 +125,91 @@ def _memory_growth(episodes: int, duration_s: float) -> float:
     return _peak_mb() - begin_mb
 
 
-def _row(scenario: str, jobs: int, metric: str, values: list[float]) -> Row:
+def _mean_row(scenario: str, jobs: int, metric: str, values: list[float]) -> Row:
     """Mean with a 95 % interval (normal; none for a single value)."""
-    mean = float(np.mean(values))
-    half = 1.96 * float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else None
-    low, high = (None, None) if half is None else (mean - half, mean + half)
-    return {
-        "scenario": scenario, "jobs": jobs, "metric": metric,
-        "value": mean, "low": low, "high": high, "n": len(values),
-    }  # fmt: skip
+    keys: dict[str, Cell] = {"scenario": scenario, "jobs": jobs}
+    mean, n = float(np.mean(values)), len(values)
+    half = 1.96 * float(np.std(values, ddof=1)) / np.sqrt(n) if n > 1 else np.nan
+    return tidy_row(keys, metric, mean, mean - half, mean + half, n)
 
 
-def measure(quick: bool = False) -> list[Row]:
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How much is generated.
+
+    Attributes:
+        pairs: episodes per scenario whose parts are timed.
+        duration_s: of each episode, s.
+        episodes: per scenario, of the dataset that is made with one job and with one per core.
+        repeated: episodes that one process makes while its memory is watched.
+        repeated_s: length of each of those, s.
+    """
+
+    pairs: int = option(4, "Episodes per scenario whose parts are timed.")
+    duration_s: float = option(300.0, "Length of each episode, s.")
+    episodes: int = option(8, "Episodes per scenario of the dataset that is timed whole.")
+    repeated: int = option(500, "Episodes made by one process whose memory is watched.")
+    repeated_s: float = option(30.0, "Length of each of those, s.")
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
     """Measure generation.
 
-    Args:
-        quick: short episodes and few of them.
-
-    Returns:
-        Rows keyed ``scenario, jobs`` with ``metric, value, low, high, n``:
-        ``frames_over_bare_stepping`` (extra CPU time of reading every frame as a share of bare
-        stepping, paired; the same dense traffic, steered by nobody), ``controllers_over_frames``
-        (extra CPU time of a run with controllers, which change the traffic),
-        ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole written
-        episode at medium flow) and what of it there is already with less done: ``..._steered`` (by
-        controllers, no frames), ``..._read`` (frames, nobody steers), ``..._steered_and_read`` (the
-        engine as it is, but no traits, events and files); ``bytes_per_agent_step``,
-        ``memory_growth_mb`` (of one process over many episodes), ``agent_steps_per_s`` (wall
-        clock), ``speedup``.
+    Yields:
+        Rows of ``frames_over_bare_stepping`` (extra CPU time of reading every frame as a share of
+        bare stepping, paired; the same dense traffic, steered by nobody),
+        ``controllers_over_frames`` (extra CPU time of a run with controllers, which change the
+        traffic), ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole
+        written episode at medium flow) and its parts: ``..._steered`` (controllers, no frames),
+        ``..._read`` (frames, nobody steers), ``..._steered_and_read`` (the engine as it is, but no
+        traits, events and files); ``bytes_per_agent_step``; then ``memory_growth_mb`` (of one
+        process over many episodes); then ``agent_steps_per_s`` (wall clock) and ``speedup``.
     """
-    pairs, duration_s, episodes = (1, 30.0, 2) if quick else (4, 300.0, 8)
-    # The first two calls warm up.
-    calls = [(name, i, duration_s) for i in range(pairs) for name in SCENARIOS]
-    measured = list(in_parallel(_cost, [*calls[:2], *calls], 1))[2:]
-    read = list(in_parallel(_frames, [*calls[:2], *calls], 1))[2:]
-    rows: list[Row] = []
-    for name in SCENARIOS:
-        here = [cost for call, cost in zip(calls, read, strict=True) if call[0] == name]
-        rows += [_row(name, 1, metric, [cost[metric] for cost in here]) for metric in here[0]]
-        made = [cost for call, cost in zip(calls, measured, strict=True) if call[0] == name]
-        for part in ("steered", "read", "steered_and_read", "whole"):
-            over = [getattr(cost, part) / cost.bare - 1 for cost in made]
-            metric = "over_bare_stepping" + ("" if part == "whole" else f"_{part}")
-            rows.append(_row(name, 1, metric, over))
-        per_step = [cost.size / cost.agent_steps for cost in made]
-        rows.append(_row(name, 1, "bytes_per_agent_step", per_step))
-    many, short_s = (10, 5.0) if quick else (500, 30.0)
-    (growth_mb,) = in_parallel(_memory_growth, [(many, short_s)], 1)
-    rows.append({**_row("all", 1, "memory_growth_mb", [growth_mb]), "n": many})
-    config = _config(episodes, duration_s)
+    yield _episode_rows(settings)
+    repeated = settings.repeated
+    (growth_mb,) = in_parallel(_memory_growth, [(repeated, settings.repeated_s)], 1)
+    keys: dict[str, Cell] = {"scenario": "all", "jobs": 1}
+    yield [tidy_row(keys, "memory_growth_mb", growth_mb, None, None, repeated)]
     single_s: float | None = None
     for jobs in sorted({1, os.cpu_count() or 1}):
         with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
             begin = time.perf_counter()
+            config = _config(settings.episodes, settings.duration_s)
             manifest = generate(config, Path(scratch) / "data", jobs, quiet=True)
             wall_s = time.perf_counter() - begin
         steps = sum(entry.agent_steps for entry in manifest.episodes)
         single_s = single_s or wall_s
-        rows.append(_row("all", jobs, "agent_steps_per_s", [steps / wall_s]))
-        rows.append(_row("all", jobs, "speedup", [single_s / wall_s]))
+        yield [
+            _mean_row("all", jobs, "agent_steps_per_s", [steps / wall_s]),
+            _mean_row("all", jobs, "speedup", [single_s / wall_s]),
+        ]
+
+
+def _episode_rows(settings: Settings) -> list[Row]:
+    """What frames and whole episodes cost over bare stepping."""
+    calls = [(name, i, settings.duration_s) for i in range(settings.pairs) for name in SCENARIOS]
+    warming = calls[: len(SCENARIOS)]
+    costs = list(in_parallel(_cost, [*warming, *calls], 1))[len(warming) :]
+    frames = list(in_parallel(_frames, [*warming, *calls], 1))[len(warming) :]
+    rows: list[Row] = []
+    for name in SCENARIOS:
+        here = [cost for call, cost in zip(calls, frames, strict=True) if call[0] == name]
+        rows += [_mean_row(name, 1, metric, [cost[metric] for cost in here]) for metric in here[0]]
+        made = [cost for call, cost in zip(calls, costs, strict=True) if call[0] == name]
+        for part in ("steered", "read", "steered_and_read", "whole"):
+            over = [getattr(cost, part) / cost.bare - 1 for cost in made]
+            metric = "over_bare_stepping" + ("" if part == "whole" else f"_{part}")
+            rows.append(_mean_row(name, 1, metric, over))
+        per_step = [cost.size / cost.agent_steps for cost in made]
+        rows.append(_mean_row(name, 1, "bytes_per_agent_step", per_step))
     return rows
+
+
+BENCH: Final = Bench(
+    name="generate",
+    summary="Measure the cost of generating data.",
+    keys=("scenario", "jobs"),
+    full=Settings(),
+    quick=Settings(pairs=1, duration_s=30.0, episodes=2, repeated=10, repeated_s=5.0),
+    measure=measure,
+)

@@ -7,16 +7,17 @@ how far the vehicles end up from where they end up on the road they must agree w
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from experiments.benches.contract import Bench, option
+from experiments.rows import Cell, Row, tidy_row
 
-SIZES: Final[tuple[int, ...]] = (20, 50, 100, 200)
-"""Numbers of cars."""
+FloatArray = NDArray[np.float64]
 
 LANES: Final = 4
 SPACING_M: Final = 24.0
@@ -26,32 +27,38 @@ STEP_S: Final = 1.0 / 15.0
 """highway-env's default step, s."""
 
 
-def run_highway_bench(
-    sizes: Sequence[int] = SIZES,
-    seconds: float = 10.0,
-    most_stock_frames: int = 60,
-    seed: int = 0,
-) -> list[dict[str, Any]]:
-    """Measure the stock road, the quicker one, and the compiled step on straight roads.
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How much traffic is driven, and for how long.
 
-    Args:
-        sizes: numbers of cars.
+    Attributes:
+        cars: numbers of cars.
         seconds: simulated time over which results are compared, s.
-        most_stock_frames: the stock road is timed, and compared to the bit, over at most so many
+        most_stock_frames: the stock road is timed, and compared to the bit, over at most this many
             frames, because it is slow.
         seed: of the traffic.
-
-    Returns:
-        Flat rows keyed ``road cars`` with ``metric, value, low, high, n``: ``frames_per_cpu_s``,
-        ``ratio_to_stock`` and ``farthest_m`` (greatest distance to the reference: the stock road
-        for ``fast``, the vehicle objects for ``compiled``).
     """
-    rows: list[dict[str, Any]] = []
-    for cars in sizes:
-        frames = min(most_stock_frames, max(1, 6000 // cars))
+
+    cars: tuple[int, ...] = option((20, 50, 100, 200), "Numbers of cars.", "N,N")
+    seconds: float = option(10.0, "Simulated time over which results are compared, s.")
+    most_stock_frames: int = 60
+    seed: int = 0
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
+    """Measure the stock road, the quicker one, and the compiled step on straight roads.
+
+    Yields:
+        Rows for each number of cars: ``frames_per_cpu_s``, ``ratio_to_stock`` and ``farthest_m``
+        (greatest distance to the reference: the stock road for ``fast``, the vehicle objects for
+        ``compiled``).
+    """
+    seed = settings.seed
+    for cars in settings.cars:
+        frames = min(settings.most_stock_frames, max(1, 6000 // cars))
         stock, stock_places = _drive("stock", cars, frames, seed)
         fast, fast_places = _drive("fast", cars, frames, seed)
-        many = round(seconds / STEP_S)
+        many = round(settings.seconds / STEP_S)
         _drive("compiled", cars, 2, seed)  # compiles, if it has to
         objects, object_places = _drive("objects", cars, many, seed)
         quick, quick_places = _drive("compiled", cars, many, seed)
@@ -67,24 +74,24 @@ def run_highway_bench(
             "objects": (objects, many, profiles),
             "compiled": (quick, many, profiles),
         }
+        rows: list[Row] = []
         for road, (speed, n, reference) in speeds.items():
-            rows.append(_row(road, cars, "frames_per_cpu_s", speed, n))
-            rows.append(_row(road, cars, "ratio_to_stock", speed / reference, n))
+            figures = {"frames_per_cpu_s": speed, "ratio_to_stock": speed / reference}
             if road in apart:
-                rows.append(_row(road, cars, "farthest_m", apart[road], n))
-    return rows
+                figures["farthest_m"] = apart[road]
+            keys: dict[str, Cell] = {"road": road, "cars": cars}
+            rows += [tidy_row(keys, name, value, None, None, n) for name, value in figures.items()]
+        yield rows
 
 
-def _row(road: str, cars: int, metric: str, value: float, n: int) -> dict[str, Any]:
-    return {
-        "road": road,
-        "cars": cars,
-        "metric": metric,
-        "value": value,
-        "low": None,
-        "high": None,
-        "n": n,
-    }
+BENCH: Final = Bench(
+    name="highway",
+    summary="Measure the highway-env engine's speed beside the stock road's.",
+    keys=("road", "cars"),
+    full=Settings(),
+    quick=Settings(cars=(20,), seconds=2.0, most_stock_frames=10),
+    measure=measure,
+)
 
 
 def _drive(road: str, cars: int, frames: int, seed: int) -> tuple[float, FloatArray]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final, TypeVar
 
 import numpy as np
 
-from experiments.console.tables import Row
+from experiments.benches.contract import Bench, option
+from experiments.rows import Cell, Row, tidy_row
 from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario
@@ -21,65 +23,63 @@ T = TypeVar("T")
 
 SCENARIO: Final = "straight_road"
 
-FLOW_PER_H: Final = 2700.0
-"""Vehicles per hour (some 60 agents at a time on the straight road)."""
-
-DURATION_S, QUICK_DURATION_S = 180.0, 20.0
-
 WARM_UP_S: Final = 60.0
 """The road fills first; steps before this are not timed (a third of the time, if that is less)."""
-
-REPEATS, QUICK_REPEATS = 3, 1
-"""How often the same frames are gone through. Of each stage of each frame the least time counts:
-what else the machine does only ever adds to it."""
 
 STAGES: Final = ("simulate", "classify", "remember", "predict")
 """What a step consists of: the engine's frame, the stream's posterior, the history, the futures."""
 
 
-def run_loop_bench(
-    quick: bool = False,
-    engine: str = "sumo",
-    model: str = DEFAULT_MODEL,
-    predictor: str = "graphrqi-predict",
-    flow_per_h: float = FLOW_PER_H,
-) -> list[Row]:
-    """Time of the central processor per step of the closed loop, everything on at every step.
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is run, and how often.
 
-    Args:
-        quick: a short run, to see that it works.
-        engine: a key of ``ENGINES``.
+    Attributes:
+        engines: keys of ``ENGINES``.
         model: the classifier.
         predictor: a key of ``PREDICTORS``.
-        flow_per_h: vehicles per hour.
-
-    Returns:
-        Rows ``engine stage agents metric value low high n``: ms_median, ms_p99 and real_time_factor
-        of each stage and of all together.
+        flow_per_h: vehicles per hour; 2700 are some 60 agents at a time.
+        duration_s: simulated, s.
+        repeats: how often the same frames are gone through. Of each stage of each frame the least
+            time counts: whatever else the machine does only adds to it.
     """
-    duration_s = QUICK_DURATION_S if quick else DURATION_S
-    scenario = get_scenario(SCENARIO)(flow=flow_per_h, duration_s=duration_s)
-    runs = [
-        run_loop(scenario, engine, model, predictor)
-        for _ in range(QUICK_REPEATS if quick else REPEATS)
-    ]
-    agents = runs[0][0]
-    least = np.min([spent for _, spent in runs], axis=0)
-    whole = dict(zip(STAGES, least.T, strict=True)) | {"all": least.sum(axis=1)}
-    rows: list[Row] = []
-    for stage, spans in whole.items():
-        key: dict[str, Any] = {
-            "engine": engine, "stage": stage, "agents": round(float(np.mean(agents)))
-        }  # fmt: skip
-        median, p99, mean = np.median(spans), np.quantile(spans, 0.99), np.mean(spans)
-        for metric, value in (
-            ("ms_median", median),
-            ("ms_p99", p99),
-            ("real_time_factor", 1e3 * scenario.step_s / mean),
-        ):
-            found: dict[str, Any] = {"metric": metric, "value": float(value), "n": len(spans)}
-            rows.append({**key, **found, "low": None, "high": None})
-    return rows
+
+    engines: tuple[str, ...] = option(("sumo", "highway"), "Simulators.")
+    model: str = option(DEFAULT_MODEL, "The classifier.")
+    predictor: str = option("graphrqi-predict", "The predictor.")
+    flow_per_h: float = option(2700.0, "Vehicles per hour.")
+    duration_s: float = option(180.0, "Simulated time, s.")
+    repeats: int = option(3, "How often the same frames are gone through.")
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
+    """Time of the central processor per step of the closed loop, everything on at every step.
+
+    Yields:
+        Rows of each engine: ms_median, ms_p99 and real_time_factor of each stage and of all
+        together.
+    """
+    flow, duration_s = settings.flow_per_h, settings.duration_s
+    scenario = get_scenario(SCENARIO)(flow=flow, duration_s=duration_s)
+    for engine in settings.engines:
+        runs = [
+            run_loop(scenario, engine, settings.model, settings.predictor)
+            for _ in range(settings.repeats)
+        ]
+        agents = round(float(np.mean(runs[0][0])))
+        least = np.min([spent for _, spent in runs], axis=0)
+        rows: list[Row] = []
+        for stage, spans in (
+            dict(zip(STAGES, least.T, strict=True)) | {"all": least.sum(axis=1)}
+        ).items():
+            keys: dict[str, Cell] = {"engine": engine, "stage": stage, "agents": agents}
+            for metric, value in (
+                ("ms_median", np.median(spans)),
+                ("ms_p99", np.quantile(spans, 0.99)),
+                ("real_time_factor", 1e3 * scenario.step_s / np.mean(spans)),
+            ):
+                rows.append(tidy_row(keys, metric, float(value), None, None, len(spans)))
+        yield rows
 
 
 def run_loop(
@@ -120,3 +120,13 @@ def timed(work: Callable[[], T]) -> tuple[T, float]:
     begin = time.process_time()
     result = work()
     return result, 1e3 * (time.process_time() - begin)
+
+
+BENCH: Final = Bench(
+    name="loop",
+    summary="Time classifying and predicting while a simulation runs, stage by stage.",
+    keys=("engine", "stage", "agents"),
+    full=Settings(),
+    quick=Settings(duration_s=20.0, repeats=1),
+    measure=measure,
+)

@@ -9,15 +9,17 @@ driven, not in what was planned.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.console.tables import Row
+from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
-from experiments.scoring.metrics import bootstrap
+from experiments.rows import Cell, Row, tidy_row
+from experiments.scoring.metrics import bootstrap, ratio
 from graphrqi.predict.planner import ACT_S, Plan, plan
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.scene.scene import make_scene
@@ -38,16 +40,8 @@ ENVIRONMENTS: Final[dict[str, str]] = {
 ARMS: Final = ("blind", "classified", "true")
 """What the planner is told of the others: nothing, the classifier's beliefs, or the truth."""
 
-SEEDS, QUICK_SEEDS = 100, 2
-"""Episodes per environment and arm."""
-
 SETTING: Final[dict[str, Any]] = {"flow": "dense", "duration_s": 90.0}
 """How the environments are configured (our choice: in light traffic nothing happens)."""
-
-QUICK: Final = {"duration_s": 3.0, "warmup_s": 3.0}
-
-FIRST_SEED: Final = 500_000
-"""Seed of the first episode; the planner was tuned on other ones."""
 
 NEAR_MISS_S: Final = 1.5
 """Time to collision below which somebody ahead or behind counts as a near miss, s."""
@@ -282,69 +276,73 @@ def _events(at: np.ndarray[Any, np.dtype[np.int64]], step_s: float) -> int:
     return int(at.size > 0) + int((np.diff(at) > APART_S / step_s).sum())
 
 
-def run_navigation_bench(
-    quick: bool = False,
-    model: str = DEFAULT_MODEL,
-    jobs: int | None = None,
-    seeds: int | None = None,
-    first_seed: int = FIRST_SEED,
-) -> list[Row]:
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How many episodes are driven.
+
+    Attributes:
+        model: the classifier.
+        seeds: episodes per environment and arm.
+        first_seed: seed of the first episode; the planner was tuned on other ones.
+        jobs: processes; None for one per core.
+        changes: to the environments' configuration, by name.
+    """
+
+    model: str = option(DEFAULT_MODEL, "The classifier.")
+    seeds: int = option(100, "Episodes per environment and arm.")
+    first_seed: int = option(500_000, "Seed of the first episode.")
+    jobs: int | None = option(None, "Processes [default: one per core].")
+    changes: tuple[tuple[str, float], ...] = ()
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
     """Drive every environment by every arm.
 
-    Args:
-        quick: few short episodes, to see that it works.
-        model: the classifier.
-        jobs: processes; None for one per core.
-        seeds: episodes per environment and arm; by default `SEEDS`.
-        first_seed: of the first episode.
-
-    Returns:
-        Rows ``environment arm metric value low high n``: means per episode; beside the blind arm's
-        ``METRIC_minus_blind`` and ``near_misses_over_blind``, paired by seed.
+    Yields:
+        Rows of each environment: means per episode; beside the blind arm's ``METRIC_minus_blind``
+        and ``near_misses_over_blind``, paired by seed.
     """
-    many = seeds or (QUICK_SEEDS if quick else SEEDS)
-    each = range(first_seed, first_seed + many)
-    rows: list[Row] = []
+    seeds = range(settings.first_seed, settings.first_seed + settings.seeds)
     for scenario in ENVIRONMENTS:
         arguments = [
-            (scenario, arm, seed, model, QUICK if quick else {}) for seed in each for arm in ARMS
-        ]
-        found = list(in_parallel(drive, arguments, jobs))
+            (scenario, arm, seed, settings.model, dict(settings.changes))
+            for seed in seeds for arm in ARMS
+        ]  # fmt: skip
+        found = list(in_parallel(drive, arguments, settings.jobs))
         table = np.array([[one[m] for m in METRICS] for one in found])
-        rows += compare(scenario, table.reshape(many, len(ARMS), len(METRICS)))
-    return rows
+        yield compare(scenario, table.reshape(len(seeds), len(ARMS), len(METRICS)))
 
 
 def compare(environment: str, table: FloatArray) -> list[Row]:
     """Rows of (seeds, arms, metrics) numbers, with intervals over seeds."""
     rows: list[Row] = []
     for a, arm in enumerate(ARMS):
-        key = {"environment": environment, "arm": arm}
+        keys = {"environment": environment, "arm": arm}
         for m, metric in enumerate(METRICS):
             own, blind = table[:, a, m], table[:, 0, m]
-            rows += _row(key, metric, _ratio, own[:, None])
+            rows += _ratio_rows(keys, metric, own[:, None])
             if a and np.isfinite(blind).any():
-                rows += _row(key, f"{metric}_minus_blind", _ratio, (own - blind)[:, None])
+                rows += _ratio_rows(keys, f"{metric}_minus_blind", (own - blind)[:, None])
         if a:
             m = METRICS.index("near_misses")
-            pair = np.stack([table[:, a, m], table[:, 0, m]], axis=1)
-            rows += _row(key, "near_misses_over_blind", _ratio, pair)
+            rows += _ratio_rows(keys, "near_misses_over_blind", table[:, [a, 0], m])
     return rows
 
 
-def _row(key: Mapping[str, str], metric: str, statistic: Any, values: FloatArray) -> Sequence[Row]:
+def _ratio_rows(keys: Mapping[str, Cell], metric: str, values: FloatArray) -> list[Row]:
+    """The mean of one column, or the ratio of two, over the episodes in which it is known."""
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return []
-    value, low, high = bootstrap(statistic, np.column_stack([values, np.ones(len(values))]))
-    if not np.isfinite(value):
-        return []
-    known = np.isfinite([low, high]).all()
-    ends = {"low": low, "high": high} if known else {"low": None, "high": None}
-    return [{**key, "metric": metric, "value": value, **ends, "n": len(values)}]
+    found = bootstrap(ratio, np.column_stack([values, np.ones(len(values))]))
+    return [tidy_row(keys, metric, *found, len(values))] if np.isfinite(found[0]) else []
 
 
-def _ratio(sums: FloatArray) -> FloatArray:
-    """First sums over second ones; a mean, where the second counts."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(sums[..., 0] / sums[..., 1])
+BENCH: Final = Bench(
+    name="navigation",
+    summary="Drive among others, with and without knowing who drives how.",
+    keys=("environment", "arm"),
+    full=Settings(),
+    quick=Settings(seeds=2, changes=(("duration_s", 3.0), ("warmup_s", 3.0))),
+    measure=measure,
+)

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
 from experiments.benches import yielding
-from experiments.benches.yield_picture import Case, clearest, draw_cases
+from experiments.benches.contract import Bench, option
+from experiments.benches.yield_picture import YieldCase, clearest, draw_cases
 from experiments.benches.yielding import NOTHING_ASKED, Asked, ask, score_chances
-from experiments.console.tables import Row
 from experiments.data.generate import GenerateConfig, generate
 from experiments.data.parallel import in_parallel
-from experiments.scoring.metrics import bootstrap
+from experiments.rows import Row, tidy_row
+from experiments.scoring.metrics import Statistic, bootstrap, ratio
 from experiments.scoring.prediction import (
     EVERY_S,
     HORIZONS_S,
@@ -27,6 +28,8 @@ from experiments.scoring.prediction import (
     beliefs,
     evaluate,
     instants,
+    prediction_keys,
+    root_ratio,
     summarize,
 )
 from graphrqi.methods import load_model
@@ -44,15 +47,6 @@ SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
 SEED: Final = 9_172_026
 """Seed of the episodes predicted on: no shipped model was trained on them."""
-
-EPISODES, QUICK_EPISODES = 10, 2
-"""Episodes per scenario."""
-
-QUICK_DURATION_S: Final = 40.0
-
-AGENTS, REPEATS = 100, 40
-"""Size of the timed scene, and how often it is rolled out."""
-
 
 MAPLESS: Final = ("constant-velocity", "graphrqi-predict")
 """What is compared without a map, where all but the first are one."""
@@ -78,8 +72,8 @@ GAINS: Final = (
     ("graphrqi-predict-unlabelled", "graphrqi-predict", "graphrqi-predict-oracle"),
     ("car-following-blind", "car-following", "oracle"),
 )
-"""Told nothing, told what the classifier believes, told the truth: how much of what the truth gains
-the classifier's labels gain."""
+"""Predictors given no labels, the classifier's labels and the true ones: ``label_gain_share`` is
+the share of the true labels' gain that the classifier's labels reach."""
 
 
 @dataclass(frozen=True)
@@ -99,42 +93,54 @@ class EpisodeResult:
     asked: Asked
 
 
-def run_prediction_bench(
-    quick: bool = False,
-    predictors: Sequence[str] | None = None,
-    model: str = DEFAULT_MODEL,
-    jobs: int | None = None,
-    picture: Path | None = None,
-) -> list[Row]:
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is predicted, by whom.
+
+    Attributes:
+        episodes: per scenario.
+        duration_s: of each episode, s; None for the scenario's own.
+        predictors: keys of ``PREDICTORS``; () for all.
+        model: the classifier whose beliefs are used.
+        agents: vehicles in the scene whose rollout is timed.
+        repeats: how often it is rolled out.
+        jobs: processes; None for one per core.
+        picture: where to draw a driver predicted to yield and one predicted not to; None: nowhere.
+    """
+
+    episodes: int = option(10, "Episodes per scenario.")
+    duration_s: float | None = option(None, "Length of each [default: the scenario's own].")
+    predictors: tuple[str, ...] = option((), "Predictors to measure [default: all].")
+    model: str = option(DEFAULT_MODEL, "The classifier whose beliefs are used.")
+    agents: int = 100
+    repeats: int = 40
+    jobs: int | None = option(None, "Processes [default: one per core].")
+    picture: Path | None = option(
+        None, "Draw a driver predicted to let somebody cross, and one not.", "FILE"
+    )
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
     """Predict on fresh episodes of both scenarios with a classifier's beliefs.
 
-    Args:
-        quick: few short episodes, to see that it works.
-        predictors: keys of ``PREDICTORS``; all by default.
-        model: the classifier whose beliefs are used.
-        jobs: processes; None for one per core.
-        picture: where to draw a driver foreseen to yield and one foreseen not to; None: nowhere.
-
-    Returns:
-        Flat rows ``scenario predictor horizon_s behavior split metric value low high n``.
+    Yields:
+        The rows of each scenario; then how long a rollout takes.
     """
-    names = list(PREDICTORS if predictors is None else predictors)
-    rows: list[Row] = []
-    cases: list[Case] = []
+    names = list(settings.predictors or PREDICTORS)
+    cases: list[YieldCase] = []
     with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
         folder = Path(scratch) / "data"
         config = GenerateConfig(
-            scenarios=SCENARIOS,
-            episodes=QUICK_EPISODES if quick else EPISODES,
-            seed=SEED,
-            duration_s=QUICK_DURATION_S if quick else None,
-        )
-        generate(config, folder, jobs=jobs, quiet=True)
+            scenarios=SCENARIOS, episodes=settings.episodes, seed=SEED,
+            duration_s=settings.duration_s,
+        )  # fmt: skip
+        generate(config, folder, jobs=settings.jobs, quiet=True)
         dataset = open_dataset(folder)
         for scenario in SCENARIOS:
             entries = dataset.episodes(None, scenario)
-            arguments = [(folder, entry, names, model) for entry in entries]
-            found = list(in_parallel(bench_episode, arguments, jobs))
+            arguments = [(folder, entry, names, settings.model) for entry in entries]
+            found = list(in_parallel(bench_episode, arguments, settings.jobs))
+            rows: list[Row] = []
             for split, episodes in (
                 ("unseen", [one.errors for one in found]),
                 ("unseen, no map", [one.mapless for one in found]),
@@ -144,9 +150,10 @@ def run_prediction_bench(
                 rows += compare(episodes, scenario, split)
             rows += score_chances([one.asked for one in found], scenario, "unseen")
             cases += [case for one in found for case in one.asked.cases]
-    if picture is not None and cases:
-        draw_cases(clearest(cases), picture)
-    return [*rows, rollout_time()]
+            yield rows
+    if settings.picture is not None and cases:
+        draw_cases(clearest(cases), settings.picture)
+    yield [rollout_time(settings.agents, settings.repeats)]
 
 
 def bench_episode(
@@ -185,9 +192,7 @@ def shifted_in_time(tracks: Tracks, seed: int) -> Tracks:
     )
 
 
-def compare(
-    episodes: Sequence[Mapping[str, Errors]], scenario: str, split: str
-) -> list[dict[str, Any]]:
+def compare(episodes: Sequence[Mapping[str, Errors]], scenario: str, split: str) -> list[Row]:
     """Ratios of predictors' figures, with intervals over episodes.
 
     Args:
@@ -199,63 +204,46 @@ def compare(
         Rows whose metric is ``METRIC_over_PREDICTOR``, ``min_ade_m_over_ade_m`` or
         ``label_gain_share``, of those predictors that were run.
     """
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
 
     def total(name: str, metric: str) -> FloatArray:
         return np.array([e[name].total[0, -1, MEASURES.index(metric)] for e in episodes])
 
     def add(name: str, metric: str, statistic: Statistic, sums: list[FloatArray]) -> None:
-        value, low, high = bootstrap(statistic, np.stack(sums, axis=1))
-        if not np.isfinite(value):
+        found = bootstrap(statistic, np.stack(sums, axis=1))
+        if not np.isfinite(found[0]):
             return
         count = int(sum(e[name].count[0] for e in episodes))
-        sure = np.isfinite([low, high]).all()
-        ends = {"low": low, "high": high} if sure else {"low": None, "high": None}
-        rows.append(
-            {
-                "scenario": scenario, "predictor": name, "horizon_s": max(HORIZONS_S),
-                "behavior": "all", "split": split, "metric": metric, "value": value, **ends,
-                "n": count,
-            }
-        )  # fmt: skip
+        keys = prediction_keys(scenario, name, max(HORIZONS_S), split)
+        rows.append(tidy_row(keys, metric, *found, count))
 
     there = set(episodes[0]) if episodes else set()
     for name, metric, other in RATIOS:
         if {name, other} <= there:
-            ratio = _root_ratio if metric == "rmse_m" else _ratio
+            statistic = root_ratio if metric == "rmse_m" else ratio
             sums = [total(name, metric), total(other, metric)]
-            add(name, f"{metric}_over_{other}", ratio, sums)
+            add(name, f"{metric}_over_{other}", statistic, sums)
     for name in sorted(there):
         if name in LEARNED:
             sums = [total(name, "min_ade_m"), total(name, "ade_m")]
-            add(name, "min_ade_m_over_ade_m", _ratio, sums)
-    for blind, told, truth in GAINS:
-        if {blind, told, truth} <= there:
-            add(told, "label_gain_share", _share, [total(n, "ade_m") for n in (blind, told, truth)])
+            add(name, "min_ade_m_over_ade_m", ratio, sums)
+    for blind, classified, truth in GAINS:
+        if {blind, classified, truth} <= there:
+            sums = [total(n, "ade_m") for n in (blind, classified, truth)]
+            add(classified, "label_gain_share", _gain_share, sums)
     return rows
 
 
-Statistic: TypeAlias = Callable[[FloatArray], FloatArray]
-
 LEARNED: Final = ("graphrqi-predict", "lstm", "mlp")
-"""Those whose futures are made to cover what may happen."""
+"""Predictors whose futures are made to cover what may happen."""
 
 
-def _ratio(sums: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(sums[..., 0] / sums[..., 1])
-
-
-def _root_ratio(sums: FloatArray) -> FloatArray:
-    return np.sqrt(_ratio(sums))
-
-
-def _share(sums: FloatArray) -> FloatArray:
+def _gain_share(sums: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((sums[..., 0] - sums[..., 1]) / (sums[..., 0] - sums[..., 2]))
 
 
-def busy_road(agents: int = AGENTS) -> Tracks:
+def busy_road(agents: int) -> Tracks:
     """A history of that many vehicles on the straight road, a second long."""
     road = get_scenario("straight_road")().road
     rng = np.random.default_rng(0)
@@ -287,7 +275,7 @@ def busy_road(agents: int = AGENTS) -> Tracks:
     return Tracks.from_frames(frames)
 
 
-def rollout_time(agents: int = AGENTS, repeats: int = REPEATS) -> dict[str, Any]:
+def rollout_time(agents: int, repeats: int) -> Row:
     """Time of the central processor to roll out all modes of a scene for 5 s, leaders included.
 
     Args:
@@ -308,8 +296,15 @@ def rollout_time(agents: int = AGENTS, repeats: int = REPEATS) -> dict[str, Any]
         mixture_with(scene, belief, table)
         taken_ms.append(1e3 * (time.process_time() - begin))
     low, value, high = np.quantile(taken_ms, [0.025, 0.5, 0.975])
-    return {
-        "scenario": "straight_road", "predictor": "behavior-mixture", "horizon_s": 5.0,
-        "behavior": "all", "split": "made up", "metric": f"rollout_ms_{agents}_agents_6_modes",
-        "value": float(value), "low": float(low), "high": float(high), "n": repeats,
-    }  # fmt: skip
+    keys = prediction_keys("straight_road", "behavior-mixture", 5.0, "made up")
+    return tidy_row(keys, f"rollout_ms_{agents}_agents_6_modes", value, low, high, repeats)
+
+
+BENCH: Final = Bench(
+    name="prediction",
+    summary="Measure every predictor's errors on unseen episodes.",
+    keys=("scenario", "predictor", "horizon_s", "behavior", "split"),
+    full=Settings(),
+    quick=Settings(episodes=2, duration_s=40.0),
+    measure=measure,
+)

@@ -33,9 +33,9 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Style
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.console.tables import Cell, Row
 from experiments.data.disturbances import DISTURBANCES
 from experiments.data.parallel import in_parallel
+from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import (
     METRICS,
     Statistic,
@@ -253,18 +253,6 @@ def fitted_together(sources: Sequence[Recordings], method: str) -> tuple[Model, 
 # --- rows ---------------------------------------------------------------------------------------
 
 
-def _row(keys: Mapping[str, Cell], metric: str, value: tuple[float, float, float], n: int) -> Row:
-    low, high = value[1:]
-    return {
-        **keys,
-        "metric": metric,
-        "value": value[0],
-        "low": None if np.isnan(low) else low,
-        "high": None if np.isnan(high) else high,
-        "n": n,
-    }
-
-
 def score_rows(
     samples: Samples, probability: FloatArray, majority: int, keys: Mapping[str, Cell]
 ) -> list[Row]:
@@ -280,7 +268,7 @@ def score_rows(
     values["ece"] = bootstrap(calibration_error, bins)
     for code in np.unique(samples.codes):
         values[f"recall_{BEHAVIORS[code].value}"] = bootstrap(recall_of(code), matrices["macro_f1"])
-    return [_row(keys, metric, value, len(samples)) for metric, value in values.items()]
+    return [tidy_row(keys, metric, *value, len(samples)) for metric, value in values.items()]
 
 
 def reliability_rows(
@@ -294,7 +282,7 @@ def reliability_rows(
         value = bootstrap(_share_right, bins[:, number])
         about = f"confidence {edges[number]:.2f} to {edges[number + 1]:.2f}"
         n = int(bins[:, number, 0].sum())
-        rows.append(_row({**keys, "variation": about}, "share_right", value, n))
+        rows.append(tidy_row({**keys, "variation": about}, "share_right", *value, n))
     return rows
 
 
@@ -343,7 +331,7 @@ def difference_rows(
             return np.asarray(both[..., 0] - both[..., 1])
 
         value = bootstrap(statistic, pair)
-        rows.append(_row(keys, f"{name}_difference", value, len(samples)))
+        rows.append(tidy_row(keys, f"{name}_difference", *value, len(samples)))
     return rows
 
 
@@ -732,7 +720,7 @@ def interpretability(recordings: Recordings) -> list[Row]:
             counts.append([won, pairs])
         value = bootstrap(lambda c: np.asarray(c[..., 0] / c[..., 1]), np.array(counts))
         keys = _keys("inductive", scenario, "largest-eigenvector", None)
-        rows.append(_row(keys, "auc", value, int(chosen.size)))
+        rows.append(tidy_row(keys, "auc", *value, int(chosen.size)))
     return rows
 
 
@@ -785,6 +773,5 @@ def speed_rows(
                 measured = spent[len(spent) // 2 :]  # the first half warms up
                 low, value, high = np.quantile(measured, [0.025, 0.5, 0.975])
                 keys = _keys("speed", scenario, method, None, f"{agents} agents")
-                found = (float(value), float(low), float(high))
-                rows.append(_row(keys, "ms_per_frame", found, len(measured)))
+                rows.append(tidy_row(keys, "ms_per_frame", value, low, high, len(measured)))
     return rows

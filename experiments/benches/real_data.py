@@ -17,7 +17,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from behaviors.agreement import Resolution
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS, Style
-from experiments.console.tables import Cell, Row
+from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
+from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import (
     auc_within,
     balanced_accuracy,
@@ -314,17 +315,11 @@ def _rows(found: _Answers, task: int, keys: Mapping[str, Cell]) -> list[Row]:
     if task == 2:
         values["auc"] = auc_within(found.probability[:, 0], found.truth == 0, found.group)
 
+    n = int(found.truth.size)
     return [
-        {
-            **keys,
-            "metric": metric,
-            "value": value,
-            "low": None if np.isnan(low) else low,
-            "high": None if np.isnan(high) else high,
-            "n": int(found.truth.size),
-        }
-        for metric, (value, low, high) in values.items()
-        if not np.isnan(value)
+        tidy_row(keys, metric, *value, n)
+        for metric, value in values.items()
+        if not np.isnan(value[0])
     ]
 
 
@@ -379,40 +374,59 @@ def _score(
     rows += _rows(_join(parts), task, {**keys, "fold": "all"})
     published = PUBLISHED.get((view, "weighted_accuracy"))
     if task == len(BEHAVIORS) and published is not None and not together:
-        figure: dict[str, Cell] = {"metric": "published_weighted_accuracy", "value": published}
-        rows.append({**keys, "fold": "all", **figure, "low": None, "high": None, "n": None})
+        keys["fold"] = "all"
+        rows.append(tidy_row(keys, "published_weighted_accuracy", published, None, None, None))
     return rows
 
 
-def run_real_data_bench(
-    data: Path | None = None,
-    test_videos: Sequence[str] = (),
-    quick: bool = False,
-    jobs: int | None = None,
-) -> list[Row]:
-    """What ``graphrqi bench real-data`` measures.
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Which recordings are scored, and how.
 
-    Args:
+    Attributes:
         data: folder with ``traf``; None for that in ``GRAPHRQI_DATA``.
-        test_videos: names of videos never trained on.
-        quick: only the style, from unit-free features.
+        test_videos: names of videos never trained on; () leaves each one out in turn.
+        views: keys of ``VIEWS``.
+        tasks: keys of ``TASKS``.
         jobs: processes; None for one per core.
-
-    Returns:
-        Flat rows; none, and a line on stderr, where there is no data.
     """
+
+    data: Path | None = option(None, "Folder of recordings [default: GRAPHRQI_DATA].")
+    test_videos: tuple[str, ...] = option((), "Videos that are only tested on.")
+    views: tuple[str, ...] = tuple(VIEWS)
+    tasks: tuple[int, ...] = tuple(TASKS)
+    jobs: int | None = None
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
+    """Score methods on the labelled recordings.
+
+    Yields:
+        All rows; nothing, and a line on stderr, where there is no data.
+    """
+    data = settings.data
     if data is None and os.environ.get(DATA_VARIABLE):
         data = Path(os.environ[DATA_VARIABLE])
     if data is None or not (data / "traf" / "tracks").is_dir():
         where = f"no --data and no {DATA_VARIABLE}" if data is None else f"no {data}/traf/tracks"
         print(f"real-data: traf skipped: found {where}", file=sys.stderr)
-        return []
-    views = ("majority", "leak-probe", "unit-free") if quick else tuple(VIEWS)
-    videos = read_traf(data / "traf", views, jobs=jobs)
+        return
+    videos = read_traf(data / "traf", settings.views, jobs=settings.jobs)
     if not videos:
         print(f"real-data: traf skipped: {data}/traf has no annotated video", file=sys.stderr)
-        return []
+        return
     for video in videos:
         for defect in video.defects:
             print(f"real-data: {video.name}: {defect}", file=sys.stderr)
-    return evaluate_traf(videos, test_videos, views, (2,) if quick else tuple(TASKS), jobs)
+    yield evaluate_traf(videos, settings.test_videos, settings.views, settings.tasks, settings.jobs)
+
+
+BENCH: Final = Bench(
+    name="real-data",
+    summary="Score methods on labelled recordings, leaving one video out at a time.",
+    keys=("dataset", "protocol", "method", "classes", "fold"),
+    full=Settings(),
+    quick=Settings(views=("majority", "leak-probe", "unit-free"), tasks=(2,)),
+    measure=measure,
+    needs=DATA_VARIABLE,
+)

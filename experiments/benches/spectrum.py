@@ -15,6 +15,7 @@ import ctypes
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
+from experiments.benches.contract import Bench, option
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
 from graphrqi.spectrum.contract import End, Solver, answer, check_arguments, null_space
@@ -831,3 +833,52 @@ def errors_against_lapack(found: Spectrum, num_pairs: int, nonzero: bool) -> Flo
             np.abs(gram).max(initial=0.0),
         ]
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is measured, and on how many graphs.
+
+    Attributes:
+        sizes: numbers of vehicles.
+        pairs: eigenpairs asked for.
+        ends: ends of the spectrum.
+        graphs: where the vehicles are.
+        kinds: kinds of graph.
+        steps: observations per sequence.
+        solvers: names out of SOLVERS or "lapack-dsyevr"; () for all.
+        study: hostile graphs on which the certified solver is compared with LAPACK.
+        largest: vehicles of the largest of those.
+    """
+
+    sizes: tuple[int, ...] = option(SIZES, "Numbers of vehicles.", "D,D")
+    pairs: int = option(8, "Eigenpairs asked for.")
+    ends: tuple[str, ...] = option(("largest", "smallest"), "Ends of the spectrum.")
+    graphs: tuple[str, ...] = option(("road", "crossing"), "Where the vehicles are.")
+    kinds: tuple[str, ...] = option(("instantaneous", "accumulated"), "Kinds of graph.")
+    steps: int = option(60, "Steps of each sequence.")
+    solvers: tuple[str, ...] = option((), "Algorithms to measure [default: all].")
+    study: int = option(2000, "Hostile graphs on which the solver is compared with LAPACK.")
+    largest: int = 400
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
+    """Measure the solvers, then study the certified one on hostile graphs."""
+    yield run_spectrum_bench(
+        settings.sizes, settings.pairs, cast("tuple[End, ...]", settings.ends), settings.graphs,
+        settings.kinds, settings.steps, settings.solvers or None,
+    )  # fmt: skip
+    if settings.study:
+        yield run_spectrum_study(settings.study, settings.largest)
+
+
+BENCH: Final = Bench(
+    name="spectrum",
+    summary="Measure every eigenvalue algorithm on the same graphs, in one process.",
+    keys=("solver", "d", "graph", "kind", "end", "reason"),
+    full=Settings(),
+    quick=Settings(sizes=(25, 50), steps=10, study=50, largest=50),
+    measure=measure,
+    table=cast(Any, spectrum_table),
+    plot=cast(Any, plot_spectrum),
+)

@@ -19,7 +19,7 @@ SHOWN_M: Final = 45.0
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class YieldCase:
     """A driver before an occupied crossing.
 
     Attributes:
@@ -52,7 +52,7 @@ class Case:
     def of(
         cls, scene: Scene, prediction: Prediction, row: int, chance: float, yielded: bool,
         truth: FloatArray, predictor: str,
-    ) -> Case:  # fmt: skip
+    ) -> YieldCase:  # fmt: skip
         """What is drawn of one driver of a scene."""
         away = np.hypot(*(scene.xy - scene.xy[row]).T)
         away[row] = -1.0
@@ -71,7 +71,7 @@ class Case:
         )  # fmt: skip
 
 
-def clearest(cases: Sequence[Case]) -> list[Case]:
+def clearest(cases: Sequence[YieldCase]) -> list[YieldCase]:
     """Of those who yielded the one most expected to, of the others the one least expected to."""
     yes = [case for case in cases if case.yielded]
     no = [case for case in cases if not case.yielded]
@@ -79,7 +79,7 @@ def clearest(cases: Sequence[Case]) -> list[Case]:
     return found + ([min(no, key=lambda c: c.chance)] if no else [])
 
 
-def draw_cases(cases: Sequence[Case], path: Path) -> None:
+def draw_cases(cases: Sequence[YieldCase], path: Path) -> None:
     """Draw cases side by side.
 
     Args:

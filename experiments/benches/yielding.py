@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from experiments.benches.yield_picture import Case, clearest
+from experiments.benches.yield_picture import YieldCase, clearest
+from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import RESAMPLES
-from experiments.scoring.prediction import HISTORY_S, future
+from experiments.scoring.prediction import HISTORY_S, future, prediction_keys
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
 from graphrqi.predict.prediction import STEP_S, Prediction
@@ -206,7 +207,7 @@ class Asked:
     chance: Mapping[str, FloatArray]
     yielded: FloatArray
     waited: FloatArray
-    cases: tuple[Case, ...] = ()
+    cases: tuple[YieldCase, ...] = ()
 
 
 NOTHING_ASKED: Final = Asked({}, np.empty(0), np.empty(0))
@@ -230,7 +231,7 @@ def ask(
     chance: dict[str, list[FloatArray]] = {name: [] for name in (*predictors, BELIEFS)}
     yielded: list[FloatArray] = []
     waited: list[FloatArray] = []
-    cases: list[Case] = []
+    cases: list[YieldCase] = []
     for scene, posterior, met in encounters(tracks, road, posteriors):
         yielded.append(met.yielded)
         waited.append(met.waited)
@@ -241,7 +242,7 @@ def ask(
             chance[name].append(wait_chance(prediction, scene, met.row, met.room))
             if name == DRAWN:
                 cases += [
-                    Case.of(scene, prediction, int(i), float(p), bool(y), went, name)
+                    YieldCase.of(scene, prediction, int(i), float(p), bool(y), went, name)
                     for i, p, y, went in zip(met.row, believed, met.yielded, met.went, strict=True)
                     if not np.isnan(y)
                 ]
@@ -255,7 +256,7 @@ def ask(
     )
 
 
-def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[dict[str, Any]]:
+def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[Row]:
     """AUC and Brier score of each predictor's chances, with intervals over encounters.
 
     Args:
@@ -270,7 +271,7 @@ def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[
     episodes = [e for e in episodes if e.waited.size]
     if not episodes:
         return []
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     for question, answers in (
         ("yield", [e.yielded for e in episodes]),
         ("wait", [e.waited for e in episodes]),
@@ -288,14 +289,9 @@ def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[
                 low, high = np.nanquantile(
                     [score(told[d], happened[d]) for d in draws], [0.025, 0.975]
                 )
-                rows.append(
-                    {
-                        "scenario": scenario, "predictor": name, "horizon_s": DECIDED_S,
-                        "behavior": "all", "split": split, "metric": f"{question}_{metric}",
-                        "value": score(told, happened), "low": float(low), "high": float(high),
-                        "n": int(happened.size),
-                    }
-                )  # fmt: skip
+                keys = prediction_keys(scenario, name, DECIDED_S, split)
+                value, n = score(told, happened), int(happened.size)
+                rows.append(tidy_row(keys, f"{question}_{metric}", value, low, high, n))
     return rows
 
 

@@ -13,6 +13,7 @@ from typing import Annotated
 
 import typer
 
+from experiments.cli.bench import BenchGroup
 from experiments.console.exit_codes import STOPPED, Interrupted, one_line
 
 app = typer.Typer(
@@ -245,8 +246,9 @@ def predict(
     quiet: Quiet = False,
 ) -> None:
     """Predict where everyone goes, and score it."""
-    from experiments.console.tables import show_table, write_json
+    from experiments.console.tables import show_table
     from experiments.data.exchange import as_dataset
+    from experiments.rows import write_json
     from experiments.scoring.prediction import NothingToScore, predict_dataset, short_table
 
     names = _words(predictors)
@@ -413,172 +415,20 @@ def verify(
         typer.echo(f"{dataset}: every file is as its manifest says")
 
 
-bench = typer.Typer(
-    help="Measure, and print one row per figure.",
-    epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
-    no_args_is_help=True,
-    rich_markup_mode=None,
+app.add_typer(
+    typer.Typer(
+        cls=BenchGroup,
+        help="Measure, and print one row per figure.",
+        epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
+        no_args_is_help=True,
+        rich_markup_mode=None,
+    ),
+    name="bench",
 )
-app.add_typer(bench, name="bench")
-
-Quick = Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")]
 
 
 def _words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
-
-
-@bench.command(
-    "spectrum",
-    epilog="example: graphrqi bench spectrum --sizes 100,1000 --ends largest --plot cost.png",
-)
-def bench_spectrum(
-    sizes: Annotated[
-        str, typer.Option(metavar="D,D", help="Numbers of vehicles.")
-    ] = "25,100,400,1000,4000,20000",
-    pairs: Annotated[int, typer.Option(min=1, help="Eigenpairs asked for.")] = 8,
-    ends: Annotated[str, typer.Option(help="Ends of the spectrum.")] = "largest,smallest",
-    graphs: Annotated[str, typer.Option(help="Where the vehicles are.")] = "road,crossing",
-    kinds: Annotated[str, typer.Option(help="Kinds of graph.")] = "instantaneous,accumulated",
-    steps: Annotated[int, typer.Option(min=1, help="Steps of each sequence.")] = 60,
-    solvers: Annotated[
-        str, typer.Option(metavar="A,B", help="Algorithms to measure [default: all].")
-    ] = "",
-    plot: Annotated[
-        Path | None, typer.Option(dir_okay=False, metavar="FILE", help="Draw cost against size.")
-    ] = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Measure every eigenvalue algorithm on the same graphs, in one process.
-
-    FILE is written after every sequence: a run that is stopped keeps what it has measured.
-    """
-    from functools import partial
-    from typing import cast
-
-    from behaviors.errors import InputError
-    from experiments.benches.spectrum import plot_spectrum, run_spectrum_bench, spectrum_table
-    from experiments.console.tables import show_table, write_json
-    from graphrqi.spectrum.contract import End
-
-    try:
-        numbers = [int(word) for word in _words(sizes)]
-    except ValueError:
-        raise InputError(f"--sizes: found {sizes!r}, expected whole numbers: 25,100") from None
-    if quick:
-        numbers, steps = [25, 50], 10
-    rows = run_spectrum_bench(
-        numbers, pairs, cast("list[End]", _words(ends)), _words(graphs), _words(kinds), steps,
-        _words(solvers) or None,
-        progress=lambda line: typer.echo(line, err=True),
-        keep=None if json is None or str(json) == "-" else partial(write_json, json_path=json),
-    )  # fmt: skip
-    if json is not None:
-        write_json(rows, json)
-    if json is None or str(json) != "-":
-        show_table(spectrum_table(rows))
-    if plot is not None:
-        plot_spectrum(rows, plot)
-
-
-@bench.command(
-    "real-data", epilog="example: graphrqi bench real-data --data recordings --test-videos TRAF53_8"
-)
-def bench_real_data(
-    data: Annotated[
-        Path | None, typer.Option(help="Folder of recordings [default: GRAPHRQI_DATA].")
-    ] = None,
-    test_videos: Annotated[
-        str, typer.Option(metavar="A,B", help="Videos that are only tested on.")
-    ] = "",
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Score methods on labelled recordings, leaving one video out at a time."""
-    from experiments.benches.real_data import run_real_data_bench
-    from experiments.console.tables import show_table
-
-    show_table(run_real_data_bench(data, _words(test_videos), quick), json)
-
-
-@bench.command(
-    "classification", epilog="example: graphrqi bench classification --data data --json rows.json"
-)
-def bench_classification(
-    data: Annotated[
-        Path | None, typer.Option(help="A dataset to learn and score on [default: one is made].")
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="Where datasets are made; those that are there are used.")
-    ] = Path("runs/classification"),
-    protocols: Annotated[
-        str, typer.Option(metavar="A,B,...", help="Only these [default: all].")
-    ] = "",
-    plot: Annotated[
-        Path | None, typer.Option(help="Picture of reliability and noise to write.")
-    ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Score every method under every protocol.
-
-    The JSON is written after every protocol: a run that is stopped keeps what it has measured.
-    """
-    from functools import partial
-
-    from experiments.benches.classification import (
-        PROTOCOLS,
-        plot_classification,
-        run_classification_bench,
-    )
-    from experiments.console.tables import show_table, write_json
-
-    wanted = _words(protocols) or tuple(PROTOCOLS)
-    keep = None if json is None or str(json) == "-" else partial(write_json, json_path=json)
-    rows = run_classification_bench(quick, data, out, wanted, jobs, keep)
-    if plot is not None:
-        plot_classification(rows, plot)
-    show_table(rows, json)
-
-
-@bench.command("prediction", epilog="example: graphrqi bench prediction --quick --plot yield.png")
-def bench_prediction(
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Draw a driver foreseen to let somebody cross, and one not."
-        ),
-    ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Measure every predictor's errors on unseen episodes."""
-    from experiments.benches.prediction import run_prediction_bench
-    from experiments.console.tables import show_table
-
-    show_table(run_prediction_bench(quick, jobs=jobs, picture=plot), json)
-
-
-def _add_bench(name: str, what: str) -> None:
-    @bench.command(name, help=what, epilog=f"example: graphrqi bench {name} --quick")
-    def measure(quick: Quick = False, json: Json = None) -> None:
-        from experiments.benches.registry import run_bench
-        from experiments.console.tables import show_table
-
-        show_table(run_bench(name, quick), json)
-
-
-for _name, _what in {
-    "behaviors": "Measure which behaviour shows which trait, in every scenario.",
-    "highway": "Measure the highway-env engine's speed beside the stock road's.",
-    "navigation": "Drive among others, told and not told who drives how.",
-    "loop": "Time classifying and predicting while a simulation runs, stage by stage.",
-    "generate": "Measure the cost of generating data.",
-}.items():
-    _add_bench(_name, _what)
 
 
 @app.command(epilog="example: graphrqi doctor")

@@ -14,7 +14,7 @@ from typing import Final, Literal
 
 from behaviors.errors import InputError, lookup
 from behaviors.registry import Registry, loaded
-from experiments.console.tables import Row
+from experiments.rows import Row
 
 START_LIMIT_S: Final = 120.0
 """Longest that a simulator may take to start, s (our choice; a slow disk takes tens of seconds)."""

@@ -11,12 +11,19 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.console.tables import Row
 from experiments.report.cases import look_closer
 from experiments.report.run_file import Metrics
-from experiments.report.sections import LAYOUTS, Section, is_first, sections, shown_predictor
-from experiments.report.source import Source, by_kind, read_source, rows_of
+from experiments.report.sections import (
+    LAYOUTS,
+    Section,
+    is_first,
+    layouts,
+    sections,
+    shown_predictor,
+)
+from experiments.report.source import Source, by_bench, read_source, rows_of
 from experiments.report.tables import Table, name_of, pivot, words
+from experiments.rows import Row
 from sim.store.atomic import write_whole
 
 
@@ -79,8 +86,8 @@ def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Pat
         confusions=confusions, behaviors=[str(b) for b in BEHAVIORS], closer=closer,
         missing=[
             (layout.title, layout.made_by)
-            for kind, layout in LAYOUTS.items()
-            if kind not in source.rows and layout.made_by
+            for bench, layout in LAYOUTS.items()
+            if bench not in source.rows
         ],
     )  # fmt: skip
     return out
@@ -123,24 +130,24 @@ def compare(runs: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[Section]:
     """Sections whose tables have a column for each run.
 
     Args:
-        runs: the rows of each run by kind, by the run's name.
+        runs: the rows of each run by bench, by the run's name.
 
     Returns:
-        A section for each kind of measurement that at least two runs have.
+        A section for each bench that at least two runs have.
     """
     found = []
-    for kind, layout in LAYOUTS.items():
-        having = [name for name, rows in runs.items() if kind in rows]
+    for bench, layout in layouts(bench for rows in runs.values() for bench in rows).items():
+        having = [name for name, rows in runs.items() if bench in rows]
         if len(having) < 2:
             continue
         tables: dict[tuple[str, str], list[Row]] = {}
         for name in having:
-            for row in runs[name][kind]:
+            for row in runs[name][bench]:
                 values = [words(row.get(k)) for k in layout.group]
                 title = ", ".join(v for v in values if v != "none") or layout.title
                 tables.setdefault((title, str(row["metric"])), []).append({**row, "run": name})
         across = (*(k for k in layout.across if k != "metric"), "run")
-        hidden = {"metric", "value", "low", "high", "n", "split", *layout.group, *across}
+        hidden = {"bench", "metric", "value", "low", "high", "n", "split", *layout.group, *across}
         main: list[Table] = []
         more: list[Table] = []
         for (title, metric), part in tables.items():
@@ -151,7 +158,9 @@ def compare(runs: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[Section]:
             table = pivot(part, f"{title}: {name_of(metric)}", down or ["metric"], across)
             (main if first else more).append(table)
         if main or more:
-            found.append(Section(kind, layout.title, layout.told, "", tuple(main), tuple(more), ()))
+            found.append(
+                Section(bench, layout.title, layout.told, "", tuple(main), tuple(more), ())
+            )
     return found
 
 
@@ -168,4 +177,4 @@ def _write(out: Path, template: str, **values: Any) -> None:
 
 def printed_tables(metrics: Metrics) -> list[tuple[str, Table]]:
     """The main tables of a run, for the terminal, each with its section's title."""
-    return [(s.title, table) for s in sections(by_kind(rows_of(metrics))) for table in s.tables]
+    return [(s.title, table) for s in sections(by_bench(rows_of(metrics))) for table in s.tables]

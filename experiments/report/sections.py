@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from markupsafe import Markup
 
 from behaviors.labels import BEHAVIORS
-from experiments.console.tables import Row
 from experiments.report.charts import Axis, Line, Point, line_chart
 from experiments.report.tables import Table, name_of, pivot, words
+from experiments.rows import Row
 
 OURS: Final = "graphrqi-predict"
 
@@ -38,6 +38,9 @@ class Layout:
     made_by: str
     told: str
 
+
+OTHER: Final = Layout("Other figures", (), (), ("metric",), (), "", "")
+"""Of rows whose bench has no layout of its own."""
 
 LAYOUTS: Final[dict[str, Layout]] = {
     "classification": Layout(
@@ -91,9 +94,8 @@ LAYOUTS: Final[dict[str, Layout]] = {
         "The highway-env engine", (), ("cars", "road"), ("metric",), (),
         "graphrqi bench highway", "Its speed beside that of the stock road.",
     ),
-    "other": Layout("Other figures", (), (), ("metric",), (), "", ""),
 }  # fmt: skip
-"""By kind of measurement, in the order of a page."""
+"""By bench, in the order of a page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,7 @@ class Section:
     """A section of a page.
 
     Attributes:
-        kind: kind of measurement.
+        bench: what measured it.
         title: heading.
         told: what a reader has to know.
         made_by: the command that measures it.
@@ -110,7 +112,7 @@ class Section:
         charts: figures.
     """
 
-    kind: str
+    bench: str
     title: str
     told: str
     made_by: str
@@ -123,22 +125,30 @@ def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
     """Everything that rows give.
 
     Args:
-        rows: by kind of measurement.
+        rows: by bench.
 
     Returns:
-        A section for each kind that there is.
+        A section for each bench that there is.
     """
     found = []
-    for kind, layout in LAYOUTS.items():
-        if kind not in rows:
-            continue
-        tables, more = _tables(rows[kind], layout)
-        charts = tuple(chart for chart in _charts(kind, rows[kind]) if chart)
-        found.append(Section(kind, layout.title, layout.told, layout.made_by, tables, more, charts))
+    for bench, layout in layouts(rows).items():
+        tables, more = _tables(rows[bench], layout)
+        charts = tuple(chart for chart in _charts(bench, rows[bench]) if chart)
+        found.append(
+            Section(bench, layout.title, layout.told, layout.made_by, tables, more, charts)
+        )
     return found
 
 
-_FIGURE: Final = frozenset({"metric", "value", "low", "high", "n", "split"})
+_SHOWN_APART: Final = frozenset({"bench", "metric", "value", "low", "high", "n", "split"})
+"""Keys that are never a column or line of their own."""
+
+
+def layouts(benches: Iterable[str]) -> dict[str, Layout]:
+    """The layouts of some benches, in the order of a page; those without one come last."""
+    present = set(benches)
+    known = {bench: layout for bench, layout in LAYOUTS.items() if bench in present}
+    return known | dict.fromkeys(sorted(present - set(LAYOUTS)), OTHER)
 
 
 def grouped(rows: Sequence[Row], keys: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
@@ -153,10 +163,10 @@ def _tables(rows: Sequence[Row], layout: Layout) -> tuple[tuple[Table, ...], tup
     """The main tables, and those with everything else."""
     down = (
         layout.down
-        or tuple(dict.fromkeys(k for r in rows for k in r if k not in _FIGURE))
+        or tuple(dict.fromkeys(k for r in rows for k in r if k not in _SHOWN_APART))
         or ("metric",)
     )
-    known = {*layout.group, *down, *layout.across, *_FIGURE}
+    known = {*layout.group, *down, *layout.across, *_SHOWN_APART}
     rest = tuple(dict.fromkeys(k for r in rows for k in r if k not in known))
     main: list[Table] = []
     more: list[Table] = []
@@ -185,12 +195,12 @@ def is_first(row: Row) -> bool:
     )
 
 
-def _charts(kind: str, rows: Sequence[Row]) -> list[Markup]:
-    if kind == "prediction":
+def _charts(bench: str, rows: Sequence[Row]) -> list[Markup]:
+    if bench == "prediction":
         return _prediction_charts(rows)
-    if kind == "classification":
+    if bench == "classification":
         return _early_charts(rows)
-    return _runtime_charts(rows) if kind == "spectrum" else []
+    return _runtime_charts(rows) if bench == "spectrum" else []
 
 
 def line_of(name: str, rows: Sequence[Row], key: str) -> Line:

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from experiments.console.tables import Row
-
-_FIGURE: Final = frozenset({"metric", "value", "low", "high", "n", "split"})
+from experiments.rows import Row
 
 _NAMES: Final = {
     "weighted_accuracy": "accuracy (A_w)",

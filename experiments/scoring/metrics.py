@@ -235,6 +235,12 @@ METRICS: Final[dict[str, tuple[Answer, Statistic]]] = {
 stack of them); larger is better."""
 
 
+def ratio(sums: FloatArray) -> FloatArray:
+    """The first of two summed columns (..., 2) over the second: of a sum and a count, a mean."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(sums[..., 0] / sums[..., 1])
+
+
 def bootstrap(
     statistic: Statistic, per_episode: FloatArray, seed: int = 0
 ) -> tuple[float, float, float]:

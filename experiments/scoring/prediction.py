@@ -20,9 +20,9 @@ import pyarrow as pa
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
-from experiments.console.tables import Row
 from experiments.data.parallel import in_parallel
-from experiments.scoring.metrics import bootstrap
+from experiments.rows import Cell, Row, of_bench, tidy_row
+from experiments.scoring.metrics import Statistic, bootstrap, ratio
 from experiments.scoring.prediction_file import PREDICTIONS, predictions_file, predictions_table
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
@@ -283,7 +283,7 @@ def summarize(
     scenario: str,
     split: str,
     horizons_s: Sequence[float] = HORIZONS_S,
-) -> list[dict[str, Any]]:
+) -> list[Row]:
     """Rows over episodes, with intervals, and each predictor's paired difference to the first.
 
     Args:
@@ -297,7 +297,7 @@ def summarize(
         whose metric is ``ade_m_minus_NAME`` is the mean difference to predictor NAME in the same
         episodes.
     """
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     if not episodes:
         return rows
     names = list(episodes[0])
@@ -307,45 +307,41 @@ def summarize(
             continue
         for name in names:
             for h, horizon_s in enumerate(horizons_s):
-                key = {
-                    "scenario": scenario, "predictor": name, "horizon_s": horizon_s,
-                    "behavior": group, "split": split,
-                }  # fmt: skip
+                keys = prediction_keys(scenario, name, horizon_s, split, group)
                 for m, metric in enumerate(MEASURES):
                     mine = np.array([e[name].total[g, h, m] for e in episodes])
                     if not np.isfinite(mine).all():
                         continue
-                    mean = _root_mean if metric == "rmse_m" else _mean
-                    rows.append(key | _estimate(mean, mine, count, metric))
+                    mean = root_ratio if metric == "rmse_m" else ratio
+                    rows.append(_mean_row(keys, metric, mean, mine, count))
                     if metric in ("ade_m", "fde_m"):
                         for other in names[: names.index(name)]:
                             theirs = np.array([e[other].total[g, h, m] for e in episodes])
                             against = f"{metric}_minus_{other}"
-                            rows.append(key | _estimate(_mean, mine - theirs, count, against))
+                            rows.append(_mean_row(keys, against, ratio, mine - theirs, count))
     return rows
 
 
-def _mean(counts: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(counts[..., 0] / counts[..., 1])
-
-
-def _root_mean(counts: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(_mean(counts)))
-
-
-def _estimate(
-    statistic: Callable[[FloatArray], FloatArray],
-    total: FloatArray,
-    count: FloatArray,
-    metric: str,
-) -> dict[str, Any]:
-    value, low, high = bootstrap(statistic, np.stack([total, count], axis=1))
-    interval = (low, high) if np.isfinite(low) else (None, None)
+def prediction_keys(
+    scenario: str, predictor: str, horizon_s: float, split: str, behavior: str = "all"
+) -> dict[str, Cell]:
+    """What the rows of prediction say was measured."""
     return {
-        "metric": metric, "value": value, "low": interval[0], "high": interval[1],
-        "n": int(count.sum()),
+        "scenario": scenario, "predictor": predictor, "horizon_s": horizon_s,
+        "behavior": behavior, "split": split,
     }  # fmt: skip
+
+
+def root_ratio(sums: FloatArray) -> FloatArray:
+    """The root of a `ratio`: of squares and a count, the root mean square."""
+    return np.sqrt(ratio(sums))
+
+
+def _mean_row(
+    keys: Mapping[str, Cell], metric: str, mean: Statistic, total: FloatArray, count: FloatArray
+) -> Row:
+    found = bootstrap(mean, np.stack([total, count], axis=1))
+    return tidy_row(keys, metric, *found, int(count.sum()))
 
 
 def metrics_tree(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -524,7 +520,7 @@ def predict_dataset(
     for scenario, episodes in found.items():
         whole = not dataset.episodes(split, scenario)
         rows += summarize(episodes, scenario, "all" if whole else split, horizons_s)
-    return rows
+    return of_bench("prediction", rows)
 
 
 def _name_of(entry: EpisodeEntry) -> str:

@@ -6,18 +6,19 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benches.behaviors import (
+    BENCH,
     COUNTS,
     METRICS,
     DriverCounts,
+    Settings,
     rows_of,
-    run_behaviors_bench,
 )
 
 
 def test_rows_are_tidy_and_say_what_the_drivers_did():
-    rows = run_behaviors_bench(["straight_road"], seeds=[0], duration_s=90.0)
+    rows = BENCH.run(Settings(("straight_road",), seeds=(0,), duration_s=90.0))
     json.dumps(rows)
-    keys = {"engine", "scenario", "behavior", "metric", "value", "low", "high", "n"}
+    keys = {"bench", "engine", "scenario", "behavior", "metric", "value", "low", "high", "n"}
     assert all(row.keys() == keys for row in rows)
     found = {(r["behavior"], r["metric"]) for r in rows}
     assert {(b.value, m) for b in BEHAVIORS for m, _, _ in METRICS} <= found
@@ -46,4 +47,4 @@ def test_ratios_are_sums_over_drivers():
 
 def test_an_unknown_scenario_is_refused():
     with pytest.raises(InputError, match="did you mean 'straight_road'"):
-        run_behaviors_bench(["straight_rod"])
+        BENCH.run(Settings(("straight_rod",)))

@@ -1,55 +1,113 @@
-"""Every bench runs at its quick size and gives tidy rows."""
+"""Every bench follows the contract: it runs at its quick size and gives tidy rows."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from experiments.benches.registry import BENCHES, NEED_RECORDINGS
-from experiments.cli.commands import bench, main
+from experiments.benches.contract import Bench, option
+from experiments.benches.registry import BENCHES
+from experiments.cli.bench import bench_command
+from experiments.cli.commands import main
+from experiments.report.sections import LAYOUTS
+from experiments.rows import FIGURE, Row, read_rows, tidy_row
 from experiments.study import run_study
 
 
 @pytest.mark.parametrize("name", BENCHES)
 def test_rows_are_tidy(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if name in NEED_RECORDINGS and not os.environ.get("GRAPHRQI_DATA"):
-        pytest.skip("GRAPHRQI_DATA is not set: no recordings to measure on")
+    bench = BENCHES[name]
+    if bench.needs and not os.environ.get(bench.needs):
+        pytest.skip(f"{bench.needs} is not set: no recordings to measure on")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
         main(["bench", name, "--quick", "--json", "rows.json"])
     assert ended.value.code == 0
-    rows = json.loads(Path("rows.json").read_text())
+    rows = read_rows(Path("rows.json"))
     assert rows
     for row in rows:
-        assert {"metric", "value", "low", "high", "n"} <= row.keys()
+        assert row.keys() == {"bench", *bench.keys, *FIGURE}
+        assert row["bench"] == name
         if row["value"] is None:
             assert row["n"] == 0  # nobody had an occasion
         else:
+            assert isinstance(row["value"], int | float)
             assert math.isfinite(row["value"])
 
 
-def test_every_bench_has_its_command() -> None:
-    commands = {command.name for command in bench.registered_commands}
-    assert commands == set(BENCHES)
+@pytest.mark.parametrize("name", BENCHES)
+def test_every_bench_says_what_it_is_and_has_a_layout(name: str) -> None:
+    bench = BENCHES[name]
+    assert bench.name == name
+    assert bench.summary.endswith(".")
+    assert type(bench.full) is type(bench.quick)
+    assert bench.full != bench.quick
+    assert name in LAYOUTS
+
+
+@dataclass(frozen=True)
+class Settings:
+    numbers: tuple[int, ...] = option((1, 2), "Which numbers.")
+    who: tuple[str, ...] = option(("a",), "Whose.")
+    often: int = option(3, "How often.")
+    hidden: int = 7
+
+
+def echo(settings: Settings) -> list[list[Row]]:
+    return [
+        [tidy_row({"who": who}, "sum", float(number * settings.often), None, None, settings.hidden)]
+        for who in settings.who
+        for number in settings.numbers
+    ]
+
+
+ECHO = Bench("echo", "Say what was asked for.", ("who",), Settings(), Settings(often=1), echo)
+
+
+def rows_of(*arguments: str) -> list[tuple[object, object, object]]:
+    out = Path("rows.json")
+    bench_command(ECHO)([*arguments, "--json", str(out)], standalone_mode=False)
+    return [(row["who"], row["value"], row["n"]) for row in json.loads(out.read_text())]
+
+
+def test_settings_are_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert rows_of() == [("a", 3.0, 7), ("a", 6.0, 7)]
+    assert rows_of("--quick") == [("a", 1.0, 7), ("a", 2.0, 7)]
+    assert rows_of("--quick", "--numbers", "5") == [("a", 5.0, 7)]
+    assert rows_of("--who", "b, c", "--numbers", "1", "--often", "2") == [
+        ("b", 2.0, 7),
+        ("c", 2.0, 7),
+    ]
+    names = {parameter.name for parameter in bench_command(ECHO).params}
+    assert names == {"numbers", "who", "often", "quick", "json"}
+
+
+def test_rows_are_kept_after_every_part() -> None:
+    counts: list[int] = []
+    rows = ECHO.run(on_rows=lambda rows: counts.append(len(rows)))
+    assert counts == [1, 2] == list(range(1, len(rows) + 1))
 
 
 def test_a_study_goes_on_where_it_was_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[str] = []
+    measured: list[str] = []
 
-    def measured(name: str, quick: bool) -> list[dict[str, str | float | None]]:
-        asked.append(name)
-        return [{"metric": "m", "value": 1.0, "low": None, "high": None, "n": 1}]
+    def run(self: Bench[object], settings: object) -> list[Row]:
+        measured.append(self.name)
+        return [tidy_row({"bench": self.name}, "m", 1.0, None, None, 1)]
 
-    monkeypatch.setattr("experiments.study.run_bench", measured)
+    monkeypatch.setattr(Bench, "run", run)
     monkeypatch.delenv("GRAPHRQI_DATA", raising=False)
     (tmp_path / "generate.json").write_text("[]")
     files = run_study(tmp_path)
-    assert sorted(f.stem for f in files) == sorted(set(BENCHES) - NEED_RECORDINGS)
-    assert sorted(asked) == sorted(set(BENCHES) - NEED_RECORDINGS - {"generate"})
+    possible = {name for name in BENCHES if not BENCHES[name].needs}
+    assert {f.stem for f in files} == possible
+    assert sorted(measured) == sorted(possible - {"generate"})
     assert all(f.is_file() for f in files)

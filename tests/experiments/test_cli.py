@@ -128,7 +128,8 @@ def test_bench_of_some_solvers_only(capsys: pytest.CaptureFixture[str]) -> None:
     names = "graphrqi,eigh"
     code, out, _ = graphrqi(
         capsys, "bench", "spectrum", "--solvers", names, "--graphs", "road", "--sizes", "25",
-        "--kinds", "instantaneous", "--ends", "largest", "--steps", "3", "--json", "-",
+        "--kinds", "instantaneous", "--ends", "largest", "--steps", "3", "--study", "0",
+        "--json", "-",
     )  # fmt: skip
     assert code == 0
     measured = {row["solver"] for row in json.loads(out) if row["metric"] == "missed_pairs"}

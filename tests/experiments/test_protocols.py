@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.benches.classification import plot_classification, run_classification_bench
+from experiments.benches.classification import BENCH, plot_classification
 from experiments.benches.protocols import (
     LONG_TAIL,
     OURS,
@@ -345,9 +345,8 @@ def test_training_with_noise_is_another_model(recordings):
 
 def test_bench_of_one_protocol_and_its_picture(tmp_path):
     kept: list[int] = []
-    rows = run_classification_bench(
-        True, protocols=("inductive", "across-engines"), keep=lambda rows: kept.append(len(rows))
-    )
+    settings = dataclasses.replace(BENCH.quick, protocols=("inductive", "across-engines"))
+    rows = BENCH.run(settings, lambda rows: kept.append(len(rows)))
     assert len(kept) == 2
     assert 0 < kept[0] < kept[1] == len(rows)
     assert {row["protocol"] for row in rows} == {"inductive", "across-engines"}
@@ -360,4 +359,4 @@ def test_bench_of_one_protocol_and_its_picture(tmp_path):
     plot_classification(rows, tmp_path / "rows.svg")
     assert (tmp_path / "rows.svg").read_text().rstrip().endswith("</svg>")
     with pytest.raises(InputError, match="did you mean 'inductive'"):
-        run_classification_bench(True, protocols=("inductiv",))
+        BENCH.run(dataclasses.replace(BENCH.quick, protocols=("inductiv",)))

@@ -14,13 +14,14 @@ from behaviors.agreement import cohen_kappa, style_of
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style, Trait
 from experiments.benches.real_data import (
+    BENCH,
     VIEWS,
+    Settings,
     Video,
     _posterior,
     choose,
     evaluate_traf,
     read_traf,
-    run_real_data_bench,
 )
 from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
 from sim.formats import argo, traf
@@ -244,10 +245,10 @@ def test_named_test_videos_are_never_trained_on(videos):
 
 def test_absent_data_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("GRAPHRQI_DATA", raising=False)
-    assert run_real_data_bench() == []
-    assert run_real_data_bench(tmp_path) == []
+    assert BENCH.run() == []
+    assert BENCH.run(Settings(tmp_path)) == []
     (tmp_path / "traf" / "tracks").mkdir(parents=True)
-    assert run_real_data_bench(tmp_path) == []
+    assert BENCH.run(Settings(tmp_path)) == []
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
     assert all(line.startswith("real-data: traf skipped: ") for line in lines)

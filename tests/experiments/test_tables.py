@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.console.tables import write_json
+from experiments.rows import write_json
 
 
 def test_what_is_not_finite_is_null(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Obstacle
 
 from behaviors import PROFILES, Behavior, InputError
-from experiments.benches.highway import run_highway_bench
 from scenarios import SCENARIOS
 from sim.highway.engine import network_of, run
 from sim.highway.fast_road import FastRoad, separation
@@ -246,12 +245,3 @@ def test_vehicles_drive_on_highway_envs_own_road_too():
         road.step(0.1)
     assert not any(vehicle.crashed for vehicle in road.vehicles)
     assert all(vehicle.position[0] > 60.0 for vehicle in road.vehicles)
-
-
-def test_the_bench_has_a_row_for_every_road_and_compares_results():
-    rows = run_highway_bench(sizes=(12,), seconds=1.0, most_stock_frames=5)
-    keys = {(row["road"], row["metric"]) for row in rows}
-    assert ("fast", "ratio_to_stock") in keys
-    exact = {r["road"]: r["value"] for r in rows if r["metric"] == "farthest_m"}
-    assert exact["fast"] == 0.0
-    assert exact["compiled"] < 1e-6

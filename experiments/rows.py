@@ -1,0 +1,105 @@
+"""Tidy rows: one figure each, with the keys that say what was measured.
+
+A row is a flat mapping: ``bench`` (which bench it belongs to), that bench's own keys, then
+``metric``, ``value``, ``low``, ``high`` (a 95 % interval) and ``n`` (how many cases it rests on).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, cast
+
+from behaviors.errors import InputError
+from sim.store.atomic import write_whole
+
+Cell = str | int | float | bool | None
+Row = Mapping[str, Cell]
+
+FIGURE: Final = frozenset({"metric", "value", "low", "high", "n"})
+"""Keys that every row has beside those that say what was measured."""
+
+MAX_BYTES: Final = 2**28
+"""Largest file of rows that is read; a full study's are some megabytes."""
+
+
+def tidy_row(
+    keys: Mapping[str, Cell],
+    metric: str,
+    value: float | None,
+    low: float | None,
+    high: float | None,
+    n: int | None,
+) -> Row:
+    """One figure as a row; what is not finite is None, and an interval needs both ends.
+
+    Examples:
+        >>> tidy_row({"solver": "eigh"}, "cpu_ms", 2.5, float("nan"), float("nan"), 10)
+        {'solver': 'eigh', 'metric': 'cpu_ms', 'value': 2.5, 'low': None, 'high': None, 'n': 10}
+    """
+    ends = [None if x is None or not math.isfinite(x) else float(x) for x in (low, high)]
+    low, high = (None, None) if None in ends else ends
+    value = None if value is None or not math.isfinite(value) else float(value)
+    return {**keys, "metric": metric, "value": value, "low": low, "high": high, "n": n}
+
+
+def of_bench(bench: str, rows: Iterable[Row]) -> list[Row]:
+    """The rows with the name of their bench in front."""
+    return [{"bench": bench, **row} for row in rows]
+
+
+def write_json(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as a JSON list; a number that is not finite becomes null.
+
+    Args:
+        rows: flat rows.
+        path: the file; ``-`` for standard output.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    finite = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+        for row in rows
+    ]
+    text = json.dumps(finite, indent=1, allow_nan=False, default=str) + "\n"
+    if str(path) == "-":
+        sys.stdout.write(text)
+    else:
+        write_whole(path, text.encode())
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read rows as a bench's ``--json`` writes them.
+
+    Raises:
+        InputError: if the file is not a list of flat rows with a bench, a metric and a value.
+    """
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"{path}: found {size} bytes, expected at most {MAX_BYTES}")
+    try:
+        found: Any = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: found no JSON ({error})") from None
+    if not isinstance(found, list):
+        raise InputError(f"{path}: found {type(found).__name__}, expected a list of rows")
+    for number, row in enumerate(found):
+        where = f"{path}: row {number}"
+        if not isinstance(row, dict) or not isinstance(row.get("metric"), str):
+            raise InputError(f"{where}: found no metric, expected flat rows with one")
+        if not isinstance(row.get("bench"), str):
+            raise InputError(
+                f"{where}: found no bench, expected its name; files of older versions have none: "
+                "measure again"
+            )
+        for name in ("value", "low", "high"):
+            value = row.get(name)
+            if value is not None and type(value) not in (int, float):
+                raise InputError(f"{where}: {name}: found {value!r}, expected a number")
+        if any(isinstance(value, dict | list) for value in row.values()):
+            raise InputError(f"{where}: found a nested value, expected flat rows")
+    return cast("list[Row]", found)
