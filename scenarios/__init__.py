@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from behaviors.errors import InputError, lookup
 from behaviors.registry import Registry
-from scenarios.registration import ENVIRONMENTS, register_environments
+from scenarios.environments import ENVIRONMENTS, register_environments
 from sim.scenario import Scenario
 
 

@@ -1,88 +1,61 @@
-"""A scenario as a gymnasium environment: one vehicle is yours, the traffic is ours.
+"""What the gymnasium environments share: episodes, rewards and observations.
 
-It runs on our road for highway-env and takes highway-env's actions; the other drivers have the six
-behaviours' profiles. What the environments share is here; which road and which way is theirs
-(`scenarios.environments`).
+Which road and which route an environment has is in its own module beside this one.
 """
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final, Protocol, cast
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
-from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import (
-    ActionType,
-    ContinuousAction,
-    DiscreteAction,
-    DiscreteMetaAction,
-)
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from behaviors.profiles import DEFAULT_SPREAD
-from sim.frames import AgentKind, Event, EventKind, Frame, Signal
+from scenarios import get_scenario
+from scenarios.environments.config import (
+    TrafficConfig,
+    describe_config,
+    read_config,
+    resolve_classifier,
+)
+from scenarios.environments.observation import (
+    observable_agents,
+    observation_space,
+    observe_agents,
+    observe_ego,
+    observe_graph,
+)
+from sim.frames import Event, EventKind, FloatArray, Frame
 from sim.highway.demand import Demand
+from sim.highway.ego import (
+    EgoEnv,
+    Observation,
+    as_mapping,
+    distance_left_m,
+    is_off_road,
+    is_on_route,
+)
 from sim.highway.engine import network_of, read_frame
 from sim.highway.fast_road import separation
-from sim.highway.network import HighwayNetwork, LaneIndex
-from sim.highway.traffic import STRETCH_MARGIN_M, TrafficRoad, agent_of
+from sim.highway.network import LaneIndex
+from sim.highway.traffic import TrafficRoad, agent_of
 from sim.highway.vehicle import ProfileVehicle
-from sim.highway.viewer import TrafficViewer
-from sim.highway.walkers import Walker
-from sim.scenario import Scenario, sample_agents
-
-FloatArray = NDArray[np.float64]
-Observation = dict[str, NDArray[Any]]
-
-RANGE_M: Final = 100.0
-"""How far the ego vehicle sees, m."""
-
-SPEED_MPS: Final = 20.0
-"""Speeds are observed as multiples of this, m/s."""
-
-LENGTH_M: Final = 12.0
-WIDTH_M: Final = 3.0
-"""Lengths and widths are observed as multiples of these, m: a bus."""
-
-WAY_M: Final = 1000.0
-"""The distance left is observed as a multiple of this, m."""
-
-EGO_FEATURES: Final[tuple[str, ...]] = (
-    "speed", "offset", "heading", "limit", "lanes_left", "lanes_right", "stop_line",
-    "red", "yellow", "green", "crossing", "crossing_used", "distance_left",
-)  # fmt: skip
-"""The columns of the observation ``ego``."""
-
-AGENT_FEATURES: Final[tuple[str, ...]] = (
-    "present", "x", "y", "vx", "vy", "cos_heading", "sin_heading", "length", "width", "walking",
-)  # fmt: skip
-"""The columns of the observation ``agents``, before those of the behaviours."""
-
-OBSERVATIONS: Final[dict[str, str]] = {
-    "kinematics": "what can be seen",
-    "behavior": "what can be seen, and every driver's true behaviour",
-    "posterior": "what can be seen, and what the classifier believes of every driver",
-    "graph": "what can be seen, and who is near whom",
-}
-"""The observation options."""
-
-NEIGHBOURS: Final = 4
-"""How many nearest agents each agent is joined to in the traffic graph (as in the paper)."""
+from sim.scenario import sample_agents
 
 NEAR_MISS_S: Final = 1.0
 """Time to collision below which a near miss is counted, s (Hayward 1972: 1 to 1.5 s)."""
 
 NEAR_MISS_M: Final = 0.4
-"""Passing this near, at more than walking pace, is a near miss too, m (our choice)."""
+"""Passing this near, at more than walking pace, is a near miss too, m (our choice: an arm's
+length)."""
+
+NEARBY_M: Final = 12.0
+"""Only others whose centre is this near are checked for passing too near, m."""
 
 WALKING_PACE_MPS: Final = 2.0
 
@@ -93,21 +66,18 @@ REWARDS: Final[dict[str, float]] = {
     "red_run": -3.0,
     "off_road": -5.0,
 }
-"""What each part of the reward is multiplied by (our choice: a collision costs more than ten
-seconds at the limit are worth)."""
+"""The weight of each part of the reward (our choice: a collision costs more than ten seconds at the
+limit are worth)."""
+
+BEGIN_M: Final = 3.0
+"""Where on its first lane the ego vehicle begins, m."""
 
 ROOM_M: Final = 12.0
-"""Room in front and behind that the ego vehicle needs to be set on the road, m (our choice)."""
+"""Room in front and behind that the ego vehicle needs to be set on the road, m (our choice: room to
+brake from walking pace)."""
 
 LONGEST_WAIT_S: Final = 60.0
-"""For so long the ego vehicle waits for room; then room is made (our choice)."""
-
-ACTIONS: Final[dict[str, type[ActionType]]] = {
-    "DiscreteMetaAction": DiscreteMetaAction,
-    "DiscreteAction": DiscreteAction,
-    "ContinuousAction": ContinuousAction,
-}
-"""highway-env's actions for one vehicle."""
+"""The ego vehicle waits this long for room; then the vehicles in its place are removed."""
 
 
 class Belief(Protocol):
@@ -118,140 +88,98 @@ class Belief(Protocol):
         ...
 
 
-class TrafficEnv(AbstractEnv):  # type: ignore[misc]
-    """What the environments have in common; see each one's own docstring.
+class TrafficEnv(EgoEnv):
+    """The specification that every environment has in common.
 
-    Args:
-        config: changes to `default_config`, by key.
-        render_mode: None, ``"rgb_array"`` or ``"human"``.
+    Observation: a ``Dict``. All boxes are float32 in [-1, 1]: values are divided by the unit given
+    and clipped. N is ``observed``.
 
-    Raises:
-        InputError: if a key is unknown or a value means nothing; the message names it.
+    ============ ============= ====================================================================
+    key          shape         columns (unit)
+    ============ ============= ====================================================================
+    ego          (13,)         speed (20 m/s); offset to the left of the lane (lane widths); heading
+                               to the left of the lane's (pi rad); limit (20 m/s); lanes to the
+                               left, to the right (4); distance to the stop line (100 m, 1: none);
+                               red, yellow, green (0 or 1); distance to the next crossing (100 m,
+                               1: none); whether somebody is on it or at its kerb (0 or 1); distance
+                               left to the goal (1000 m)
+    agents       (N, 10)       others within 100 m, nearest first, rows of zeros after them: present
+                               (1); x ahead, y to the left (100 m); velocity relative to the ego
+                               vehicle ahead, to the left (20 m/s); cosine, sine of the heading
+                               relative to it; length (12 m); width (3 m); a pedestrian (0 or 1)
+    agents       (N, 16)       with "behavior": six more, 1 for the driver's true behaviour
+    agents       (N, 16)       with "posterior": six more, the classifier's probabilities; uniform
+                               until a driver is known
+    mask         (N + 1,)      with "graph", int8: which nodes exist; node 0 is the ego vehicle,
+                               node i + 1 is row i of ``agents``
+    adjacency    (N + 1, N+1)  with "graph", int8, symmetric: 1 if either is among the other's 4
+                               nearest
+    ============ ============= ====================================================================
+
+    The behaviours' order is that of ``behaviors.BEHAVIORS``; pedestrians have zeros there.
+
+    Actions: highway-env's. By default 5 meta actions: 0 lane to the left, 1 nothing, 2 lane to the
+    right, 3 faster, 4 slower, between the target speeds 0, 3, 6, 9, 12 and 15 m/s. Nothing stops
+    the ego vehicle at signals, crossings or behind others; the others react to it as to anybody.
+
+    Reward per step: progress along the route as a share of what the limit allows, in [0, 1]; -10
+    for a collision; -1 for each near miss (time to collision to the leader below 1 s, or passing
+    within 0.4 m); -3 for running a red light; -5 for leaving the road. ``info["rewards"]`` has the
+    parts.
+
+    Episode: begins when there is room for the ego vehicle at the beginning of its route, at 0.7 of
+    the limit. Terminated by a collision, by leaving the road, or at the goal; truncated after
+    ``duration_s``.
+
+    ``info``: time_s, speed (m/s), crashed, arrived, collisions, near_misses, red_runs, rewards, and
+    events: tuples (what, agent, other or -1, rule) of everybody's events in the step. Ids are those
+    of the drawn agents; the ego vehicle's is one more than the greatest.
+
+    Images: lanes, crossings, stop lines in the colour of their signal, pedestrians, vehicles in the
+    colour of their behaviour (warm: aggressive, cool: conservative), the ego vehicle white. For a
+    video at the simulation's rate wrap in ``RecordVideo`` and call
+    ``env.unwrapped.set_record_video_wrapper(env)``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": ["human", "rgb_array"],
-        "render_fps": 5,
-    }
+    config_model: ClassVar[type[TrafficConfig]] = TrafficConfig
+    own_defaults: ClassVar[dict[str, Any]] = {}
+    scenario_name: ClassVar[str]
 
-    road: TrafficRoad
-    config: dict[str, Any]
-    time: float
-    steps: int
-    controlled_vehicles: list[Any]
-    action_space: spaces.Space[Any]
-    observation_space: spaces.Space[Any]
-    viewer: Any
-
-    def __init__(
-        self, config: Mapping[str, Any] | None = None, render_mode: str | None = None
-    ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(
-                f"render_mode: found {render_mode!r}, expected one of "
-                f"{', '.join(self.metadata['render_modes'])}"
-            )
-        self.metadata = dict(type(self).metadata)  # type: ignore[misc]
-        self._made = False
-        super().__init__(dict(_mapping("config", config)), render_mode)
-        self._made = True
-
-    # Configuration ---------------------------------------------------------------------------
+    def __init_subclass__(cls) -> None:
+        """Append the common specification and the configuration to an environment's docstring."""
+        common = inspect.cleandoc(TrafficEnv.__doc__ or "").partition("\n\n")[2]
+        keys = describe_config(cls.config_model, cls.default_config())
+        cls.__doc__ = (
+            f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{common}\n\n"
+            f"Configuration (``config``), each key with its default:\n\n{keys}\n"
+        )
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
-        """The configuration where nothing else is asked for; see the class docstring."""
-        kept = (
-            "screen_width", "screen_height", "centering_position", "scaling", "render_agent",
-            "offscreen_rendering", "manual_control", "real_time_rendering",
-        )  # fmt: skip
-        base = AbstractEnv.default_config()
-        return {
-            **{key: base[key] for key in kept},
-            "observation": "kinematics",
-            "observed": 15,
-            "action": {
-                "type": "DiscreteMetaAction",
-                "target_speeds": [0.0, 3.0, 6.0, 9.0, 12.0, 15.0],
-            },
-            "flow": "medium",
-            "mix": None,
-            "spread": DEFAULT_SPREAD,
-            "seed": None,
-            "duration_s": 40.0,
-            "warmup_s": 20.0,
-            "simulation_frequency": 10,
-            "policy_frequency": 5,
-            "classifier": "graphrqi.stream:load_stream",
-        }
+        """The value of every key that is not given; the class docstring explains the keys."""
+        return {**cls.config_model().values(), **cls.own_defaults}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Take changes to the configuration.
 
         Raises:
-            InputError: if a key is unknown or a value means nothing; the message names it.
+            InputError: if a key is unknown or a value is not usable; the message names it.
         """
-        config = _mapping("config", config)
-        changed = {**self.config, **config}
-        for key in changed:
-            lookup(self.default_config(), str(key), "configuration key")
-        _check_config(changed)
-        lasts = float(changed["duration_s"]) + float(changed["warmup_s"]) + LONGEST_WAIT_S
-        self.scenario = self._make_scenario(changed, lasts)
-        super().configure({key: changed[key] for key in config})
+        given = as_mapping("config", config)
+        checked = read_config(self.config_model, {**self.config, **given})
+        self.scenario = get_scenario(self.scenario_name)(
+            flow=checked.flow,
+            mix=checked.mix,
+            spread=checked.spread,
+            duration_s=checked.duration_s + checked.warmup_s + LONGEST_WAIT_S,
+        )
+        super().configure({key: getattr(checked, str(key)) for key in given})
 
-    def _make_scenario(self, config: Mapping[str, Any], duration_s: float) -> Scenario:
-        """The scenario that a configuration asks for."""
+    def _route(self) -> tuple[str, ...]:
+        """The edges that the ego vehicle drives over."""
         raise NotImplementedError
 
-    def define_spaces(self) -> None:
-        """The spaces of the configured observation and action; kept, with their seeds, if equal."""
-        options = self.config["action"]
-        self.action_type = ACTIONS[options["type"]](self, **options)
-        action_space = self.action_type.space()
-        if action_space != self.action_space:
-            self.action_space = action_space
-        observation_space = _observation_space(self.config)
-        if observation_space != self.observation_space:
-            self.observation_space = observation_space
-
-    def update_metadata(self, video_real_time_ratio: float = 1.0) -> None:
-        """Note how many images a second are drawn, so that videos run in real time."""
-        recorded = "simulation_frequency" if self._record_video_wrapper else "policy_frequency"
-        self.metadata["render_fps"] = round(video_real_time_ratio * self.config[recorded])
-
     # Episodes --------------------------------------------------------------------------------
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode.
-
-        Args:
-            seed: of all chance from now on; the same seed gives the same episode.
-            options: ``{"config": {...}}`` changes the configuration.
-
-        Returns:
-            The first observation, and info.
-
-        Raises:
-            InputError: if the configuration means nothing.
-        """
-        if not self._made:  # highway-env's own way to make a scene; here every episode makes one
-            return {}, {}
-        gymnasium.Env.reset(self, seed=seed)
-        options = dict(_mapping("options", options))
-        if options:
-            for key in options:
-                lookup({"config": None}, str(key), "reset option")
-            self.configure(_mapping("config", options["config"]))
-        self.update_metadata()
-        self.time, self.steps, self.done = 0.0, 0, False
-        self._reset()
-        self.define_spaces()
-        if self.render_mode == "human":
-            self.render()
-        return self._observe(), self._info(None)
 
     def _reset(self) -> None:
         config = self.config
@@ -262,7 +190,7 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         network = network_of(self.scenario.road)
         self.road = TrafficRoad(network, compiled=config.get("compiled", False))
         self._demand = Demand(self.road, agents, traffic)
-        self._true = {agent.id: agent for agent in agents}
+        self._agents = {agent.id: agent for agent in agents}
         self._classify = self._classifier()
         self._belief: Belief | None = None
         self._events: list[Event] = []
@@ -271,22 +199,23 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         self._progress = 0.0
         self._ego_id = max((agent.id for agent in agents), default=-1) + 1
         self.controlled_vehicles = []
-        dt = 1.0 / config["simulation_frequency"]
-        for _ in range(round(config["warmup_s"] / dt)):
-            self._advance(dt)
-        self._set_ego()
+        self._dt = 1.0 / config["simulation_frequency"]
+        for _ in range(round(config["warmup_s"] / self._dt)):
+            self._advance()
+        self._enter_ego_vehicle()
         self.define_spaces()
-        self._distance_left = self._way_left()
+        self._distance_left = distance_left_m(self.road, self.vehicle)
         self._events = []
         self.road.look()
 
     def _classifier(self) -> Callable[[Frame], Belief] | None:
+        """What classifies the drivers of this episode; None where nothing is classified."""
         if self.config["observation"] != "posterior":
             return None
         source = self.config["classifier"]
         if not isinstance(source, str):
             return cast(Callable[[Frame], Belief], source)
-        made = _classifier_maker(source)()
+        made = resolve_classifier(source)()
         classify = getattr(made, "update", made)
         if not callable(classify):
             raise InputError(
@@ -295,65 +224,45 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
             )
         return cast(Callable[[Frame], Belief], classify)
 
-    def _set_ego(self) -> None:
-        """Put the ego vehicle at the beginning of its way, once there is room."""
+    def _enter_ego_vehicle(self) -> None:
+        """Put the ego vehicle at the beginning of its route, once there is room."""
         road, network = self.road, self.road.network_info
-        route = self._route()
-        stretches = tuple(network.stretches(route))
-        then = stretches[1] if len(stretches) > 1 else None
-        begin = 3.0
-        dt = 1.0 / self.config["simulation_frequency"]
-        lanes = network.lanes_towards(stretches[0], then)
-        for _ in range(round(LONGEST_WAIT_S / dt)):
+        route = tuple(network.stretches(self._route()))
+        lanes = network.lanes_towards(route[0], route[1] if len(route) > 1 else None)
+        for _ in range(round(LONGEST_WAIT_S / self._dt)):
             road.look()
-            lane, room, speed = self._roomiest(lanes, begin)
+            lane, room, speed = self._roomiest(lanes)
             if room > ROOM_M:
                 break
-            self._advance(dt)
+            self._advance()
         else:
-            for vehicle in [road_user for road_user in road.vehicles]:
+            for vehicle in list(road.vehicles):
                 s, _ = road.place(vehicle, lane)
-                if abs(s - begin) < 2.0 * ROOM_M and vehicle.lane_index[:2] == lane[:2]:
+                if abs(s - BEGIN_M) < 2.0 * ROOM_M and vehicle.lane_index[:2] == lane[:2]:
                     road.vehicles.remove(vehicle)
-        geometry = network.lanes[lane]
-        limit = float(geometry.speed_limit)
-        ego = self.action_type.vehicle_class(
-            road,
-            geometry.position(begin, 0.0),
-            geometry.heading_at(begin),
-            min(0.7 * limit, speed) if room < 40.0 else 0.7 * limit,
+        begin = 0.7 * float(network.lanes[lane].speed_limit)
+        self.add_ego_vehicle(
+            lane, BEGIN_M, min(begin, speed) if room < 40.0 else begin, route, self._ego_id
         )
-        ego.agent, ego.kind, ego.behavior = self._ego_id, AgentKind.CAR, None
-        ego.stretches = stretches
-        ego.route = _highway_route(network, lane, stretches)
-        road.vehicles.append(ego)
-        self.vehicle = ego
 
-    def _route(self) -> tuple[str, ...]:
-        """The edges that the ego vehicle drives over."""
-        raise NotImplementedError
-
-    def _roomiest(self, lanes: list[LaneIndex], begin: float) -> tuple[LaneIndex, float, float]:
-        """The lane with most room about its beginning, how much, m, and its leader's speed."""
-        best: tuple[LaneIndex, float, float] | None = None
+    def _roomiest(self, lanes: list[LaneIndex]) -> tuple[LaneIndex, float, float]:
+        """The lane with most room at its beginning, that room, m, and the next vehicle's speed."""
+        found: list[tuple[LaneIndex, float, float]] = []
         for lane in lanes:
-            distances, rows = self.road.on_lane(lane)
             room, speed = math.inf, math.inf
-            for s, row in zip(distances, rows, strict=True):
+            for s, row in zip(*self.road.on_lane(lane), strict=True):
                 vehicle = self.road.vehicles[row]
-                if abs(s - begin) < room:
-                    room, speed = abs(s - begin) - vehicle.LENGTH / 2 - 2.5, vehicle.speed
-            if best is None or room > best[1]:
-                best = (lane, room, speed)
-        assert best is not None
-        return best
+                if abs(s - BEGIN_M) < room:
+                    room, speed = abs(s - BEGIN_M) - vehicle.LENGTH / 2 - 2.5, vehicle.speed
+            found.append((lane, room, speed))
+        return max(found, key=lambda one: one[1])
 
-    def _advance(self, dt: float) -> None:
+    def _advance(self) -> None:
         """Move everybody for one simulation step."""
         road = self.road
         self._demand.enter()
         road.act()
-        road.step(dt)
+        road.step(self._dt)
         if self._classify is not None:
             frame = read_frame(road)
             self._events += frame.events
@@ -373,41 +282,36 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
             Observation, reward, whether the episode has ended, whether its time is up, and info.
         """
         config = self.config
-        dt = 1.0 / config["simulation_frequency"]
         frames = config["simulation_frequency"] // config["policy_frequency"]
         self._events, self._near_misses = [], 0
         before = self._distance_left
         for frame in range(frames):
-            if frame == 0:
+            if frame == 0 and not config["manual_control"]:
                 self.action_type.act(action)
-            self._advance(dt)
+            self._advance()
             self.steps += 1
             self.road.look()
-            self._count_near_misses()
+            near = self._near_ids()
+            self._near_misses += len(near - self._near)  # once each time somebody comes near
+            self._near = near
             if frame < frames - 1:
                 self._automatic_rendering()
         self.enable_auto_render = False
-        self.time += frames * dt
-        if self._on_way():
-            self._distance_left = self._way_left()
+        self.time += frames * self._dt
+        if is_on_route(self.road, self.vehicle):
+            self._distance_left = distance_left_m(self.road, self.vehicle)
         mine = [e for e in self._events if self._ego_id in (e.agent, e.other)]
         self._collisions = sum(e.kind is EventKind.COLLISION for e in mine)
         self._red_runs = sum(e.kind is EventKind.RED_RUN and e.agent == self._ego_id for e in mine)
         limit = float(self.vehicle.lane.speed_limit)
-        self._progress = float(
-            np.clip((before - self._distance_left) / (limit * frames * dt), 0.0, 1.0)
-        )
+        reachable_m = limit * frames * self._dt
+        self._progress = float(np.clip((before - self._distance_left) / reachable_m, 0.0, 1.0))
         if self.render_mode == "human":
             self.render()
         parts = self._rewards(action)
         reward = sum(REWARDS[name] * value for name, value in parts.items())
-        return (
-            self._observe(),
-            float(reward),
-            self._is_terminated(),
-            self._is_truncated(),
-            self._info(action, parts),
-        )
+        ended, cut = self._is_terminated(), self._is_truncated()
+        return self._observe(), float(reward), ended, cut, self._info(parts)
 
     def _rewards(self, action: int | NDArray[Any]) -> dict[str, float]:
         return {
@@ -415,11 +319,12 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
             "collision": float(self._collisions),
             "near_miss": float(self._near_misses),
             "red_run": float(self._red_runs),
-            "off_road": float(self._off_road()),
+            "off_road": float(is_off_road(self.road, self.vehicle)),
         }
 
     def _is_terminated(self) -> bool:
-        return bool(self.vehicle.crashed or self._off_road() or self._arrived())
+        ego = self.vehicle
+        return bool(ego.crashed or is_off_road(self.road, ego) or self._arrived())
 
     def _is_truncated(self) -> bool:
         return bool(self.time >= self.config["duration_s"] - 1e-9)
@@ -428,27 +333,7 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
         last = self.vehicle.lane_index[:2] == self.vehicle.stretches[-1]
         return bool(last and self._distance_left <= 0.0)
 
-    def _off_road(self) -> bool:
-        s, lateral = self.vehicle.lane.local_coordinates(self.vehicle.position)
-        beside = abs(lateral) > self.vehicle.lane.width_at(s) / 2 + 1.0
-        return bool(beside or self._beyond_the_ends(s))
-
-    def _beyond_the_ends(self, s: float) -> bool:
-        """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
-        ego, network = self.vehicle, self.road.network_info
-        lane = ego.lane_index
-        if network.info[lane].connector or (lane[:2] == ego.stretches[-1] and s > 0.0):
-            return False
-        own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # goes where its ghost goes
-        if s < -ego.LENGTH / 2:
-            return all(entered[:2] != own for entered in network.exit_of.values())
-        if s > ego.lane.length + ego.LENGTH / 2:
-            return all(left[:2] != own for left, _ in network.onward)
-        return False
-
-    def _info(
-        self, action: int | NDArray[Any] | None, rewards: Mapping[str, float] | None = None
-    ) -> dict[str, Any]:
+    def _info(self, rewards: Mapping[str, float] | None = None) -> dict[str, Any]:
         return {
             "time_s": float(self.time),
             "speed": float(self.vehicle.speed),
@@ -464,332 +349,64 @@ class TrafficEnv(AbstractEnv):  # type: ignore[misc]
             ),
         }
 
-    def _on_way(self) -> bool:
-        """Whether the ego vehicle is on a stretch of its way or on a junction path between them.
-
-        Paths from one lane begin on each other, so any counts while the right one is there too.
-        """
-        ego, network = self.vehicle, self.road.network_info
-        if ego.lane_index[:2] in ego.stretches:
-            return True
-        turns = set(itertools.pairwise(ego.stretches))
-        for (begin, then), path in network.onward.items():
-            if (begin[:2], then) in turns:
-                lane = network.lanes[path]
-                if path == ego.lane_index or lane.on_lane(ego.position, margin=STRETCH_MARGIN_M):
-                    return True
-        return False
-
-    def _way_left(self) -> float:
-        """Distance along the lanes to the end of the ego vehicle's way, m."""
-        network, ego = self.road.network_info, self.vehicle
-        lane = ego.lane_index
-        s, _ = ego.lane.local_coordinates(ego.position)
-        left, visited = ego.lane.length - s - ego.LENGTH / 2, 0
-        while visited < 20:
-            then = self.road.onward_lane(ego, lane)
-            if then is None:
-                if self.road.next_stretch(ego, lane[:2]) is not None:
-                    at = ego.stretches.index(lane[:2])  # on a lane that leads elsewhere
-                    left += sum(network.lanes[(*r, 0)].length for r in ego.stretches[at + 1 :])
-                return float(left)
-            left += network.lanes[then].length
-            lane, visited = then, visited + 1
-        return float(left)
-
-    def _count_near_misses(self) -> None:
-        """Count others that come dangerously near, once each time they do."""
+    def _near_ids(self) -> set[int]:
+        """Ids of those that the ego vehicle is about to hit or passes too near."""
         ego, road = self.vehicle, self.road
         near = set()
         lead = road.around(ego, ego.lane_index)
         closing = ego.speed - lead.front_speed
         if lead.front is not None and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
             near.add(agent_of(lead.front))
-        others = [o for o in (*road.vehicles, *road.walkers) if o is not ego]
+        if ego.speed <= WALKING_PACE_MPS:
+            return near
         others = [
-            o for o in others
-            if float(np.hypot(*(o.position - ego.position))) < 12.0
-            and abs(ego.speed - o.speed) + abs(ego.speed) > WALKING_PACE_MPS
+            one for one in (*road.vehicles, *road.walkers)
+            if one is not ego and float(np.hypot(*(one.position - ego.position))) < NEARBY_M
         ]  # fmt: skip
-        if others and ego.speed > WALKING_PACE_MPS:
-            forward = np.array([[math.cos(o.heading), math.sin(o.heading)] for o in others])
-            half = np.array([(o.LENGTH / 2, o.WIDTH / 2) for o in others])
-            own = np.repeat(ego.direction[None], len(others), axis=0)
-            own_half = np.repeat([[ego.LENGTH / 2, ego.WIDTH / 2]], len(others), axis=0)
-            between = np.array([ego.position - o.position for o in others])
-            apart = separation(between, own, own_half, forward, half)
-            near |= {
-                agent_of(o) for o, gap in zip(others, apart.tolist(), strict=True)
-                if gap < NEAR_MISS_M
-            }  # fmt: skip
-        self._near_misses += len(near - self._near)
-        self._near = near
+        if others:
+            gaps = separation(
+                np.array([ego.position - one.position for one in others]),
+                np.repeat(ego.direction[None], len(others), axis=0),
+                np.repeat([[ego.LENGTH / 2, ego.WIDTH / 2]], len(others), axis=0),
+                np.array([[math.cos(one.heading), math.sin(one.heading)] for one in others]),
+                np.array([(one.LENGTH / 2, one.WIDTH / 2) for one in others]),
+            )
+            near |= {agent_of(others[i]) for i in np.flatnonzero(gaps < NEAR_MISS_M)}
+        return near
 
     # Observation -----------------------------------------------------------------------------
 
+    def _make_observation_space(self) -> spaces.Dict:
+        return observation_space(self.config["observation"], self.config["observed"])
+
     def _observe(self) -> Observation:
         self.road.look()
-        observed = int(self.config["observed"])
-        others = self._visible()[:observed]
-        width = _agent_columns(self.config["observation"])
-        agents = np.zeros((observed, width))
-        if others:
-            agents[: len(others), : len(AGENT_FEATURES)] = self._kinematics(others)
-            extra = self._behaviors(others)
-            if extra is not None:
-                agents[: len(others), len(AGENT_FEATURES) :] = extra
+        ego, observed = self.vehicle, self.config["observed"]
+        others = observable_agents(self.road, ego)[:observed]
         found: Observation = {
-            "ego": _unit(self._ego_features()),
-            "agents": _unit(agents),
+            "ego": observe_ego(self.road, ego, self._distance_left),
+            "agents": observe_agents(ego, others, self._behaviors(others), observed),
         }
         if self.config["observation"] == "graph":
-            found["mask"] = np.zeros(observed + 1, dtype=np.int8)
-            found["mask"][: len(others) + 1] = 1
-            found["adjacency"] = self._adjacency(others, observed)
+            found |= observe_graph(ego, others, observed)
         return found
 
-    def _visible(self) -> list[Any]:
-        """The others in sight, nearest first."""
-        ego = self.vehicle
-        others = [o for o in (*self.road.vehicles, *self.road.walkers) if o is not ego]
-        if not others:
-            return []
-        away = np.hypot(*(np.array([o.position for o in others]) - ego.position).T)
-        order = np.lexsort((np.array([agent_of(o) for o in others]), away))
-        return [others[i] for i in order if away[i] <= RANGE_M]
-
-    def _kinematics(self, others: list[Any]) -> FloatArray:
-        ego = self.vehicle
-        cos, sin = math.cos(ego.heading), math.sin(ego.heading)
-        turn = np.array([[cos, sin], [sin, -cos]])  # forward, left; y is to the right here
-        place = np.array([o.position - ego.position for o in others]) @ turn.T
-        moving = np.array([o.velocity - ego.velocity for o in others]) @ turn.T
-        heading = ego.heading - np.array([o.heading for o in others])
-        return np.column_stack(
-            [
-                np.ones(len(others)),
-                place / RANGE_M,
-                moving / SPEED_MPS,
-                np.cos(heading),
-                np.sin(heading),
-                np.array([o.LENGTH for o in others]) / LENGTH_M,
-                np.array([o.WIDTH for o in others]) / WIDTH_M,
-                np.array([isinstance(o, Walker) for o in others]),
-            ]
-        )
-
     def _behaviors(self, others: list[Any]) -> FloatArray | None:
+        """(n, 6) what is observed of behaviours: the truth, the belief, or None for nothing."""
         option = self.config["observation"]
-        driving = np.array([isinstance(o, ProfileVehicle) for o in others])
+        found = np.zeros((len(others), len(BEHAVIORS)))
         if option == "behavior":
-            found = np.zeros((len(others), len(BEHAVIORS)))
             for row, other in enumerate(others):
-                behavior = self._true[agent_of(other)].behavior
+                behavior = self._agents[agent_of(other)].behavior
                 if behavior is not None:
                     found[row, behavior.code] = 1.0
             return found
-        if option == "posterior":
-            ids = np.array([agent_of(o) for o in others], dtype=np.int64)
-            if self._belief is None:
-                found = np.full((len(others), len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
-            else:
-                found = np.array(self._belief.of(ids), dtype=np.float64)
-            found[~driving] = 0.0
-            return found
-        return None
-
-    def _adjacency(self, others: list[Any], observed: int) -> NDArray[np.int8]:
-        """Who is among whose nearest, either way; row 0 is the ego vehicle."""
-        found = np.zeros((observed + 1, observed + 1), dtype=np.int8)
-        xy = np.array([self.vehicle.position, *(o.position for o in others)])
-        away = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
-        np.fill_diagonal(away, np.inf)
-        for i in range(len(xy)):
-            for j in np.argsort(away[i], kind="stable")[: min(NEIGHBOURS, len(xy) - 1)]:
-                found[i, j] = found[j, i] = 1
+        if option != "posterior":
+            return None
+        driving = [row for row, other in enumerate(others) if isinstance(other, ProfileVehicle)]
+        if self._belief is None:
+            found[driving] = 1.0 / len(BEHAVIORS)
+        elif others:
+            ids = np.array([agent_of(one) for one in others], dtype=np.int64)
+            found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
         return found
-
-    def _ego_features(self) -> FloatArray:
-        ego, road = self.vehicle, self.road
-        network, lane = road.network_info, ego.lane_index
-        info = network.info[lane]
-        s, lateral = ego.lane.local_coordinates(ego.position)
-        front = s + ego.LENGTH / 2
-        facing = ego.lane.heading_at(s) - ego.heading
-        facing = math.pi - (math.pi - facing) % (2.0 * math.pi)
-        many = len(road.network.graph[lane[0]][lane[1]])
-        lit = np.zeros(3)
-        line = crossing = RANGE_M
-        used = 0.0
-        path = None if info.connector else road.onward_lane(ego, lane)
-        ahead = [(strip, strip.near_s - front) for strip in info.strips]
-        if path is not None:
-            line = ego.lane.length - front
-            group = network.info[path].signal
-            if group >= 0 and 0.0 <= line <= RANGE_M:
-                state = int(road.signals[group])
-                if state != Signal.OFF.code:
-                    lit[state] = 1.0
-            ahead += [(strip, strip.near_s + line) for strip in network.info[path].strips]
-        for strip, near in ahead:
-            if 0.0 <= near < crossing:
-                crossing = near
-                used = float(
-                    any(
-                        w.crossover is not None
-                        and w.crossover.crossing == strip.crossing
-                        and w.to_walk() < 1.0
-                        for w in road.walkers
-                    )
-                )
-        sides = (lane[2], many - 1 - lane[2]) if not info.connector else (0, 0)
-        return np.array(
-            [
-                ego.speed / SPEED_MPS,
-                -lateral / float(ego.lane.width_at(s)),
-                facing / math.pi,
-                float(ego.lane.speed_limit) / SPEED_MPS,
-                sides[0] / 4.0,
-                sides[1] / 4.0,
-                min(max(line, 0.0), RANGE_M) / RANGE_M,
-                *lit,
-                crossing / RANGE_M,
-                used,
-                self._distance_left / WAY_M,
-            ]
-        )
-
-    # Pictures --------------------------------------------------------------------------------
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Draw the scene; an image array in the mode ``rgb_array``."""
-        if self.render_mode is not None and self.viewer is None:
-            self.viewer = TrafficViewer(self, self.road.network_info)
-        return cast("NDArray[np.uint8] | None", super().render())
-
-
-def _unit(values: FloatArray) -> NDArray[np.float32]:
-    return np.clip(values, -1.0, 1.0).astype(np.float32)
-
-
-def _agent_columns(observation: str) -> int:
-    more = len(BEHAVIORS) if observation in ("behavior", "posterior") else 0
-    return len(AGENT_FEATURES) + more
-
-
-def _observation_space(config: Mapping[str, Any]) -> spaces.Dict:
-    observed = int(config["observed"])
-    columns = _agent_columns(config["observation"])
-    parts: dict[str, spaces.Space[Any]] = {
-        "ego": spaces.Box(-1.0, 1.0, (len(EGO_FEATURES),), np.float32),
-        "agents": spaces.Box(-1.0, 1.0, (observed, columns), np.float32),
-    }
-    if config["observation"] == "graph":
-        parts["mask"] = spaces.Box(0, 1, (observed + 1,), np.int8)
-        parts["adjacency"] = spaces.Box(0, 1, (observed + 1, observed + 1), np.int8)
-    return spaces.Dict(parts)
-
-
-def _highway_route(
-    network: HighwayNetwork, lane: LaneIndex, stretches: tuple[tuple[str, str], ...]
-) -> list[tuple[str, str, int | None]]:
-    """A way over stretches as highway-env's vehicles want it."""
-    route: list[tuple[str, str, int | None]] = [lane]
-    for before, after in itertools.pairwise(stretches):
-        route += [(before[1], after[0], None), (*after, None)]
-    return route
-
-
-def _mapping(name: str, value: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """What was given by key; nothing for None."""
-    if value is not None and not isinstance(value, Mapping):
-        raise InputError(f"{name}: found {value!r}, expected a mapping or None")
-    return value or {}
-
-
-def _classifier_maker(source: str) -> Callable[[], Any]:
-    """What ``module:function`` names."""
-    module, function = source.split(":")
-    try:
-        found = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise InputError(
-            f"classifier: found {source!r}, expected 'module:function' that exists ({error})"
-        ) from error
-    if not callable(found):
-        raise InputError(f"classifier: found {source!r}, expected it to name a function")
-    return cast(Callable[[], Any], found)
-
-
-def _check_config(config: Mapping[str, Any]) -> None:
-    """Refuse values that mean nothing, by name.
-
-    Raises:
-        InputError: with one line.
-    """
-    lookup(OBSERVATIONS, str(config["observation"]), "observation")
-    for key, low in (("observed", 1), ("simulation_frequency", 10), ("policy_frequency", 1)):
-        value = config[key]
-        if isinstance(value, bool) or not isinstance(value, int) or value < low:
-            raise InputError(f"{key}: found {value!r}, expected an integer >= {low}")
-    if config["simulation_frequency"] % config["policy_frequency"]:
-        raise InputError(
-            f"policy_frequency: found {config['policy_frequency']}, expected a divisor of "
-            f"simulation_frequency {config['simulation_frequency']}"
-        )
-    for key, least in (("duration_s", 1.0), ("warmup_s", 0.0)):
-        value = config[key]
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not math.isfinite(value) or value < least:
-            raise InputError(f"{key}: found {value!r}, expected a number >= {least:g}")
-    seed = config["seed"]
-    whole = isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**31
-    if seed is not None and not whole:
-        raise InputError(f"seed: found {seed!r}, expected None or an integer from 0 to 2**31 - 1")
-    classifier = config["classifier"]
-    named = isinstance(classifier, str) and classifier.count(":") == 1
-    if not named and not callable(classifier):
-        raise InputError(
-            f"classifier: found {classifier!r}, expected 'module:function' or a callable"
-        )
-    if named and config["observation"] == "posterior":
-        _classifier_maker(classifier)
-    compiled = config.get("compiled", False)
-    if not isinstance(compiled, bool):
-        raise InputError(f"compiled: found {compiled!r}, expected True or False")
-    _check_action(config["action"])
-
-
-def _check_action(action: Mapping[str, Any]) -> None:
-    """Refuse an action type, options or values of them that make no action, by name.
-
-    Raises:
-        InputError: with one line.
-    """
-    if not isinstance(action, Mapping) or "type" not in action:
-        raise InputError(f"action: found {action!r}, expected a mapping with 'type'")
-    kind = lookup(ACTIONS, str(action["type"]), "action type")
-    known = dict.fromkeys(
-        [p for p in inspect.signature(kind.__init__).parameters if p not in ("self", "env")]
-    )
-    known.pop("kwargs", None)
-    for key in action:
-        if key != "type":
-            lookup(known, str(key), f"option of action {action['type']},")
-    try:
-        kind(None, **action).space()
-        for key in ("acceleration_range", "steering_range", "speed_range"):
-            if action.get(key) is not None:
-                bounds = np.array(action[key], dtype=np.float64)
-                if bounds.shape != (2,) or not np.isfinite(bounds).all():
-                    raise ValueError(f"{key} is not a pair of numbers")
-        if action.get("target_speeds") is not None:  # highway-env takes them to ascend evenly
-            speeds = np.array(action["target_speeds"], dtype=np.float64)
-            ascend = speeds.ndim == 1 and speeds.size > 1 and bool((np.diff(speeds) > 0.0).all())
-            if not ascend or not np.isfinite(speeds).all():
-                raise ValueError("target_speeds are not two or more ascending speeds")
-    except (ArithmeticError, AssertionError, TypeError, ValueError) as error:
-        raise InputError(
-            f"action: found {dict(action)!r}, expected options that {action['type']} can take"
-            f" ({error})"
-        ) from error

@@ -1,0 +1,195 @@
+"""The configuration of the environments: its keys, their defaults and what each of them takes."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Annotated, Any, Final, cast
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    SkipValidation,
+    ValidationError,
+    model_validator,
+)
+
+from behaviors.errors import InputError, lookup
+from behaviors.profiles import DEFAULT_SPREAD
+from sim.highway.ego import check_action
+
+OBSERVATIONS: Final[dict[str, str]] = {
+    "kinematics": "positions and motion",
+    "behavior": "the same and every driver's true behaviour",
+    "posterior": "the same and the classifier's probabilities of every driver's behaviour",
+    "graph": "the same and the traffic graph",
+}
+"""The observation options and what each of them contains."""
+
+
+def member_of(names: Mapping[str, str], what: str) -> BeforeValidator:
+    """A validator that accepts the keys of ``names`` and otherwise suggests the nearest one."""
+
+    def check(value: object) -> str:
+        lookup(names, str(value), what)
+        return str(value)
+
+    return BeforeValidator(check)
+
+
+def _check_classifier(source: object) -> object:
+    named = isinstance(source, str) and source.count(":") == 1
+    if not named and not callable(source):
+        raise InputError(f"classifier: found {source!r}, expected 'module:function' or a callable")
+    return source
+
+
+class TrafficConfig(BaseModel):
+    """The keys that every environment has."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
+    )
+
+    observation: Annotated[str, member_of(OBSERVATIONS, "observation")] = "kinematics"
+    """What is observed: "kinematics", "behavior", "posterior" or "graph"; see Observation."""
+
+    observed: int = Field(default=15, ge=1)
+    """How many other agents are observed at most."""
+
+    action: Annotated[Mapping[str, Any], PlainValidator(check_action)] = Field(
+        default_factory=lambda: {
+            "type": "DiscreteMetaAction",
+            "target_speeds": [0.0, 3.0, 6.0, 9.0, 12.0, 15.0],
+        }
+    )
+    """highway-env's "DiscreteMetaAction", "DiscreteAction" or "ContinuousAction" as ``type``, with
+    its options."""
+
+    flow: Annotated[str | float, SkipValidation] = "medium"
+    """Traffic: "light", "medium", "dense" or vehicles per hour."""
+
+    mix: Annotated[str | Mapping[str, float] | None, SkipValidation] = None
+    """Share of each behaviour among the drivers: a mapping or "impatient=.2,..."; None for equal
+    shares."""
+
+    spread: Annotated[float, SkipValidation] = DEFAULT_SPREAD
+    """How much drivers of one behaviour differ."""
+
+    seed: int | None = Field(default=None, ge=0, lt=2**31)
+    """Seed of every episode's traffic; None: each episode draws its own from ``reset(seed)``."""
+
+    duration_s: float = Field(default=40.0, ge=1.0, allow_inf_nan=False)
+    """Time after which an episode is truncated, s."""
+
+    warmup_s: float = Field(default=20.0, ge=0.0, allow_inf_nan=False)
+    """How long the traffic drives before the ego vehicle enters, s."""
+
+    simulation_frequency: int = Field(default=10, ge=10)
+    """Simulation steps per second, at least 10."""
+
+    policy_frequency: int = Field(default=5, ge=1)
+    """Decisions per second; divides the simulation frequency."""
+
+    classifier: Annotated[str | Callable[..., Any], PlainValidator(_check_classifier)] = (
+        "graphrqi.stream:load_stream"
+    )
+    """What classifies the drivers for the observation "posterior": "module:function" of a function
+    that makes it, or a callable that takes a `Frame` and returns beliefs with ``of(ids)``."""
+
+    screen_width: int = Field(default=600, ge=1)
+    """Width of images, pixels."""
+
+    screen_height: int = Field(default=150, ge=1)
+    """Height of images, pixels."""
+
+    scaling: float = Field(default=5.5, gt=0.0, allow_inf_nan=False)
+    """Pixels per metre."""
+
+    centering_position: Sequence[float] = Field(default=(0.3, 0.5), min_length=2, max_length=2)
+    """Where in the image the ego vehicle is, as shares of its width and height."""
+
+    render_agent: bool = True
+    """Whether images of a window are those of the screen or those of the scene alone."""
+
+    offscreen_rendering: bool | None = None
+    """Whether images are drawn without a window; None: unless the render mode is "human"."""
+
+    manual_control: bool = False
+    """Whether the keyboard steers the ego vehicle, in a window, and actions are ignored."""
+
+    real_time_rendering: bool = False
+    """Whether a window shows at most one simulated second per second."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> TrafficConfig:
+        if self.simulation_frequency % self.policy_frequency:
+            raise InputError(
+                f"policy_frequency: found {self.policy_frequency}, expected a divisor of "
+                f"simulation_frequency {self.simulation_frequency}"
+            )
+        if isinstance(self.classifier, str) and self.observation == "posterior":
+            resolve_classifier(self.classifier)
+        return self
+
+    def values(self) -> dict[str, Any]:
+        """The configuration by key, the values as they were given."""
+        return {name: getattr(self, name) for name in type(self).model_fields}
+
+
+def read_config(model: type[TrafficConfig], given: Mapping[str, Any]) -> TrafficConfig:
+    """Check a configuration.
+
+    Args:
+        model: the keys that the environment has.
+        given: values by key; missing keys have the model's defaults.
+
+    Raises:
+        InputError: if a key is unknown or a value is not usable; the message names it.
+    """
+    for key in given:
+        lookup(model.model_fields, str(key), "configuration key")
+    try:
+        return model(**given)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        cause = first.get("ctx", {}).get("error")
+        if isinstance(cause, InputError):
+            raise cause from None
+        expected = first["msg"].removeprefix("Input should be ").removeprefix("Input should ")
+        raise InputError(
+            f"{first['loc'][0]}: found {first['input']!r}, expected {expected}"
+        ) from None
+
+
+def describe_config(model: type[TrafficConfig], defaults: Mapping[str, Any]) -> str:
+    """Every key with its default and its meaning, as a paragraph each for a docstring."""
+    paragraphs = []
+    for name, field in model.model_fields.items():
+        meaning = " ".join((field.description or "").split())
+        paragraphs.append(
+            textwrap.fill(f"{name} ({defaults[name]!r}): {meaning}", 96, subsequent_indent="    ")
+        )
+    return "\n".join(paragraphs)
+
+
+def resolve_classifier(source: str) -> Callable[[], Any]:
+    """The function that "module:function" names.
+
+    Raises:
+        InputError: if there is none.
+    """
+    module, function = source.split(":")
+    try:
+        found = getattr(import_module(module), function)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise InputError(
+            f"classifier: found {source!r}, expected 'module:function' that exists ({error})"
+        ) from error
+    if not callable(found):
+        raise InputError(f"classifier: found {source!r}, expected it to name a function")
+    return cast(Callable[[], Any], found)

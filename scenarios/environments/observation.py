@@ -1,0 +1,194 @@
+"""What the ego vehicle observes: itself, the others, their behaviours and the traffic graph."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS
+from sim.frames import FloatArray, Signal
+from sim.highway.ego import Observation
+from sim.highway.traffic import TrafficRoad, agent_of
+from sim.highway.walkers import Walker
+
+RANGE_M: Final = 100.0
+"""How far from the ego vehicle others are observed, m."""
+
+SPEED_MPS: Final = 20.0
+"""Speeds are divided by this, m/s."""
+
+LENGTH_M: Final = 12.0
+WIDTH_M: Final = 3.0
+"""Lengths and widths are divided by these, m: those of a bus."""
+
+ROUTE_M: Final = 1000.0
+"""The distance left to the goal is divided by this, m."""
+
+EGO_FEATURES: Final[tuple[str, ...]] = (
+    "speed", "offset", "heading", "limit", "lanes_left", "lanes_right", "stop_line",
+    "red", "yellow", "green", "crossing", "crossing_used", "distance_left",
+)  # fmt: skip
+"""The columns of the observation ``ego``."""
+
+AGENT_FEATURES: Final[tuple[str, ...]] = (
+    "present", "x", "y", "vx", "vy", "cos_heading", "sin_heading", "length", "width", "walking",
+)  # fmt: skip
+"""The columns of the observation ``agents``, before those of the behaviours."""
+
+NEIGHBOURS: Final = 4
+"""How many nearest agents each agent is joined to in the traffic graph (as in the paper)."""
+
+
+def observation_space(option: str, observed: int) -> spaces.Dict:
+    """The space of an observation option.
+
+    Args:
+        option: a key of `OBSERVATIONS`.
+        observed: how many other agents are observed at most.
+    """
+    more = len(BEHAVIORS) if option in ("behavior", "posterior") else 0
+    parts: dict[str, spaces.Space[Any]] = {
+        "ego": spaces.Box(-1.0, 1.0, (len(EGO_FEATURES),), np.float32),
+        "agents": spaces.Box(-1.0, 1.0, (observed, len(AGENT_FEATURES) + more), np.float32),
+    }
+    if option == "graph":
+        parts["mask"] = spaces.Box(0, 1, (observed + 1,), np.int8)
+        parts["adjacency"] = spaces.Box(0, 1, (observed + 1, observed + 1), np.int8)
+    return spaces.Dict(parts)
+
+
+def observable_agents(road: TrafficRoad, ego: Any) -> list[Any]:
+    """The other vehicles and pedestrians within `RANGE_M`, nearest first."""
+    others = [one for one in (*road.vehicles, *road.walkers) if one is not ego]
+    if not others:
+        return []
+    away = np.hypot(*(np.array([one.position for one in others]) - ego.position).T)
+    order = np.lexsort((np.array([agent_of(one) for one in others]), away))
+    return [others[i] for i in order if away[i] <= RANGE_M]
+
+
+def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[np.float32]:
+    """The observation ``ego``: one value per entry of `EGO_FEATURES`."""
+    network, lane = road.network_info, ego.lane_index
+    info = network.info[lane]
+    s, lateral = ego.lane.local_coordinates(ego.position)
+    facing = ego.lane.heading_at(s) - ego.heading
+    facing = math.pi - (math.pi - facing) % (2.0 * math.pi)
+    lanes = len(road.network.graph[lane[0]][lane[1]])
+    sides = (0, 0) if info.connector else (lane[2], lanes - 1 - lane[2])
+    line, lit, crossing, used = _ahead(road, ego, s + ego.LENGTH / 2)
+    return _unit(
+        np.array(
+            [
+                ego.speed / SPEED_MPS,
+                -lateral / float(ego.lane.width_at(s)),
+                facing / math.pi,
+                float(ego.lane.speed_limit) / SPEED_MPS,
+                sides[0] / 4.0,
+                sides[1] / 4.0,
+                min(max(line, 0.0), RANGE_M) / RANGE_M,
+                *lit,
+                crossing / RANGE_M,
+                used,
+                distance_left_m / ROUTE_M,
+            ]
+        )
+    )
+
+
+def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray, float, float]:
+    """The stop line and the crossing ahead.
+
+    Args:
+        road: the road.
+        ego: the ego vehicle.
+        front: where on its lane its front bumper is, m.
+
+    Returns:
+        Distance to the stop line, m; (3,) whether its signal is red, yellow, green; distance to the
+        next crossing, m; whether a pedestrian is on it or at its kerb.
+    """
+    network, lane = road.network_info, ego.lane_index
+    info = network.info[lane]
+    lit = np.zeros(3)
+    line = crossing = RANGE_M
+    used = 0.0
+    strips = [(strip, strip.near_s - front) for strip in info.strips]
+    path = None if info.connector else road.onward_lane(ego, lane)
+    if path is not None:
+        line = ego.lane.length - front
+        group = network.info[path].signal
+        if group >= 0 and 0.0 <= line <= RANGE_M:
+            state = int(road.signals[group])
+            if state != Signal.OFF.code:
+                lit[state] = 1.0
+        strips += [(strip, strip.near_s + line) for strip in network.info[path].strips]
+    for strip, near in strips:
+        if 0.0 <= near < crossing:
+            crossing = near
+            used = float(
+                any(
+                    w.crossover is not None
+                    and w.crossover.crossing == strip.crossing
+                    and w.to_walk() < 1.0
+                    for w in road.walkers
+                )
+            )
+    return line, lit, crossing, used
+
+
+def observe_agents(
+    ego: Any, others: list[Any], behaviors: FloatArray | None, observed: int
+) -> NDArray[np.float32]:
+    """The observation ``agents``.
+
+    Args:
+        ego: the ego vehicle.
+        others: who is observed, at most ``observed``.
+        behaviors: (n, 6) probabilities of the behaviours, or None for no such columns.
+        observed: how many rows there are.
+
+    Returns:
+        (observed, 10) or (observed, 16) a row for each of the others, then rows of zeros.
+    """
+    rows = np.zeros((observed, len(AGENT_FEATURES) + (0 if behaviors is None else len(BEHAVIORS))))
+    if others:
+        cos, sin = math.cos(ego.heading), math.sin(ego.heading)
+        turn = np.array([[cos, sin], [sin, -cos]])  # forward, left: highway-env's y is to the right
+        place = np.array([one.position - ego.position for one in others]) @ turn.T
+        moving = np.array([one.velocity - ego.velocity for one in others]) @ turn.T
+        heading = ego.heading - np.array([one.heading for one in others])
+        found = [
+            np.ones(len(others)),
+            place / RANGE_M,
+            moving / SPEED_MPS,
+            np.cos(heading),
+            np.sin(heading),
+            np.array([one.LENGTH for one in others]) / LENGTH_M,
+            np.array([one.WIDTH for one in others]) / WIDTH_M,
+            np.array([isinstance(one, Walker) for one in others]),
+        ]
+        rows[: len(others)] = np.column_stack(found if behaviors is None else [*found, behaviors])
+    return _unit(rows)
+
+
+def observe_graph(ego: Any, others: list[Any], observed: int) -> Observation:
+    """The observations ``mask`` and ``adjacency``: who is among whose nearest, either way."""
+    mask = np.zeros(observed + 1, dtype=np.int8)
+    mask[: len(others) + 1] = 1
+    adjacency = np.zeros((observed + 1, observed + 1), dtype=np.int8)
+    xy = np.array([ego.position, *(one.position for one in others)])
+    away = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
+    np.fill_diagonal(away, np.inf)
+    for i in range(len(xy)):
+        for j in np.argsort(away[i], kind="stable")[: min(NEIGHBOURS, len(xy) - 1)]:
+            adjacency[i, j] = adjacency[j, i] = 1
+    return {"mask": mask, "adjacency": adjacency}
+
+
+def _unit(values: FloatArray) -> NDArray[np.float32]:
+    return np.clip(values, -1.0, 1.0).astype(np.float32)

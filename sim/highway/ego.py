@@ -1,0 +1,284 @@
+"""What an environment with an ego vehicle takes from highway-env: its base class and its actions.
+
+The gymnasium environments of `scenarios.environments` are built on `EgoEnv`, so that they work with
+highway-env's windows, videos and action types without importing highway-env themselves.
+"""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import (
+    ActionType,
+    ContinuousAction,
+    DiscreteAction,
+    DiscreteMetaAction,
+)
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError, lookup
+from sim.frames import AgentKind
+from sim.highway.network import LaneIndex
+from sim.highway.traffic import STRETCH_MARGIN_M, TrafficRoad
+from sim.highway.viewer import TrafficViewer
+
+Observation = dict[str, NDArray[Any]]
+
+ACTIONS: Final[dict[str, type[ActionType]]] = {
+    "DiscreteMetaAction": DiscreteMetaAction,
+    "DiscreteAction": DiscreteAction,
+    "ContinuousAction": ContinuousAction,
+}
+"""highway-env's actions for one vehicle."""
+
+
+class EgoEnv(AbstractEnv):  # type: ignore[misc]
+    """highway-env's environment with our road, our viewer and an observation space of its own.
+
+    A subclass implements `default_config`, `configure`, `step`, `_reset`, `_observe`, `_info` and
+    `_make_observation_space`. Unlike highway-env, making the environment simulates nothing; every
+    call of `reset` does.
+
+    Args:
+        config: changes to `default_config`, by key.
+        render_mode: None, ``"rgb_array"`` or ``"human"``.
+
+    Raises:
+        InputError: if the render mode is unknown, or `configure` refuses the configuration.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 5,
+    }
+
+    road: TrafficRoad
+    config: dict[str, Any]
+    time: float
+    steps: int
+    controlled_vehicles: list[Any]
+    action_space: spaces.Space[Any]
+    observation_space: spaces.Space[Any]
+    viewer: Any
+
+    def __init__(
+        self, config: Mapping[str, Any] | None = None, render_mode: str | None = None
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise InputError(
+                f"render_mode: found {render_mode!r}, expected one of "
+                f"{', '.join(self.metadata['render_modes'])}"
+            )
+        self.metadata = dict(type(self).metadata)  # type: ignore[misc]
+        self._made = False
+        super().__init__(config, render_mode)  # calls `configure`, `define_spaces` and `reset`
+        self._made = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: seed of everything random from now on; the same seed gives the same episode.
+            options: ``{"config": {...}}`` changes the configuration.
+
+        Returns:
+            The first observation, and info.
+
+        Raises:
+            InputError: if the options or the configuration are not usable.
+        """
+        if not self._made:
+            return {}, {}
+        gymnasium.Env.reset(self, seed=seed)
+        given = as_mapping("options", options)
+        for key in given:
+            lookup({"config": None}, str(key), "reset option")
+        if given:
+            self.configure(given["config"])
+        self.update_metadata()
+        self.time, self.steps, self.done = 0.0, 0, False
+        self._reset()
+        self.define_spaces()
+        if self.render_mode == "human":
+            self.render()
+        return self._observe(), self._info()
+
+    def define_spaces(self) -> None:
+        """Make the configured spaces; those that did not change are kept, with their seeds."""
+        options = self.config["action"]
+        self.action_type = ACTIONS[options["type"]](self, **options)
+        action_space = self.action_type.space()
+        if action_space != self.action_space:
+            self.action_space = action_space
+        observation_space = self._make_observation_space()
+        if observation_space != self.observation_space:
+            self.observation_space = observation_space
+
+    def update_metadata(self, video_real_time_ratio: float = 1.0) -> None:
+        """Note how many images are drawn per second, so that videos run in real time."""
+        recorded = "simulation_frequency" if self._record_video_wrapper else "policy_frequency"
+        self.metadata["render_fps"] = round(video_real_time_ratio * self.config[recorded])
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the scene; returns an image in the mode ``rgb_array``."""
+        if self.render_mode is not None and self.viewer is None:
+            self.viewer = TrafficViewer(self, self.road.network_info)
+        return cast("NDArray[np.uint8] | None", super().render())
+
+    def add_ego_vehicle(
+        self,
+        lane: LaneIndex,
+        at_m: float,
+        speed: float,
+        route: tuple[tuple[str, str], ...],
+        id: int,
+    ) -> None:
+        """Put the ego vehicle on the road, as the class of vehicle that the actions steer.
+
+        Args:
+            lane: where it begins.
+            at_m: how far along the lane its centre is, m.
+            speed: m/s.
+            route: the stretches that it drives over, the first of them the lane's.
+            id: its agent id.
+        """
+        network = self.road.network_info
+        geometry = network.lanes[lane]
+        ego = self.action_type.vehicle_class(
+            self.road, geometry.position(at_m, 0.0), geometry.heading_at(at_m), speed
+        )
+        ego.agent, ego.kind, ego.behavior = id, AgentKind.CAR, None
+        ego.stretches, ego.route = route, _highway_route(lane, route)
+        self.road.vehicles.append(ego)
+        self.vehicle = ego
+
+    def _make_observation_space(self) -> spaces.Space[Any]:
+        """The observation space of the configuration."""
+        raise NotImplementedError
+
+    def _observe(self) -> Observation:
+        """The observation of the present state."""
+        raise NotImplementedError
+
+    def _info(self) -> dict[str, Any]:
+        """The info of the present state."""
+        raise NotImplementedError
+
+
+def _highway_route(
+    lane: LaneIndex, stretches: tuple[tuple[str, str], ...]
+) -> list[tuple[str, str, int | None]]:
+    """A route over stretches in the form of highway-env's vehicles."""
+    route: list[tuple[str, str, int | None]] = [lane]
+    for before, after in itertools.pairwise(stretches):
+        route += [(before[1], after[0], None), (*after, None)]
+    return route
+
+
+def as_mapping(name: str, value: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """A mapping that a user gave, empty for None.
+
+    Raises:
+        InputError: if it is something else.
+    """
+    if value is not None and not isinstance(value, Mapping):
+        raise InputError(f"{name}: found {value!r}, expected a mapping or None")
+    return value or {}
+
+
+def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the configuration of an action unless highway-env can make no action of it.
+
+    Raises:
+        InputError: naming the action type, the option or the value at fault.
+    """
+    if not isinstance(action, Mapping) or "type" not in action:
+        raise InputError(f"action: found {action!r}, expected a mapping with 'type'")
+    kind = lookup(ACTIONS, str(action["type"]), "action type")
+    options = dict(inspect.signature(kind.__init__).parameters)
+    for name in ("self", "env", "kwargs"):
+        options.pop(name)
+    for key in action:
+        if key != "type":
+            lookup(options, str(key), f"option of action {action['type']},")
+    try:
+        kind(None, **action).space()
+        for key in ("acceleration_range", "steering_range", "speed_range"):
+            if action.get(key) is not None:
+                bounds = np.array(action[key], dtype=np.float64)
+                if bounds.shape != (2,) or not np.isfinite(bounds).all():
+                    raise ValueError(f"{key} is not a pair of numbers")
+        if action.get("target_speeds") is not None:  # highway-env assumes even, ascending steps
+            speeds = np.array(action["target_speeds"], dtype=np.float64)
+            ascend = speeds.ndim == 1 and speeds.size > 1 and bool((np.diff(speeds) > 0.0).all())
+            if not ascend or not np.isfinite(speeds).all():
+                raise ValueError("target_speeds are not two or more ascending speeds")
+    except (ArithmeticError, AssertionError, TypeError, ValueError) as error:
+        raise InputError(
+            f"action: found {dict(action)!r}, expected options that {action['type']} can take"
+            f" ({error})"
+        ) from error
+    return action
+
+
+def distance_left_m(road: TrafficRoad, ego: Vehicle) -> float:
+    """Distance along the lanes from the ego vehicle's front to the end of its route, m."""
+    network, lane = road.network_info, ego.lane_index
+    s, _ = ego.lane.local_coordinates(ego.position)
+    left = ego.lane.length - s - ego.LENGTH / 2
+    for _ in range(20):
+        then = road.onward_lane(ego, lane)
+        if then is None:
+            if road.next_stretch(ego, lane[:2]) is not None:
+                at = ego.stretches.index(lane[:2])  # on a lane that leads elsewhere
+                left += sum(network.lanes[(*r, 0)].length for r in ego.stretches[at + 1 :])
+            break
+        left += network.lanes[then].length
+        lane = then
+    return float(left)
+
+
+def is_on_route(road: TrafficRoad, ego: Vehicle) -> bool:
+    """Whether the ego vehicle is on a stretch of its route or on a path between two of them.
+
+    The paths of a junction that begin on one lane overlap at their start, so a vehicle counts as on
+    its own path there, whichever of them highway-env puts it on.
+    """
+    network = road.network_info
+    if ego.lane_index[:2] in ego.stretches:
+        return True
+    turns = set(itertools.pairwise(ego.stretches))
+    return any(
+        path == ego.lane_index or network.lanes[path].on_lane(ego.position, margin=STRETCH_MARGIN_M)
+        for (begin, then), path in network.onward.items()
+        if (begin[:2], then) in turns
+    )
+
+
+def is_off_road(road: TrafficRoad, ego: Vehicle) -> bool:
+    """Whether the ego vehicle is beside its lane, or past an end of the road."""
+    s, lateral = ego.lane.local_coordinates(ego.position)
+    return bool(abs(lateral) > ego.lane.width_at(s) / 2 + 1.0 or _is_past_an_end(road, ego, s))
+
+
+def _is_past_an_end(road: TrafficRoad, ego: Vehicle, s: float) -> bool:
+    """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
+    network, lane = road.network_info, ego.lane_index
+    if network.info[lane].connector or (lane[:2] == ego.stretches[-1] and s > 0.0):
+        return False
+    own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # a ghost lane leads where it does
+    if s < -ego.LENGTH / 2:
+        return all(entered[:2] != own for entered in network.exit_of.values())
+    if s > ego.lane.length + ego.LENGTH / 2:
+        return all(left[:2] != own for left, _ in network.onward)
+    return False
