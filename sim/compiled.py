@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar, cast
@@ -21,6 +21,9 @@ from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
+
+_FOLDERS: dict[Callable[..., object], set[Path]] = {}
+"""The folders whose Python files each kernel depends on."""
 
 _LEFT_OUT: Any = {"no_cfunc_wrapper": True, "no_rewrites": True}
 """Parts of a compilation that loops have no use for, a tenth of its time: an entry for C, and the
@@ -67,22 +70,49 @@ def reordered(function: F) -> F:
     return _compiled(function, fastmath=True, **_LEFT_OUT)
 
 
+@cache
+def shared(function: F, *, reordered: bool = False) -> F:
+    """Compile a scalar function that several kernels call, such as a driver model.
+
+    It has no cache file of its own, because numba names that file after the function alone and
+    would load what was compiled with other options. It becomes part of the kernels that call it,
+    and their cache files.
+
+    Args:
+        function: a function in numba's subset of Python that calls no other one of this project.
+        reordered: whether sums and products may be reordered, as in the kernel that calls it.
+
+    Returns:
+        The same function, compiled.
+    """
+    kernel = njit(error_model="numpy", fastmath=reordered, **_LEFT_OUT)(function)
+    _FOLDERS[kernel] = _folders(function)
+    return cast(F, kernel)
+
+
 def _compiled(function: F, **options: Any) -> F:
     kernel = njit(cache=True, error_model="numpy", **options)(function)
+    _FOLDERS[kernel] = _folders(function)
     index = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if index is not None:  # none where nothing is compiled (NUMBA_DISABLE_JIT)
-        index._source_stamp = tuple(_stamp(folder) for folder in sorted(_folders(function)))
+        index._source_stamp = tuple(_stamp(folder) for folder in sorted(_FOLDERS[kernel]))
     return cast(F, kernel)
 
 
 def _folders(function: Callable[..., object]) -> set[Path]:
-    """The folder of a kernel and of every kernel, or module with kernels, that it names."""
+    """The folders of a function, of every kernel that it calls, and of those that these call.
+
+    Kernels count that the function names itself or as attributes of a module that it names.
+    """
     named = [function.__globals__.get(name) for name in function.__code__.co_names]
-    modules = [value for value in named if isinstance(value, ModuleType)]
-    kernels = [value for value in named if isinstance(value, Dispatcher)]
-    kernels += [k for m in modules for k in vars(m).values() if isinstance(k, Dispatcher)]
-    codes = [function.__code__, *(kernel.py_func.__code__ for kernel in kernels)]
-    return {Path(code.co_filename).parent for code in codes}
+    named += [
+        value
+        for module in named
+        if isinstance(module, ModuleType)
+        for value in vars(module).values()
+    ]
+    called = (_FOLDERS.get(value, set()) for value in named if isinstance(value, Dispatcher))
+    return {Path(function.__code__.co_filename).parent}.union(*called)
 
 
 class _Uncollected(event.Listener):

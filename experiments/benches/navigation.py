@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from behaviors.driver_models import krauss_safe_speed
 from behaviors.labels import BEHAVIORS
 from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
@@ -122,16 +123,14 @@ def safe_accel(frame: Frame, road: Road, me: int) -> float:
     """The most at which one can still stop behind the leader, if that one brakes to a stop, m/s2.
 
     The emergency brake of every arm: what others are believed to do may be wrong. The safe speed is
-    Krauss's; see `graphrqi.predict.rollout.kernel`.
+    Krauss's.
     """
     seen = observe(frame, road)
     leader, speed = int(seen.leader[me]), float(frame.speed[me])
     if leader < 0:
         return math.inf
     room = max(float(seen.gap[me]) - EMERGENCY_GAP_M, 0.0)
-    reach = EMERGENCY_DECEL_MPS2 * EMERGENCY_S
-    ahead = float(frame.speed[leader])
-    safe = -reach + math.sqrt(reach**2 + ahead**2 + 2.0 * EMERGENCY_DECEL_MPS2 * room)
+    safe = krauss_safe_speed(room, float(frame.speed[leader]), EMERGENCY_S, EMERGENCY_DECEL_MPS2)
     return (safe - speed) / EMERGENCY_S
 
 

@@ -18,6 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.geometry import Outlines, separation
+
 FloatArray = NDArray[np.float64]
 
 MISS_THRESHOLD_M: Final = 2.0
@@ -93,9 +95,7 @@ METRICS: Final[dict[str, Callable[[FloatArray, FloatArray], FloatArray]]] = {
 def overlap(
     xy: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray
 ) -> NDArray[np.bool_]:
-    """(n,) whether each agent's box overlaps another's at one instant.
-
-    Boxes are compared by separating axes.
+    """(n,) whether each agent's outline overlaps another one's at one instant.
 
     Args:
         xy: (n, 2) centres, m.
@@ -117,17 +117,8 @@ def overlap(
     a, b = np.nonzero(np.triu(apart < reach[:, None] + reach[None], k=1))
     if not a.size:
         return out
-    forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    touching = np.ones(a.size, dtype=bool)
-    for axis in (forward[a], left[a], forward[b], left[b]):
-        between = np.abs(((xy[b] - xy[a]) * axis).sum(axis=1))
-        extent = sum(
-            0.5 * length[i] * np.abs((forward[i] * axis).sum(axis=1))
-            + 0.5 * width[i] * np.abs((left[i] * axis).sum(axis=1))
-            for i in (a, b)
-        )
-        touching &= between < extent
+    outlines = Outlines.of(xy, heading, length, width)
+    touching = separation(outlines.rows(a), outlines.rows(b)) < 0.0
     out[a[touching]] = out[b[touching]] = True
     return out
 

@@ -31,6 +31,7 @@ from scenarios.environments.observation import (
     observe_graph,
 )
 from sim.frames import Event, EventKind, FloatArray, Frame
+from sim.geometry import separation
 from sim.highway.demand import Demand
 from sim.highway.ego import (
     EgoEnv,
@@ -41,7 +42,7 @@ from sim.highway.ego import (
     is_on_route,
 )
 from sim.highway.engine import network_of, read_frame
-from sim.highway.fast_road import separation
+from sim.highway.fast_road import outlines_of
 from sim.highway.network import LaneIndex
 from sim.highway.traffic import TrafficRoad, agent_of
 from sim.highway.vehicle import ProfileVehicle
@@ -364,13 +365,7 @@ class TrafficEnv(EgoEnv):
             if one is not ego and float(np.hypot(*(one.position - ego.position))) < NEARBY_M
         ]  # fmt: skip
         if others:
-            gaps = separation(
-                np.array([ego.position - one.position for one in others]),
-                np.repeat(ego.direction[None], len(others), axis=0),
-                np.repeat([[ego.LENGTH / 2, ego.WIDTH / 2]], len(others), axis=0),
-                np.array([[math.cos(one.heading), math.sin(one.heading)] for one in others]),
-                np.array([(one.LENGTH / 2, one.WIDTH / 2) for one in others]),
-            )
+            gaps = separation(outlines_of([ego] * len(others)), outlines_of(others))
             near |= {agent_of(others[i]) for i in np.flatnonzero(gaps < NEAR_MISS_M)}
         return near
 

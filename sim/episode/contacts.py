@@ -1,12 +1,6 @@
-"""Who touches whom: pairs of road-agents whose boxes overlap, for how long.
+"""Which road-agents touch each other, and for how long: their outlines overlap.
 
-A box is an agent's length and width about its centre, turned by its heading. Two boxes are apart
-when some side of one has the other wholly beyond it (separating axis theorem), so the overlap is
-the least that one would have to be moved by to be free.
-
-References:
-    Gottschalk, Lin, Manocha (1996), OBBTree: a hierarchical structure for rapid interference
-    detection, SIGGRAPH.
+An outline is a rectangle of an agent's length and width about its centre, turned by its heading.
 """
 
 from __future__ import annotations
@@ -17,12 +11,13 @@ from typing import Final
 import numpy as np
 
 from sim.episode.rows import TrajectoryRows
-from sim.frames import FloatArray, IntArray
+from sim.frames import IntArray
+from sim.geometry import Outlines, separation
 
 GRAZE_M: Final = 0.15
-"""Boxes may overlap by this much without touching (our choice: a corner rounded with a radius of
-0.4 m, as cars' are, lies 0.4 (sqrt(2) - 1) m inside the box's; and recorded positions are no more
-accurate)."""
+"""Outlines may overlap by this much without a contact (our choice: a corner rounded with a radius
+of 0.4 m, as cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and recorded positions are
+no more accurate)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +56,7 @@ def contacts(steps: TrajectoryRows) -> tuple[Contact, ...]:
         (Contact(agents=(0, 1), begin=1, end=2),)
     """
     first, second = _near(steps)
-    touch = _overlap(steps, first, second) > GRAZE_M
+    touch = separation(_outlines(steps, first), _outlines(steps, second)) < -GRAZE_M
     first, second = first[touch], second[touch]
     one, two = steps.row_index.agent[first], steps.row_index.agent[second]
     at = steps.row_index.step[first]
@@ -79,7 +74,7 @@ def contacts(steps: TrajectoryRows) -> tuple[Contact, ...]:
 
 
 def _near(steps: TrajectoryRows) -> tuple[IntArray, IntArray]:
-    """(k,) rows of both of a pair, wherever their circles about the boxes meet."""
+    """(k,) rows of both of a pair, wherever the circles about their outlines meet."""
     agent, x, y = steps.row_index.agent, steps.xy[:, 0], steps.xy[:, 1]
     reach = 0.5 * np.hypot(steps.length, steps.width)[agent]
     widest = float(reach.max(initial=0.0))
@@ -100,20 +95,6 @@ def _near(steps: TrajectoryRows) -> tuple[IntArray, IntArray]:
     return np.minimum(a, b), np.maximum(a, b)
 
 
-def _overlap(steps: TrajectoryRows, first: IntArray, second: IntArray) -> FloatArray:
-    """(k,) how deep the boxes of each pair of rows overlap, m; negative when apart."""
-    apart = steps.xy[second] - steps.xy[first]
-    turned = [steps.heading[row] for row in (first, second)]
-    axes = [np.stack([np.cos(h), np.sin(h)], axis=1) for h in turned]
-    axes += [np.stack([-u[:, 1], u[:, 0]], axis=1) for u in axes]
-    length, width = steps.length, steps.width
-    depth = np.full(first.size, np.inf)
-    for axis in axes:
-        reach = np.zeros(first.size)
-        for row, along in ((first, axes[0]), (second, axes[1])):
-            agent = steps.row_index.agent[row]
-            cos = (along * axis).sum(axis=1)
-            sin = along[:, 0] * axis[:, 1] - along[:, 1] * axis[:, 0]
-            reach += 0.5 * (length[agent] * abs(cos) + width[agent] * abs(sin))
-        depth = np.minimum(depth, reach - np.abs((apart * axis).sum(axis=1)))
-    return depth
+def _outlines(steps: TrajectoryRows, rows: IntArray) -> Outlines:
+    agent = steps.row_index.agent[rows]
+    return Outlines.of(steps.xy[rows], steps.heading[rows], steps.length[agent], steps.width[agent])

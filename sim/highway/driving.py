@@ -18,10 +18,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from behaviors import driver_models
 from behaviors.profiles import Profile
+from sim.compiled import compiled, shared
 from sim.frames import AgentKind
 from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
 
@@ -44,8 +45,12 @@ STARTUP_DELAY: Final = 11
 TOP_SPEED: Final = 12
 FOLLOWS_KRAUSS: Final = 13
 
-EXPONENT: Final = 4.0
-"""IDM's acceleration exponent (Treiber et al. 2000)."""
+_free_acceleration = shared(driver_models.idm_free_acceleration)
+_desired_gap = shared(driver_models.idm_desired_gap)
+_interaction = shared(driver_models.idm_interaction)
+_safe_speed = shared(driver_models.krauss_safe_speed)
+_incentive = shared(driver_models.mobil_incentive)
+_safe = shared(driver_models.mobil_safe)
 
 KRAUSS_STEP_S: Final = 0.1
 """Krauss's speed is reached within this, s: the longest step of either engine."""
@@ -135,7 +140,7 @@ def driver_numbers(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM")
     return row
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float) -> float:
     """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
 
@@ -147,15 +152,16 @@ def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_spe
         leader_speed: along the own lane, m/s.
     """
     accel = driver[MAX_ACCEL]
-    free = accel * (1.0 - (speed / max(desired, 0.1)) ** EXPONENT)
+    free = _free_acceleration(speed, desired, accel)
     if gap == np.inf:
         return float(free)
-    braking = speed * (speed - leader_speed) / (2.0 * math.sqrt(accel * driver[COMFORT_DECEL]))
-    wanted = driver[MIN_GAP] + max(0.0, speed * driver[TIME_HEADWAY] + braking)
-    return float(free - accel * (wanted / max(gap, 0.1)) ** 2)
+    wanted = _desired_gap(
+        speed, leader_speed, driver[MIN_GAP], driver[TIME_HEADWAY], accel, driver[COMFORT_DECEL]
+    )
+    return float(free - accel * _interaction(gap, wanted))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def krauss(
     driver: FloatArray, speed: float, desired: float, room: float, leader_speed: float
 ) -> float:
@@ -173,10 +179,8 @@ def krauss(
     """
     goal = desired
     if room < np.inf:
-        braking = driver[COMFORT_DECEL]
-        reach = braking * driver[TIME_HEADWAY]
-        slows = reach * reach + leader_speed * leader_speed + 2.0 * braking * room
-        goal = min(goal, math.sqrt(max(slows, reach * reach)) - reach)
+        safe = _safe_speed(room, leader_speed, driver[TIME_HEADWAY], driver[COMFORT_DECEL])
+        goal = min(goal, safe)
     return float(min(driver[MAX_ACCEL], (goal - speed) / KRAUSS_STEP_S))
 
 
@@ -191,7 +195,7 @@ def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
     return IMPERFECTION * chance * min(float(driver[MAX_ACCEL]), speed / KRAUSS_STEP_S)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> float:
     """An acceleration no lower than comfort or, with a reserve, the distance left demands."""
     limit = driver[COMFORT_DECEL]
@@ -200,7 +204,7 @@ def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> fl
     return float(max(wanted, -min(limit, driver[EMERGENCY_DECEL])))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def follow(
     driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
 ) -> float:
@@ -212,7 +216,7 @@ def follow(
     return bounded(driver, raw, gap, speed - leader_speed)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def approach(driver: FloatArray, speed: float, gap: float) -> float:
     """The acceleration towards a line at which to stop, m/s2.
 
@@ -228,13 +232,13 @@ def approach(driver: FloatArray, speed: float, gap: float) -> float:
         raw = krauss(driver, speed, np.inf, gap - STOP_MARGIN_M, 0.0)
     else:
         accel = driver[MAX_ACCEL]
-        braking = speed * speed / (2.0 * math.sqrt(accel * driver[COMFORT_DECEL]))
+        braking = _desired_gap(speed, 0.0, 0.0, 0.0, accel, driver[COMFORT_DECEL])
         wanted = STOP_MARGIN_M + speed * min(driver[TIME_HEADWAY], 1.5) + braking
-        raw = accel * (1.0 - (wanted / max(gap, 0.1)) ** 2)
+        raw = accel * (1.0 - _interaction(gap, wanted))
     return bounded(driver, raw, gap - 0.5 * STOP_MARGIN_M, speed)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def start_up(
     driver: FloatArray, speed: float, accel: float, clock: float, go_at: float
 ) -> tuple[float, float]:
@@ -259,7 +263,7 @@ def start_up(
     return (accel if clock >= go_at else 0.0), go_at
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def change_incentive(
     driver: FloatArray,
     speed: float,
@@ -316,23 +320,24 @@ def change_incentive(
         if lasts < driver[PATIENCE] and not better:
             return -np.inf
     after = idm(driver, speed, desired, new_gap, new_speed)
-    if after < -driver[IMPOSED_BRAKING]:
+    if not _safe(after, driver[IMPOSED_BRAKING]):
         return -np.inf
-    gain = after - idm(driver, speed, desired, old_gap, old_speed)
-    others = 0.0
+    own_gain = after - idm(driver, speed, desired, old_gap, old_speed)
+    rear_gain = old_rear_gain = 0.0
     if rear_gap < np.inf:
         imposed = idm(rear, rear_speed, rear_desired, rear_gap, speed)
-        if imposed < -driver[IMPOSED_BRAKING]:
+        if not _safe(imposed, driver[IMPOSED_BRAKING]):
             return -np.inf
-        others += imposed - idm(rear, rear_speed, rear_desired, rear_front_gap, new_speed)
+        rear_gain = imposed - idm(rear, rear_speed, rear_desired, rear_front_gap, new_speed)
     if old_rear_gap < np.inf:
-        others += idm(
+        old_rear_gain = idm(
             old_rear, old_rear_speed, old_rear_desired, old_rear_front_gap, old_speed
         ) - idm(old_rear, old_rear_speed, old_rear_desired, old_rear_gap, speed)
-    return float(gain + driver[POLITENESS] * others - threshold)
+    incentive = _incentive(own_gain, rear_gain, old_rear_gain, driver[POLITENESS])
+    return float(incentive - threshold)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def may_cut_in(
     driver: FloatArray,
     speed: float,
@@ -354,7 +359,7 @@ def may_cut_in(
     return left_ahead > 0.0 and ahead * ahead <= 2.0 * CUT_IN_BRAKING_MPS2 * left_ahead
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def steer(
     lateral: float,
     lane_heading: float,
@@ -389,7 +394,7 @@ def steer(
     return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _search(
     i: int,
     lane: int,
@@ -429,14 +434,14 @@ def _search(
     return front, front_gap, front_speed, rear, rear_gap, rear_speed
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _wanted_by(row: int, numbers: FloatArray, limit: float) -> float:
     if row < 0:
         return 0.0
     return float(min(numbers[row, SPEED_FACTOR] * limit, numbers[row, TOP_SPEED]))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def decide(
     active: BoolArray,
     eligible: BoolArray,
@@ -537,7 +542,7 @@ def decide(
         steering[i] = steer(lateral[i, choice], lane_heading, 0.0, heading[i], v, length[i])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def move(
     mask: BoolArray,
     crashed: BoolArray,

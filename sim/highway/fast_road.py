@@ -13,6 +13,7 @@ Use it in place of `highway_env.road.road.Road`; vehicles must not be moved by h
 from __future__ import annotations
 
 import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,6 +24,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 from numpy.typing import NDArray
 
+from sim.geometry import Outlines, separation
 from sim.highway.network import LaneIndex
 
 FloatArray = NDArray[np.float64]
@@ -130,53 +132,19 @@ class FastRoad(Road):  # type: ignore[misc]
         one, other = np.nonzero(near)
         if not one.size:
             return
-        heading = np.array([o.heading for o in everyone])
-        forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        moved = forward * (np.array([o.speed for o in everyone]) * dt)[:, None]
-        half = np.array([(o.LENGTH / 2, o.WIDTH / 2) for o in everyone])
-        apart = separation(
-            position[one] - position[other], forward[one], half[one], forward[other], half[other],
-            moved[one] - moved[other],
-        )  # fmt: skip
+        outlines = outlines_of(everyone)
+        moved = outlines.forward * (np.array([o.speed for o in everyone]) * dt)[:, None]
+        apart = separation(outlines.rows(one), outlines.rows(other), moved[one] - moved[other])
         close = apart <= CLEARANCE_M
         for i, j in zip(one[close].tolist(), other[close].tolist(), strict=True):
             everyone[i].handle_collisions(everyone[j], dt)
 
 
-def separation(
-    between: FloatArray,
-    forward: FloatArray,
-    half: FloatArray,
-    other_forward: FloatArray,
-    other_half: FloatArray,
-    moved: FloatArray | float = 0.0,
-) -> FloatArray:
-    """How far apart boxes are along the best of their axes, m; negative where they overlap.
-
-    Args:
-        between: (p, 2) centre of one box minus centre of the other, m.
-        forward: (p, 2) unit vectors along the first boxes.
-        half: (p, 2) half their lengths and half their widths, m.
-        other_forward: (p, 2) along the other boxes.
-        other_half: (p, 2) m.
-        moved: (p, 2) how far the first will move relative to the other, m: the separation then
-            holds before, during and after.
-
-    Returns:
-        (p,) m.
-    """
-    best = np.full(len(between), -np.inf)
-    sides = []
-    for along in (forward, other_forward):
-        sides.append((along, np.stack([-along[:, 1], along[:, 0]], axis=1)))
-    for box in range(2):
-        for axis in sides[box]:
-            reach = np.zeros(len(between))
-            for (ahead, aside), size in zip(sides, (half, other_half), strict=True):
-                reach += np.abs((ahead * axis).sum(axis=1)) * size[:, 0]
-                reach += np.abs((aside * axis).sum(axis=1)) * size[:, 1]
-            gap = np.abs((between * axis).sum(axis=1)) - reach
-            if not np.isscalar(moved):
-                gap -= np.abs((np.asarray(moved) * axis).sum(axis=1))
-            best = np.maximum(best, gap)
-    return best
+def outlines_of(everyone: Sequence[RoadObject]) -> Outlines:
+    """The outlines of highway-env's vehicles and objects, in its axes."""
+    heading = np.array([one.heading for one in everyone])
+    return Outlines(
+        centre=np.array([one.position for one in everyone]),
+        forward=np.stack([np.cos(heading), np.sin(heading)], axis=1),
+        half=np.array([(one.LENGTH / 2, one.WIDTH / 2) for one in everyone]),
+    )

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from highway_env.vehicle.kinematics import Vehicle
 
+from behaviors.driver_models import braking_speed, gap_accepted
 from sim.frames import EventKind, Signal
 from sim.highway import driving
 from sim.highway.network import Conflict, LaneIndex
@@ -273,8 +274,8 @@ def _orders(
     if view.path is not None and view.to_line < SIGHT_M:
         if not info.connector:
             bend = factor * network.lanes[view.path].speed_limit
-            braking = 2.0 * BEND_BRAKING * numbers[driving.COMFORT_DECEL]
-            orders.speed_cap = math.sqrt(bend * bend + braking * max(view.to_line, 0.0))
+            braking = BEND_BRAKING * numbers[driving.COMFORT_DECEL]
+            orders.speed_cap = braking_speed(max(view.to_line, 0.0), bend, braking)
         if view.to_line > -ENTERED_M:
             _at_line(road, view, orders)
         if not orders.held:
@@ -423,7 +424,7 @@ def _blocks(
         if not foe_entered or speed < driving.STANDING_MPS:
             return False
         return foe_enters < enter and enter < foe_leaves + MARGIN_S
-    if enter > foe_leaves + MARGIN_S or leave + profile.gap_acceptance_s < foe_enters:
+    if gap_accepted(enter, leave, foe_enters, foe_leaves, profile.gap_acceptance_s, MARGIN_S):
         return False
     braking = speed * speed / (2.0 * begin)
     insists = profile.insistence * INSISTED_BRAKING_MPS2

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.frames import Event, EventKind, Signal
+from sim.geometry import separation
 from sim.highway import driving
 from sim.highway.causes import cause_of
-from sim.highway.fast_road import FastRoad, separation
+from sim.highway.fast_road import FastRoad, outlines_of
 from sim.highway.lanes import corners
 from sim.highway.network import HighwayNetwork, LaneIndex
 from sim.highway.rules import give_orders
@@ -407,13 +408,8 @@ class TrafficRoad(FastRoad):
         one, other = np.nonzero(near)
         touching: set[tuple[int, int]] = set()
         if one.size:
-            heading = np.array([o.heading for o in everyone])
-            forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-            half = np.array([(o.LENGTH / 2, o.WIDTH / 2) for o in everyone])
-            apart = separation(
-                xy[one] - xy[other], forward[one], half[one], forward[other], half[other]
-            )
-            hit = apart < 0.0
+            outlines = outlines_of(everyone)
+            hit = separation(outlines.rows(one), outlines.rows(other)) < 0.0
             for i, j in zip(one[hit].tolist(), other[hit].tolist(), strict=True):
                 a, b = everyone[i], everyone[j]
                 key = (id(a), id(b))

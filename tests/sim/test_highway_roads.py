@@ -14,7 +14,7 @@ from highway_env.vehicle.objects import Obstacle
 from behaviors import PROFILES, Behavior, InputError
 from scenarios import SCENARIOS
 from sim.highway.engine import network_of, run
-from sim.highway.fast_road import FastRoad, separation
+from sim.highway.fast_road import FastRoad
 from sim.highway.lanes import PolylineLane
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
@@ -160,20 +160,6 @@ def test_cars_side_by_side_are_decided_by_the_stock_search():
         road.act()
         found = road.neighbour_vehicles(road.vehicles[1], ("0", "1", 0))
         assert found == Road.neighbour_vehicles(road, road.vehicles[1], ("0", "1", 0))
-
-
-def test_separation_of_boxes():
-    east, north = np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]])
-    half = np.array([[2.0, 1.0]])
-
-    def apart(dx: float, dy: float, other) -> float:
-        return float(separation(np.array([[dx, dy]]), east, half, other, half)[0])
-
-    assert apart(5.0, 0.0, east) == pytest.approx(1.0)
-    assert apart(0.0, 1.5, east) == pytest.approx(-0.5)
-    assert apart(3.5, 0.0, north) == pytest.approx(0.5)
-    moving = separation(np.array([[5.0, 0.0]]), east, half, east, half, np.array([[-1.5, 0.0]]))
-    assert moving[0] == pytest.approx(-0.5)
 
 
 # The compiled step ---------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from behaviors.driver_models import braking_speed
 from behaviors.profiles import Profile
 from sim.frames import FloatArray
 from sim.road import Connection, Road
@@ -96,7 +97,7 @@ class Clearing(Steered[_Driver]):
                 self._go(name, driver)
                 continue
             left_m = max(away_m - BEFORE_LINE_M - speed * self._acts_s, 0.0)
-            sumo.vehicle_setSpeed(name, math.sqrt(2.0 * brake * left_m))
+            sumo.vehicle_setSpeed(name, braking_speed(left_m, 0.0, brake))
             driver.waits = True
 
     def _lets(self, driver: _Driver, edge: str) -> bool:
