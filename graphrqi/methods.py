@@ -19,13 +19,13 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
 from graphrqi.classify import Classifier, make_classifier, restore_classifier
+from graphrqi.features.baseline import BaselineObserver
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
 from graphrqi.features.observer import Observer
-from graphrqi.features.plain import PlainObserver
 from graphrqi.features.spectrum_observers import (
-    BlindObserver,
     EigenvectorObserver,
+    NullObserver,
     SpectrumObserver,
 )
 from graphrqi.features.trajectory import TrajectoryObserver
@@ -68,7 +68,7 @@ METHODS: Final[Registry[Method]] = Registry(
         "majority": Method(
             "majority",
             "the most frequent class of the training data, whatever is seen",
-            BlindObserver,
+            NullObserver,
             "majority",
         ),
         "graphrqi": Method(
@@ -112,13 +112,13 @@ METHODS: Final[Registry[Method]] = Registry(
         "forest": Method(
             "forest",
             "random forest on motion and interaction, without graph or inference",
-            PlainObserver,
+            BaselineObserver,
             "forest",
         ),
         "boosted": Method(
             "boosted",
             "gradient-boosted trees on motion and interaction, without graph or inference",
-            PlainObserver,
+            BaselineObserver,
             "boosted",
         ),
         "graphrqi-invariant": Method(

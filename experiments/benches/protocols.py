@@ -49,7 +49,7 @@ from experiments.scoring.metrics import (
 from experiments.scoring.models import majority_of
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from graphrqi.classify import Classifier, make_classifier
-from graphrqi.features.plain import GRAPH_SIGNALS, INFERRED, OF_PACE
+from graphrqi.features.baseline import FREE_FLOW, GRAPH_SIGNALS, LAW_HEADWAYS
 from graphrqi.methods import METHODS, Model, load_model, train
 from graphrqi.prior_shift import PriorShift
 from graphrqi.samples import WINDOWS_S, Samples, collect
@@ -456,8 +456,8 @@ def _who_and_when(samples: Samples) -> Samples:
 KINDS_OF_FEATURES: Final[dict[str, tuple[str, ...]]] = {
     "spectrum": ("spectrum_",),
     "graph signals": tuple(f"{name}:" for name in GRAPH_SIGNALS),
-    "inferred driver": ("steady:", "held up:", *(f"{name}:" for name in INFERRED)),
-    "pace": tuple(f"{name}:" for name in OF_PACE),
+    "inferred driver": ("steady:", "held up:", *(f"{name}:" for name in LAW_HEADWAYS)),
+    "pace": tuple(f"{name}:" for name in FREE_FLOW),
 }
 """What the names of each kind of feature begin with."""
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.replay.beliefs import looks
-from graphrqi.features.graph_spectrum import NEIGHBORS, RESET
+from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 from sim.frames import FloatArray, IntArray, Tracks

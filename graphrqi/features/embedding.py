@@ -1,13 +1,14 @@
 """DANE: embedding of a network that changes and whose nodes have attributes.
 
-Two Laplacians are embedded apart, that of the traffic graph and that of the agents' similarity in
-how they move; each embedding is the generalised eigenvectors L a = lambda D a of the smallest
-eigenvalues above zero. A consensus of the two is what correlates most between them. From one
-moment to the next the eigenpairs are moved by first-order perturbation instead of being solved
-for again. Dense arrays throughout: for up to some hundred agents at a time.
+Two Laplacians are embedded separately, that of the traffic graph and that of the similarity of the
+agents' motion; each embedding consists of the generalised eigenvectors L a = lambda D a of the
+smallest eigenvalues above zero. The consensus consists of the projections of the two that correlate
+most. From one moment to the next the eigenpairs are updated by first-order perturbation instead of
+being solved again. Arrays are dense, which suits up to some hundred agents.
 
 Differs from the paper: agents come and go, so rows of newcomers begin as the mean of their
-neighbours' rows, and everything is solved for anew every ``RESTART_S`` and when many have changed.
+neighbours' rows, and the eigenproblem is solved again every ``RESTART_S`` and when many agents have
+changed.
 
 References:
     Li, Dani, Hu, Tang, Chang, Liu (2017), Attributed Network Embedding for Learning in a Dynamic
@@ -24,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from graphrqi.features.evidence import Evidence
-from graphrqi.features.graph_spectrum import NEIGHBORS
-from graphrqi.features.kinematic import Motion, MotionEstimator, align
-from graphrqi.features.observer import Observation
+from graphrqi.features.kinematics import Kinematics, MotionEstimator, align
+from graphrqi.features.observer import Observation, RunningSums
+from graphrqi.features.spectral import NEIGHBORS
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -35,26 +35,26 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 NUM_DIMENSIONS: Final = 8
-"""Of each embedding and of the consensus (our choice: as many as rows of U have)."""
+"""Dimensions of each embedding and of the consensus; as many as the rows of U have."""
 
 EVERY_S: Final = 0.5
-"""Time between updates of the embedding (our choice)."""
+"""Time between updates of the embedding."""
 
 RESTART_S: Final = 10.0
-"""Time after which it is solved for anew (our choice: as often as the paper's graph resets)."""
+"""Time after which the eigenproblem is solved again; the paper's graph resets as often."""
 
 MAX_CHANGED: Final = 0.3
-"""Share of agents new since the last update above which it is solved for anew (our choice)."""
+"""Share of agents new since the last update above which the eigenproblem is solved again."""
 
 MIN_SPLIT: Final = 1e-2
-"""Eigenvalues nearer than this are not mixed by the perturbation: to first order the mixture is
-unbounded (our choice; normalised eigenvalues lie in 0 to 2)."""
+"""Eigenvalues closer than this are not mixed by the perturbation, since the first-order mixture is
+unbounded there; normalised eigenvalues lie in 0 to 2."""
 
 _ZERO: Final = 1e-8
-"""Eigenvalues up to this belong to connected components and carry no embedding."""
+"""Eigenvalues up to this one belong to connected components and are left out of the embedding."""
 
 _RIDGE: Final = 1e-6
-"""Weight of everyone to itself, so that agents without neighbours have a degree."""
+"""Weight of a loop at every agent, so that agents without neighbours have a positive degree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +77,7 @@ class LaplacianPairs:
 
         Args:
             adjacency: (n, n) symmetric weights, none negative.
-            num_pairs: how many at most.
-
-        Returns:
-            As many as there are.
+            num_pairs: largest number of pairs.
 
         Examples:
             >>> path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
@@ -103,7 +100,7 @@ class LaplacianPairs:
             adjacency: (n, n) of the same vertices in the same order.
 
         Returns:
-            Pairs normalised anew.
+            Updated pairs, normalised.
         """
         change = adjacency - self.adjacency
         degree_change = change.sum(axis=1)
@@ -117,21 +114,21 @@ class LaplacianPairs:
         np.fill_diagonal(mixing, -0.5 * np.diag(by_degree))
         vectors = a + a @ np.clip(mixing, -1.0, 1.0)
         degree = adjacency.sum(axis=1) + _RIDGE
-        vectors = vectors - degree @ vectors / degree.sum()  # the constant vector is no part of it
+        vectors = vectors - degree @ vectors / degree.sum()  # orthogonal to the constant vector
         norm = np.sqrt((degree[:, None] * vectors**2).sum(axis=0))
         vectors = vectors / np.where(norm > 0, norm, 1.0)
         return LaplacianPairs(np.maximum(values + np.diag(numerator), 0.0), vectors, adjacency)
 
     def of_vertices(self, kept: IntArray, into: IntArray, adjacency: FloatArray) -> LaplacianPairs:
-        """The pairs on another set of vertices, newcomers at the mean of their neighbours.
+        """The pairs on another set of vertices; newcomers start at the mean of their neighbours.
 
         Args:
-            kept: rows of this graph that stay.
-            into: their rows in the next one.
+            kept: rows of this graph whose vertices remain.
+            into: their rows in the next graph.
             adjacency: (m, m) of the next graph.
 
         Returns:
-            Pairs whose graph is the old one among those that stay and the new one elsewhere.
+            Pairs whose graph is the old one among vertices that remain and the new one elsewhere.
         """
         m = len(adjacency)
         vectors = np.zeros((m, self.values.size))
@@ -150,7 +147,7 @@ class LaplacianPairs:
 def consensus(
     network: FloatArray, attributes: FloatArray, dimensions: int = NUM_DIMENSIONS
 ) -> FloatArray:
-    """What two embeddings of the same vertices agree on.
+    """Projections in which two embeddings of the same vertices correlate most.
 
     Args:
         network: (n, k) embedding of the graph.
@@ -158,8 +155,8 @@ def consensus(
         dimensions: columns wanted.
 
     Returns:
-        (n, dimensions) projections [network, attributes] p of largest correlation, each times
-        sqrt(n) and with its largest entry positive; zeros where there are fewer.
+        (n, dimensions) projections [network, attributes] p in descending order of correlation, each
+        of mean square 1 and with its largest entry positive; zeros where there are fewer.
     """
     n, k = network.shape
     both = np.concatenate([network, attributes], axis=1)
@@ -179,15 +176,15 @@ def consensus(
     return out
 
 
-def similarity(motion: Motion) -> FloatArray:
-    """Cosine similarity of how agents move.
+def similarity(motion: Kinematics) -> FloatArray:
+    """Cosine similarity of the agents' motion.
 
     Args:
         motion: of n agents.
 
     Returns:
-        (n, n) of speed, acceleration and sideways movement, each over the deviation among those
-        present; negative ones count as zero, and so does that to oneself.
+        (n, n) similarity of speed, acceleration and sideways movement, each standardised over the
+        agents present; negative similarities and the diagonal are zero.
     """
     if motion.ids.size == 0:
         return np.zeros((0, 0))
@@ -203,10 +200,10 @@ def similarity(motion: Motion) -> FloatArray:
 
 
 class EmbeddingObserver:
-    """Rows of the consensus embedding of the agents present, now.
+    """Rows of the present consensus embedding.
 
     Args:
-        solver: not used: these are the smallest eigenvalues of another problem.
+        solver: not used; this is a different eigenproblem, with the smallest eigenvalues.
     """
 
     feature_names = tuple(f"dane_{k + 1}" for k in range(NUM_DIMENSIONS))
@@ -214,7 +211,7 @@ class EmbeddingObserver:
     def __init__(self, solver: str = "graphrqi") -> None:
         self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
         self._motion = MotionEstimator()
-        self._evidence = Evidence(0)
+        self._present = RunningSums(0)
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         nobody = LaplacianPairs.solved(np.zeros((0, 0)))
         self._network, self._likeness = nobody, nobody
@@ -224,7 +221,7 @@ class EmbeddingObserver:
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
         motion = self._motion.update(time_s, ids, xy)
-        self._evidence.add(time_s, ids[drives], np.zeros((int(drives.sum()), 0)))
+        self._present.add(time_s, ids[drives], np.zeros((int(drives.sum()), 0)))
         if time_s - self._updated_s < EVERY_S - 1e-6:
             return
         self._updated_s = time_s
@@ -246,13 +243,13 @@ class EmbeddingObserver:
         self._embedding = consensus(self._network.vectors, self._likeness.vectors)
 
     def observation(self) -> Observation:
-        """The last embedding of the drivers present; zeros for those that came since."""
-        present = self._evidence.observation()
+        """The last embedding of the drivers present; zeros for drivers that appeared since."""
+        present = self._present.observation()
         rows = np.zeros((present.ids.size, NUM_DIMENSIONS))
         into, source = align(self._ids, present.ids)
         rows[into] = self._embedding[source]
         return dataclasses.replace(present, instant=rows)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """The rows as they are."""
+        """(n, NUM_DIMENSIONS) the rows."""
         return instant

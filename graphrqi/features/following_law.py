@@ -1,14 +1,14 @@
-"""Each driver's own car-following numbers, inferred from how it follows.
+"""Each driver's own car-following parameters, inferred from how it follows.
 
-A driver who is held up by its leader keeps the largest speed that is still safe. For Krauss's law
-(and at equilibrium for any law with a time headway) that is where
+A driver that is held up by its leader keeps the largest speed that is still safe. For Krauss's law
+(and at equilibrium for any law with a time headway) this is the speed at which
 
     gap = s0 + T v + (v^2 - v_leader^2) / (2 b),
 
 with standstill gap s0, time headway T and comfortable braking b: linear in (s0, T, 1 / b). So the
-sums of products of (1, v, (v^2 - v_leader^2) / 2, gap) over the moments of following are all that a
-driver's posterior needs, and they are additive. The posterior is that of a linear model with a
-normal prior and normal noise, its mean and its standard deviations.
+sums of products of (1, v, (v^2 - v_leader^2) / 2, gap) over the moments of following are
+sufficient statistics of a driver's posterior, and they are additive. The posterior is that of a
+linear model with a normal prior and normal noise.
 
 References:
     Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08, eq. 3.6.
@@ -23,20 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 PRIOR_MEAN: Final = np.array([2.3, 1.4, 0.3])
 """Standstill gap, m, time headway, s, and 1 / braking, s2/m, of the average driver (textbook
 values: Treiber and Kesting 2013, Traffic Flow Dynamics)."""
 
 PRIOR_SD: Final = np.array([1.3, 0.9, 0.15])
-"""Their spread over all drivers (our choice: from the closest to the most distant followers)."""
+"""Their standard deviations over all drivers."""
 
 GAP_NOISE_M: Final = 0.8
-"""Spread of the gap about the law (our choice: the unknown lengths of two cars and a lag)."""
+"""Standard deviation of the gap about the law: the lengths of both cars and the lag are unknown."""
 
 LEAST_MPS: Final = 0.5
-"""Speed below which a headway says nothing, m/s (our choice)."""
+"""Speed below which a headway is not meaningful, m/s."""
 
 COLUMNS: Final = 11
 """Additive columns: 6 products of regressors, 3 with the gap, the squared gap, and the time."""
@@ -48,23 +47,24 @@ LAW_NAMES: Final[tuple[str, ...]] = (
 """What each column of `infer` is."""
 
 
-def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray,
-             counts: BoolArray) -> FloatArray:  # fmt: skip
+def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray) -> FloatArray:
     """One moment's products of regressors and gap.
 
     Args:
         speed: (n,) m/s.
         leader_speed: (n,) m/s; NaN without a leader.
         gap: (n,) m; NaN without a leader.
-        counts: (n,) whether each is following now.
 
     Returns:
-        (n, COLUMNS); zero where not following.
+        (n, COLUMNS); those of a driver count while it is following.
     """
-    from graphrqi.features.following_law_kernel import write_products
-
-    out = np.zeros((speed.size, COLUMNS))
-    write_products(speed, leader_speed, gap, counts, out)
+    x = 0.5 * (speed * speed - leader_speed * leader_speed)
+    out = np.ones((speed.size, COLUMNS))
+    out[:, 1], out[:, 2], out[:, 6] = speed, x, gap
+    np.multiply(out[:, 1:3], speed[:, None], out=out[:, 3:5])
+    out[:, 5] = x * x
+    np.multiply(out[:, 1:3], gap[:, None], out=out[:, 7:9])
+    out[:, 9] = gap * gap
     return out
 
 
@@ -75,10 +75,10 @@ def implied_headway(
     standstill_m: float,
     braking_mps2: float,
 ) -> FloatArray:
-    """The time headway at which the law would have a driver go just as fast as it goes.
+    """The time headway for which the law's safe speed equals the driver's present speed.
 
-    No driver goes faster than is safe, so its own headway is at most this at every moment, whether
-    it is held up or not.
+    No driver exceeds its safe speed, so a driver's own headway is at most this at every moment,
+    whether it is held up or not.
 
     Args:
         speed: (n,) m/s.
@@ -88,7 +88,7 @@ def implied_headway(
         braking_mps2: braking assumed, m/s2.
 
     Returns:
-        (n,) s; below ``LEAST_MPS`` as if going that fast.
+        (n,) s; speeds below ``LEAST_MPS`` count as ``LEAST_MPS``.
 
     Examples:
         >>> ten = np.array([10.0])
@@ -100,26 +100,26 @@ def implied_headway(
 
 
 def infer(sums: FloatArray) -> FloatArray:
-    """Posterior of each driver's numbers.
+    """Posterior of each driver's parameters.
 
-    A second of following counts as one observation, as successive frames repeat each other.
+    A second of following counts as one observation, since successive frames are nearly equal.
 
     Args:
         sums: (n, COLUMNS) products, each times its duration in seconds.
 
     Returns:
         (n, 7) columns named by ``LAW_NAMES``: posterior means, posterior standard deviations, and
-        the root mean square residual of the law, m. With nothing observed they are the prior's.
+        the root mean square residual of the law, m. Without evidence they are the prior's.
 
     Examples:
         >>> v = np.linspace(5.0, 15.0, 50)
-        >>> follows = products(v, v, 2.0 + 1.2 * v, np.full(50, True)).sum(axis=0)
-        >>> infer(follows[None])[0, :2].round(1)
+        >>> sums = products(v, v, 2.0 + 1.2 * v).sum(axis=0)
+        >>> infer(sums[None])[0, :2].round(1)
         array([2. , 1.2])
     """
-    from graphrqi.features import following_law_kernel
+    from graphrqi.features.kernels import infer_law
 
     out = np.empty((len(sums), len(LAW_NAMES)))
     prior = PRIOR_SD**-2
-    following_law_kernel.infer(sums, GAP_NOISE_M**-2, prior, PRIOR_MEAN * prior, out)
+    infer_law(sums, GAP_NOISE_M**-2, prior, PRIOR_MEAN * prior, out)
     return out

@@ -1,6 +1,11 @@
-"""Who is ahead, behind, beside: interaction along the edges of a traffic graph.
+"""How a driver relates to its neighbours in the traffic graph.
 
-Lengths are not known from positions, so gaps are centre distances less one nominal car length.
+`interactions` finds the vehicles ahead, behind and beside. Vehicle lengths are not known from
+positions, so gaps are centre distances less one nominal car length.
+
+`differences` compares a signal on the vertices (speed, sideways movement) with the neighbourhood.
+The random-walk Laplacian gives (D^-1 L s)_i = s_i - mean of s over i's neighbours; filtering by
+powers of P = D^-1 A first compares wider and wider neighbourhoods: P^j s - P^(j+1) s.
 """
 
 from __future__ import annotations
@@ -11,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.kinematic import Motion
+from graphrqi.features.kinematics import Kinematics
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -28,15 +33,15 @@ BESIDE_M: Final = 5.0
 """Sideways distance within which another is in the next lane (a lane and a half)."""
 
 ABREAST_M: Final = 10.0
-"""Distance along the way within which another is beside (our choice: two car lengths)."""
+"""Distance along the direction of travel within which another is beside (two car lengths)."""
 
 PEDESTRIAN_AHEAD_M: Final = 30.0
-"""How far ahead a pedestrian matters (our choice: two seconds and a half at town speed)."""
+"""Distance ahead within which a pedestrian counts (2.5 s at town speed)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interaction:
-    """Each vertex and those around it; NaN (or -1) where there is nobody.
+    """The neighbours of each vertex; NaN (or -1) where there is none.
 
     Attributes:
         leader: (n,) index of the nearest ahead on the same path, -1 if none.
@@ -44,8 +49,8 @@ class Interaction:
         leader_speed: (n,) m/s, along the follower's direction.
         follower: (n,) index of the nearest behind on the same path, -1 if none.
         rear_gap: (n,) m; at least 0.
-        rear_speed: (n,) m/s, along one's own direction.
-        beside: (n,) how many are in the next lanes within ``ABREAST_M``.
+        rear_speed: (n,) m/s, along the direction of the driver ahead of it.
+        beside: (n,) number of drivers in the next lanes within ``ABREAST_M``.
         pedestrian_m: (n,) distance ahead of the nearest pedestrian near the path, m.
     """
 
@@ -59,33 +64,64 @@ class Interaction:
     pedestrian_m: FloatArray
 
 
-def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Interaction:
-    """Find everyone's leader, follower and neighbours along the graph's edges.
+def interactions(motion: Kinematics, drives: BoolArray, graph: TrafficGraph) -> Interaction:
+    """Find every driver's leader, follower and neighbours along the graph's edges.
 
     Args:
         motion: of the n vertices, in the order of the graph.
         drives: (n,) whether each vertex drives; the others are pedestrians.
-        graph: who may interact with whom.
+        graph: whose edges say which vertices may interact.
 
     Returns:
         Interaction of each vertex.
     """
-    from graphrqi.features.interaction_kernel import look_around
+    from graphrqi.features.kernels import find_neighbors
 
-    who = np.full((motion.ids.size, 2), -1, dtype=np.int64)
-    seen = np.full((motion.ids.size, 6), np.nan)
-    seen[:, 4] = 0.0
-    look_around(
+    nearest = np.full((motion.ids.size, 2), -1, dtype=np.int64)
+    found = np.full((motion.ids.size, 6), np.nan)
+    found[:, 4] = 0.0
+    find_neighbors(
         graph.indptr, graph.indices, motion.xy, motion.velocity, motion.direction, drives,
-        SAME_PATH_M, BESIDE_M, ABREAST_M, PEDESTRIAN_AHEAD_M, who, seen,
+        (SAME_PATH_M, BESIDE_M, ABREAST_M, PEDESTRIAN_AHEAD_M), nearest, found,
     )  # fmt: skip
     return Interaction(
-        leader=who[:, 0],
-        gap=np.maximum(seen[:, 0] - NOMINAL_LENGTH_M, 0.0),
-        leader_speed=seen[:, 1],
-        follower=who[:, 1],
-        rear_gap=np.maximum(seen[:, 2] - NOMINAL_LENGTH_M, 0.0),
-        rear_speed=seen[:, 3],
-        beside=seen[:, 4],
-        pedestrian_m=seen[:, 5],
+        leader=nearest[:, 0],
+        gap=np.maximum(found[:, 0] - NOMINAL_LENGTH_M, 0.0),
+        leader_speed=found[:, 1],
+        follower=nearest[:, 1],
+        rear_gap=np.maximum(found[:, 2] - NOMINAL_LENGTH_M, 0.0),
+        rear_speed=found[:, 3],
+        beside=found[:, 4],
+        pedestrian_m=found[:, 5],
     )
+
+
+def differences(
+    graph: TrafficGraph, signal: FloatArray, drives: BoolArray, scales: int = 2
+) -> FloatArray:
+    """Difference of a signal from its neighbourhood, at several scales.
+
+    Args:
+        graph: of n vertices.
+        signal: (n,) values; NaN where unknown.
+        drives: (n,) vertices that count as neighbours (drivers, not pedestrians).
+        scales: number of scales.
+
+    Returns:
+        (n, scales) column j is P^j s - P^(j+1) s; NaN where the signal is unknown or there is no
+        neighbour.
+
+    Examples:
+        >>> path = TrafficGraph.from_edges([1, 2, 3], [(1, 2), (2, 3)])
+        >>> differences(path, np.array([1.0, 2.0, 6.0]), np.ones(3, bool), scales=1).ravel()
+        array([-1. , -1.5,  4. ])
+    """
+    from graphrqi.features.kernels import signal_differences
+
+    counts = drives & ~np.isnan(signal)
+    level = np.where(counts, signal, 0.0)
+    out = np.empty((signal.size, scales))
+    signal_differences(
+        graph.indptr, graph.indices, graph.values, counts, level, np.empty(signal.size), out
+    )
+    return out

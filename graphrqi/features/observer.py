@@ -1,7 +1,7 @@
-"""The contract of observers: positions in, a feature vector for every driver out, frame by frame.
+"""The contract of observers, and the running sums that they keep for each driver.
 
-Observers are plain-array classes, used alike on live frames and on recordings, so training and
-streaming cannot differ.
+An observer takes positions frame by frame and gives a feature vector for every driver. Live frames
+and recordings go through the same observer, so training and streaming cannot differ.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.features.kinematics import FORGET_S, align, merge
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -19,13 +21,13 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What is known of the drivers present now.
+    """What an observer knows about the drivers present now.
 
     Attributes:
         ids: (n,) ascending.
         seconds: (n,) time observed so far, s.
-        sums: (n, S) additive evidence since each was first seen.
-        instant: (n, I) what holds now only.
+        sums: (n, S) additive evidence since each driver appeared.
+        instant: (n, I) quantities that hold at this moment only.
     """
 
     ids: IntArray
@@ -51,9 +53,57 @@ class Observer(Protocol):
         ...
 
     def observation(self) -> Observation:
-        """What is known now of the drivers present."""
+        """Evidence on the drivers present."""
         ...
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """Turn evidence over any stretch of time into feature vectors (n, F)."""
         ...
+
+
+class RunningSums:
+    """Sums over time for each driver, kept while it is present and ``FORGET_S`` longer.
+
+    Args:
+        width: columns of the sums.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._ids: IntArray = np.empty(0, dtype=np.int64)
+        self._sums: FloatArray = np.zeros((0, width))
+        self._seconds: FloatArray = np.zeros(0)
+        self._seen_s: FloatArray = np.zeros(0)
+        self._time_s: float | None = None
+
+    def add(self, time_s: float, ids: IntArray, moment: FloatArray) -> None:
+        """Add a moment's values (n, S) of each driver, times the seconds since the last moment."""
+        from graphrqi.features.kernels import accumulate
+
+        step_s = 0.0 if self._time_s is None else time_s - self._time_s
+        self._time_s = time_s
+        merged, rows = merge(self._ids[self._seen_s >= time_s - FORGET_S], ids)
+        fresh = self._keep(merged, time_s)
+        accumulate(self._sums, rows, moment, step_s)
+        self._seconds[rows] += np.where(fresh[rows], 0.0, step_s)
+        self._seen_s[rows] = time_s
+
+    def _keep(self, merged: IntArray, time_s: float) -> BoolArray:
+        """Resize the sums to exactly these agents and return which of them are new."""
+        if np.array_equal(merged, self._ids):
+            return np.zeros(merged.size, dtype=bool)
+        sums = np.zeros((merged.size, self._sums.shape[1]))
+        seconds = np.zeros(merged.size)
+        seen = np.full(merged.size, time_s)
+        into, source = align(self._ids, merged)
+        sums[into], seconds[into] = self._sums[source], self._seconds[source]
+        seen[into] = self._seen_s[source]
+        fresh = np.ones(merged.size, dtype=bool)
+        fresh[into] = False
+        self._ids, self._sums, self._seconds, self._seen_s = merged, sums, seconds, seen
+        return fresh
+
+    def observation(self) -> Observation:
+        """A copy of the sums of the drivers present at the last moment."""
+        here = self._seen_s == (np.inf if self._time_s is None else self._time_s)
+        ids = self._ids[here]
+        return Observation(ids, self._seconds[here], self._sums[here], np.zeros((ids.size, 0)))

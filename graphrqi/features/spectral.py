@@ -1,26 +1,42 @@
-"""Features of vertices in the spectrum of their traffic graph.
+"""Features of vertices in the spectrum of the paper's accumulated traffic graph.
 
 `eigenvector_rows` is what the paper feeds to its classifier: row i of the eigenvector matrix U. An
-eigenvector is defined up to its sign, and inside a repeated eigenvalue's space up to a rotation,
-so rows of U are not functions of the graph. `invariant` is: it only uses sums f(lambda) u_i^2 over
-whole eigenspaces, which no choice of eigenvectors changes, and scales eigenvalues by the largest,
-so that neither the number of vehicles nor their order matters.
+eigenvector is defined up to its sign, and in the space of a repeated eigenvalue up to a rotation,
+so rows of U are not functions of the graph. The features of `invariant` are: they are sums of
+f(lambda) u_i^2 over whole eigenspaces, which do not depend on the choice of eigenvectors, and
+eigenvalues are scaled by the largest one, so that neither the number of vehicles nor their order
+matters. `GraphSpectrum` follows the graph and its largest eigenpairs from frame to frame.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum import SOLVERS, Spectrum
+
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NEIGHBORS: Final = 4
+"""Nearest neighbours joined by an edge (the paper)."""
+
+RESET: Final = 100
+"""Steps after which the accumulated graph starts anew (the paper)."""
+
+SPECTRUM_EVERY_S: Final = 0.5
+"""Time between the spectra that averaged features use: a graph changes by a few per cent of its
+edges per tenth of a second."""
 
 NUM_PAIRS: Final = 8
 """Eigenpairs kept at the largest end (our choice: the paper does not state its own)."""
 
 HEAT_SCALES: Final = (0.5, 1.0, 2.0, 4.0)
-"""Diffusion times of the filters, in units of 1 / lambda_max (our choice: powers of two)."""
+"""Diffusion times of the heat filters, in units of 1 / lambda_max."""
 
 INVARIANT_NAMES: Final[tuple[str, ...]] = (
     "degree",
@@ -29,7 +45,10 @@ INVARIANT_NAMES: Final[tuple[str, ...]] = (
     "leading_amplitude",
     *(f"filter_{s:g}" for s in HEAT_SCALES),
 )
-"""What each column of `invariant` is."""
+"""Columns of `invariant`."""
+
+SPECTRAL: Final = len(INVARIANT_NAMES) + 1
+"""Columns of spectral evidence: the features, and the number of times they were taken."""
 
 _SAME_EIGENVALUE: Final = 1e-6
 """Relative distance below which two eigenvalues count as one (solvers deliver 1e-8)."""
@@ -59,7 +78,7 @@ def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
         complete: whether these are all of the graph's eigenvalues.
 
     Returns:
-        A count: the last eigenspace is left out if pairs of it may be missing.
+        A count; the last eigenspace is left out where pairs of it may be missing.
 
     Examples:
         >>> whole_eigenspaces(np.array([5.0, 3.0, 3.0]), complete=False)
@@ -72,7 +91,7 @@ def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
 
 
 def invariant(eigenvalues: FloatArray, eigenvectors: FloatArray, degrees: FloatArray) -> FloatArray:
-    """Spectral features that no choice of eigenvectors, order or size changes.
+    """Spectral features that do not depend on the choice of eigenvectors, the order or the size.
 
     Args:
         eigenvalues: (k,) largest eigenvalues of the Laplacian, descending.
@@ -102,3 +121,46 @@ def invariant(eigenvalues: FloatArray, eigenvectors: FloatArray, degrees: FloatA
     for column, scale in enumerate(HEAT_SCALES, start=4):
         out[:, column] = (energy * np.exp(-scale * NUM_PAIRS * closeness)).sum(axis=1) * d / whole
     return out
+
+
+class GraphSpectrum:
+    """The accumulated graph and its largest eigenpairs; each solution starts from the last one.
+
+    Args:
+        solver: a key of ``SOLVERS``.
+    """
+
+    def __init__(self, solver: str) -> None:
+        self._solve: Callable[..., Spectrum] = SOLVERS[solver]
+        self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
+        self._previous: Spectrum | None = None
+        self._solved_s = -np.inf
+
+    def observe(self, ids: IntArray, xy: FloatArray) -> None:
+        """Add the next positions to the graph."""
+        self._graph = self._graph.observe(ids, xy)
+
+    def solve(self, ids: IntArray) -> tuple[Spectrum, IntArray, FloatArray]:
+        """The spectrum now, the rows of the given agents in it, and the degrees of all vertices."""
+        self._previous = self._solve(
+            self._graph, num_pairs=NUM_PAIRS + 1, end="largest", previous=self._previous
+        )
+        rows = self._graph.rows_of(ids)
+        return self._previous, rows, self._graph.degree
+
+    def moment(self, time_s: float, ids: IntArray) -> FloatArray:
+        """(n, F + 1) invariant features of the agents and a one; zeros while no spectrum is due."""
+        if time_s - self._solved_s < SPECTRUM_EVERY_S - 1e-6:
+            return np.zeros((ids.size, SPECTRAL))
+        self._solved_s = time_s
+        spectrum, rows, degrees = self.solve(ids)
+        values = invariant(
+            np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
+        )
+        return np.concatenate([values[rows], np.ones((ids.size, 1))], axis=1)
+
+
+def spectral_means(sums: FloatArray) -> FloatArray:
+    """(n, F) means of the invariant features over the moments summed in (n, F + 1)."""
+    total = sums[:, -1:]
+    return np.asarray(sums[:, :-1] / np.where(total > 1e-9, total, 1.0))

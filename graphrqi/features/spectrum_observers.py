@@ -1,4 +1,4 @@
-"""Observers that see nothing but the traffic graph (and one that sees nothing at all)."""
+"""Observers that use nothing but the traffic graph, and one that uses nothing at all."""
 
 from __future__ import annotations
 
@@ -7,18 +7,23 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.evidence import Evidence
-from graphrqi.features.graph_spectrum import SPECTRAL, GraphSpectrum, spectral_means
-from graphrqi.features.observer import Observation
-from graphrqi.features.spectral import INVARIANT_NAMES, NUM_PAIRS, eigenvector_rows
+from graphrqi.features.observer import Observation, RunningSums
+from graphrqi.features.spectral import (
+    INVARIANT_NAMES,
+    NUM_PAIRS,
+    SPECTRAL,
+    GraphSpectrum,
+    eigenvector_rows,
+    spectral_means,
+)
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-class BlindObserver:
-    """Counts the seconds and sees nothing else.
+class NullObserver:
+    """Measures how long each driver is present and has no features.
 
     Args:
         solver: not used; every observer takes one.
@@ -27,24 +32,24 @@ class BlindObserver:
     feature_names: tuple[str, ...] = ()
 
     def __init__(self, solver: str = "graphrqi") -> None:
-        self._evidence = Evidence(0)
+        self._sums = RunningSums(0)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
-        """Take the next positions; see `Observer.update`."""
+        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
         drivers = ids[drives]
-        self._evidence.add(time_s, drivers, np.zeros((drivers.size, 0)))
+        self._sums.add(time_s, drivers, np.zeros((drivers.size, 0)))
 
     def observation(self) -> Observation:
-        """Who is present, and for how long."""
-        return self._evidence.observation()
+        """The drivers present and their time observed."""
+        return self._sums.observation()
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """No columns."""
+        """(n, 0) no columns."""
         return np.zeros((seconds.size, 0))
 
 
-class EigenvectorObserver:
-    """What the paper feeds its classifier: rows of the largest-end eigenvector matrix, now.
+class EigenvectorObserver(NullObserver):
+    """The features of the paper: rows of the matrix of the largest eigenvectors, now.
 
     Args:
         solver: a key of ``SOLVERS``.
@@ -53,25 +58,23 @@ class EigenvectorObserver:
     feature_names = tuple(f"u_{k + 1}" for k in range(NUM_PAIRS))
 
     def __init__(self, solver: str = "graphrqi") -> None:
+        super().__init__()
         self._spectrum = GraphSpectrum(solver)
-        self._evidence = Evidence(0)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
-        """Take the next positions; see `Observer.update`."""
+        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
         self._spectrum.observe(ids, xy)
-        drivers = ids[drives]
-        self._evidence.add(time_s, drivers, np.zeros((drivers.size, 0)))
+        super().update(time_s, ids, xy, drives)
 
     def observation(self) -> Observation:
-        """The rows of the drivers present, of the graph's spectrum now."""
-        present = self._evidence.observation()
+        """The drivers present with their rows of the graph's present spectrum."""
+        present = super().observation()
         spectrum, rows, _ = self._spectrum.solve(present.ids)
-        return dataclasses.replace(
-            present, instant=eigenvector_rows(np.asarray(spectrum.eigenvectors))[rows]
-        )
+        vectors = eigenvector_rows(np.asarray(spectrum.eigenvectors))
+        return dataclasses.replace(present, instant=vectors[rows])
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """The rows as they are."""
+        """(n, NUM_PAIRS) the rows."""
         return instant
 
 
@@ -86,17 +89,17 @@ class SpectrumObserver:
 
     def __init__(self, solver: str = "graphrqi") -> None:
         self._spectrum = GraphSpectrum(solver)
-        self._evidence = Evidence(SPECTRAL)
+        self._sums = RunningSums(SPECTRAL)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
-        """Take the next positions; see `Observer.update`."""
+        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
         self._spectrum.observe(ids, xy)
-        self._evidence.add(time_s, ids[drives], self._spectrum.moment(time_s, ids)[drives])
+        self._sums.add(time_s, ids[drives], self._spectrum.moment(time_s, ids)[drives])
 
     def observation(self) -> Observation:
         """Evidence on the drivers present."""
-        return self._evidence.observation()
+        return self._sums.observation()
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """Means over the time observed."""
+        """(n, F) means over the time observed."""
         return spectral_means(sums)

@@ -1,11 +1,10 @@
 """Distributions of what a driver does, built up frame by frame.
 
-A `Block` watches one quantity under one condition (the time headway while following, say) and
-spreads each moment's duration over the two nodes of its scale that the value lies between. Sums of
-such moments are additive: the sum over any stretch of time is the difference of two running sums,
-a stretch may be as long as a driver's life at no further cost, and missing frames are simply not
-counted. What is told of such a distribution are its quantiles and its mean, and how long it was
-watched for.
+A `Block` is the histogram of one quantity under one condition (the time headway while following,
+say). Each moment's duration is shared between the two nodes of the block's scale that the value
+lies between. Histograms are additive: the one of any stretch of time is the difference of two
+running sums, at the same cost for a second and for a driver's life, and missing frames do not
+count. Features of a block are quantiles, the mean, and the time it was observed for.
 """
 
 from __future__ import annotations
@@ -21,22 +20,21 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 LEVELS: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""Quantiles told of each distribution (our choice: middle, quarters, nearly the ends)."""
+"""Quantiles of each distribution that become features."""
 
 LEAST_S: Final = 1e-6
-"""Time below which a block counts as never seen, s: what rounding leaves of a difference of sums
-(our choice)."""
+"""Time below which a block counts as unobserved, s; differences of sums leave rounding errors."""
 
 UNKNOWN: Final = 1.0
-"""How far below its scale an unseen block's numbers lie (our choice: trees can split it off)."""
+"""Distance of an unobserved block's features below its scale, so that trees can split it off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One quantity under one condition.
+    """Histogram of one quantity under one condition.
 
     Attributes:
-        name: what is watched.
+        name: of the quantity and its condition.
         nodes: the scale, ascending; values beyond an end count at that end.
     """
 
@@ -61,7 +59,7 @@ def spread(
         >>> out
         array([[0.75, 0.25]])
     """
-    from graphrqi.features.statistics_kernel import spread_on_nodes
+    from graphrqi.features.kernels import spread_on_nodes
 
     nodes, starts = _scale(blocks)
     spread_on_nodes(values, counts & ~np.isnan(values), nodes, starts, out)
@@ -69,7 +67,7 @@ def spread(
 
 @cache
 def _scale(blocks: tuple[Block, ...]) -> tuple[FloatArray, NDArray[np.int64]]:
-    """All nodes side by side, and where each block's begin (and the last's end)."""
+    """The nodes of all blocks, and where each block's begin (and the last one's end)."""
     nodes = np.concatenate([np.asarray(b.nodes) for b in blocks])
     return nodes, np.cumsum([0, *(len(b.nodes) for b in blocks)])
 
@@ -79,13 +77,13 @@ def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
 
     Args:
         sums: (n, S) durations on the nodes of all blocks, side by side, s.
-        blocks: whose nodes the columns are; columns beyond theirs are not looked at.
+        blocks: in the order of the columns; further columns are ignored.
 
     Returns:
         (n, 7 B) block by block the quantiles ``LEVELS`` and the mean of its distribution, and
-        log(1 + its total in tenths of a second). The weight of a node lies evenly half-way to its
-        neighbours. Of a block that never counted, quantiles and mean are ``UNKNOWN`` below its
-        lowest node.
+        log(1 + its total in tenths of a second). The weight of a node is spread evenly half-way to
+        its neighbours. Quantiles and mean of an unobserved block are ``UNKNOWN`` below its lowest
+        node.
 
     Examples:
         >>> b = Block("gap", (0.0, 1.0))
@@ -93,7 +91,7 @@ def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
         array([[ 0.03,  0.17,  0.33,  0.5 ,  0.9 ,  0.25,  3.71],
                [-1.  , -1.  , -1.  , -1.  , -1.  , -1.  ,  0.  ]])
     """
-    from graphrqi.features.statistics_kernel import summarise
+    from graphrqi.features.kernels import summarise
 
     nodes, starts = _scale(blocks)
     out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))

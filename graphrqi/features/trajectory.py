@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.features.driving import INTERACTION_NEIGHBORS
-from graphrqi.features.evidence import Evidence
-from graphrqi.features.graph_signal import differences
-from graphrqi.features.interaction import interactions
-from graphrqi.features.kinematic import MotionEstimator, align
-from graphrqi.features.observer import Observation
+from graphrqi.features.interaction import differences, interactions
+from graphrqi.features.kinematics import MotionEstimator, align
+from graphrqi.features.observer import Observation, RunningSums
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -39,17 +37,16 @@ QUANTITIES: Final = (
     "rear distance",
     "sideways",
 )
-"""What is averaged over the time observed."""
+"""Quantities that are averaged over the time observed."""
 
 MAX_JERK_MPS3: Final = 20.0
-"""Larger jerks are clipped: they are measurement noise (our choice; emergency braking reaches
-about 15)."""
+"""Larger jerks are clipped as measurement noise; emergency braking reaches about 15."""
 
 _K: Final = len(QUANTITIES)
 
 
 class TrajectoryObserver:
-    """Mean and deviation of each quantity, and how much of the time it was defined.
+    """Mean and deviation of each quantity, and the share of the time for which it was defined.
 
     Args:
         solver: not used; every observer takes one.
@@ -62,7 +59,7 @@ class TrajectoryObserver:
     def __init__(self, solver: str = "graphrqi") -> None:
         self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
         self._motion = MotionEstimator()
-        self._evidence = Evidence(3 * _K)
+        self._sums = RunningSums(3 * _K)
         self._last: tuple[float, IntArray, FloatArray] = (0.0, np.empty(0, np.int64), np.empty(0))
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
@@ -93,11 +90,11 @@ class TrajectoryObserver:
         known = ~np.isnan(value)
         value = np.where(known, value, 0.0)
         moment = np.concatenate([known, value, value**2], axis=1, dtype=np.float64)
-        self._evidence.add(time_s, ids[drives], moment[drives])
+        self._sums.add(time_s, ids[drives], moment[drives])
 
     def observation(self) -> Observation:
         """Evidence on the drivers present."""
-        return self._evidence.observation()
+        return self._sums.observation()
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, 27) means, deviations and shares of the time."""

@@ -26,7 +26,7 @@ from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.video import write_video
 from experiments.scoring.classification import LABELS
 from experiments.scoring.prediction_file import predictions_file, predictions_table
-from graphrqi.features.graph_spectrum import NEIGHBORS, RESET
+from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS

@@ -9,20 +9,19 @@ import pytest
 
 from graphrqi.features import following_law
 from graphrqi.features.driving import DrivingObserver
-from graphrqi.features.graph_signal import differences
-from graphrqi.features.interaction import NOMINAL_LENGTH_M, interactions
-from graphrqi.features.kinematic import FORGET_S, MotionEstimator, align
-from graphrqi.features.pace import Pace
+from graphrqi.features.free_flow import FreeFlowSpeed
+from graphrqi.features.interaction import NOMINAL_LENGTH_M, differences, interactions
+from graphrqi.features.kinematics import FORGET_S, MotionEstimator, align
 from graphrqi.features.spectral import eigenvector_rows, invariant, whole_eigenspaces
 from graphrqi.features.spectrum_observers import (
-    BlindObserver,
     EigenvectorObserver,
+    NullObserver,
     SpectrumObserver,
 )
 from graphrqi.features.statistics import LEVELS, Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
 
-OBSERVERS = [BlindObserver, EigenvectorObserver, SpectrumObserver, DrivingObserver]
+OBSERVERS = [NullObserver, EigenvectorObserver, SpectrumObserver, DrivingObserver]
 
 
 def drive(estimator, times, path):
@@ -152,7 +151,7 @@ def test_quantiles_of_a_distribution_spread_evenly():
 
 
 def test_pace_is_of_free_drivers_and_forgets():
-    pace = Pace()
+    pace = FreeFlowSpeed()
     assert np.isnan(pace.update(0.0, np.array([10.0]), np.array([True])))
     for step in range(1, 200):
         found = pace.update(0.1 * step, np.array([10.0, 2.0]), np.array([True, False]))
@@ -219,7 +218,7 @@ def test_following_law_is_recovered_from_braking_too():
     rng = np.random.default_rng(1)
     v, u = rng.uniform(3, 15, 400), rng.uniform(3, 15, 400)
     gap = 2.8 + 1.1 * v + (v * v - u * u) / (2 * 3.0)
-    sums = following_law.products(v, u, gap, np.full(400, True)).sum(axis=0)
+    sums = following_law.products(v, u, gap).sum(axis=0)
     found = following_law.infer(sums[None])[0]
     assert found[:3] == pytest.approx([2.8, 1.1, 1 / 3.0], rel=0.05)
     assert found[6] < 0.2

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from graphrqi.features.baseline import GRAPH_SIGNALS, BaselineObserver
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver, LaplacianPairs, consensus
-from graphrqi.features.plain import GRAPH_SIGNALS, PlainObserver
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.methods import METHODS, Model, load_model, save_model, train
 from graphrqi.samples import collect
@@ -98,7 +98,7 @@ def test_saved_and_loaded_answer_alike(trained, tmp_path):
     np.testing.assert_array_equal(again.posterior(features), trained.posterior(features))
 
 
-@pytest.mark.parametrize("observer", [PlainObserver, TrajectoryObserver, EmbeddingObserver])
+@pytest.mark.parametrize("observer", [BaselineObserver, TrajectoryObserver, EmbeddingObserver])
 def test_order_of_the_agents_does_not_matter(observer):
     tracks = platoons(9, seconds=5.0)
     order = np.random.default_rng(0).permutation(tracks.ids.size)
@@ -113,13 +113,13 @@ def test_order_of_the_agents_does_not_matter(observer):
 
 
 def test_plain_features_are_the_driving_ones_without_graph_and_law():
-    left_out = set(DrivingObserver.feature_names) - set(PlainObserver.feature_names)
+    left_out = set(DrivingObserver.feature_names) - set(BaselineObserver.feature_names)
     for block in GRAPH_SIGNALS:
         assert any(name.startswith(f"{block}:") for name in left_out)
     assert any(name.startswith("spectrum_") for name in left_out)
-    assert not any(name.startswith("spectrum_") for name in PlainObserver.feature_names)
-    assert "headway while following:mean" in PlainObserver.feature_names
-    assert "log_seconds" in PlainObserver.feature_names
+    assert not any(name.startswith("spectrum_") for name in BaselineObserver.feature_names)
+    assert "headway while following:mean" in BaselineObserver.feature_names
+    assert "log_seconds" in BaselineObserver.feature_names
 
 
 def test_trajectory_means_and_deviations():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphrqi.features.spectrum_observers import BlindObserver
+from graphrqi.features.spectrum_observers import NullObserver
 from graphrqi.samples import collect
 from sim.frames import Tracks
 
@@ -33,7 +33,7 @@ def drivers(n: int = 6, seconds: float = 21.0) -> Tracks:
 def test_every_length_asked_for_is_cut(every_s):
     """However seldom windows end, each length that fits into a life is there."""
     lengths = (1.0, 2.0, 5.0, 10.0)
-    samples = collect(drivers(), BlindObserver(), 0, lengths, every_s=every_s)
+    samples = collect(drivers(), NullObserver(), 0, lengths, every_s=every_s)
     found, counts = np.unique(samples.seconds.round(6), return_counts=True)
     assert found.tolist() == list(lengths)
     ends = np.unique(samples.time_s[samples.seconds == 1.0])
@@ -42,7 +42,7 @@ def test_every_length_asked_for_is_cut(every_s):
 
 
 def test_one_length_is_drawn_per_driver_and_moment():
-    samples = collect(drivers(60), BlindObserver(), 0, (1.0, 2.0, 5.0), 3.0, per_moment=1, seed=4)
+    samples = collect(drivers(60), NullObserver(), 0, (1.0, 2.0, 5.0), 3.0, per_moment=1, seed=4)
     late = samples.where(samples.time_s > 5.5)
     moments = set(zip(late.agent.tolist(), late.time_s.tolist(), strict=True))
     assert len(moments) == len(late) == 60 * np.unique(late.time_s).size

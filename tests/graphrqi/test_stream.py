@@ -50,9 +50,9 @@ def test_a_window_is_the_difference_of_two_moments(tracks):
 
 
 def test_samples_are_of_labelled_drivers_only(tracks):
-    from graphrqi.features.spectrum_observers import BlindObserver
+    from graphrqi.features.spectrum_observers import NullObserver
 
-    samples = collect(tracks, BlindObserver(), windows_s=(5.0,))
+    samples = collect(tracks, NullObserver(), windows_s=(5.0,))
     driving = set(tracks.ids[tracks.behavior >= 0].tolist())
     assert set(samples.agent.tolist()) <= driving
     code = dict(zip(tracks.ids.tolist(), tracks.behavior.tolist(), strict=True))
@@ -60,21 +60,21 @@ def test_samples_are_of_labelled_drivers_only(tracks):
 
 
 def test_drawing_windows_is_seeded(tracks):
-    from graphrqi.features.spectrum_observers import BlindObserver
+    from graphrqi.features.spectrum_observers import NullObserver
 
     one, two, other = (
-        collect(tracks, BlindObserver(), per_moment=1, seed=s).seconds for s in (1, 1, 2)
+        collect(tracks, NullObserver(), per_moment=1, seed=s).seconds for s in (1, 1, 2)
     )
     assert one.tolist() == two.tolist()
     assert one.tolist() != other.tolist()
 
 
 def test_recordings_without_labels_are_refused(tracks):
-    from graphrqi.features.spectrum_observers import BlindObserver
+    from graphrqi.features.spectrum_observers import NullObserver
 
     bare = dataclasses.replace(tracks, behavior=None)
     with pytest.raises(InputError, match=r"tracks\.behavior: found no labels"):
-        collect(bare, BlindObserver())
+        collect(bare, NullObserver())
     with pytest.raises(InputError, match="found no episode"):
         Samples.join([])
 

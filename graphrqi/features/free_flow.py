@@ -1,7 +1,7 @@
-"""The pace of a place: how fast its drivers go when nothing holds them up.
+"""The free-flow speed of a place: the mean speed of its drivers when nothing holds them up.
 
-Positions do not tell the speed limit. What a driver's speed means shows beside the speed at which
-drivers with a free road go here, a running mean over all of them.
+Positions do not show the speed limit, so a driver's speed is compared with this mean instead.
+Feature names call it the pace.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 MEMORY_S: Final = 300.0
-"""Time after which what was seen counts for a third (our choice: many drivers pass meanwhile)."""
+"""Time constant of the exponential forgetting; many drivers pass meanwhile."""
 
 LEAST_DRIVER_S: Final = 5.0
-"""Seconds of free driving, all drivers' together, before the pace is told (our choice)."""
+"""Seconds of free driving, summed over drivers, before a mean is given."""
 
 
-class Pace:
+class FreeFlowSpeed:
     """Running mean of the speed of drivers with a free road.
 
     Example:
-        >>> pace = Pace()
+        >>> free_flow = FreeFlowSpeed()
         >>> for step in range(61):
-        ...     mean = pace.update(step / 10, np.array([10.0, 14.0]), np.array([True, True]))
+        ...     mean = free_flow.update(step / 10, np.array([10.0, 14.0]), np.array([True, True]))
         >>> round(mean, 6)
         12.0
     """
@@ -38,15 +38,15 @@ class Pace:
         self._metres = 0.0
 
     def update(self, time_s: float, speed: FloatArray, free: BoolArray) -> float:
-        """Take the next moment.
+        """Add one moment to the mean.
 
         Args:
             time_s: later than at the call before.
             speed: (n,) m/s.
-            free: (n,) whose road is free.
+            free: (n,) whether each driver's road is free.
 
         Returns:
-            The pace, m/s; NaN until enough has been seen.
+            The free-flow speed, m/s; NaN until enough free driving was observed.
         """
         step_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s

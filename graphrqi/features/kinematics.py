@@ -1,7 +1,7 @@
 """Motion from positions: velocity, acceleration, direction, sideways movement.
 
-Everything is differenced over a short span rather than from one frame to the next, because
-recorded positions are rounded and shaken. Positions at single missing instants are bridged.
+All differences are taken over a short span rather than from one frame to the next, because
+recorded positions are rounded and noisy. Single missing positions are bridged.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SPAN_S: Final = 0.4
-"""Time over which velocity is differenced (our choice: four frames at 10 Hz)."""
+"""Span over which positions are differenced for velocity (four frames at 10 Hz)."""
 
 DIRECTION_SPAN_S: Final = 2.0
-"""Time over which the direction of travel is taken (our choice: longer than a lane change's
-sideways speed matters, shorter than a turn)."""
+"""Span over which the direction of travel is measured: longer than the sideways part of a lane
+change, shorter than a turn."""
 
 MIN_TRAVEL_M: Final = 1.0
-"""Displacement below which the last known direction is kept (our choice: above position noise)."""
+"""Displacement below which the last known direction is kept; larger than position noise."""
 
 FORGET_S: Final = 3.0
-"""An agent unseen for longer than this is a new one when it returns (our choice)."""
+"""An agent that was absent for longer than this counts as a new one when it returns."""
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """How the agents present now move; NaN where not known yet.
+class Kinematics:
+    """How the agents of one frame move; NaN where not known yet.
 
     Attributes:
         ids: (n,) agent ids, ascending.
@@ -53,7 +53,7 @@ class Motion:
 
 
 def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
-    """Where agents of a sorted id array stand in another.
+    """Positions of the ids that two sorted id arrays share.
 
     Args:
         old_ids: (m,) ascending.
@@ -75,7 +75,7 @@ def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
-    """Two sorted id arrays as one, and where those of the second stand in it.
+    """Union of two sorted id arrays, and the positions of the second one's ids in it.
 
     Examples:
         >>> merge(np.array([2, 5, 9]), np.array([5, 7, 9]))
@@ -89,9 +89,9 @@ def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
 
 
 class MotionEstimator:
-    """Follows positions frame by frame and tells how everyone moves.
+    """Estimates the motion of every agent from positions, frame by frame.
 
-    Memory is bounded: a ring of the last two seconds of the agents seen in the last three.
+    Memory is bounded: the last two seconds of the agents that were present in the last three.
     """
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class MotionEstimator:
         self._velocity: FloatArray = np.empty((0, 0, 2))
         self._seen_s: FloatArray = np.empty(0)
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray) -> Motion:
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray) -> Kinematics:
         """Take the next positions.
 
         Args:
@@ -113,32 +113,41 @@ class MotionEstimator:
         Returns:
             Motion of exactly these agents.
         """
-        from graphrqi.features.kinematic_kernel import along, oldest
+        from graphrqi.features.kernels import change_since
 
         rows = self._remember(time_s, ids, xy)
         times = np.array(self._times)
 
         def change(values: FloatArray, span_s: float) -> tuple[FloatArray, FloatArray]:
-            return oldest(rows, times, values, time_s - span_s - 1e-6)
+            difference, elapsed_s = np.full((rows.size, 2), np.nan), np.ones(rows.size)
+            since_s = time_s - span_s - 1e-6
+            change_since(rows, times, values, since_s, difference, elapsed_s)
+            return difference, elapsed_s[:, None]
 
-        gone, ago = change(self._trail, SPAN_S)
-        velocity = gone / ago[:, None]
+        difference, elapsed_s = change(self._trail, SPAN_S)
+        velocity = difference / elapsed_s
         self._velocity[rows, -1] = velocity
 
         travel, _ = change(self._trail, DIRECTION_SPAN_S)
-        size = np.hypot(travel[:, 0], travel[:, 1])
-        moved = size > MIN_TRAVEL_M
-        self._direction[rows[moved]] = travel[moved] / size[moved, None]
+        distance = np.hypot(travel[:, 0], travel[:, 1])
+        moved = distance > MIN_TRAVEL_M
+        self._direction[rows[moved]] = travel[moved] / distance[moved, None]
         direction = self._direction[rows]
 
-        speed, _ = along(direction, velocity)
-        gained, ago = change(self._velocity, SPAN_S)
-        acceleration, _ = along(direction, gained / ago[:, None])
-        _, sideways = along(direction, change(self._trail, 1.0)[0])
-        return Motion(ids, xy, velocity, direction, speed, acceleration, sideways)
+        difference, elapsed_s = change(self._velocity, SPAN_S)
+        last_second, _ = change(self._trail, 1.0)
+        return Kinematics(
+            ids=ids,
+            xy=xy,
+            velocity=velocity,
+            direction=direction,
+            speed=_along(direction, velocity),
+            acceleration=_along(direction, difference / elapsed_s),
+            sideways=direction[:, 0] * last_second[:, 1] - direction[:, 1] * last_second[:, 0],
+        )
 
     def _remember(self, time_s: float, ids: IntArray, xy: FloatArray) -> IntArray:
-        """Take the positions into the ring; the rows of the agents."""
+        """Store the positions, forget old ones, and return the agents' rows."""
         known = self._ids[self._seen_s >= time_s - FORGET_S]
         merged, rows = merge(known, ids)
         drop = sum(1 for t in self._times if t < time_s - DIRECTION_SPAN_S - 1e-6)
@@ -162,3 +171,8 @@ class MotionEstimator:
         self._times = [*self._times[drop:], time_s]
         self._ids, self._trail, self._velocity = merged, trail, velocity
         return rows
+
+
+def _along(direction: FloatArray, values: FloatArray) -> FloatArray:
+    """(n,) components of vectors (n, 2) along unit vectors (n, 2)."""
+    return np.asarray(values[:, 0] * direction[:, 0] + values[:, 1] * direction[:, 1])

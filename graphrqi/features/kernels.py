@@ -1,0 +1,301 @@
+"""The compiled loops of the features, loaded together on first use.
+
+Callers allocate the outputs: an array made inside a kernel costs compile time.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.compiled import compiled
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+IndexArray = NDArray[np.int32]
+
+
+@compiled
+def change_since(
+    rows: IntArray,
+    times: FloatArray,
+    values: FloatArray,
+    since_s: float,
+    change: FloatArray,
+    elapsed_s: FloatArray,
+) -> None:
+    """Difference of each agent's value now from its oldest known value since a time.
+
+    Args:
+        rows: (n,) the agents' rows in ``values``.
+        times: (T,) ascending, s.
+        values: (m, T, 2) of all agents; NaN where unknown.
+        since_s: the oldest time used, s; the last time is never used.
+        change: (n, 2) receives the differences; must be NaN before, which stays where no earlier
+            value is known.
+        elapsed_s: (n,) receives the time between the two values, s; must be 1 before, which stays
+            where there is no earlier time.
+    """
+    now = times.size - 1
+    first = 0
+    while first < now and times[first] < since_s:
+        first += 1
+    if first == now:
+        return
+    for i in range(rows.size):
+        row, at = rows[i], first
+        while at < now - 1 and np.isnan(values[row, at, 0]):
+            at += 1
+        if np.isnan(values[row, at, 0]):
+            at = first
+        change[i, 0] = values[row, now, 0] - values[row, at, 0]
+        change[i, 1] = values[row, now, 1] - values[row, at, 1]
+        elapsed_s[i] = times[now] - times[at]
+
+
+@compiled
+def find_neighbors(
+    indptr: IndexArray,
+    indices: IndexArray,
+    xy: FloatArray,
+    velocity: FloatArray,
+    direction: FloatArray,
+    drives: BoolArray,
+    limits_m: tuple[float, float, float, float],
+    nearest: IntArray,
+    out: FloatArray,
+) -> None:
+    """Find the nearest driver ahead and behind and the nearest pedestrian, and count those beside.
+
+    Args:
+        indptr: (n + 1,) where each vertex' edges begin.
+        indices: (E,) other end of each edge; an edge from a vertex to itself does not count.
+        xy: (n, 2) m.
+        velocity: (n, 2) m/s.
+        direction: (n, 2) unit vectors of travel; an agent whose direction is NaN has no neighbours.
+        drives: (n,) whether each vertex drives.
+        limits_m: sideways distance within which another is on the same path, sideways distance
+            within which it is in the next lane, distance along the way within which it is beside,
+            and distance ahead within which a pedestrian counts.
+        nearest: (n, 2) receives the nearest ahead and behind; must be -1 before.
+        out: (n, 6) receives distance and speed of the nearest ahead, distance and speed of the
+            nearest behind, how many are beside, and the distance to the nearest pedestrian; must
+            be NaN before, but 0 for the count.
+    """
+    same_path_m, beside_m, abreast_m, pedestrian_m = limits_m
+    for i in range(indptr.size - 1):
+        if not drives[i]:
+            continue
+        east, north = direction[i, 0], direction[i, 1]
+        for edge in range(indptr[i], indptr[i + 1]):
+            j = indices[edge]
+            if j == i:
+                continue
+            x, y = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
+            ahead = x * east + y * north
+            aside = abs(east * y - north * x)
+            if not drives[j]:
+                near = aside < beside_m and ahead > 0.0 and ahead < pedestrian_m
+                if near and not ahead >= out[i, 5]:
+                    out[i, 5] = ahead
+                continue
+            if not east * direction[j, 0] + north * direction[j, 1] > 0.5:  # beyond 60 degrees
+                continue
+            if aside < same_path_m:
+                side = 0 if ahead > 0.0 else 1
+                distance = abs(ahead)
+                if distance > 0.0 and not distance >= out[i, 2 * side]:
+                    nearest[i, side] = j
+                    out[i, 2 * side] = distance
+                    out[i, 2 * side + 1] = velocity[j, 0] * east + velocity[j, 1] * north
+            elif aside < beside_m and abs(ahead) < abreast_m:
+                out[i, 4] += 1.0
+
+
+@compiled
+def signal_differences(
+    indptr: IndexArray,
+    indices: IndexArray,
+    values: FloatArray,
+    counts: BoolArray,
+    level: FloatArray,
+    mean: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Difference of a signal from its neighbourhood; see `graphrqi.features.interaction`.
+
+    Args:
+        indptr: (n + 1,) row starts of the Laplacian.
+        indices: (z,) its columns.
+        values: (z,) its values.
+        counts: (n,) vertices that count.
+        level: (n,) the signal, 0 at vertices that do not count; overwritten.
+        mean: (n,) working space.
+        out: (n, scales) receives the differences; NaN where the vertex does not count or has no
+            neighbour that does.
+    """
+    for scale in range(out.shape[1]):
+        for i in range(level.size):
+            total, weighted = 0.0, 0.0
+            for e in range(indptr[i], indptr[i + 1]):
+                j = indices[e]
+                if j != i and counts[j]:
+                    total -= values[e]
+                    weighted -= values[e] * level[j]
+            mean[i] = weighted / total if total > 0.0 else level[i]
+            out[i, scale] = level[i] - mean[i] if total > 0.0 and counts[i] else np.nan
+        for i in range(level.size):
+            level[i] = mean[i]
+
+
+@compiled
+def spread_on_nodes(
+    values: FloatArray, counts: BoolArray, nodes: FloatArray, starts: IntArray, out: FloatArray
+) -> None:
+    """Spread each counted value over the two nodes of its block that it lies between.
+
+    Args:
+        values: (B, n).
+        counts: (B, n).
+        nodes: (S,) ascending within each block.
+        starts: (B + 1,) where each block's nodes begin.
+        out: (n, S) receives the weights.
+    """
+    for b in range(values.shape[0]):
+        first, last = starts[b], starts[b + 1] - 1
+        for i in range(values.shape[1]):
+            if not counts[b, i]:
+                continue
+            value = values[b, i]
+            if value <= nodes[first]:
+                out[i, first] = 1.0
+            elif value >= nodes[last]:
+                out[i, last] = 1.0
+            else:
+                upper = first + 1
+                while nodes[upper] < value:
+                    upper += 1
+                share = (value - nodes[upper - 1]) / (nodes[upper] - nodes[upper - 1])
+                out[i, upper - 1] = 1.0 - share
+                out[i, upper] = share
+
+
+@compiled
+def accumulate(sums: FloatArray, rows: IntArray, moment: FloatArray, step_s: float) -> None:
+    """Add weights that held for a time to running sums; most weights are zero.
+
+    Args:
+        sums: (m, S) of all agents.
+        rows: (n,) each agent's row in ``sums``.
+        moment: (n, S).
+        step_s: s.
+    """
+    for i in range(rows.size):
+        row = rows[i]
+        for k in range(moment.shape[1]):
+            if moment[i, k] != 0.0:
+                sums[row, k] += moment[i, k] * step_s
+
+
+@compiled
+def summarise(
+    sums: FloatArray,
+    nodes: FloatArray,
+    starts: IntArray,
+    levels: FloatArray,
+    least: float,
+    unknown: float,
+    out: FloatArray,
+) -> None:
+    """Quantiles, mean and evidence of each block.
+
+    Args:
+        sums: (n, S) durations on the nodes, s; S may be larger than the number of nodes.
+        nodes: (S,) ascending within each block.
+        starts: (B + 1,) where each block's nodes begin.
+        levels: (Q,) of the quantiles, ascending.
+        least: total below which a block counts as unobserved, s.
+        unknown: distance of an unobserved block's quantiles and mean below its lowest node.
+        out: (n, B (Q + 2)) receives block by block the quantiles, the mean, the evidence.
+    """
+    quantiles = levels.size
+    for i in range(sums.shape[0]):
+        column = 0
+        for b in range(starts.size - 1):
+            first, end = starts[b], starts[b + 1]
+            total, moment = 0.0, 0.0
+            for k in range(first, end):
+                weight = max(sums[i, k], 0.0)
+                total += weight
+                moment += weight * nodes[k]
+            out[i, column + quantiles + 1] = math.log1p(10.0 * total)
+            if total < least:
+                for q in range(quantiles + 1):
+                    out[i, column + q] = nodes[first] - unknown
+                column += quantiles + 2
+                continue
+            out[i, column + quantiles] = moment / total
+            q, below = 0, 0.0
+            for k in range(first, end):
+                weight = sums[i, k]
+                if not weight > 0.0 or below + weight < levels[q] * total:
+                    below += max(weight, 0.0)
+                    continue
+                low = nodes[k] if k == first else 0.5 * (nodes[k - 1] + nodes[k])
+                high = nodes[k] if k == end - 1 else 0.5 * (nodes[k] + nodes[k + 1])
+                while q < quantiles and below + weight >= levels[q] * total:
+                    share = (levels[q] * total - below) / weight
+                    out[i, column + q] = low + share * (high - low)
+                    q += 1
+                if q == quantiles:
+                    break
+                below += weight
+            while q < quantiles:  # rounding: the last share of the total
+                out[i, column + q] = nodes[end - 1]
+                q += 1
+            column += quantiles + 2
+
+
+@compiled
+def infer_law(
+    sums: FloatArray, weight: float, prior: FloatArray, prior_target: FloatArray, out: FloatArray
+) -> None:
+    """Posterior means, deviations and residual; see `graphrqi.features.following_law.infer`.
+
+    The symmetric 3 x 3 matrices are inverted by cofactors.
+
+    Args:
+        sums: (n, 11) products.
+        weight: one over the noise's variance.
+        prior: (3,) one over the prior's variances.
+        prior_target: (3,) the prior's means times ``prior``.
+        out: (n, 7) receives the numbers.
+    """
+    for i in range(sums.shape[0]):
+        r, s, t, u, w, x = sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3], sums[i, 4], sums[i, 5]
+        p, q, z = sums[i, 6], sums[i, 7], sums[i, 8]
+        a, b, c = weight * r + prior[0], weight * s, weight * t
+        d, e, f = weight * u + prior[1], weight * w, weight * x + prior[2]
+        aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
+        dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
+        determinant = a * aa + b * bb + c * cc
+        aa, bb, cc = aa / determinant, bb / determinant, cc / determinant
+        dd, ee, ff = dd / determinant, ee / determinant, ff / determinant
+        g = weight * p + prior_target[0]
+        h = weight * q + prior_target[1]
+        k = weight * z + prior_target[2]
+        first = aa * g + bb * h + cc * k
+        second = bb * g + dd * h + ee * k
+        third = cc * g + ee * h + ff * k
+        square = (
+            first * (r * first + s * second + t * third)
+            + second * (s * first + u * second + w * third)
+            + third * (t * first + w * second + x * third)
+        )
+        error = sums[i, 9] - 2.0 * (first * p + second * q + third * z) + square
+        out[i, 0], out[i, 1], out[i, 2] = first, second, third
+        out[i, 3], out[i, 4], out[i, 5] = math.sqrt(aa), math.sqrt(dd), math.sqrt(ff)
+        out[i, 6] = math.sqrt(max(error, 0.0) / max(sums[i, 10], 1.0))
