@@ -28,7 +28,8 @@ from behaviors.errors import InputError, lookup
 from experiments.benches.contract import Bench, option
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
-from graphrqi.spectrum.contract import End, Solver, answer, check_arguments, null_space
+from graphrqi.spectrum.contract import Pairs, Problem, Solver, check_arguments, eigensolver
+from graphrqi.spectrum.subspaces import End, null_space
 
 Floats: TypeAlias = NDArray[np.float64]
 Row: TypeAlias = dict[str, Any]
@@ -128,37 +129,18 @@ def graph_sequence(
             yield graph
 
 
-def dsyevr(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """LAPACK's dsyevr for a range of indices: a rival that keeps nothing.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs.
-        end: "largest" or "smallest".
-        previous: not used.
-        tol: what the answer is judged by.
-        nonzero: leave out the null space.
-
-    Returns:
-        The pairs, not certified.
-    """
+@eigensolver()
+def dsyevr(problem: Problem) -> Pairs:
+    """LAPACK's dsyevr for a range of indices: a rival that keeps nothing."""
     from scipy.linalg import eigh
 
-    d = graph.ids.size
-    zeros = null_space(graph).shape[1] if nonzero else 0
-    k = min(num_pairs, d - zeros)
-    span = (d - k, d - 1) if end == "largest" else (zeros, zeros + k - 1)
-    values, vectors = eigh(graph.laplacian.toarray(), subset_by_index=span, driver="evr")
-    if end == "largest":
+    d, k, zeros = problem.graph.ids.size, problem.num_pairs, problem.null.shape[1]
+    span = (d - k, d - 1) if problem.end == "largest" else (zeros, zeros + k - 1)
+    matrix = problem.graph.laplacian.toarray()
+    values, vectors = eigh(matrix, subset_by_index=span, driver="evr")
+    if problem.end == "largest":
         values, vectors = values[::-1], vectors[:, ::-1]
-    return answer(graph, values, vectors, end, tol, complete=False)
+    return Pairs(values, vectors)
 
 
 def run_spectrum_bench(

@@ -1,27 +1,40 @@
 """What every eigenvalue solver takes and returns.
 
 A solver answers: of the Laplacian of this traffic graph, the ``num_pairs`` eigenpairs at the
-largest or the smallest end, perhaps starting from an earlier answer.
+largest or the smallest end, perhaps starting from an earlier answer. `eigensolver` makes one of a
+function that only has to find the pairs.
 """
 
 from __future__ import annotations
 
+import html
 import math
-from dataclasses import dataclass, field
-from typing import Literal, Protocol, TypeAlias, get_args
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum.subspaces import (
+    End,
+    Floats,
+    dense_pairs,
+    laplacian_scale,
+    null_space,
+    pick,
+    starting_block,
+)
 
-End: TypeAlias = Literal["largest", "smallest"]
+if TYPE_CHECKING:
+    import pandas as pd
+
 ENDS = get_args(End)
-Floats: TypeAlias = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Spectrum:
     """Eigenpairs of a traffic graph's Laplacian.
 
@@ -36,7 +49,7 @@ class Spectrum:
             was not shown.
         graph: the graph the pairs belong to.
         end: which end of the spectrum.
-        note: what the solver has to say about this answer, such as that it fell back; or "".
+        note: the solver's remark on this answer, such as that it fell back; or "".
         carried: what the same solver needs for its next step; None for most.
     """
 
@@ -45,15 +58,64 @@ class Spectrum:
     eigenvectors: Floats
     residuals: Floats
     certified: bool
-    graph: TrafficGraph = field(repr=False)
+    graph: TrafficGraph
     end: End = "largest"
     note: str = ""
-    carried: object = field(default=None, repr=False)
+    carried: object = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
         for array in (self.eigenvalues, self.eigenvectors, self.residuals):
             array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        """How many pairs of how many vehicles, from where, and how far they can be trusted."""
+        k, d = self.eigenvalues.size, self.ids.size
+        parts = [f"{k} pair{'s' * (k != 1)} at the {self.end} end"]
+        if k:
+            parts[0] += f", eigenvalues {self.eigenvalues[0]:.6g} to {self.eigenvalues[-1]:.6g}"
+        parts.append(f"{d} vehicle{'s' * (d != 1)}")
+        if d:
+            parts[-1] += f" with ids {self.ids.min()} to {self.ids.max()}"
+        parts.append("certified" if self.certified else "not certified")
+        if k:
+            parts.append(f"residuals up to {self.residuals.max():.0e}")
+        if self.note:
+            parts.append(f"note: {self.note:.120}")
+        return f"Spectrum({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        """A table of the first pairs, for notebooks."""
+        shown = 10
+        lines = "".join(
+            f"<tr><td>{i + 1}</td><td>{value:.6g}</td><td>{residual:.0e}</td></tr>"
+            for i, (value, residual) in enumerate(
+                zip(self.eigenvalues[:shown], self.residuals[:shown], strict=True)
+            )
+        )
+        if self.eigenvalues.size > shown:
+            lines += f"<tr><td colspan=3>and {self.eigenvalues.size - shown} more</td></tr>"
+        head = "<tr><th>pair</th><th>eigenvalue</th><th>residual</th></tr>"
+        return f"<table><caption>{html.escape(repr(self))}</caption>{head}{lines}</table>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Table of the eigenvectors: a row per vehicle, a column per pair.
+
+        Returns:
+            Rows indexed by vehicle id (``id``), columns by eigenvalue (``eigenvalue``).
+
+        Raises:
+            InputError: if pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise InputError("pandas: found none, expected it: pip install pandas") from error
+        return pd.DataFrame(
+            np.array(self.eigenvectors),
+            index=pd.Index(np.array(self.ids), name="id"),
+            columns=pd.Index(np.array(self.eigenvalues), name="eigenvalue"),
+        )
 
 
 class Solver(Protocol):
@@ -108,167 +170,136 @@ def check_arguments(num_pairs: int, end: str, tol: float) -> None:
         raise InputError(f"tol: found {tol!r}, expected a positive number")
 
 
-def null_space(graph: TrafficGraph) -> Floats:
-    """Exact orthonormal basis of the Laplacian's null space.
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """What an algorithm found.
 
-    Args:
-        graph: d vehicles in c connected components.
-
-    Returns:
-        (d, c) indicator of each component over the square root of its size.
-
-    Examples:
-        >>> null_space(TrafficGraph.from_edges([1, 2, 3], [(1, 2)])).round(3).tolist()
-        [[0.707, 0.0], [0.707, 0.0], [0.0, 1.0]]
-    """
-    labels = components(graph)
-    sizes = np.bincount(labels)
-    basis = np.zeros((labels.size, sizes.size))
-    basis[np.arange(labels.size), labels] = 1.0 / np.sqrt(sizes[labels])
-    return basis
-
-
-def components(graph: TrafficGraph) -> NDArray[np.int32]:
-    """Number of the connected component of every vehicle.
-
-    Args:
-        graph: d vehicles.
-
-    Returns:
-        (d,) from 0, in the order of each component's first row.
-    """
-    from graphrqi.spectrum.certified import factorization
-
-    return factorization.order_rows(graph.indptr, graph.indices)[1]
-
-
-def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None = None) -> Floats:
-    """Eigenvectors of an earlier answer with the rows of a later graph, by vehicle id.
-
-    Args:
-        previous: the earlier answer.
-        graph: d vehicles.
-        vectors: (c, m) other columns over the earlier answer's vehicles; its eigenvectors if
-            not given.
-
-    Returns:
-        (d, m) the columns; rows of new vehicles are 0.
-    """
-    old = previous.eigenvectors if vectors is None else vectors
-    rows = np.zeros((graph.ids.size, old.shape[1]))
-    place = previous.graph.rows_of(graph.ids)
-    rows[place >= 0] = old[place[place >= 0]]
-    return rows
-
-
-def starting_block(
-    graph: TrafficGraph, size: int, previous: Spectrum | None, outside: Floats | None
-) -> Floats:
-    """Orthonormal columns to start an iteration from.
-
-    Args:
-        graph: d vehicles.
-        size: number of columns, at most d less the columns of ``outside``.
-        previous: earlier answer whose eigenvectors come first.
-        outside: (d, c) orthonormal columns the block must be orthogonal to.
-
-    Returns:
-        (d, size) the earlier eigenvectors by vehicle id, filled up with normal noise (of a fixed
-        seed: the same call gives the same block).
-    """
-    noise = np.random.default_rng(graph.ids.size).normal(size=(graph.ids.size, size))
-    if previous is not None:
-        known = carry_rows(previous, graph)[:, :size]
-        noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
-    if outside is not None:
-        noise -= outside @ (outside.T @ noise)
-    block, _ = np.linalg.qr(noise)
-    return block
-
-
-def rayleigh_ritz(graph: TrafficGraph, basis: Floats, end: End) -> tuple[Floats, Floats]:
-    """Best approximations to eigenpairs from a subspace.
-
-    Args:
-        graph: d vehicles.
-        basis: (d, m) orthonormal columns.
-        end: order of the answer.
-
-    Returns:
-        (m,) Ritz values and (d, m) Ritz vectors, in the order of the end.
-    """
-    values, turn = np.linalg.eigh(basis.T @ (graph.laplacian @ basis))
-    order = pick(values, values.size, end)
-    return values[order], basis @ turn[:, order]
-
-
-def answer(
-    graph: TrafficGraph,
-    eigenvalues: Floats,
-    eigenvectors: Floats,
-    end: End,
-    tol: float,
-    complete: bool,
-    note: str = "",
-    carried: object = None,
-) -> Spectrum:
-    """Measure residuals and orthogonality and make a Spectrum of them.
-
-    Args:
-        graph: d vehicles.
-        eigenvalues: (k,) in the order of the end.
-        eigenvectors: (d, k).
-        end: which end they are from.
-        tol: residuals up to tol * max(1, lambda_max) count as converged.
+    Attributes:
+        values: (k,) in the order of the end.
+        vectors: (d, k).
         complete: it is known that no eigenvalue was missed, provided the pairs are converged
             and orthonormal.
-        note: remark of the solver.
-        carried: what the solver needs for its next step.
+        note: remark on this answer.
+        carried: what the algorithm needs for its next step.
+    """
+
+    values: Floats
+    vectors: Floats
+    complete: bool = False
+    note: str = ""
+    carried: object = None
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A request for eigenpairs whose arguments are right.
+
+    Attributes:
+        graph: d vehicles.
+        num_pairs: k, how many pairs are wanted; so many exist.
+        end: "largest" or "smallest".
+        previous: an earlier answer to start from, perhaps of other vehicles.
+        tol: residual asked for, relative to ``scale``.
+        nonzero: whether the null space is left out.
+        null: (d, c) orthonormal basis of what is left out; no columns if nothing is.
+    """
+
+    graph: TrafficGraph
+    num_pairs: int
+    end: End
+    previous: Spectrum | None
+    tol: float
+    nonzero: bool
+    null: Floats
+
+    @property
+    def scale(self) -> float:
+        """Size of the Laplacian: max(1, largest degree), at least half of lambda_max."""
+        return laplacian_scale(self.graph)
+
+    def starting_block(self) -> Floats:
+        """(d, k) orthonormal columns outside ``null``: the earlier vectors, or noise."""
+        return starting_block(self.graph, self.num_pairs, self.previous, self.null)
+
+    def chosen(self, values: Floats, vectors: Floats) -> tuple[Floats, Floats]:
+        """Those of the given pairs that are wanted, in the order of the end."""
+        wanted = pick(values, self.num_pairs, self.end)
+        return values[wanted], vectors[:, wanted]
+
+    def dense(self, note: str = "") -> Pairs:
+        """The answer of LAPACK's dense symmetric solver."""
+        found = dense_pairs(self.graph, self.null)
+        return Pairs(*self.chosen(*found), complete=True, note=note)
+
+
+def eigensolver(
+    dense_share: int | None = None,
+) -> Callable[[Callable[[Problem], Pairs]], Solver]:
+    """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`.
+
+    The solver checks its arguments, works out the null space to leave out, measures residuals and
+    orthogonality of what the function finds, and says whether that is certified.
+
+    Args:
+        dense_share: answer with a dense solution where no pair is left, or where this many times
+            the pairs wanted (and the null space left out) are d or more; None for never.
+
+    Returns:
+        The decorator.
+    """
+
+    def decorate(find: Callable[[Problem], Pairs]) -> Solver:
+        def solve(
+            graph: TrafficGraph,
+            num_pairs: int = 8,
+            end: End = "largest",
+            previous: Spectrum | None = None,
+            tol: float = 1e-8,
+            nonzero: bool = False,
+        ) -> Spectrum:
+            check_arguments(num_pairs, end, tol)
+            d = graph.ids.size
+            null = null_space(graph) if nonzero else np.zeros((d, 0))
+            k = min(num_pairs, d - null.shape[1])
+            problem = Problem(graph, k, end, previous, tol, nonzero, null)
+            if dense_share is not None and (k < 1 or dense_share * k + null.shape[1] >= d):
+                pairs = problem.dense()
+            else:
+                pairs = find(problem)
+            return answer(graph, pairs, end, tol)
+
+        solve.__name__, solve.__qualname__ = find.__name__, find.__qualname__
+        solve.__module__, solve.__doc__ = find.__module__, find.__doc__
+        return solve
+
+    return decorate
+
+
+def answer(graph: TrafficGraph, pairs: Pairs, end: End, tol: float) -> Spectrum:
+    """Measure residuals and orthogonality and make a Spectrum of pairs.
+
+    Args:
+        graph: d vehicles.
+        pairs: what was found.
+        end: which end they are from.
+        tol: residuals up to tol * max(1, lambda_max) count as converged.
 
     Returns:
         The answer, certified if converged, orthonormal and complete.
     """
-    applied = graph.laplacian @ eigenvectors
-    residuals = np.linalg.norm(applied - eigenvectors * eigenvalues, axis=0)
-    gram = eigenvectors.T @ eigenvectors
-    orthonormal = bool(np.abs(gram - np.eye(eigenvalues.size)).max(initial=0.0) <= 1e-10)
-    converged = bool(residuals.max(initial=0.0) <= tol * max(1.0, lambda_max_floor(graph)))
+    values, vectors = pairs.values, pairs.vectors
+    residuals = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
+    gram = vectors.T @ vectors
+    orthonormal = bool(np.abs(gram - np.eye(values.size)).max(initial=0.0) <= 1e-10)
+    converged = bool(residuals.max(initial=0.0) <= tol * laplacian_scale(graph))
     return Spectrum(
         graph.ids,
-        eigenvalues,
-        eigenvectors,
+        values,
+        vectors,
         residuals,
-        complete and orthonormal and converged,
+        pairs.complete and orthonormal and converged,
         graph,
         end,
-        note,
-        carried,
+        pairs.note,
+        pairs.carried,
     )
-
-
-def lambda_max_floor(graph: TrafficGraph) -> float:
-    """A lower bound on the largest eigenvalue, within a factor 2 of it.
-
-    Args:
-        graph: d vehicles.
-
-    Returns:
-        The largest vertex degree (x^T L x of that vertex), 0 without vehicles. The largest
-        eigenvalue is at most twice that (Gershgorin).
-    """
-    return float(graph.values.max(initial=0.0))  # every other entry is negative
-
-
-def pick(values: Floats, num_pairs: int, end: End) -> NDArray[np.intp]:
-    """Positions of the pairs asked for, in the order they are answered in.
-
-    Args:
-        values: (d,) eigenvalues in any order.
-        num_pairs: how many.
-        end: which end.
-
-    Returns:
-        (min(num_pairs, d),) positions.
-    """
-    order = np.argsort(values, kind="stable")
-    return (order[::-1] if end == "largest" else order)[:num_pairs]

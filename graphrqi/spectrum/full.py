@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import Floats, Spectrum, answer, components, lambda_max_floor
+from graphrqi.spectrum.contract import Pairs, Spectrum, answer
+from graphrqi.spectrum.subspaces import Floats, components, laplacian_scale
 
 
 def full_spectrum(graph: TrafficGraph, tol: float = 1e-8) -> Spectrum:
@@ -30,7 +31,8 @@ def full_spectrum(graph: TrafficGraph, tol: float = 1e-8) -> Spectrum:
     """
     values, vectors, null = pairs_by_component(graph)
     values = np.concatenate([np.zeros(null.shape[1]), values])
-    return answer(graph, values, np.hstack([null, vectors]), "smallest", tol, complete=True)
+    pairs = Pairs(values, np.hstack([null, vectors]), complete=True)
+    return answer(graph, pairs, "smallest", tol)
 
 
 def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:
@@ -50,7 +52,7 @@ def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:
     values = np.zeros(d - count)
     vectors = np.zeros((d, d - count))
     laplacian = graph.laplacian
-    above = 4.0 * max(1.0, lambda_max_floor(graph))
+    above = 4.0 * laplacian_scale(graph)
     order = np.argsort(labels, kind="stable")
     bounds = np.searchsorted(labels[order], np.arange(count + 1))
     done = 0

@@ -23,8 +23,9 @@ from experiments.benches.spectrum import (
 )
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, certify, full_spectrum, topology
-from graphrqi.spectrum.contract import End, Spectrum, null_space
+from graphrqi.spectrum.contract import Spectrum
 from graphrqi.spectrum.rivals import exact
+from graphrqi.spectrum.subspaces import End, null_space
 
 RIGHT = ("graphrqi", "graphrqi-exact", "eigh", "svd")
 """Solvers that promise every answer."""

@@ -45,20 +45,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import (
+from graphrqi.spectrum.contract import Pairs, Spectrum, answer, check_arguments
+from graphrqi.spectrum.full import pairs_by_component
+from graphrqi.spectrum.rivals import arpack
+from graphrqi.spectrum.subspaces import (
     End,
     Floats,
-    Spectrum,
-    answer,
     carry_rows,
-    check_arguments,
     components,
-    lambda_max_floor,
+    dense_pairs,
+    laplacian_scale,
     null_space,
     pick,
 )
-from graphrqi.spectrum.full import pairs_by_component
-from graphrqi.spectrum.rivals import arpack, eigh
 
 DENSE_BELOW = 32
 """Vehicles below which a dense solution is faster (measured)."""
@@ -140,10 +139,10 @@ def solve(
     check_arguments(num_pairs, end, tol)
     d = graph.ids.size
     if d < DENSE_BELOW:
-        values, vectors = eigh.dense_pairs(graph, nonzero)
+        values, vectors = dense_pairs(graph, null_space(graph) if nonzero else None)
         chosen = pick(values, num_pairs, end)
         kept = vectors[:, chosen]
-        return answer(graph, values[chosen], kept, end, tol, True, "", Found(kept))
+        return answer(graph, Pairs(values[chosen], kept, True, "", Found(kept)), end, tol)
     if DENSE_SHARE * num_pairs >= d:
         return _dense(graph, num_pairs, end, tol, nonzero, "")
     warm = previous if previous is not None and previous.end == end else None
@@ -184,7 +183,7 @@ def _track(
         return None
     if k == 0:
         null, carried = null_space(graph)[:, :zeros], Found(np.empty((d, 0)))
-        return answer(graph, np.zeros(zeros), null, end, tol, True, "", carried)
+        return answer(graph, Pairs(np.zeros(zeros), null, True, "", carried), end, tol)
     fill = (analysis.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
     first_fill = fill if start.order is None else start.fill
     order = analysis.order if fill <= STALE * first_fill else None
@@ -238,11 +237,11 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
 
     graph = spectrum.graph
     values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
-    measured = answer(graph, values, vectors, spectrum.end, tol, True, spectrum.note)
+    measured = answer(graph, Pairs(values, vectors, True, spectrum.note), spectrum.end, tol)
     k, d = values.size, graph.ids.size
     if not measured.certified or k == 0:
         return measured
-    scale = max(1.0, lambda_max_floor(graph))
+    scale = laplacian_scale(graph)
     analysis = tracking.analyse(graph)
     if analysis.work > MAX_WORK:
         return replace(measured, certified=False)
@@ -275,9 +274,8 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
             same = int((values < s).sum()) == d - int(n) - zeros
             beyond = s - error >= last - delta
         complete = complete or (same and bool(beyond))
-    return answer(
-        graph, values, vectors, spectrum.end, tol, complete, spectrum.note, spectrum.carried
-    )
+    pairs = Pairs(values, vectors, complete, spectrum.note, spectrum.carried)
+    return answer(graph, pairs, spectrum.end, tol)
 
 
 def _null_space_cosine(graph: TrafficGraph, vectors: Floats) -> float:
@@ -334,15 +332,13 @@ def _dense(
     graph: TrafficGraph, num_pairs: int, end: End, tol: float, nonzero: bool, note: str
 ) -> Spectrum:
     values, vectors, null = pairs_by_component(graph)
-    carried = Found(np.empty((graph.ids.size, 0)))
     if not nonzero:
         values = np.concatenate([np.zeros(null.shape[1]), values])
         vectors = np.hstack([null, vectors])
     if end == "largest":
         values, vectors = values[::-1], vectors[:, ::-1]
     values, vectors = values[:num_pairs].copy(), vectors[:, :num_pairs].copy()
-    carried = Found(vectors)
-    return answer(graph, values, vectors, end, tol, True, note, carried)
+    return answer(graph, Pairs(values, vectors, True, note, Found(vectors)), end, tol)
 
 
 def _fall_back(
@@ -351,17 +347,5 @@ def _fall_back(
     if graph.ids.size <= DENSE_UP_TO:
         return _dense(graph, num_pairs, end, tol, nonzero, "fell back on a dense solution")
     found = arpack.solve(graph, num_pairs, end, None, tol, nonzero)
-    return certify(
-        Spectrum(
-            found.ids,
-            found.eigenvalues,
-            found.eigenvectors,
-            found.residuals,
-            False,
-            graph,
-            end,
-            "fell back on ARPACK",
-            Found(found.eigenvectors),
-        ),
-        tol,
-    )
+    carried = Found(found.eigenvectors)
+    return certify(replace(found, note="fell back on ARPACK", carried=carried), tol)

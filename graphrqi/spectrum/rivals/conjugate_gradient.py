@@ -17,18 +17,8 @@ from __future__ import annotations
 import numpy as np
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import (
-    End,
-    Floats,
-    Spectrum,
-    answer,
-    check_arguments,
-    lambda_max_floor,
-    null_space,
-    rayleigh_ritz,
-    starting_block,
-)
-from graphrqi.spectrum.rivals import eigh
+from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
+from graphrqi.spectrum.subspaces import Floats, null_space, rayleigh_ritz, starting_block
 
 MAX_OUTER = 20
 """Inverse iterations before giving up (our choice)."""
@@ -36,55 +26,29 @@ MAX_PRODUCTS = 200
 """Products with L per system before going on with what there is (our choice)."""
 
 
-def solve(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """Run block inverse iteration from the earlier vectors.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs, at most d are returned.
-        end: "largest" or "smallest".
-        previous: earlier answer, its vectors are the start.
-        tol: residual asked for, relative to max(1, lambda_max).
-        nonzero: leave out the null space.
-
-    Returns:
-        The Ritz pairs, converged or not; not certified, except where half of all pairs or more
-        were asked for and the answer is `graphrqi.spectrum.rivals.eigh`'s.
-
-    Raises:
-        InputError: for an argument out of range.
-    """
-    check_arguments(num_pairs, end, tol)
-    d = graph.ids.size
-    null = null_space(graph)
-    known = null[:, :num_pairs] if end == "smallest" and not nonzero else null[:, :0]
-    k = min(num_pairs, d - null.shape[1] if nonzero or end == "smallest" else d) - known.shape[1]
-    if 2 * num_pairs >= d:
-        return eigh.solve(graph, num_pairs, end, previous, tol, nonzero)
-    values, vectors = np.zeros(0), np.zeros((d, 0))
-    scale = max(1.0, lambda_max_floor(graph))
+@eigensolver(dense_share=2)
+def solve(problem: Problem) -> Pairs:
+    """Run block inverse iteration from the earlier vectors, converged or not."""
+    graph, end = problem.graph, problem.end
+    smallest = end == "smallest"
+    null = null_space(graph) if smallest else problem.null
+    known = null[:, : 0 if problem.nonzero or not smallest else problem.num_pairs]
+    k = min(problem.num_pairs, graph.ids.size - null.shape[1]) - known.shape[1]
+    values, vectors = np.zeros(0), np.zeros((graph.ids.size, 0))
     iterations = 0
     if k > 0:
-        outside = null if end == "smallest" or nonzero else None
-        block = starting_block(graph, k, previous, outside)
+        outside = null if smallest or problem.nonzero else None
+        block = starting_block(graph, k, problem.previous, outside)
         values, vectors = rayleigh_ritz(graph, block, end)
-        shift = 0.0 if end == "smallest" else 2.0 * scale * (1.0 + 1e-6)
+        shift = 0.0 if smallest else 2.0 * problem.scale * (1.0 + 1e-6)
         for iterations in range(1, MAX_OUTER + 1):  # noqa: B007  (reported below)
             error = graph.laplacian @ vectors - vectors * values
-            if np.linalg.norm(error, axis=0).max() <= tol * scale:
+            if np.linalg.norm(error, axis=0).max() <= problem.tol * problem.scale:
                 break
             block = _solve_systems(graph, shift, vectors, outside)
             values, vectors = rayleigh_ritz(graph, np.linalg.qr(block)[0], end)
     values = np.concatenate([np.zeros(known.shape[1]), values])
-    note = f"{iterations} inverse iterations"
-    return answer(graph, values, np.hstack([known, vectors]), end, tol, False, note)
+    return Pairs(values, np.hstack([known, vectors]), note=f"{iterations} inverse iterations")
 
 
 def _solve_systems(

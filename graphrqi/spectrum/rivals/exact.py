@@ -16,6 +16,14 @@ step in the complement (deflation); the iteration stops on its residual.
 Assumes that the vehicles of the earlier graph are all still there (else it restarts from a dense
 solution) and that few edges changed. Costs O(d p^2) for each of d pairs and O(d^3) for the
 back-transformation with d^2 memory: asymptotically no better than solving anew.
+
+Examples:
+    >>> from graphrqi.graph import TrafficGraph
+    >>> first = solve(TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4)]))
+    >>> longer = TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4), (1, 3)])
+    >>> second = solve(longer, 4, previous=first)
+    >>> bool(abs(second.eigenvalues - [4, 3, 1, 0]).max() < 1e-12)
+    True
 """
 
 from __future__ import annotations
@@ -25,19 +33,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.graph import TrafficGraph, change_between
-from graphrqi.spectrum.contract import (
-    End,
-    Floats,
-    Spectrum,
-    answer,
-    check_arguments,
-    lambda_max_floor,
-    null_space,
-    pick,
-    rayleigh_ritz,
-)
-from graphrqi.spectrum.rivals.eigh import dense_pairs
+from graphrqi.graph import change_between
+from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
+from graphrqi.spectrum.subspaces import Floats, dense_pairs, pick, rayleigh_ritz
 
 MAX_ITERATIONS = 8
 """Rayleigh-quotient iterations per pair; they converge cubically (our choice)."""
@@ -62,87 +60,49 @@ class AllPairs:
     vectors: Floats
 
 
-def solve(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """Update all pairs of ``previous`` to this graph and return those asked for.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs, at most d are returned.
-        end: "largest" or "smallest".
-        previous: this solver's last answer; any other is answered from a dense solution.
-        tol: residual asked for, relative to max(1, lambda_max).
-        nonzero: leave out the null space.
-
-    Returns:
-        The pairs; complete, because all d are kept. ``carried`` holds all of them.
-
-    Raises:
-        InputError: for an argument out of range.
-
-    Examples:
-        >>> first = solve(TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4)]))
-        >>> longer = TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4), (1, 3)])
-        >>> second = solve(longer, 4, previous=first)
-        >>> bool(abs(second.eigenvalues - [4, 3, 1, 0]).max() < 1e-12)
-        True
-    """
-    check_arguments(num_pairs, end, tol)
-    goal = 0.1 * tol * max(1.0, lambda_max_floor(graph))
-    note = "solved anew: no earlier answer of this solver"
-    pairs: tuple[Floats, Floats] | None = None
-    if previous is not None and isinstance(previous.carried, AllPairs):
-        before = previous.graph
-        change = change_between(before, graph)
-        kept = np.array_equal(graph.ids[: before.ids.size], before.ids)
-        if not kept:
-            note = "solved anew: vehicles departed or changed their order"
-        elif len(change.edges) > RESTART_EDGES * graph.ids.size**0.5:
-            note = f"solved anew: {len(change.edges)} edges changed"
-        else:
-            order = np.argsort(graph.ids)
-            ends = order[np.searchsorted(graph.ids[order], change.edges)]
-            values, vectors, finished = _update(
-                previous.carried.values,
-                previous.carried.vectors,
-                graph.ids.size,
-                ends,
-                change.weights,
-                goal,
-            )
-            pairs = values, vectors
-            if finished < values.size:
-                note = f"{values.size - finished} of {values.size} pairs by Rayleigh-Ritz"
-            else:
-                note = ""
-            drift = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
-            if drift.max(initial=0.0) > 10.0 * goal:
-                pairs, note = None, "solved anew: rounding errors had built up"
-    if pairs is None:
-        pairs = dense_pairs(graph, False)
-    values, vectors = pairs
-    if nonzero:
-        null = null_space(graph)
+@eigensolver()
+def solve(problem: Problem) -> Pairs:
+    """Update all pairs of this solver's last answer to this graph; ``carried`` holds all."""
+    pairs, note = _updated(problem)
+    values, vectors = dense_pairs(problem.graph) if pairs is None else pairs
+    kept = AllPairs(values, vectors)
+    if problem.nonzero:
+        null, end = problem.null, problem.end
         outside, _ = np.linalg.qr(np.hstack([null, vectors[:, pick(-values, values.size, end)]]))
-        values, vectors = rayleigh_ritz(graph, outside[:, null.shape[1] :], end)
-    chosen = pick(values, num_pairs, end)
-    return answer(graph, values[chosen], vectors[:, chosen], end, tol, True, note, AllPairs(*pairs))
+        values, vectors = rayleigh_ritz(problem.graph, outside[:, null.shape[1] :], end)
+    return Pairs(*problem.chosen(values, vectors), complete=True, note=note, carried=kept)
+
+
+def _updated(problem: Problem) -> tuple[tuple[Floats, Floats] | None, str]:
+    """All pairs, updated from the earlier answer; None if that cannot be done, and a remark."""
+    graph, previous = problem.graph, problem.previous
+    d = graph.ids.size
+    if previous is None or not isinstance(previous.carried, AllPairs):
+        return None, "solved anew: no earlier answer of this solver"
+    before = previous.graph
+    if not np.array_equal(graph.ids[: before.ids.size], before.ids):
+        return None, "solved anew: vehicles departed or changed their order"
+    change = change_between(before, graph)
+    if len(change.edges) > RESTART_EDGES * d**0.5:
+        return None, f"solved anew: {len(change.edges)} edges changed"
+    goal = 0.1 * problem.tol * problem.scale
+    order = np.argsort(graph.ids)
+    ends = order[np.searchsorted(graph.ids[order], change.edges)]
+    values, vectors, finished = _update(previous.carried, d, ends, change.weights, goal)
+    drift = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
+    if drift.max(initial=0.0) > 10.0 * goal:
+        return None, "solved anew: rounding errors had built up"
+    note = f"{d - finished} of {d} pairs by Rayleigh-Ritz" if finished < d else ""
+    return (values, vectors), note
 
 
 def _update(
-    values: Floats, vectors: Floats, d: int, ends: NDArray[np.int64], weights: Floats, goal: float
+    old: AllPairs, d: int, ends: NDArray[np.int64], weights: Floats, goal: float
 ) -> tuple[Floats, Floats, int]:
     """All eigenpairs after a change of p edges.
 
     Args:
-        values: (c,) old eigenvalues.
-        vectors: (c, c) old eigenvectors.
+        old: the c pairs before.
         d: vehicles now, the first c of them being the old ones.
         ends: (p, 2) rows joined by the changed edges.
         weights: (p,) their change of weight, not 0.
@@ -152,10 +112,10 @@ def _update(
         (d,) eigenvalues ascending, (d, d) eigenvectors, and how many converged to
         different vectors by themselves.
     """
-    c = values.size
-    spread = np.concatenate([values, np.zeros(d - c)])
+    c = old.values.size
+    spread = np.concatenate([old.values, np.zeros(d - c)])
     basis = np.eye(d)
-    basis[:c, :c] = vectors
+    basis[:c, :c] = old.vectors
     w = basis[ends[:, 0]].T - basis[ends[:, 1]].T  # (d, p) W^ = U^T W
     scale = max(1.0, float(np.abs(spread).max(initial=0.0)) + 2.0 * float(np.abs(weights).sum()))
     x = np.eye(d)  # column j is the iterate of pair j in the old eigenbasis

@@ -12,48 +12,25 @@ References:
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import End, Floats, Spectrum, check_arguments, pick
-from graphrqi.spectrum.rivals.low_rank import Tracked, carried_over, rank_needed, report, restart
+from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
+from graphrqi.spectrum.rivals.low_rank import carried_over, rank_needed, report, restart
+from graphrqi.spectrum.subspaces import Floats, pick
 
 
-def solve(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """Update the k pairs of this solver's last answer by the edges that changed.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs, at most d are returned.
-        end: "largest" or "smallest".
-        previous: this solver's last answer; else the start is exact.
-        tol: only what the answer is judged by.
-        nonzero: leave out the null space.
-
-    Returns:
-        Orthonormal vectors and the tracked values; never certified.
-
-    Raises:
-        InputError: for an argument out of range.
-    """
-    check_arguments(num_pairs, end, tol)
-    rank = rank_needed(graph, num_pairs, end, nonzero)
-    before = carried_over(previous, graph, rank, end)
+@eigensolver()
+def solve(problem: Problem) -> Pairs:
+    """Update the k pairs of this solver's last answer by the edges that changed."""
+    before = carried_over(problem)
     if before is None:
-        tracked, note = restart(graph, rank, end), "started from a dense solution"
-    else:
-        tracked, w, weights = before
-        values, vectors = fold_in(tracked.values, tracked.vectors, w, weights, rank)
-        tracked = Tracked(values, vectors, tracked.bound, tracked.base, tracked.base_loss)
-        note = ""
-    return report(graph, tracked, num_pairs, end, tol, nonzero, note)
+        return report(problem, restart(problem), "started from a dense solution")
+    tracked, w, weights = before
+    rank = rank_needed(problem)
+    values, vectors = fold_in(tracked.values, tracked.vectors, w, weights, rank)
+    return report(problem, replace(tracked, values=values, vectors=vectors), "")
 
 
 def fold_in(

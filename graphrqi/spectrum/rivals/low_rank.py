@@ -7,23 +7,19 @@ away from the k kept, so one more column per component is tracked).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from graphrqi.graph import TrafficGraph, change_between
-from graphrqi.spectrum.contract import (
-    End,
+from graphrqi.spectrum.contract import Pairs, Problem
+from graphrqi.spectrum.subspaces import (
     Floats,
-    Spectrum,
-    answer,
     carry_rows,
-    lambda_max_floor,
-    null_space,
+    dense_pairs,
     pick,
     rayleigh_ritz,
 )
-from graphrqi.spectrum.rivals import eigh
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,61 +41,37 @@ class Tracked:
     base_loss: float
 
 
-def rank_needed(graph: TrafficGraph, num_pairs: int, end: End, nonzero: bool) -> int:
-    """Columns to track so that the pairs asked for are among them.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: pairs asked for.
-        end: which end.
-        nonzero: leave out the null space.
-
-    Returns:
-        At most d.
-    """
-    extra = null_space(graph).shape[1] if nonzero and end == "smallest" else 0
-    return min(num_pairs + extra, graph.ids.size)
+def rank_needed(problem: Problem) -> int:
+    """Columns to track so that the pairs asked for are among them, at most d."""
+    return problem.num_pairs + (problem.null.shape[1] if problem.end == "smallest" else 0)
 
 
-def restart(graph: TrafficGraph, rank: int, end: End) -> Tracked:
-    """Exact pairs of this graph, to track from.
-
-    Args:
-        graph: d vehicles.
-        rank: columns to keep.
-        end: which end.
-
-    Returns:
-        The approximation with the smallest loss.
-    """
-    values, vectors = eigh.dense_pairs(graph, False)
-    bound = 4.0 * max(1.0, lambda_max_floor(graph)) if end == "smallest" else 0.0
+def restart(problem: Problem) -> Tracked:
+    """Exact pairs of this graph to track from: the approximation with the smallest loss."""
+    values, vectors = dense_pairs(problem.graph)
+    bound = 4.0 * problem.scale if problem.end == "smallest" else 0.0
     shifted = bound - values if bound else values
-    kept = pick(shifted, rank, "largest")
+    kept = pick(shifted, rank_needed(problem), "largest")
     loss = float((shifted**2).sum() - (shifted[kept] ** 2).sum())
-    return Tracked(shifted[kept], vectors[:, kept], bound, graph, loss)
+    return Tracked(shifted[kept], vectors[:, kept], bound, problem.graph, loss)
 
 
-def carried_over(
-    previous: Spectrum | None, graph: TrafficGraph, rank: int, end: End
-) -> tuple[Tracked, Floats, Floats] | None:
+def carried_over(problem: Problem) -> tuple[Tracked, Floats, Floats] | None:
     """The earlier approximation with this graph's rows, and how M changed since.
 
     Args:
-        previous: the earlier answer.
-        graph: d vehicles.
-        rank: columns needed.
-        end: which end.
+        problem: the graph, and the earlier answer.
 
     Returns:
         None if a restart is needed (no earlier answer of this method and end, too few columns,
         or a spectrum above the old bound). Else the approximation, (d, p) columns W and (p,)
         weights S such that M is the old M (bordered by zeros) + W diag(S) W^T.
     """
+    graph, previous = problem.graph, problem.previous
     old = None if previous is None else previous.carried
-    if previous is None or not isinstance(old, Tracked) or previous.end != end:
+    if previous is None or not isinstance(old, Tracked) or previous.end != problem.end:
         return None
-    if old.values.size < rank or (old.bound and old.bound < 2.0 * lambda_max_floor(graph)):
+    if old.values.size < rank_needed(problem) or (old.bound and old.bound < 2.0 * problem.scale):
         return None
     vectors = carry_rows(previous, graph, old.vectors)
     change = change_between(previous.graph, graph)
@@ -120,42 +92,18 @@ def carried_over(
     if old.bound and change.arrived.size:
         columns.append(np.eye(graph.ids.size)[:, np.isin(graph.ids, change.arrived)])
         sizes.append(np.full(change.arrived.size, old.bound))
-    tracked = Tracked(old.values, vectors, old.bound, old.base, old.base_loss)
+    tracked = replace(old, vectors=vectors)
     return tracked, np.hstack(columns), np.concatenate(sizes)
 
 
-def report(
-    graph: TrafficGraph,
-    tracked: Tracked,
-    num_pairs: int,
-    end: End,
-    tol: float,
-    nonzero: bool,
-    note: str,
-) -> Spectrum:
-    """Answer with the pairs asked for out of a tracked approximation.
-
-    Args:
-        graph: d vehicles.
-        tracked: the approximation of this graph.
-        num_pairs: pairs asked for.
-        end: which end.
-        tol: what the answer is judged by.
-        nonzero: leave out the null space.
-        note: remark.
-
-    Returns:
-        The answer, never certified.
-    """
+def report(problem: Problem, tracked: Tracked, note: str) -> Pairs:
+    """The pairs asked for out of a tracked approximation, which is carried on."""
+    graph, end = problem.graph, problem.end
     values = tracked.bound - tracked.values if tracked.bound else tracked.values
     vectors = tracked.vectors
-    if nonzero and end == "smallest":
-        null = null_space(graph)
+    if problem.nonzero and end == "smallest":
+        null = problem.null
         outside = vectors - null @ (null.T @ vectors)
         strongest = np.linalg.svd(outside, full_matrices=False)[0]
-        kept = min(num_pairs, vectors.shape[1] - null.shape[1])
-        values, vectors = rayleigh_ritz(graph, strongest[:, :kept], end)
-    chosen = pick(values, min(num_pairs, values.size), end)
-    if nonzero and end == "largest":
-        chosen = chosen[: graph.ids.size - null_space(graph).shape[1]]
-    return answer(graph, values[chosen], vectors[:, chosen], end, tol, False, note, tracked)
+        values, vectors = rayleigh_ritz(graph, strongest[:, : problem.num_pairs], end)
+    return Pairs(*problem.chosen(values, vectors), note=note, carried=tracked)

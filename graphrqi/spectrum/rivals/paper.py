@@ -21,17 +21,9 @@ from __future__ import annotations
 import numpy as np
 
 from graphrqi.graph import TrafficGraph, change_between
-from graphrqi.spectrum.contract import (
-    End,
-    Floats,
-    Spectrum,
-    answer,
-    check_arguments,
-    null_space,
-    pick,
-)
-from graphrqi.spectrum.rivals import eigh
+from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.rivals.exact import AllPairs
+from graphrqi.spectrum.subspaces import Floats, dense_pairs, null_space
 
 MAX_ITERATIONS = 5
 """Rayleigh-quotient iterations per pair and update (our choice; none is printed)."""
@@ -39,54 +31,36 @@ CHANGE = 1e-8
 """The printed eps: change of the unit vector at which the iteration ends (our choice of value)."""
 
 
-def solve(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """Update all pairs of ``previous`` by the printed formula and return those asked for.
+@eigensolver()
+def solve(problem: Problem) -> Pairs:
+    """Update all pairs of this solver's last answer by the printed formula.
 
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs, at most d are returned.
-        end: "largest" or "smallest".
-        previous: this solver's last answer; without it, or where vehicles departed, the start
-            is a dense solution.
-        tol: only what the answer is judged by.
-        nonzero: leave out as many of the smallest values as there are components.
-
-    Returns:
-        The pairs, of unit length but not orthogonal, with their residuals against the graph's
-        true Laplacian; certified only at a dense start.
-
-    Raises:
-        InputError: for an argument out of range.
+    Without such an answer, or where vehicles departed, it starts from a dense solution, which
+    alone can be certified. Where the null space is to be left out, as many of the smallest values
+    are as there are components.
     """
-    check_arguments(num_pairs, end, tol)
+    graph, previous = problem.graph, problem.previous
     pairs = None
     if previous is not None and isinstance(previous.carried, AllPairs):
         before = previous.graph
         if np.array_equal(graph.ids[: before.ids.size], before.ids):
             pairs = _follow(previous.carried, before, graph)
-    fresh = pairs is None
-    null = null_space(graph)
     if pairs is None:
-        values, vectors = eigh.dense_pairs(graph, True)
+        null = null_space(graph)
+        values, vectors = dense_pairs(graph, null)
         values = np.concatenate([np.zeros(null.shape[1]), values])
         vectors = np.hstack([null, vectors])
         order = np.arange(values.size)
     else:
         values, vectors = pairs
         order = np.argsort(values, kind="stable")
-    if nonzero:
-        order = order[null.shape[1] :]
-    chosen = order[pick(values[order], num_pairs, end)]
-    note = "solved anew" if fresh else ""
-    return answer(
-        graph, values[chosen], vectors[:, chosen], end, tol, fresh, note, AllPairs(values, vectors)
+    order = order[problem.null.shape[1] :]
+    fresh = pairs is None
+    return Pairs(
+        *problem.chosen(values[order], vectors[:, order]),
+        complete=fresh,
+        note="solved anew" if fresh else "",
+        carried=AllPairs(values, vectors),
     )
 
 

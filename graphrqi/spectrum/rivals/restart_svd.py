@@ -15,56 +15,31 @@ References:
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import End, Floats, Spectrum, check_arguments, pick
-from graphrqi.spectrum.rivals.low_rank import Tracked, carried_over, rank_needed, report, restart
+from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
+from graphrqi.spectrum.rivals.low_rank import Tracked, carried_over, report, restart
+from graphrqi.spectrum.subspaces import Floats, pick
 
 MARGIN = 0.01
 """Loss above the bound, relative to the bound, that calls for a restart; the authors try .01 to .2
 and we take their strictest."""
 
 
-def solve(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """Perturb the k pairs of this solver's last answer, or restart.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs, at most d are returned.
-        end: "largest" or "smallest".
-        previous: this solver's last answer; else the start is exact.
-        tol: only what the answer is judged by.
-        nonzero: leave out the null space.
-
-    Returns:
-        Orthonormal vectors and their values; never certified.
-
-    Raises:
-        InputError: for an argument out of range.
-    """
-    check_arguments(num_pairs, end, tol)
-    rank = rank_needed(graph, num_pairs, end, nonzero)
-    before = carried_over(previous, graph, rank, end)
-    tracked = restart(graph, rank, end) if before is None else None
-    note = "restarted"
+@eigensolver()
+def solve(problem: Problem) -> Pairs:
+    """Perturb the k pairs of this solver's last answer, or restart."""
+    before = carried_over(problem)
     if before is not None:
         old, w, weights = before
         values, vectors = perturb(old.values, old.vectors, w, weights)
-        moved = Tracked(values, vectors, old.bound, old.base, old.base_loss)
-        if drifted(graph, moved):
-            tracked = restart(graph, rank, end)
-        else:
-            tracked, note = moved, ""
-    assert tracked is not None
-    return report(graph, tracked, num_pairs, end, tol, nonzero, note)
+        moved = replace(old, values=values, vectors=vectors)
+        if not drifted(problem.graph, moved):
+            return report(problem, moved, "")
+    return report(problem, restart(problem), "restarted")
 
 
 def perturb(values: Floats, vectors: Floats, w: Floats, weights: Floats) -> tuple[Floats, Floats]:

@@ -15,66 +15,28 @@ from typing import Any
 
 import numpy as np
 
-from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import (
-    End,
-    Spectrum,
-    answer,
-    check_arguments,
-    lambda_max_floor,
-    null_space,
-    pick,
-)
-from graphrqi.spectrum.rivals import eigh
+from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 
 POWER_ITERATIONS = 5
 """scikit-learn's own default."""
 
 
-def solve(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """Approximate the pairs with ``sklearn.decomposition.TruncatedSVD``.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs, at most d are returned.
-        end: "largest" or "smallest".
-        previous: not used; the method has no warm start.
-        tol: only what the answer is judged by.
-        nonzero: leave out the null space.
-
-    Returns:
-        Orthonormal vectors with their Rayleigh quotients; never certified, except where every
-        pair was asked for and the answer is `graphrqi.spectrum.rivals.eigh`'s.
-
-    Raises:
-        InputError: for an argument out of range.
-    """
+@eigensolver(dense_share=2)
+def solve(problem: Problem) -> Pairs:
+    """Approximate the pairs with ``sklearn.decomposition.TruncatedSVD``; it has no warm start."""
     from scipy.sparse import eye_array
     from sklearn.decomposition import TruncatedSVD
 
-    check_arguments(num_pairs, end, tol)
-    d = graph.ids.size
-    null = null_space(graph) if nonzero else np.zeros((d, 0))
-    k = min(num_pairs, d - null.shape[1])
-    if k < 1 or 2 * k >= d:
-        return eigh.solve(graph, num_pairs, end, previous, tol, nonzero)
+    graph, k, null = problem.graph, problem.num_pairs, problem.null
     matrix: Any = graph.laplacian
-    if end == "smallest":
+    if problem.end == "smallest":
         # a little above the spectrum: at its edge a wanted pair would be 0 as the null space is
-        bound = 2.1 * max(1.0, lambda_max_floor(graph))
-        matrix = bound * eye_array(d, format="csr") - matrix
-        if nonzero:
+        bound = 2.1 * problem.scale
+        matrix = bound * eye_array(graph.ids.size, format="csr") - matrix
+        if problem.nonzero:
             matrix = matrix.toarray() - bound * null @ null.T
     with np.errstate(invalid="ignore"):  # it also divides by the variance, 0 without edges
         model = TruncatedSVD(k, n_iter=POWER_ITERATIONS, random_state=0).fit(matrix)
     vectors, _ = np.linalg.qr(model.components_.T)
     values = np.einsum("ij,ij->j", vectors, graph.laplacian @ vectors)
-    order = pick(values, k, end)
-    return answer(graph, values[order], vectors[:, order], end, tol, complete=False)
+    return Pairs(*problem.chosen(values, vectors))

@@ -1,0 +1,162 @@
+"""Pieces that eigenvalue algorithms of a graph's Laplacian are made of.
+
+Exact null space, dense solution, starting vectors, the Rayleigh-Ritz step, and bounds.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.graph import TrafficGraph
+
+if TYPE_CHECKING:
+    from graphrqi.spectrum.contract import Spectrum
+
+End: TypeAlias = Literal["largest", "smallest"]
+Floats: TypeAlias = NDArray[np.float64]
+
+
+def laplacian_scale(graph: TrafficGraph) -> float:
+    """Size of a Laplacian: its largest vertex degree, at least 1.
+
+    The largest eigenvalue is between the largest degree (x^T L x of that vertex) and twice that
+    (Gershgorin).
+
+    Args:
+        graph: d vehicles.
+    """
+    return max(1.0, float(graph.values.max(initial=0.0)))  # entries off the diagonal are negative
+
+
+def pick(values: Floats, num_pairs: int, end: End) -> NDArray[np.intp]:
+    """Positions of the pairs asked for, in the order they are answered in.
+
+    Args:
+        values: (d,) eigenvalues in any order.
+        num_pairs: how many.
+        end: which end.
+
+    Returns:
+        (min(num_pairs, d),) positions.
+    """
+    order = np.argsort(values, kind="stable")
+    return (order[::-1] if end == "largest" else order)[:num_pairs]
+
+
+def components(graph: TrafficGraph) -> NDArray[np.int32]:
+    """Number of the connected component of every vehicle.
+
+    Args:
+        graph: d vehicles.
+
+    Returns:
+        (d,) from 0, in the order of each component's first row.
+    """
+    from graphrqi.spectrum.certified import factorization
+
+    return factorization.order_rows(graph.indptr, graph.indices)[1]
+
+
+def null_space(graph: TrafficGraph) -> Floats:
+    """Exact orthonormal basis of the Laplacian's null space.
+
+    Args:
+        graph: d vehicles in c connected components.
+
+    Returns:
+        (d, c) indicator of each component over the square root of its size.
+
+    Examples:
+        >>> null_space(TrafficGraph.from_edges([1, 2, 3], [(1, 2)])).round(3).tolist()
+        [[0.707, 0.0], [0.707, 0.0], [0.0, 1.0]]
+    """
+    labels = components(graph)
+    sizes = np.bincount(labels)
+    basis = np.zeros((labels.size, sizes.size))
+    basis[np.arange(labels.size), labels] = 1.0 / np.sqrt(sizes[labels])
+    return basis
+
+
+def dense_pairs(graph: TrafficGraph, null: Floats | None = None) -> tuple[Floats, Floats]:
+    """All eigenpairs, ascending, or all but the null space.
+
+    The null space is set aside exactly: adding s N N^T, N the component indicators, moves it
+    from 0 to s above every other eigenvalue and touches nothing else.
+
+    Args:
+        graph: d vehicles in c components.
+        null: `null_space` of the graph, to leave it out.
+
+    Returns:
+        (m,) eigenvalues and (d, m) eigenvectors, m = d or d - c.
+    """
+    matrix = graph.laplacian.toarray()
+    kept = graph.ids.size
+    if null is not None and null.shape[1]:
+        matrix += 4.0 * laplacian_scale(graph) * null @ null.T
+        kept -= null.shape[1]
+    values, vectors = np.linalg.eigh(matrix)
+    return values[:kept], vectors[:, :kept]
+
+
+def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None = None) -> Floats:
+    """Eigenvectors of an earlier answer with the rows of a later graph, by vehicle id.
+
+    Args:
+        previous: the earlier answer.
+        graph: d vehicles.
+        vectors: (c, m) other columns over the earlier answer's vehicles; its eigenvectors if
+            not given.
+
+    Returns:
+        (d, m) the columns; rows of new vehicles are 0.
+    """
+    old = previous.eigenvectors if vectors is None else vectors
+    rows = np.zeros((graph.ids.size, old.shape[1]))
+    place = previous.graph.rows_of(graph.ids)
+    rows[place >= 0] = old[place[place >= 0]]
+    return rows
+
+
+def starting_block(
+    graph: TrafficGraph, size: int, previous: Spectrum | None, outside: Floats | None
+) -> Floats:
+    """Orthonormal columns to start an iteration from.
+
+    Args:
+        graph: d vehicles.
+        size: number of columns, at most d less the columns of ``outside``.
+        previous: earlier answer whose eigenvectors come first.
+        outside: (d, c) orthonormal columns the block must be orthogonal to.
+
+    Returns:
+        (d, size) the earlier eigenvectors by vehicle id, filled up with normal noise (of a fixed
+        seed: the same call gives the same block).
+    """
+    noise = np.random.default_rng(graph.ids.size).normal(size=(graph.ids.size, size))
+    if previous is not None:
+        known = carry_rows(previous, graph)[:, :size]
+        noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
+    if outside is not None:
+        noise -= outside @ (outside.T @ noise)
+    block, _ = np.linalg.qr(noise)
+    return block
+
+
+def rayleigh_ritz(graph: TrafficGraph, basis: Floats, end: End) -> tuple[Floats, Floats]:
+    """Best approximations to eigenpairs from a subspace.
+
+    Args:
+        graph: d vehicles.
+        basis: (d, m) orthonormal columns.
+        end: order of the answer.
+
+    Returns:
+        (m,) Ritz values and (d, m) Ritz vectors, in the order of the end.
+    """
+    values, turn = np.linalg.eigh(basis.T @ (graph.laplacian @ basis))
+    order = pick(values, values.size, end)
+    return values[order], basis @ turn[:, order]
