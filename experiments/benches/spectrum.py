@@ -29,7 +29,8 @@ from experiments.benches.contract import Bench, option
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
 from graphrqi.spectrum.contract import Pairs, Problem, Solver, check_arguments, eigensolver
-from graphrqi.spectrum.subspaces import End, null_space
+from graphrqi.spectrum.spectrum import End
+from graphrqi.spectrum.subspaces import null_space
 
 Floats: TypeAlias = NDArray[np.float64]
 Row: TypeAlias = dict[str, Any]

@@ -12,8 +12,9 @@ from typing import Final
 
 from behaviors.registry import Registry
 from graphrqi.spectrum.certified.solver import certify
-from graphrqi.spectrum.contract import Solver, Spectrum
+from graphrqi.spectrum.contract import Solver
 from graphrqi.spectrum.full import full_spectrum, topology
+from graphrqi.spectrum.spectrum import Spectrum
 
 SOLVERS: Final[Registry[Solver]] = Registry(
     "solver",

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import Pairs, Spectrum, answer
-from graphrqi.spectrum.subspaces import Floats, components, laplacian_scale
+from graphrqi.spectrum.contract import Pairs, answer
+from graphrqi.spectrum.spectrum import Floats, Spectrum
+from graphrqi.spectrum.subspaces import components, laplacian_scale
 
 
 def full_spectrum(graph: TrafficGraph, tol: float = 1e-8) -> Spectrum:

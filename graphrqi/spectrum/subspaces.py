@@ -5,18 +5,11 @@ Exact null space, dense solution, starting vectors, the Rayleigh-Ritz step, and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
-
-if TYPE_CHECKING:
-    from graphrqi.spectrum.contract import Spectrum
-
-End: TypeAlias = Literal["largest", "smallest"]
-Floats: TypeAlias = NDArray[np.float64]
+from graphrqi.spectrum.spectrum import End, Floats, Spectrum
 
 
 def laplacian_scale(graph: TrafficGraph) -> float:
@@ -55,9 +48,9 @@ def components(graph: TrafficGraph) -> NDArray[np.int32]:
     Returns:
         (d,) from 0, in the order of each component's first row.
     """
-    from graphrqi.spectrum.certified import factorization
+    from graphrqi.graph import ordering
 
-    return factorization.order_rows(graph.indptr, graph.indices)[1]
+    return ordering.order_rows(graph.indptr, graph.indices)[1]
 
 
 def null_space(graph: TrafficGraph) -> Floats:

@@ -22,10 +22,10 @@ from experiments.benches.spectrum import (
     traffic_positions,
 )
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum import SOLVERS, certify, full_spectrum, topology
-from graphrqi.spectrum.contract import Spectrum
+from graphrqi.spectrum import SOLVERS, Spectrum, certify, full_spectrum, topology
 from graphrqi.spectrum.rivals import exact
-from graphrqi.spectrum.subspaces import End, null_space
+from graphrqi.spectrum.spectrum import End
+from graphrqi.spectrum.subspaces import null_space
 
 RIGHT = ("graphrqi", "graphrqi-exact", "eigh", "svd")
 """Solvers that promise every answer."""
@@ -203,7 +203,7 @@ def test_the_previous_answer_may_be_of_other_vehicles() -> None:
 
 
 def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
-    from graphrqi.graph import cell_grid
+    from graphrqi.graph import cell_grid, ordering
     from graphrqi.spectrum.certified import factorization, tracking
 
     previous: Spectrum | None = None
@@ -214,7 +214,7 @@ def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
                 for nonzero in (False, True):
                     previous = SOLVERS[name](graph, 4, "smallest", previous, nonzero=nonzero)
                     previous = SOLVERS[name](again, 4, "smallest", previous, nonzero=nonzero)
-    for module in (cell_grid, factorization, tracking):
+    for module in (cell_grid, ordering, factorization, tracking):
         for name, kernel in vars(module).items():
             assert len(getattr(kernel, "signatures", ())) <= 1, name
     assert len(tracking.track.signatures) == 1  # type: ignore[attr-defined]

@@ -1,12 +1,11 @@
 """Kernels: L D L^T of a sparse symmetric matrix at eight shifts at once.
 
-The symbolic part orders the graph (reverse Cuthill-McKee, per component), builds the elimination
-tree and the pattern of the factor, by columns and by rows. In the numeric part every number is
+The symbolic part builds the elimination tree and the pattern of the factor, by columns and by
+rows. In the numeric part every number is
 eight numbers, one per shift, so that it runs in vector registers. The signs of the pivots count
 the eigenvalues below each shift (Sylvester's law of inertia).
 
 References:
-    Cuthill, McKee (1969), Proc. 24th ACM Conf., 157-172.
     Liu (1990), The role of elimination trees in sparse factorization, SIMAX 11, 134-172.
     Parlett (1998), The Symmetric Eigenvalue Problem, section 3.3 (spectrum slicing).
 """
@@ -46,53 +45,6 @@ UNCHANGED = 1e-9
 """How much a row's number may differ and the row count as the same (our choice; rounding makes
 1e-14)."""
 SHIFT, ABOVE, GROWTH = 0, 1, 2  # rows of `lanes`
-
-
-@compiled
-def order_rows(indptr: Ints, indices: Ints) -> tuple[Ints, Ints, int]:
-    """Cuthill-McKee order and connected components.
-
-    Args:
-        indptr: (d + 1,) row starts of a symmetric pattern.
-        indices: its columns.
-
-    Returns:
-        (d,) row at each place of the order, to be reversed for elimination; (d,) component of
-        each row; number of components.
-    """
-    d = indptr.size - 1
-    order, label = np.empty(d, np.int32), np.empty(d, np.int32)
-    degree, walked = np.empty(d, np.int32), np.empty(d, np.int32)
-    for i in range(d):
-        walked[i] = 0
-    first = count = 0
-    for seed in range(d):
-        if walked[seed] > 0:
-            continue
-        root = seed
-        for walk in range(1, 4):  # twice towards the rim, then for good
-            order[first], walked[root] = root, walk
-            head, tail = first, first + 1
-            while head < tail:
-                i = order[head]
-                label[i] = count
-                head += 1
-                begin = tail
-                for p in range(indptr[i], indptr[i + 1]):
-                    j = indices[p]
-                    if walked[j] < walk:
-                        walked[j] = walk
-                        degree[j] = indptr[j + 1] - indptr[j]
-                        q = tail
-                        while q > begin and degree[order[q - 1]] > degree[j]:
-                            order[q] = order[q - 1]
-                            q -= 1
-                        order[q] = j
-                        tail += 1
-            root = order[tail - 1]
-        first = tail
-        count += 1
-    return order, label, count
 
 
 @compiled

@@ -45,12 +45,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import Pairs, Spectrum, answer, check_arguments
+from graphrqi.spectrum.contract import Pairs, answer, check_arguments
 from graphrqi.spectrum.full import pairs_by_component
 from graphrqi.spectrum.rivals import arpack
+from graphrqi.spectrum.spectrum import End, Floats, Spectrum
 from graphrqi.spectrum.subspaces import (
-    End,
-    Floats,
     carry_rows,
     components,
     dense_pairs,

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
+from graphrqi.graph.ordering import order_rows
 from graphrqi.spectrum.certified.factorization import (
     ABOVE,
     GROWTH,
     SHIFT,
     factor_and_solve,
     factor_pattern,
-    order_rows,
 )
 from graphrqi.spectrum.certified.simd import aligned, less, load, more, plus, spread, store
 from sim.compiled import compiled, inner

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.subspaces import Floats
+from graphrqi.spectrum.spectrum import Floats
 
 SHIFT = 1e-3
 """Shift below the spectrum at the smallest end, relative to max(1, the largest degree) (our choice:

@@ -18,7 +18,8 @@ import numpy as np
 
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.subspaces import Floats, null_space, rayleigh_ritz, starting_block
+from graphrqi.spectrum.spectrum import Floats
+from graphrqi.spectrum.subspaces import null_space, rayleigh_ritz, starting_block
 
 MAX_OUTER = 20
 """Inverse iterations before giving up (our choice)."""

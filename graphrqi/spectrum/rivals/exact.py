@@ -35,7 +35,8 @@ from numpy.typing import NDArray
 
 from graphrqi.graph import change_between
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.subspaces import Floats, dense_pairs, pick, rayleigh_ritz
+from graphrqi.spectrum.spectrum import Floats
+from graphrqi.spectrum.subspaces import dense_pairs, pick, rayleigh_ritz
 
 MAX_ITERATIONS = 8
 """Rayleigh-quotient iterations per pair; they converge cubically (our choice)."""

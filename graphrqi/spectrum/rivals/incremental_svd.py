@@ -18,7 +18,8 @@ import numpy as np
 
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.rivals.low_rank import carried_over, rank_needed, report, restart
-from graphrqi.spectrum.subspaces import Floats, pick
+from graphrqi.spectrum.spectrum import Floats
+from graphrqi.spectrum.subspaces import pick
 
 
 @eigensolver()

@@ -13,13 +13,8 @@ import numpy as np
 
 from graphrqi.graph import TrafficGraph, change_between
 from graphrqi.spectrum.contract import Pairs, Problem
-from graphrqi.spectrum.subspaces import (
-    Floats,
-    carry_rows,
-    dense_pairs,
-    pick,
-    rayleigh_ritz,
-)
+from graphrqi.spectrum.spectrum import Floats
+from graphrqi.spectrum.subspaces import carry_rows, dense_pairs, pick, rayleigh_ritz
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,8 @@ import numpy as np
 from graphrqi.graph import TrafficGraph, change_between
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.rivals.exact import AllPairs
-from graphrqi.spectrum.subspaces import Floats, dense_pairs, null_space
+from graphrqi.spectrum.spectrum import Floats
+from graphrqi.spectrum.subspaces import dense_pairs, null_space
 
 MAX_ITERATIONS = 5
 """Rayleigh-quotient iterations per pair and update (our choice; none is printed)."""

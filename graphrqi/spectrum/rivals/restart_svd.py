@@ -22,7 +22,8 @@ import numpy as np
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.rivals.low_rank import Tracked, carried_over, report, restart
-from graphrqi.spectrum.subspaces import Floats, pick
+from graphrqi.spectrum.spectrum import Floats
+from graphrqi.spectrum.subspaces import pick
 
 MARGIN = 0.01
 """Loss above the bound, relative to the bound, that calls for a restart; the authors try .01 to .2
