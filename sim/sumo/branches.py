@@ -1,0 +1,247 @@
+"""Exact branches of a running SUMO episode: one second, continued in several ways.
+
+A trunk is a process of its own that runs an episode and holds nothing else. Copying that process
+(``fork``) copies the whole simulation with all its random numbers, so an unchanged branch repeats
+the trunk's next frames to the bit, and a branch in which one driver was changed differs by that
+driver alone. SUMO's own saved states do not restore exactly.
+
+Linux only: other systems cannot copy a running process, or end its copies with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import recv_handle, send_handle
+from types import TracebackType
+from typing import Any, Final, Self
+
+from behaviors.errors import InputError
+from sim.engines import get_engine
+from sim.frames import Frame
+from sim.scenario import AgentSpec, Scenario
+
+FRAMES_A_MESSAGE: Final = 20
+"""Frames are sent in groups: each message costs some 50 microseconds (measured)."""
+
+_PR_SET_PDEATHSIG: Final = 1
+"""Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
+
+
+class Branch:
+    """One continuation of a trunk; iterating over it gives its frames.
+
+    Closing a branch, or leaving its ``with`` block, ends its process; the trunk is not affected.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames after the instant of the branch, in order of time.
+
+        Raises:
+            InputError: if the simulation failed, or its process was ended from outside.
+        """
+        yield from _received(self._connection, "branch")
+
+    def close(self) -> None:
+        """End the branch; frames that were not read are lost."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        """Use the branch in a ``with`` block."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the branch."""
+        self.close()
+
+
+class Trunk:
+    """A SUMO episode that can be continued in several ways from the same instant.
+
+    Args:
+        scenario: the road, the duration and the step.
+        agents: who travels.
+        seed: of the simulator's own noise.
+        engine: "sumo" or "sumo-idm".
+
+    Raises:
+        InputError: on other systems than Linux, or with an engine that is not SUMO's.
+    """
+
+    def __init__(
+        self, scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str = "sumo"
+    ) -> None:
+        if sys.platform != "linux":
+            raise InputError(f"branches: found {sys.platform}, expected Linux")
+        if engine not in ("sumo", "sumo-idm"):
+            raise InputError(f"engine: found {engine!r}, expected sumo or sumo-idm")
+        here, there = socket.socketpair()
+        with there:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "sim.sumo.branches", str(there.fileno())],
+                pass_fds=[there.fileno()],
+            )
+        self._connection: Connection = Connection(here.detach())
+        self._connection.send((scenario, tuple(agents), seed, engine))
+
+    def advance(self, until_s: float) -> tuple[Frame, ...]:
+        """Drive the trunk on.
+
+        Args:
+            until_s: simulated time of the last frame, s.
+
+        Returns:
+            The frames since the last call.
+
+        Raises:
+            InputError: if the simulation failed.
+        """
+        self._connection.send(("advance", until_s))
+        return tuple(_received(self._connection, "trunk"))
+
+    def branch(self, until_s: float) -> Branch:
+        """Copy the trunk as it stands, and let the copy drive on.
+
+        Args:
+            until_s: simulated time of the branch's last frame, s.
+
+        Returns:
+            The branch; it runs beside the trunk and beside other branches.
+        """
+        here, there = socket.socketpair()
+        with there:
+            self._connection.send(("branch", until_s))
+            send_handle(self._connection, there.fileno(), self.process_id)
+        return Branch(Connection(here.detach()))
+
+    @property
+    def process_id(self) -> int:
+        """Number of the process that runs the episode; branches are its children."""
+        return self._process.pid
+
+    def close(self) -> None:
+        """End the trunk and every branch that still runs."""
+        self._connection.close()
+        self._process.wait()
+
+    def __enter__(self) -> Self:
+        """Use the trunk in a ``with`` block."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the trunk."""
+        self.close()
+
+
+def _received(connection: Connection, whose: str) -> Iterator[Frame]:
+    """Frames from a connection, until the sender says that these are all."""
+    while True:
+        try:
+            message = connection.recv()
+        except (EOFError, OSError):
+            raise InputError(f"{whose}: its process ended before its last frame") from None
+        if isinstance(message, str):
+            raise InputError(message)
+        if not message:
+            return
+        for fields in message:
+            yield Frame(**fields)
+
+
+def _fields(frame: Frame) -> dict[str, Any]:
+    """What a frame is made of: the receiver builds it anew, checked and read-only."""
+    return {name: getattr(frame, name) for name in frame.__dataclass_fields__}
+
+
+def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> bool:
+    """Send frames up to a time, then an empty message.
+
+    Returns:
+        Whether the simulation can go on; if it failed, the reason was sent as a text instead.
+    """
+    group: list[dict[str, Any]] = []
+    try:
+        for frame in frames:
+            group.append(_fields(frame))
+            last = frame.time_s >= until_s - 1e-9
+            if last or len(group) == FRAMES_A_MESSAGE:
+                connection.send(group)
+                group = []
+            if last:
+                break
+        if group:
+            connection.send(group)
+        connection.send([])
+    except InputError as error:
+        connection.send(str(error))
+        return False
+    return True
+
+
+def _episode(
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str
+) -> Iterator[Frame]:
+    """The engine's frames; what it refuses is raised when the first one is asked for."""
+    yield from get_engine(engine)(scenario, agents, seed)
+
+
+def _serve(connection: Connection) -> None:
+    """Run an episode as the other end of the connection asks for it."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system clears up ended branches
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this
+    frames = _episode(*connection.recv())
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            order, until_s = connection.recv()
+            if order == "advance":
+                if not _send(connection, frames, until_s):
+                    break
+                continue
+            handle = recv_handle(connection)
+            trunk = os.getpid()
+            if os.fork() == 0:
+                _be_branch(trunk, connection, Connection(handle), frames, until_s)
+            os.close(handle)
+
+
+def _be_branch(
+    trunk: int, control: Connection, out: Connection, frames: Iterator[Frame], until_s: float
+) -> None:
+    """What the copied process does; it never returns, so that nothing of the trunk is cleaned up.
+
+    Raises:
+        SystemExit: never; the process ends without running any of Python's exit code.
+    """
+    try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() == trunk:  # else the trunk ended before the line above
+            control.close()
+            _send(out, frames, until_s)
+            out.close()
+    except (OSError, KeyboardInterrupt):
+        os._exit(1)  # nobody reads this branch any more
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    _serve(Connection(int(sys.argv[1])))

@@ -1,0 +1,102 @@
+"""Branches of a running SUMO episode are exact, independent of the trunk, and cleaned up."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from scenarios import SCENARIOS
+from sim.engines import get_engine
+from sim.frames import Frame
+from sim.scenario import sample_agents
+from sim.sumo.branches import Trunk
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
+FORK_S, UNTIL_S, SEED = 20.0, 30.0, 2
+
+
+def scenario_and_agents(name: str):
+    scenario = SCENARIOS[name](duration_s=60.0, flow="dense")
+    return scenario, sample_agents(scenario, SEED)
+
+
+def same(one: Frame, other: Frame) -> bool:
+    arrays = ("ids", "xy", "heading", "speed", "length", "width", "kind", "signals")
+    return (
+        one.time_s == other.time_s
+        and one.events == other.events
+        and all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
+    )
+
+
+def children(process: int) -> list[str]:
+    """States of a process's children, one letter each ("Z" for one that nobody waited for)."""
+    told = subprocess.run(
+        ["ps", "-o", "stat=", "--ppid", str(process)], capture_output=True, text=True, check=False
+    )
+    return told.stdout.split()
+
+
+@pytest.mark.parametrize("name", ["straight_road", "four_way_intersection"])
+def test_unchanged_branches_repeat_the_trunk_to_the_bit(name: str) -> None:
+    scenario, agents = scenario_and_agents(name)
+    plain = [f for f in get_engine("sumo")(scenario, agents, SEED) if f.time_s <= UNTIL_S + 1e-9]
+    with Trunk(scenario, agents, SEED) as trunk:
+        before = trunk.advance(FORK_S)
+        branches = [tuple(trunk.branch(UNTIL_S)) for _ in range(5)]
+        after = trunk.advance(UNTIL_S)
+    assert len(before) + len(after) == len(plain)
+    assert all(map(same, [*before, *after], plain))
+    for branch in branches:
+        assert len(branch) == len(after)
+        assert all(map(same, branch, after))
+
+
+def test_a_killed_or_closed_branch_leaves_the_trunk_alive_and_no_zombie() -> None:
+    scenario, agents = scenario_and_agents("straight_road")
+    with Trunk(scenario, agents, SEED) as trunk:
+        trunk.advance(5.0)
+        closed = trunk.branch(scenario.duration_s)
+        closed.close()
+        killed = trunk.branch(scenario.duration_s)
+        next(iter(killed))
+        found = subprocess.run(
+            ["pgrep", "--parent", str(trunk.process_id)], capture_output=True, text=True
+        )
+        for process in found.stdout.split():
+            os.kill(int(process), signal.SIGKILL)
+        with pytest.raises(InputError, match="ended before its last frame"):
+            list(killed)
+        assert len(trunk.advance(6.0)) == 10
+        late = time.monotonic() + 10.0
+        while children(trunk.process_id) and time.monotonic() < late:
+            time.sleep(0.05)
+        assert children(trunk.process_id) == []
+
+
+def test_branches_end_with_the_trunk() -> None:
+    scenario, agents = scenario_and_agents("straight_road")
+    trunk = Trunk(scenario, agents, SEED)
+    trunk.advance(5.0)
+    branch = trunk.branch(scenario.duration_s)
+    os.kill(trunk.process_id, signal.SIGKILL)
+    with pytest.raises(InputError, match="ended before its last frame"):
+        list(branch)
+    trunk.close()
+    assert not Path(f"/proc/{trunk.process_id}").exists()
+
+
+def test_what_cannot_be_branched_is_refused() -> None:
+    scenario, agents = scenario_and_agents("straight_road")
+    with pytest.raises(InputError, match="found 'highway', expected sumo or sumo-idm"):
+        Trunk(scenario, agents, SEED, engine="highway")
+    with Trunk(scenario, agents, -1) as trunk, pytest.raises(InputError, match="seed: found -1"):
+        trunk.advance(1.0)
