@@ -1,101 +1,64 @@
-"""The label that a road-agent's shown traits speak for: the paper's protocol, by detectors.
+"""One behaviour label per road-agent, from the traits that people noted or that detectors found.
 
-Observers tick the traits that are characteristic of somebody; a detector never tires and finds the
-odd trait of every class in almost everyone. So a trait counts only once enough of it was shown.
+The paper's protocol takes the majority of the traits inside one parent class (aggressive or
+conservative). Annotators who disagree about the parent class are asked again; recordings cannot
+ask, so ``strict`` drops those agents, and ``lenient`` (our choice: it keeps more agents) follows
+the majority of the annotators and drops ties.
+
+Annotators tick what is characteristic of a driver. A detector finds some odd trait in almost every
+driver, so a detected trait counts only once enough of it was shown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal, TypeVar
 
-from behaviors.labels import BEHAVIORS, TRAITS, Behavior, Trait
-from behaviors.traits import Exhibit
+from behaviors.detector_inputs import ShownTrait
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, TRAITS, Behavior, Style, Trait
+
+T = TypeVar("T", bound=Hashable)
+
+Resolution = Literal["strict", "lenient"]
+
+RESOLUTIONS: Final[tuple[Resolution, ...]] = ("strict", "lenient")
+"""How annotators' disagreement is resolved."""
 
 
 @dataclass(frozen=True, slots=True)
-class Enough:
+class Threshold:
     """How much of a trait makes it characteristic.
 
     Attributes:
         amount: the amount that counts as one vote.
-        in_seconds: whether the time for which it was shown counts; else how often.
+        in_seconds: whether ``amount`` is a total duration, s; otherwise it is a number of times.
     """
 
     amount: float
     in_seconds: bool = False
 
 
-ENOUGH: Final[dict[Trait, Enough]] = {
-    Trait.OVERTAKING: Enough(3.0),
-    Trait.OVER_SPEEDING: Enough(10.0, in_seconds=True),
-    Trait.TAILGATING: Enough(10.0, in_seconds=True),
-    Trait.WEAVING: Enough(2.0),
-    Trait.CUTTING_IN: Enough(1.0),
-    Trait.DRIVING_CLOSE: Enough(4.0, in_seconds=True),
-    Trait.WRONG_DIRECTION: Enough(1.0),
-    Trait.JAYWALKING: Enough(1.0),
-    Trait.BREAKING_RULES: Enough(1.0),
-    Trait.KEEPING_NEIGHBORS: Enough(30.0, in_seconds=True),
-    Trait.UNIFORM_SPEED: Enough(20.0, in_seconds=True),
-    Trait.FOLLOWING_RULES: Enough(1.0),
-    Trait.NOT_MOVING: Enough(1.0),
-    Trait.SLOWING: Enough(1.0),
-    Trait.WAITING: Enough(1.0),
+THRESHOLDS: Final[dict[Trait, Threshold]] = {
+    Trait.OVERTAKING: Threshold(3.0),
+    Trait.OVER_SPEEDING: Threshold(10.0, in_seconds=True),
+    Trait.TAILGATING: Threshold(10.0, in_seconds=True),
+    Trait.WEAVING: Threshold(2.0),
+    Trait.CUTTING_IN: Threshold(1.0),
+    Trait.DRIVING_CLOSE: Threshold(4.0, in_seconds=True),
+    Trait.WRONG_DIRECTION: Threshold(1.0),
+    Trait.JAYWALKING: Threshold(1.0),
+    Trait.BREAKING_RULES: Threshold(1.0),
+    Trait.KEEPING_NEIGHBORS: Threshold(30.0, in_seconds=True),
+    Trait.UNIFORM_SPEED: Threshold(20.0, in_seconds=True),
+    Trait.FOLLOWING_RULES: Threshold(1.0),
+    Trait.NOT_MOVING: Threshold(1.0),
+    Trait.SLOWING: Threshold(1.0),
+    Trait.WAITING: Threshold(1.0),
 }
-"""How much of each trait an observer needs to see (our choice)."""
-
-
-def characteristic_traits(exhibits: Iterable[Exhibit]) -> tuple[Trait, ...]:
-    """The traits that one road-agent showed enough of to be ticked.
-
-    Args:
-        exhibits: everything that it showed.
-
-    Returns:
-        Traits in the order of the trait table.
-
-    Examples:
-        >>> once = Exhibit(Trait.CUTTING_IN, 0, 1.0, 2.0, 0.5)
-        >>> brief = Exhibit(Trait.UNIFORM_SPEED, 0, 0.0, 15.0, 0.01)
-        >>> characteristic_traits([once, brief])
-        (<Trait.CUTTING_IN: 'cutting in front'>,)
-    """
-    shown = dict.fromkeys(TRAITS, 0.0)
-    for exhibit in exhibits:
-        seconds = exhibit.end_s - exhibit.begin_s
-        shown[exhibit.trait] += seconds if ENOUGH[exhibit.trait].in_seconds else 1.0
-    return tuple(trait for trait in TRAITS if shown[trait] >= ENOUGH[trait].amount)
-
-
-def shown_label(exhibits: Iterable[Exhibit]) -> Behavior | None:
-    """The behaviour that most characteristic traits speak for, inside one parent class.
-
-    Args:
-        exhibits: everything that one road-agent showed.
-
-    Returns:
-        The behaviour; None if nothing characteristic was shown, or as many traits of one parent
-        class as of the other, which the paper leaves to another annotator. Of equals, the one
-        whose traits are rarer wins: recklessness shows in a single act, carefulness all day.
-
-    Examples:
-        >>> shown_label([Exhibit(Trait.CUTTING_IN, 0, 1.0, 2.0, 0.5)])
-        <Behavior.THREATENING: 'threatening'>
-        >>> shown_label([]) is None
-        True
-    """
-    votes = dict.fromkeys(BEHAVIORS, 0)
-    for trait in characteristic_traits(exhibits):
-        votes[TRAITS[trait]] += 1
-    aggressive = sum(n for behavior, n in votes.items() if behavior.style == "aggressive")
-    conservative = sum(votes.values()) - aggressive
-    if aggressive == conservative:
-        return None
-    style = "aggressive" if aggressive > conservative else "conservative"
-    return max((b for b in _RAREST_FIRST if b.style == style), key=lambda behavior: votes[behavior])
-
+"""How much of each trait counts as characteristic (our choice: the paper gives no numbers)."""
 
 _RAREST_FIRST: Final = (
     Behavior.RECKLESS,
@@ -105,4 +68,116 @@ _RAREST_FIRST: Final = (
     Behavior.CAUTIOUS,
     Behavior.CAREFUL,
 )
-"""Which behaviour wins with as many traits as another."""
+"""With equally many traits, the earlier behaviour wins: recklessness shows in a single act,
+carefulness all day."""
+
+
+def style_of(traits: Sequence[Trait]) -> Style:
+    """The parent class that one annotator's traits belong to.
+
+    Args:
+        traits: in the annotator's order, at least one.
+
+    Returns:
+        The parent class of most of them; in a tie, that of the first.
+
+    Raises:
+        InputError: if there is no trait.
+
+    Examples:
+        >>> style_of([Trait.OVERTAKING, Trait.UNIFORM_SPEED, Trait.FOLLOWING_RULES])
+        <Style.CONSERVATIVE: 'conservative'>
+    """
+    if not traits:
+        raise InputError("traits: found none, expected at least one")
+    return _most_common([TRAITS[trait].style for trait in traits])
+
+
+def resolve(
+    annotations: Sequence[Sequence[Trait]], rule: Resolution = "lenient"
+) -> Behavior | None:
+    """One label for an agent from the traits that several annotators noted.
+
+    Args:
+        annotations: the traits that each annotator noted, at least one each.
+        rule: "strict" or "lenient".
+
+    Returns:
+        The behaviour with most traits inside the winning parent class (in a tie, the one noted
+        first), or None where the annotators' conflict is not resolved.
+
+    Raises:
+        InputError: if the rule is unknown, or an annotator noted nothing.
+
+    Examples:
+        >>> both = [[Trait.OVERTAKING], [Trait.UNIFORM_SPEED]]
+        >>> resolve(both) is None
+        True
+        >>> resolve([*both, [Trait.OVER_SPEEDING]])
+        <Behavior.IMPATIENT: 'impatient'>
+        >>> resolve([*both, [Trait.OVER_SPEEDING]], "strict") is None
+        True
+    """
+    if rule not in RESOLUTIONS:
+        raise InputError(f"rule: found {rule!r}, expected {' or '.join(RESOLUTIONS)}")
+    votes = Counter(style_of(traits) for traits in annotations)
+    if not votes or (rule == "strict" and len(votes) > 1):
+        return None
+    if len(set(votes.values())) < len(votes):
+        return None
+    parent = max(votes, key=lambda style: votes[style])
+    behaviors = [TRAITS[trait] for traits in annotations for trait in traits]
+    return _most_common([b for b in behaviors if b.style is parent])
+
+
+def characteristic_traits(shown: Iterable[ShownTrait]) -> tuple[Trait, ...]:
+    """The traits that one road-agent showed enough of to be ticked.
+
+    Args:
+        shown: everything that it showed.
+
+    Returns:
+        Traits in the order of the trait table.
+
+    Examples:
+        >>> once = ShownTrait(Trait.CUTTING_IN, 0, 1.0, 2.0, 0.5)
+        >>> brief = ShownTrait(Trait.UNIFORM_SPEED, 0, 0.0, 15.0, 0.01)
+        >>> characteristic_traits([once, brief])
+        (<Trait.CUTTING_IN: 'cutting in front'>,)
+    """
+    amount = dict.fromkeys(TRAITS, 0.0)
+    for one in shown:
+        in_seconds = THRESHOLDS[one.trait].in_seconds
+        amount[one.trait] += one.end_s - one.begin_s if in_seconds else 1.0
+    return tuple(trait for trait in TRAITS if amount[trait] >= THRESHOLDS[trait].amount)
+
+
+def label_from_traits(shown: Iterable[ShownTrait]) -> Behavior | None:
+    """The behaviour that most characteristic traits belong to, inside one parent class.
+
+    Args:
+        shown: everything that one road-agent showed.
+
+    Returns:
+        The behaviour; None if no trait is characteristic, or if both parent classes have equally
+        many (the paper asks another annotator then).
+
+    Examples:
+        >>> label_from_traits([ShownTrait(Trait.CUTTING_IN, 0, 1.0, 2.0, 0.5)])
+        <Behavior.THREATENING: 'threatening'>
+        >>> label_from_traits([]) is None
+        True
+    """
+    votes = Counter(TRAITS[trait] for trait in characteristic_traits(shown))
+    aggressive = sum(votes[b] for b in BEHAVIORS if b.style is Style.AGGRESSIVE)
+    conservative = votes.total() - aggressive
+    if aggressive == conservative:
+        return None
+    style = Style.AGGRESSIVE if aggressive > conservative else Style.CONSERVATIVE
+    return max((b for b in _RAREST_FIRST if b.style is style), key=lambda behavior: votes[behavior])
+
+
+def _most_common(items: Sequence[T]) -> T:
+    """The most frequent item; in a tie, the first of them."""
+    counts = Counter(items)
+    return max(counts, key=lambda item: counts[item])  # a dict keeps the order of insertion

@@ -1,8 +1,8 @@
-"""Who was seen when: one row per agent and time, by agent, then by time.
+"""Which row of a table belongs to which agent and time step.
 
-An agent is there for a small part of a long episode, so what is told of agents over time is kept in
-rows of those moments only, and every array of such rows has the length and the order of one
-`RowIndex`.
+An agent is present for a small part of a long episode, so its time series are stored as rows of
+those moments only. All such arrays of an episode have the length and the order of one `RowIndex`:
+by agent, then by time.
 """
 
 from __future__ import annotations
@@ -91,14 +91,14 @@ class RowIndex:
         return at.start if at.stop > at.start else -1
 
     def over(self, values: NDArray[V], agent: int, begin: int, end: int, empty: Any) -> NDArray[V]:
-        """What is told of one agent at every time of a span.
+        """One agent's values at every time of a span.
 
         Args:
-            values: (m, ...) what is told.
-            agent: of whom.
+            values: (m, ...) one value per row.
+            agent: which agent.
             begin: first time.
             end: one past the last.
-            empty: what stands for times at which the agent was not seen.
+            empty: fills the times at which the agent was not seen.
 
         Returns:
             (end - begin, ...) values.
@@ -111,15 +111,15 @@ class RowIndex:
         at = self.rows(agent, begin, end)
         if at.stop - at.start == end - begin:
             return values[at]
-        told = np.full((end - begin, *values.shape[1:]), empty, dtype=values.dtype)
-        told[self.step[at] - begin] = values[at]
-        return told
+        filled = np.full((end - begin, *values.shape[1:]), empty, dtype=values.dtype)
+        filled[self.step[at] - begin] = values[at]
+        return filled
 
     def runs(self, flags: BoolArray, shortest: int = 1) -> Iterator[slice]:
-        """Unbroken stretches of time over which something holds of one agent.
+        """Unbroken stretches of time over which a condition holds for one agent.
 
         Args:
-            flags: (m,) what holds.
+            flags: (m,) where the condition holds.
             shortest: leave out stretches shorter than this.
 
         Yields:
@@ -130,7 +130,7 @@ class RowIndex:
             >>> [(run.start, run.stop) for run in seen.runs(np.array([0, 1, 1, 1, 1]) > 0)]
             [(1, 3), (3, 4), (4, 5)]
         """
-        at = np.flatnonzero(flags)  # few hold, so all else is done on those
+        at = np.flatnonzero(flags)  # usually few, so the rest works on these alone
         new = self.begins[at] | (np.diff(at, prepend=-2) > 1)
         first = np.flatnonzero(new)
         count = np.diff(first, append=at.size)
@@ -144,6 +144,6 @@ class RowIndex:
         Returns:
             (m,) rows, and (T + 1,) where those of each time begin, and m.
         """
-        order = np.argsort(self.step, kind="stable")  # quick: it merges one run per agent
+        order = np.argsort(self.step, kind="stable")  # fast: a merge of one sorted run per agent
         counts = np.bincount(self.step, minlength=self.times)
         return order, np.concatenate([[0], np.cumsum(counts)])

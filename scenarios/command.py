@@ -168,9 +168,10 @@ def _run(
         for _ in frames:
             pass
         return summary
-    from sim.store.dataset import made_with, write_episode, write_manifest
+    from sim.store.catalogue import write_manifest
     from sim.store.lock import new_folder
     from sim.store.schema import EpisodeMeta
+    from sim.store.writing import made_with, write_episode
 
     chosen = {
         "flow": options.flow,

@@ -14,15 +14,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labelling import shown_label
+from behaviors.detector_inputs import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes
+from behaviors.labelling import label_from_traits
 from behaviors.labels import BEHAVIORS, Trait
-from behaviors.traits import FOLLOWING_MPS, Exhibit, Seen, lane_changes, waits
+from behaviors.traits import waits
 from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
 from experiments.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
-from sim.episode.annotate import watch
+from sim.episode.annotate import annotate
 from sim.episode.rows import TrajectoryRows
 from sim.frames import Event, EventKind, Tracks
 from sim.scenario import sample_agents
@@ -127,12 +128,12 @@ def count_episode(
     tracks = Tracks.from_frames(
         get_engine(engine)(made, agents, seed), {a.id: a.behavior for a in agents}
     )
-    watched = watch(TrajectoryRows.of(tracks), made.road)
-    return count(tracks, watched.seen, watched.events, watched.exhibits)
+    found = annotate(TrajectoryRows.of(tracks), made.road)
+    return count(tracks, found.inputs, found.events, found.shown_traits)
 
 
 def count(
-    tracks: Tracks, seen: Seen, events: Sequence[Event], exhibits: Sequence[Exhibit]
+    tracks: Tracks, seen: DetectorInputs, events: Sequence[Event], exhibits: Sequence[ShownTrait]
 ) -> DriverCounts:
     """Count what the labelled drivers of an episode did.
 
@@ -140,7 +141,7 @@ def count(
         tracks: with labels.
         seen: what the detectors looked at.
         events: from `sim.episode.incidents.incidents`.
-        exhibits: from `sim.episode.shown_traits.exhibited`.
+        exhibits: from `sim.episode.annotate.shown_traits`.
 
     Returns:
         The counts, one row per labelled driver.
@@ -188,7 +189,7 @@ def count(
             table["pedestrians_hit" if walks else "collisions"][i] += 1.0
         if event.kind in NOT_WAITED_FOR:
             table["waits"][i] += 1.0
-    shown: dict[int, list[Exhibit]] = {i: [] for i in row.values()}
+    shown: dict[int, list[ShownTrait]] = {i: [] for i in row.values()}
     for exhibit in exhibits:
         i = row[exhibit.agent]
         shown[i].append(exhibit)
@@ -199,7 +200,7 @@ def count(
         elif exhibit.trait is Trait.WRONG_DIRECTION:
             table["wrong_way_m"][i] += exhibit.value
     for i, mine in shown.items():
-        label = shown_label(mine)
+        label = label_from_traits(mine)
         table["agrees"][i] = label is not None and label.code == labels[i]
     jump = np.hypot(*np.moveaxis(np.diff(tracks.xy, axis=1), 2, 0))
     keep = np.flatnonzero((labels >= 0) & seen.drives)
@@ -214,7 +215,7 @@ def count(
     )
 
 
-def _free(seen: Seen) -> NDArray[np.bool_]:
+def _free(seen: DetectorInputs) -> NDArray[np.bool_]:
     """(m,) whether an agent drives at the speed chosen, with nobody and nothing near ahead."""
     before = np.roll(seen.speed, 1)
     before[seen.row_index.begins] = 0.0  # who has just come is not known to drive evenly

@@ -26,8 +26,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.agreement import Resolution
 from behaviors.errors import InputError, lookup
+from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
 from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel

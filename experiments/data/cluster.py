@@ -21,7 +21,7 @@ import graphrqi
 import scenarios
 import sim
 from behaviors.errors import InputError
-from sim.store.dataset import made_with
+from sim.store.writing import made_with
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -16,15 +16,11 @@ from sim.formats import get_reader, get_writer, read_recordings, recognise, reco
 from sim.formats.common.windows import NoWindowError
 from sim.road.files import read_road_file
 from sim.store.atomic import write_whole
-from sim.store.dataset import (
-    MANIFEST,
-    made_with,
-    open_dataset,
-    write_manifest,
-    write_recording,
-)
+from sim.store.catalogue import MANIFEST, write_manifest
+from sim.store.dataset import open_dataset
 from sim.store.lock import new_folder
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
+from sim.store.writing import made_with, write_recording
 
 LEFT_OUT_NAMED: Final = 5
 """So many files that are left out are named (our choice)."""

@@ -29,19 +29,17 @@ from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.scenario import Scenario, sample_agents
 from sim.store.atomic import PARTIAL_PREFIX, remove_partial, write_whole
-from sim.store.dataset import (
+from sim.store.catalogue import (
     MANIFEST,
-    episode_id,
     finished_episode,
     keep_road,
-    made_with,
-    open_dataset,
     unlisted_episodes,
-    write_episode,
     write_manifest,
 )
+from sim.store.dataset import open_dataset
 from sim.store.lock import LOCK, sole_writer
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, split_of
+from sim.store.writing import episode_id, made_with, write_episode
 
 if TYPE_CHECKING:
     from loky.process_executor import ProcessPoolExecutor

@@ -48,8 +48,7 @@ def in_parallel(
         for one in arguments:
             yield function(*one)
         return
-    from joblib import cpu_count
-    from loky import get_reusable_executor
+    from loky import cpu_count, get_reusable_executor
 
     workers = min(jobs or cpu_count(), len(arguments))
     executor = get_reusable_executor(

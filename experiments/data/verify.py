@@ -16,17 +16,11 @@ from pydantic import ValidationError
 from behaviors.errors import InputError
 from experiments.data.generate import GenerateConfig, generate
 from sim.store.atomic import write_whole
-from sim.store.dataset import (
-    ENTRY,
-    MANIFEST,
-    Dataset,
-    altered_files,
-    made_with,
-    open_dataset,
-    road_path,
-)
+from sim.store.catalogue import ENTRY, MANIFEST, altered_files, road_path
+from sim.store.dataset import Dataset, open_dataset
 from sim.store.lock import LOCK, sole_writer
 from sim.store.schema import EPISODE_FILES, EpisodeEntry
+from sim.store.writing import made_with
 
 State = Literal["missing", "altered", "foreign"]
 

@@ -9,14 +9,14 @@ from typing import Final
 
 import numpy as np
 
+from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
-from behaviors.traits import Exhibit
 from experiments.console.progress import Progress
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_watch import WatchedGraph, watch_graph
 from graphrqi.methods import load_model
-from sim.episode.annotate import watch
+from sim.episode.annotate import annotate
 from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
 from sim.frames import Tracks
@@ -61,7 +61,7 @@ class Scene:
     road: Road | None
     tracks: Tracks
     agents: dict[int, AgentSpec]
-    exhibits: tuple[Exhibit, ...]
+    exhibits: tuple[ShownTrait, ...]
     beliefs: Beliefs
     believer: str
     graph: WatchedGraph
@@ -138,10 +138,10 @@ def gather(
         raise InputError(
             f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
-    exhibits = episode.exhibits
+    exhibits = episode.shown_traits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
-        watched = watch(TrajectoryRows.of(tracks), road, recorded=True)
-        exhibits = watched.exhibits
+        watched = annotate(TrajectoryRows.of(tracks), road, recorded=True)
+        exhibits = watched.shown_traits
         tracks = dataclasses.replace(tracks, events=watched.events)
     forecasts: list[Forecast] = []
     shown = ""

@@ -1,6 +1,6 @@
-"""An episode as one row per agent and time: what is looked for over a whole episode works on these.
+"""An episode as one row per agent and time step, for searches over whole episodes.
 
-`sim.frames.Tracks` hold the same as dense arrays, which are mostly empty when an episode is long.
+`sim.frames.Tracks` holds the same as dense arrays, which are mostly empty when an episode is long.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from sim.frames import PEDESTRIAN, BoolArray, CodeArray, Event, FloatArray, IntA
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryRows:
-    """What was seen of N agents at T times: m rows, by agent, then by time.
+    """The trajectories of N agents at T times: m rows, by agent, then by time.
 
     Attributes:
-        row_index: which agent each row is of, and when.
+        row_index: the agent and the time of each row.
         ids: (N,) agent ids, ascending.
         kind: (N,) codes into ``KINDS``.
         length: (N,) m.
@@ -29,7 +29,7 @@ class TrajectoryRows:
         heading: (m,) rad.
         speed: (m,) m/s.
         signals: (S, T) codes into ``SIGNALS``.
-        events: what the source told, in time order.
+        events: the source's own events, in time order.
     """
 
     row_index: RowIndex
@@ -75,6 +75,11 @@ class TrajectoryRows:
             signals=tracks.signals,
             events=tracks.events,
         )
+
+    def agent_and_time(self, row: int) -> tuple[int, float]:
+        """The agent's id and the time, s, of a row."""
+        index = self.row_index
+        return int(self.ids[index.agent[row]]), float(self.time_s[index.step[row]])
 
     @property
     def walking(self) -> BoolArray:

@@ -18,8 +18,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.agreement import Resolution, resolve
 from behaviors.errors import InputError
+from behaviors.labelling import Resolution, resolve
 from behaviors.labels import Trait
 from sim.frames import Tracks
 

@@ -181,6 +181,19 @@ class Road:
         return {lane.id: i for i, lane in enumerate(self.lanes)}
 
     @cached_property
+    def connection_of_lane(self) -> IntArray:
+        """(L + 1,) index of the connection that each lane is part of; -1 outside junctions.
+
+        The last entry is -1, so that lane -1 (no lane) has no connection either.
+        """
+        found = np.full(len(self.lanes) + 1, -1, dtype=np.int64)
+        for index, link in enumerate(self.connections):
+            for name in link.via:
+                if name in self.lane_index and found[self.lane_index[name]] < 0:
+                    found[self.lane_index[name]] = index
+        return found
+
+    @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
         """Smallest x and y and largest x and y of any centre line, m."""
         points = np.concatenate([lane.centerline for lane in self.lanes])

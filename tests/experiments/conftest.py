@@ -7,9 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
+from behaviors.detector_inputs import ShownTrait
 from behaviors.labels import BEHAVIORS, Behavior, Trait
 from behaviors.profiles import PROFILES
-from behaviors.traits import Exhibit
 from experiments.replay.beliefs import Beliefs, looks, sampled
 from experiments.replay.forecasts import Forecast
 from experiments.replay.graph_watch import watch_graph
@@ -97,7 +97,7 @@ def make_scene():
             road=road,
             tracks=tracks,
             agents=specs,
-            exhibits=(Exhibit(Trait.CUTTING_IN, int(ids[0]), 3.0, 6.0, 1.0),),
+            exhibits=(ShownTrait(Trait.CUTTING_IN, int(ids[0]), 3.0, 6.0, 1.0),),
             beliefs=Beliefs(ids, time_s[seen], probability),
             believer="a model",
             graph=watch_graph(tracks),

@@ -32,8 +32,10 @@ from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
-from sim.store.dataset import open_dataset, write_episode, write_manifest, write_recording
+from sim.store.catalogue import write_manifest
+from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
+from sim.store.writing import write_episode, write_recording
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 

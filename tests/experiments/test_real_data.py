@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behaviors.agreement import cohen_kappa, style_of
 from behaviors.errors import InputError
+from behaviors.labelling import style_of
 from behaviors.labels import Behavior, Style, Trait
 from experiments.benches.real_data import (
     BENCH,
@@ -23,6 +23,7 @@ from experiments.benches.real_data import (
     evaluate_traf,
     read_traf,
 )
+from experiments.scoring.annotators import cohen_kappa
 from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
 from sim.formats import argo, traf
 from sim.formats.argo_labels import read_labels

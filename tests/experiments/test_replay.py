@@ -30,8 +30,10 @@ from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS
-from sim.store.dataset import open_dataset, write_manifest, write_recording
+from sim.store.catalogue import write_manifest
+from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
+from sim.store.writing import write_recording
 
 
 @pytest.fixture(scope="module")

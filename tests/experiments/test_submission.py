@@ -15,8 +15,10 @@ from sim.engines import get_engine
 from sim.formats.argoverse2 import write
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
-from sim.store.dataset import open_dataset, write_manifest, write_recording
+from sim.store.catalogue import write_manifest
+from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
+from sim.store.writing import write_recording
 
 
 def futures(agents=2, modes=3, steps=STEPS) -> Prediction:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from behaviors.errors import InputError
 from scenarios import SCENARIOS
-from sim.episode.annotate import watch
+from sim.episode.annotate import annotate
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import AgentKind, Event, Tracks
@@ -135,9 +135,9 @@ def test_what_is_seen_on_a_map(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen.gap[:3], [66.0, 65.0, 64.0])
     np.testing.assert_allclose(seen.offset, 0.5)
     assert np.isnan(seen.limit).all()
-    found = watch(steps, road, recorded=True)
+    found = annotate(steps, road, recorded=True)
     assert found.events == ()  # too fast for what limit?
-    assert found.exhibits == ()
+    assert found.shown_traits == ()
 
 
 def test_a_map_without_lanes_is_no_road(tmp_path: Path) -> None:
@@ -289,7 +289,7 @@ def test_the_real_map(tmp_path: Path) -> None:
     assert seen.on_road[moves].mean() > 0.8
     assert np.nanmedian(np.abs(seen.offset[moves])) < 0.7
     assert np.nanmedian(np.abs(seen.lane_heading[moves])) < 0.1
-    events: list[Event] = list(watch(steps, road, recorded=True).events)
+    events: list[Event] = list(annotate(steps, road, recorded=True).events)
     assert not [e for e in events if e.kind in ("red run", "did not yield")]  # nobody knows
     export_dataset(tmp_path / "data", tmp_path / "again", "argoverse2", quiet=True)
     (archive,) = (tmp_path / "again").rglob("log_map_archive_*.json")

@@ -21,16 +21,8 @@ from behaviors import BEHAVIORS, InputError, sample_profile
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec
 from sim.store.atomic import remove_partial, whole_folder, write_whole
-from sim.store.dataset import (
-    Dataset,
-    altered_files,
-    episode_id,
-    finished_episode,
-    open_dataset,
-    write_episode,
-    write_manifest,
-    write_recording,
-)
+from sim.store.catalogue import altered_files, finished_episode, write_manifest
+from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import (
     AGENTS,
     EPISODE_FILES,
@@ -42,6 +34,7 @@ from sim.store.schema import (
     EpisodeMeta,
     split_of,
 )
+from sim.store.writing import episode_id, write_episode, write_recording
 
 TABLES = [name.removesuffix(".parquet") for name in EPISODE_FILES]
 
@@ -518,7 +511,7 @@ def test_rows_that_no_agent_and_step_can_have_are_refused(tmp_path: Path) -> Non
 def test_what_could_not_be_read_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.store.dataset.MAX_OBJECTS", 7)
+    monkeypatch.setattr("sim.store.encode.MAX_OBJECTS", 7)
     with pytest.raises(InputError, match=r"agents\.parquet: found 8 rows, expected at most 7"):
         write_episode(tmp_path, META, frames(), population())
     assert not (tmp_path / "episodes").exists()

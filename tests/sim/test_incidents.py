@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from scenarios.networks.build import SHIPPED, net_of
+from sim.episode.annotate import shown_traits
+from sim.episode.detector_inputs import detector_inputs, with_encounters
 from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
-from sim.episode.shown_traits import exhibited, met, see
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.road.net import read_road
 
@@ -233,7 +234,8 @@ def test_events_make_rule_traits_and_ids_are_agents(four_way):
     x = lane_xy(four_way, "north_in_1")[0, 0]
     tracks = tracks_of(four_way, [line((x, 80.0), (0.0, -10.0))], signal=Signal.RED)
     events = incidents(tracks, four_way)
-    found = exhibited(tracks.ids, met(tracks.ids, see(tracks, four_way), events))
+    inputs = with_encounters(tracks.ids, detector_inputs(tracks, four_way), events)
+    found = shown_traits(tracks.ids, inputs)
     assert [e.agent for e in found if e.trait == "not following rules"] == [0]
 
 

@@ -14,10 +14,10 @@ from behaviors.profiles import PROFILES
 from behaviors.traits import cutting_in
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
+from sim.episode.detector_inputs import detector_inputs
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
-from sim.episode.shown_traits import see
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec, sample_agents
 from sim.sumo.engine import SumoError, run
@@ -174,7 +174,7 @@ def test_threatening_drivers_cut_in_and_the_careful_do_not():
     scenario = short(mix="threatening=.5,careful=.5", duration_s=150.0, flow=2400.0)
     agents = sample_agents(scenario, 0)
     tracks = Tracks.from_frames(run(scenario, agents, 0))
-    cuts = cutting_in(see(TrajectoryRows.of(tracks), scenario.road))
+    cuts = cutting_in(detector_inputs(TrajectoryRows.of(tracks), scenario.road))
     behavior = {a.id: a.behavior for a in agents}
     who = [behavior[int(tracks.ids[cut.agent])] for cut in cuts]
     assert who.count(Behavior.THREATENING) > 20

@@ -1,13 +1,14 @@
-"""The traits that agents showed: `behaviors.traits` on `TrajectoryRows`."""
+"""What the trait detectors read of an episode: its observables and the rules of the road."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
-from behaviors.traits import Exhibit, RuleEncounter, Seen, detect
+from behaviors.detector_inputs import DetectorInputs, RuleEncounter
 from sim.episode.observables import Observables, observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal, says_stop
@@ -15,7 +16,7 @@ from sim.road import Road
 from sim.road.lane_graph import LaneGraph, project
 from sim.road.lane_search import along
 
-RULES = {
+RULES: Final = {
     EventKind.RED_RUN: False,
     EventKind.STOP_ROLLED: False,
     EventKind.NOT_YIELDED: False,
@@ -23,53 +24,37 @@ RULES = {
     EventKind.STOPPED: True,
     EventKind.YIELDED: True,
 }
-"""Events that are rules met, and whether they were kept."""
+"""The events in which a rule applied, and whether it was kept."""
 
 
-def exhibited(ids: IntArray, seen: Seen) -> tuple[Exhibit, ...]:
-    """Every trait that was shown.
-
-    Args:
-        ids: (N,) ids of the agents.
-        seen: what the detectors look at, with the rules that were met (`met`).
-
-    Returns:
-        Exhibits in order of time; their ``agent`` and ``other`` are agent ids (-1: nobody).
-    """
-    return tuple(
-        dataclasses.replace(
-            exhibit,
-            agent=int(ids[exhibit.agent]),
-            other=int(ids[exhibit.other]) if exhibit.other >= 0 else -1,
-        )
-        for exhibit in detect(seen)
-    )
-
-
-def met(ids: IntArray, seen: Seen, events: Sequence[Event]) -> Seen:
-    """What the detectors look at, with the rules that were met.
+def with_encounters(
+    ids: IntArray, inputs: DetectorInputs, events: Sequence[Event]
+) -> DetectorInputs:
+    """Add the rules that applied to agents.
 
     Args:
         ids: (N,) ids of the agents.
-        seen: what `see` gives.
-        events: what `sim.episode.incidents.incidents` found in it.
+        inputs: what `detector_inputs` gives.
+        events: what `sim.episode.incidents.incidents` found.
     """
-    rows = {int(i): row for row, i in enumerate(ids)}
+    index = {int(agent): i for i, agent in enumerate(ids)}
     encounters = tuple(
-        RuleEncounter(rows[e.agent], e.time_s, RULES[e.kind])
+        RuleEncounter(index[e.agent], e.time_s, RULES[e.kind])
         for e in events
-        if e.kind in RULES and e.agent in rows
+        if e.kind in RULES and e.agent in index
     )
-    return dataclasses.replace(seen, encounters=encounters)
+    return dataclasses.replace(inputs, encounters=encounters)
 
 
-def see(steps: TrajectoryRows, road: Road, observed: Observables | None = None) -> Seen:
-    """What the detectors look at, before anything is known of the rules that were met.
+def detector_inputs(
+    steps: TrajectoryRows, road: Road, observed: Observables | None = None
+) -> DetectorInputs:
+    """What the detectors read, without the rules that applied (`with_encounters` adds them).
 
     Args:
         steps: an episode or a recording.
         road: where it happened.
-        observed: its observables, if they are at hand.
+        observed: the observables of ``steps``, if the caller has them.
 
     Returns:
         Arrays with the rows of ``steps``.
@@ -85,8 +70,8 @@ def see(steps: TrajectoryRows, road: Road, observed: Observables | None = None) 
     for link in road.connections:
         at = road.lane_index[link.from_lane]
         held[at] |= link.must_stop or (link.must_yield and link.signal < 0)
-    off_crossing, on_red = _walkers(steps, road)
-    return Seen(
+    off_crossing, on_red = _jaywalkers(steps, road)
+    return DetectorInputs(
         row_index=steps.row_index,
         time_s=steps.time_s,
         drives=np.asarray(steps.kind != PEDESTRIAN),
@@ -112,8 +97,8 @@ def see(steps: TrajectoryRows, road: Road, observed: Observables | None = None) 
     )
 
 
-def _walkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray]:
-    """(m,) who walks on the carriageway off any crossing, and on one entered on red."""
+def _jaywalkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray]:
+    """(m,) rows of pedestrians on the carriageway off any crossing, and on one entered on red."""
     row_index = steps.row_index
     off, on_red = np.zeros(steps.speed.size, dtype=bool), np.zeros(steps.speed.size, dtype=bool)
     rows = np.flatnonzero(steps.walking)
@@ -134,7 +119,7 @@ def _walkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray]:
         inside[rows] = near & (u > 0.3) & (u < total - 0.3)
         for run in row_index.runs(inside):
             entered = int(row_index.step[run.start])
-            # who is there from the first frame on was not seen to enter
+            # nobody saw the entry of pedestrians that are there from the first frame on
             if entered > 0 and steps.signals[crossing.signal, entered] == Signal.RED.code:
                 on_red[run] = True
     off[rows[on_road]] = True

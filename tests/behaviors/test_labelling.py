@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from behaviors.agreement import cohen_kappa, resolve, style_of
 from behaviors.errors import InputError
+from behaviors.labelling import resolve, style_of
 from behaviors.labels import Behavior, Style, Trait
 
 HASTY = [Trait.OVERTAKING]
@@ -53,12 +53,3 @@ def test_wrong_input_is_named():
         resolve([HASTY], "mild")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="traits: found none"):
         resolve([[]])
-    with pytest.raises(InputError, match="found 1 and 2 answers"):
-        cohen_kappa("a", "ab")
-
-
-def test_kappa_of_a_worked_example():
-    """20 yes-yes, 5 yes-no, 10 no-yes, 15 no-no: agreement .7, by chance .5."""
-    first = "y" * 25 + "n" * 25
-    second = "y" * 20 + "n" * 5 + "y" * 10 + "n" * 15
-    assert cohen_kappa(first, second) == pytest.approx(0.4)

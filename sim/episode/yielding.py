@@ -1,0 +1,265 @@
+"""Whether vehicles let pedestrians go first at crossings where pedestrians have priority."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from sim.episode.observables import Observables
+from sim.episode.rows import TrajectoryRows
+from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, says_stop
+from sim.road import Crossing, Road
+from sim.road.lane_search import along
+
+ROLLING_MPS: Final = 0.5
+"""A vehicle below this speed has stopped (our choice: slower than anyone walks)."""
+
+PATH_S: Final = 2.5
+"""A pedestrian who reaches the vehicle's path within this time is in its way (our choice: about the
+time that a car needs to clear a crossing, and a second)."""
+
+WALKING_MPS: Final = 1.3
+"""Speed at which a pedestrian is assumed to reach the vehicle's path (Weidmann 1993)."""
+
+COULD_STOP_MPS2: Final = 3.4
+"""Braking that most drivers find comfortable (AASHTO Green Book 2018). A driver who would need
+more than this when the pedestrian steps on the crossing could not have yielded: no encounter."""
+
+PULLING_AWAY_MPS2: Final = 1.5
+"""Acceleration of an unhindered driver from a stop (our choice: an average driver)."""
+
+FORESIGHT_S: Final = 2.0
+"""A driver who waits for another vehicle sees it enter the junction this soon (our choice)."""
+
+ON_CROSSING_M: Final = 0.3
+"""A pedestrian this far beyond the kerb has stepped on the crossing (our choice: half a stride)."""
+
+LONGEST_WAIT_S: Final = 20.0
+"""A pedestrian who left the crossing this long ago has nothing to do with a passing vehicle."""
+
+
+class Walk(NamedTuple):
+    """One pedestrian's walk over a crossing.
+
+    Attributes:
+        person: the pedestrian's id.
+        begin: column in which it steps on the crossing.
+        end: last column on the crossing.
+        along: (T,) distance along the crossing, m; NaN where not seen.
+        direction: 1 or -1, the sign of its motion along the crossing.
+    """
+
+    person: int
+    begin: int
+    end: int
+    along: FloatArray
+    direction: float
+
+    def blocks(self, path: float, half: float, column: int) -> bool:
+        """Whether the pedestrian is in a vehicle's path, or soon would be, at one time.
+
+        Args:
+            path: where the vehicle drives, as a distance along the crossing, m.
+            half: half the width of the path, m.
+            column: the time.
+        """
+        if not self.begin < column <= self.end:
+            return False
+        to_path = float(path - self.along[column]) * self.direction - half  # m left to walk to it
+        return -2 * half < to_path < PATH_S * WALKING_MPS
+
+
+def crossings_passed(steps: TrajectoryRows, road: Road, observed: Observables) -> list[Event]:
+    """Events of vehicles that let a pedestrian go first at a crossing, or did not.
+
+    Args:
+        steps: an episode or a recording.
+        road: where it happened.
+        observed: its observables.
+    """
+    walking, row_index = steps.walking, steps.row_index
+    walkers = np.flatnonzero(walking)
+    if not walkers.size:
+        return []
+    found = []
+    driving = np.flatnonzero(~walking)
+    xy = steps.xy[driving]
+    longest = float(steps.length.max())
+    links = road.connection_of_lane[observed.lane]
+    for crossing in road.crossings:
+        if crossing.signal < 0 and not crossing.priority:
+            continue
+        walks = _walks(steps, crossing, walkers)
+        if not walks:
+            continue
+        near = driving[_near(crossing, xy, longest / 2)]
+        facing = steps.heading[near]
+        forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
+        front = steps.xy[near] + 0.5 * steps.length[row_index.agent[near], None] * forward
+        u, across, total = along(crossing.centerline, front)
+        inside = (np.abs(across) <= crossing.width_m / 2) & (u >= 0) & (u <= total)
+        on = np.zeros(steps.speed.size, dtype=bool)
+        on[near[inside]] = True
+        for run in row_index.runs(on):
+            if row_index.begins[run.start]:
+                continue
+            path = float(u[np.searchsorted(near, run.start)])
+            verdict = _verdict(steps, road, observed, walks, run.start, path, links)
+            if verdict is not None:
+                kind, other = verdict
+                agent, time_s = steps.agent_and_time(run.start)
+                found.append(Event(kind, time_s, agent, other))
+    return found
+
+
+def _near(crossing: Crossing, xy: FloatArray, beyond_m: float) -> IntArray:
+    """(k,) indices of the places in a crossing's bounding box, widened by ``beyond_m``."""
+    reach = crossing.width_m + beyond_m
+    low, high = crossing.centerline.min(axis=0) - reach, crossing.centerline.max(axis=0) + reach
+    return np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
+
+
+def _walks(steps: TrajectoryRows, crossing: Crossing, walkers: IntArray) -> list[Walk]:
+    """Every walk over a crossing that was not begun on red.
+
+    Args:
+        steps: the episode.
+        crossing: the crossing.
+        walkers: (k,) rows of pedestrians.
+    """
+    row_index = steps.row_index
+    u = np.full(steps.speed.size, np.nan)
+    u[walkers], across, total = along(crossing.centerline, steps.xy[walkers])
+    on = np.zeros(u.size, dtype=bool)
+    on[walkers] = np.abs(across) <= crossing.width_m / 2 + 1.0
+    on &= (u > ON_CROSSING_M) & (u < total - ON_CROSSING_M)
+    found = []
+    for run in row_index.runs(on, 10):
+        agent, begin = int(row_index.agent[run.start]), int(row_index.step[run.start])
+        if crossing.signal >= 0 and steps.signals[crossing.signal, begin] == Signal.RED.code:
+            continue
+        direction = float(np.sign(u[run.stop - 1] - u[run.start]))
+        if direction != 0.0:
+            at = row_index.over(u, agent, 0, row_index.times, np.nan)
+            last = int(row_index.step[run.stop - 1])
+            found.append(Walk(int(steps.ids[agent]), begin, last, at, direction))
+    return found
+
+
+def _verdict(
+    steps: TrajectoryRows,
+    road: Road,
+    observed: Observables,
+    walks: Sequence[Walk],
+    row: int,
+    path: float,
+    links: IntArray,
+) -> tuple[EventKind, int] | None:
+    """Whether a vehicle that enters a crossing let a pedestrian go first.
+
+    An encounter needs three things. The pedestrian is in the vehicle's way, or would have been, had
+    the vehicle driven on unhindered from when the pedestrian stepped on the crossing. The driver
+    could have stopped then. And only the pedestrian held the vehicle: no red light, no leader, no
+    vehicle on a connection that crosses or joins its own.
+
+    Returns the kind of event and the pedestrian's id; None without an encounter.
+
+    Args:
+        steps: the episode.
+        road: where it happened.
+        observed: its observables.
+        walks: the walks over the crossing.
+        row: in which the vehicle's front comes to the crossing.
+        path: where it drives, as a distance along the crossing, m.
+        links: (m,) `Road.connection_of_lane` of each row's lane.
+    """
+    row_index, step_s = steps.row_index, steps.step_s
+    agent, entry = int(row_index.agent[row]), int(row_index.step[row])
+    half = steps.width[agent] / 2 + 0.3
+    yielded: tuple[EventKind, int] | None = None
+    for walk in walks:
+        person, begin, end, u, direction = walk
+        if not begin < entry or end < entry - round(LONGEST_WAIT_S / step_s):
+            continue
+        come = row - (entry - begin)  # the row at which the pedestrian stepped on the crossing,
+        if come < row_index.first[agent] or row_index.step[come] != begin:
+            continue  # unless the vehicle was lost from sight in between
+
+        speed = steps.speed[come : row + 1]
+        left_m = float(speed.sum()) * step_s - np.cumsum(speed) * step_s
+        if walk.blocks(path, half, entry):
+            if could_stop(float(speed[0]), float(left_m[0])):
+                return EventKind.NOT_YIELDED, person
+            continue
+        walked = np.flatnonzero((path - u[begin : entry + 1]) * direction + half <= 0)
+        if not walked.size:
+            continue
+        clear = int(walked[0])  # columns from begin until it had left the vehicle's path
+        span = slice(come, come + clear + 1)
+        held = (observed.stop_distance[span] >= 0) & says_stop(observed.signal[span])
+        held |= observed.gap[span] < left_m[: clear + 1]
+        since = int(np.flatnonzero(held)[-1]) + 1 if held.any() else 0
+        if since >= clear or not could_stop(float(speed[since]), float(left_m[since])):
+            continue
+        limit = float(observed.limit[come + since : row + 1].min(initial=np.inf))
+        pulled_s = _unhindered_s(float(speed[since]), float(left_m[since]), limit)
+        if not walk.blocks(path, half, begin + since + round(pulled_s / step_s)):
+            continue
+        until = begin + clear + round(FORESIGHT_S / step_s)
+        if not _others_cross(steps, road, links, come + since, row, until):
+            yielded = EventKind.YIELDED, person
+    return yielded
+
+
+def could_stop(speed: float, distance: float) -> bool:
+    """Whether a driver can stop within a distance, m, by braking with `COULD_STOP_MPS2`."""
+    return speed**2 <= 2.0 * COULD_STOP_MPS2 * max(distance, 0.0)
+
+
+def _unhindered_s(speed: float, distance: float, limit: float) -> float:
+    """Time in which a driver who accelerates to the limit covers a distance, s."""
+    start = min(speed, limit)
+    if not np.isfinite(limit):
+        return distance / max(start, ROLLING_MPS)
+    rising_s = (limit - start) / PULLING_AWAY_MPS2
+    rising_m = (start + limit) / 2.0 * rising_s
+    if rising_m >= distance:
+        root = float(np.sqrt(start**2 + 2.0 * PULLING_AWAY_MPS2 * distance))
+        return (root - start) / PULLING_AWAY_MPS2
+    return rising_s + (distance - rising_m) / limit
+
+
+def _others_cross(
+    steps: TrajectoryRows, road: Road, links: IntArray, since: int, entry: int, until: int
+) -> bool:
+    """Whether another vehicle was on a connection that crosses or joins this vehicle's.
+
+    Args:
+        steps: the episode.
+        road: where it happened.
+        links: (m,) as in `_verdict`.
+        since: row of the vehicle from which on others count.
+        entry: row in which it enters the crossing.
+        until: last column in which others count.
+    """
+    row_index = steps.row_index
+    agent, begin = int(row_index.agent[entry]), int(row_index.step[since])
+    soon = int(row_index.step[entry]) + round(5.0 / steps.step_s)
+    near = links[row_index.rows(agent, begin, soon)]
+    mine = near[near >= 0]
+    if not mine.size:
+        return False
+    own = int(mine[0])
+    foes = {
+        index
+        for index, link in enumerate(road.connections)
+        if own in link.yields_to or index in road.connections[own].yields_to
+    }
+    if not foes:
+        return False
+    others = np.flatnonzero(np.isin(links, list(foes)))
+    step = row_index.step[others]
+    others = others[(step >= begin) & (step <= until)]
+    return bool((row_index.agent[others] != agent).any())

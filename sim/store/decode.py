@@ -1,0 +1,323 @@
+"""From the bytes of an episode's tables back to `Tracks`, agents and shown traits.
+
+Whatever can be wrong with a table is one `InputError` that names the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from behaviors.detector_inputs import ShownTrait
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior, Trait
+from behaviors.profiles import PROFILE_FIELDS, Profile
+from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
+from sim.scenario import AgentSpec
+from sim.store.schema import (
+    AGENTS,
+    EVENTS,
+    FRAMES,
+    MAX_CELLS,
+    MAX_OBJECTS,
+    MAX_TEXT_BYTES,
+    SIGNALS_TABLE,
+    TRAITS_TABLE,
+    EpisodeEntry,
+    steps_schema,
+)
+
+
+def read_tables(
+    home: Path, entry: EpisodeEntry, data: Mapping[str, bytes]
+) -> tuple[Tracks, tuple[AgentSpec, ...], tuple[ShownTrait, ...]]:
+    """Everything that an episode's tables hold.
+
+    Args:
+        home: the episode's folder, for messages.
+        entry: what the manifest says of it.
+        data: the bytes of each of ``EPISODE_FILES``.
+
+    Returns:
+        Tracks of all agents that were seen, all agents, and the shown traits.
+
+    Raises:
+        InputError: if a table is broken or does not fit the schema; names the file.
+    """
+    agents_path, frames_path = home / "agents.parquet", home / "frames.parquet"
+    agents = _read_table(agents_path, data["agents.parquet"], [AGENTS], MAX_OBJECTS, None)
+    frames = _read_table(
+        frames_path, data["frames.parquet"], [FRAMES], min(entry.frames, MAX_CELLS), None
+    )
+    time_s = _numbers(frames_path, frames, "time_s")
+    if time_s.size != entry.frames or (np.diff(time_s) <= 0).any():
+        raise InputError(f"{frames_path}: expected {entry.frames} times, each after the one before")
+    if agents.num_rows * time_s.size > MAX_CELLS:
+        raise InputError(
+            f"{agents_path}: found {agents.num_rows} agents in {time_s.size} steps, expected "
+            f"agents times steps at most {MAX_CELLS}"
+        )
+    ids = _numbers(agents_path, agents, "agent")
+    if (np.diff(ids) <= 0).any():
+        raise InputError(f"{agents_path}: found agents out of order, expected ascending ids")
+    dense = _read_steps(home / "steps.parquet", entry, data["steps.parquet"], ids, time_s.size)
+    seen = np.flatnonzero(dense.valid.any(axis=1))
+    behavior = _codes(agents_path, agents, "behavior", BEHAVIORS, optional=True)[seen]
+    specs = _agent_specs(agents_path, agents)
+    names = agents.column("name").to_pylist()
+    sizes = {c: _numbers(agents_path, agents, c)[seen] for c in ("length_m", "width_m")}
+    take = slice(None) if seen.size == ids.size else seen
+    tracks = Tracks(
+        ids=ids[seen],
+        names=tuple(names[i] for i in seen),
+        kind=_codes(agents_path, agents, "kind", KINDS)[seen],
+        length=sizes["length_m"],
+        width=sizes["width_m"],
+        time_s=time_s,
+        xy=dense.xy[take],
+        heading=dense.heading[take],
+        speed=dense.speed[take],
+        valid=dense.valid[take],
+        signals=_read_signals(home / "signals.parquet", data["signals.parquet"], time_s.size),
+        behavior=behavior if (behavior >= 0).any() else None,
+        events=_read_events(home / "events.parquet", data["events.parquet"]),
+    )
+    shown = _read_shown_traits(home / "traits.parquet", data["traits.parquet"])
+    return tracks, specs, shown
+
+
+def _read_table(
+    path: Path, data: bytes, schemas: Sequence[pa.Schema], max_rows: int, columns: list[str] | None
+) -> pa.Table:
+    """A table that has one of the schemas; every way it can be broken is one InputError."""
+    try:
+        file = pq.ParquetFile(pa.BufferReader(data))
+        found = file.schema_arrow.remove_metadata()
+        if not any(_same_columns(found, schema) for schema in schemas):
+            raise InputError(f"{path}: {_first_difference(found, schemas[0])}")
+        texts = _check_amount(path, file, max_rows)
+        # A small file can repeat a long text for every row: read with each text in memory once.
+        packed = pq.ParquetFile(
+            pa.BufferReader(data), metadata=file.metadata, read_dictionary=texts
+        ).read(columns=columns, use_threads=False)
+        packed.validate(full=True)  # words are valid UTF-8, offsets are inside
+        table = _spelled_out(path, packed, found)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+    return table
+
+
+def _check_amount(path: Path, file: Any, max_rows: int) -> list[str]:
+    """Refuse more rows than there may be; the names of the columns of texts."""
+    groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+    texts: list[str] = []
+    for place in range(file.metadata.num_columns):
+        chunks = [group.column(place) for group in groups]
+        rows = sum(chunk.num_values for chunk in chunks)  # the edges of all routes, for routes
+        if rows > max_rows:
+            raise InputError(f"{path}: found {rows} rows, expected at most {max_rows}")
+        if file.schema.column(place).physical_type == "BYTE_ARRAY":
+            _check_text_bytes(path, sum(chunk.total_uncompressed_size for chunk in chunks))
+            texts.append(file.schema.column(place).path)
+    return texts
+
+
+def _spelled_out(path: Path, packed: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The texts of every row, unless they would not fit into memory."""
+    for column in packed.columns:
+        flat = pc.list_flatten(column) if pa.types.is_list(column.type) else column
+        if pa.types.is_dictionary(flat.type):
+            longest = [pc.max(pc.binary_length(part.dictionary)).as_py() for part in flat.chunks]
+            _check_text_bytes(path, len(flat) * max((n or 0 for n in longest), default=0))
+    return packed.cast(pa.schema([schema.field(name) for name in packed.column_names]))
+
+
+def _check_text_bytes(path: Path, size: int) -> None:
+    if size > MAX_TEXT_BYTES:
+        raise InputError(
+            f"{path}: found texts of up to {size} bytes in a column, expected at most "
+            f"{MAX_TEXT_BYTES}"
+        )
+
+
+def _first_difference(found: pa.Schema, expected: pa.Schema) -> str:
+    """Which column is the first that is not as the schema has it."""
+    for field in expected:
+        if field.name not in found.names:
+            return f"found no column {field.name}, expected it"
+        if found.names.count(field.name) > 1:
+            return f"found column {field.name} more than once"
+        if found.field(field.name).type != field.type:
+            return f"found {field.name} as {found.field(field.name).type}, expected {field.type}"
+    strange = [name for name in found.names if name not in expected.names]
+    return f"found column {strange[0]}" if strange else "found other columns in another order"
+
+
+def _same_columns(found: pa.Schema, expected: pa.Schema) -> bool:
+    """Whether names and types agree; how lists name their items does not matter."""
+
+    def plain(kind: pa.DataType) -> pa.DataType:
+        return pa.list_(kind.value_type) if pa.types.is_list(kind) else kind
+
+    return found.names == expected.names and all(
+        plain(a.type) == plain(b.type) for a, b in zip(found, expected, strict=True)
+    )
+
+
+def _numbers(path: Path, table: pa.Table, name: str) -> NDArray[Any]:
+    column = table.column(name)
+    if column.null_count:
+        raise InputError(f"{path}: found an empty {name}, expected a number in every row")
+    values: NDArray[Any] = column.to_numpy()
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        raise InputError(f"{path}: found a {name} that is not finite, expected numbers")
+    return values
+
+
+def _codes(
+    path: Path, table: pa.Table, name: str, words: Sequence[str], optional: bool = False
+) -> NDArray[np.int8]:
+    """Each row's place in ``words``; -1 for null, which only optional columns may have."""
+    column = table.column(name)
+    if column.null_count and not optional:
+        raise InputError(f"{path}: found an empty {name}, expected one of {', '.join(words)}")
+    codes = pc.index_in(column, value_set=pa.array(words))
+    if codes.null_count != column.null_count:
+        strange = column.filter(pc.and_(pc.is_null(codes), pc.is_valid(column)))[0].as_py()
+        raise InputError(f"{path}: found {name} {strange!r}, expected one of {', '.join(words)}")
+    return cast("NDArray[np.int8]", pc.fill_null(codes, -1).to_numpy().astype(np.int8))
+
+
+@dataclass(frozen=True, slots=True)
+class _Dense:
+    xy: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+
+
+def _read_steps(
+    path: Path, entry: EpisodeEntry, data: bytes, ids: NDArray[np.int64], steps: int
+) -> _Dense:
+    columns = ["agent", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
+    schemas = [steps_schema(exact=False), steps_schema(exact=True)]
+    max_rows = min(entry.agent_steps, ids.size * steps)
+    table = _read_table(path, data, schemas, max_rows, columns)
+    agent, step, x, y, heading, speed = (_numbers(path, table, c) for c in columns)
+    starts = np.flatnonzero(np.diff(agent, prepend=agent[:1] - 1)) if agent.size else agent
+    runs = agent[starts]
+    row = np.searchsorted(ids, runs)
+    if (row >= ids.size).any() or (ids[row] != runs).any():
+        raise InputError(f"{path}: found an agent that agents.parquet does not have")
+    if agent.size and not 0 <= int(step.min()) <= int(step.max()) < steps:
+        raise InputError(f"{path}: found a step outside of 0 to {steps - 1}")
+    counts = np.diff(starts, append=agent.size)
+    cell = np.repeat(row * steps, counts) + step
+    if (np.diff(cell) <= 0).any():
+        raise InputError(f"{path}: found rows out of order, expected them by agent, then step")
+    xy = np.full((ids.size, steps, 2), np.nan)
+    flat = xy.reshape(-1, 2)
+    flat[cell, 0] = x
+    flat[cell, 1] = y
+    dense = [np.full((ids.size, steps), np.nan) for _ in range(2)]
+    dense[0].reshape(-1)[cell] = heading
+    dense[1].reshape(-1)[cell] = speed
+    valid = np.zeros((ids.size, steps), dtype=bool)
+    valid.reshape(-1)[cell] = True
+    return _Dense(xy, dense[0], dense[1], valid)
+
+
+def _read_signals(path: Path, data: bytes, steps: int) -> NDArray[np.int8]:
+    table = _read_table(path, data, [SIGNALS_TABLE], MAX_OBJECTS, None)
+    step, group = _numbers(path, table, "step"), _numbers(path, table, "group")
+    state = _codes(path, table, "state", SIGNALS)
+    groups = int(group.max()) + 1 if group.size else 0
+    if step.size and not 0 <= int(step.min()) <= int(step.max()) < steps:
+        raise InputError(f"{path}: found a step outside of 0 to {steps - 1}")
+    if (group.size and int(group.min()) < 0) or groups * steps > MAX_CELLS:
+        raise InputError(f"{path}: found a signal group outside of 0 to {MAX_CELLS // steps}")
+    first = np.zeros(groups, dtype=bool)
+    first[group[step == 0]] = True
+    if not first.all():
+        raise InputError(f"{path}: expected a state of every signal group at step 0")
+    signals = np.zeros((groups, steps), dtype=np.int8)
+    last = np.zeros((groups, steps), dtype=np.int64)
+    signals[group, step] = state
+    last[group, step] = step
+    last = np.maximum.accumulate(last, axis=1)
+    return np.take_along_axis(signals, last, axis=1)
+
+
+def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
+    table = _read_table(path, data, [EVENTS], MAX_OBJECTS, None)
+    kinds = [k.value for k in EventKind]
+    _codes(path, table, "kind", kinds)
+    _numbers(path, table, "time_s")
+    _numbers(path, table, "agent")
+    return tuple(
+        Event(EventKind(r["kind"]), r["time_s"], r["agent"], r["other"], r["rule"] or "")
+        for r in table.to_pylist()
+    )
+
+
+def _read_shown_traits(path: Path, data: bytes) -> tuple[ShownTrait, ...]:
+    table = _read_table(path, data, [TRAITS_TABLE], MAX_OBJECTS, None)
+    _codes(path, table, "trait", tuple(Trait))
+    for name in ("agent", "begin_s", "end_s", "value"):
+        _numbers(path, table, name)
+    return tuple(
+        ShownTrait(
+            trait=Trait(row["trait"]),
+            agent=row["agent"],
+            begin_s=row["begin_s"],
+            end_s=row["end_s"],
+            value=row["value"],
+            other=-1 if row["other"] is None else row["other"],
+        )
+        for row in table.to_pylist()
+    )
+
+
+def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
+    behavior = _codes(path, table, "behavior", BEHAVIORS, optional=True)
+    _codes(path, table, "kind", KINDS)
+    for name in ("length_m", "width_m", "depart_s", "walking_speed_mps", "seed"):
+        _numbers(path, table, name)
+    for name in ("name", "route", "jaywalks"):
+        if table.column(name).null_count:
+            raise InputError(f"{path}: found an empty {name}, expected one in every row")
+    specs: list[AgentSpec] = []
+    for code, row in zip(behavior, table.to_pylist(), strict=True):
+        numbers = {name: row[name] for name in PROFILE_FIELDS}
+        missing = [name for name, value in numbers.items() if value is None]
+        if missing and len(missing) < len(numbers):
+            raise InputError(f"{path}: agent {row['agent']}: found no {missing[0]}, expected one")
+        try:
+            profile = None if missing else Profile(**numbers)
+        except InputError as error:
+            raise InputError(f"{path}: agent {row['agent']}: {error}") from None
+        specs.append(
+            AgentSpec(
+                id=row["agent"],
+                kind=AgentKind(row["kind"]),
+                behavior=None if code < 0 else Behavior(row["behavior"]),
+                profile=profile,
+                route=tuple(row["route"]),
+                depart_s=row["depart_s"],
+                length_m=row["length_m"],
+                width_m=row["width_m"],
+                speed_mps=row["walking_speed_mps"],
+                seed=row["seed"],
+                jaywalks=row["jaywalks"],
+            )
+        )
+    return tuple(specs)
