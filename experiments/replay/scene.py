@@ -140,9 +140,9 @@ def gather(
         )
     exhibits = episode.shown_traits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
-        watched = annotate(TrajectoryRows.of(tracks), road, recorded=True)
-        exhibits = watched.shown_traits
-        tracks = dataclasses.replace(tracks, events=watched.events)
+        found = annotate(TrajectoryRows.of(tracks), road, recorded=True)
+        exhibits = found.shown_traits
+        tracks = dataclasses.replace(tracks, events=found.events)
     forecasts: list[Forecast] = []
     shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:
