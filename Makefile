@@ -44,10 +44,12 @@ $(BIN)/python:
 
 $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable .
+	$(BIN)/python -m experiments.cli.compile_kernels
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable '.[dev]'
+	$(BIN)/python -m experiments.cli.compile_kernels
 	@touch $(VENV)/.installed $@
 
 # The release tools live in an environment of their own, so that what they need is not locked.

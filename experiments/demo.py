@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from experiments.console.exit_codes import one_line
+from experiments.console.notices import show_notices
 from experiments.data.generate import GenerateConfig, generate
 from experiments.report.page import printed_tables, write_report
 from experiments.report.run_file import Metrics, RunFile, Score, installed, read_run, write_run
@@ -166,5 +167,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    show_notices()
     with one_line():
         main()

@@ -11,6 +11,7 @@ from typing import Final
 
 import graphrqi.predict
 from experiments.console.exit_codes import one_line
+from experiments.console.notices import show_notices
 from experiments.data.generate import GenerateConfig, generate
 from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
@@ -80,5 +81,6 @@ def build_models(work: Path, quiet: bool = False) -> None:
 
 
 if __name__ == "__main__":
+    show_notices()
     with one_line():
         build_models(Path("runs/model"))

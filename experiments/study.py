@@ -12,6 +12,7 @@ from pathlib import Path
 
 from experiments.benches.registry import BENCHES
 from experiments.console.exit_codes import one_line
+from experiments.console.notices import show_notices
 from experiments.rows import write_json
 
 
@@ -41,5 +42,6 @@ def run_study(out: Path, quick: bool = False) -> list[Path]:
 
 
 if __name__ == "__main__":
+    show_notices()
     with one_line():
         run_study(Path("runs/study"))

@@ -4,23 +4,33 @@ Modules with kernels are imported on first use only, so that importing the packa
 loads nothing. The cache lies beside the source, or in numba's user cache folder when that is
 read-only, and is as old as the newest Python file of the kernel's folder and of those that hold the
 kernels it calls: numba itself looks at the kernel's own file only, and would go on using what a
-kernel it calls was before an edit.
+kernel it calls was before an edit. A compilation is announced through `LOGGER`.
 """
 
 from __future__ import annotations
 
 import gc
+import logging
 from collections.abc import Callable
 from functools import cache, lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 from numba import njit
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
+
+LOGGER: Final = logging.getLogger("graphrqi")
+"""Says at level INFO that kernels are being compiled, once in a process, and at level DEBUG which.
+Python shows neither by itself, as befits a library; the command line shows the first."""
+
+NOTICE: Final = (
+    "compiling numerical kernels, once per installation: about 15 s at the first use ..."
+)
+"""What a first use waits for."""
 
 _FOLDERS: dict[Callable[..., object], set[Path]] = {}
 """The folders whose Python files each kernel depends on."""
@@ -115,18 +125,25 @@ def _folders(function: Callable[..., object]) -> set[Path]:
     return {Path(function.__code__.co_filename).parent}.union(*called)
 
 
-class _Uncollected(event.Listener):
-    """Pauses garbage collection while numba compiles: a fifth of the time would go into it.
+class _Compilation(event.Listener):
+    """Says what a compilation is, and pauses garbage collection while it lasts.
 
-    A compilation makes millions of objects that live until its end, and each full collection
-    visits them all and finds nothing.
+    A compilation makes millions of objects that live until its end. Each full collection would
+    visit them all and find nothing, which takes a fifth of the time.
     """
 
     def __init__(self) -> None:
         self._nested = 0
         self._was_on = False
+        self._announced = False
 
     def on_start(self, event: Any) -> None:
+        kernel = event.data["dispatcher"]
+        if kernel in _FOLDERS:
+            if not self._announced:
+                self._announced = True
+                LOGGER.info(NOTICE)
+            LOGGER.debug("compiling %s", kernel.__qualname__)
         if self._nested == 0:
             self._was_on = gc.isenabled()
             gc.disable()
@@ -138,7 +155,7 @@ class _Uncollected(event.Listener):
             gc.enable()
 
 
-event.register("numba:compile", _Uncollected())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Compilation())  # type: ignore[no-untyped-call]
 
 
 @lru_cache

@@ -200,7 +200,8 @@ def run_spectrum_bench(
         for name in (everything if solvers is None else solvers)
     }
     for layout, kind, end in product(graphs, kinds, ends):  # all words, before hours of work
-        next(graph_sequence(layout, kind, 1, 1))
+        next(traffic_positions(layout, 1, 1))
+        TrafficGraph.empty(kind=cast(Any, kind))
         check_arguments(pairs, end, tol)
     rows: list[Row] = []
     with threadpool_limits(1):

@@ -15,6 +15,7 @@ import typer
 
 from experiments.cli.bench import BenchGroup
 from experiments.console.exit_codes import STOPPED, Interrupted, one_line
+from experiments.console.notices import show_notices
 
 app = typer.Typer(
     name="graphrqi",
@@ -451,6 +452,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: the command's arguments; by default those of the process.
     """
+    show_notices(quiet="--quiet" in (sys.argv if arguments is None else arguments))
     with one_line():
         code = app(arguments, prog_name="graphrqi", standalone_mode=False)
         if code == STOPPED:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from numba import njit
 from numba.core import event
 
-import sim.compiled  # noqa: F401  # what is tested
+import sim.compiled
 
 
 class _Watch(event.Listener):
@@ -74,3 +75,36 @@ def test_an_edit_of_a_kernel_that_is_called_from_another_folder_is_noticed(
         )  # fmt: skip
         found.append(float(said.stdout))
     assert found == [8.0, 26.0]
+
+
+KERNEL = """
+from sim.compiled import compiled
+
+
+@compiled
+def twice(x):
+    return 2.0 * x
+"""
+
+
+def test_a_first_use_says_once_what_it_waits_for(tmp_path: Path) -> None:
+    (tmp_path / "kernel.py").write_text(KERNEL)
+    program = (
+        "from experiments.console.notices import show_notices; show_notices({quiet})\n"
+        "from kernel import twice; twice(3.0); twice(3)"
+    )
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", program.format(quiet=quiet)],
+            cwd=tmp_path, capture_output=True, text=True, check=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / folder)},
+        ).stderr
+        for quiet, folder in ((False, "one"), (False, "one"), (True, "two"))
+    ]  # fmt: skip
+    assert said == [f"graphrqi: {sim.compiled.NOTICE}\n", "", ""]
+
+
+def test_the_notice_is_for_our_kernels_only(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("DEBUG", logger="graphrqi"):
+        njit(lambda x: x + x)(1.0)
+    assert not caplog.messages

@@ -1,0 +1,62 @@
+"""Compiles the kernels that classifying and predicting need, so that a first use need not wait.
+
+``make install`` runs it as ``python -m experiments.cli.compile_kernels``. Either engine drives a
+four-way intersection for some seconds, and every frame is classified and predicted; what numba
+compiles on the way stays in its cache. Where everything is there already it takes some seconds.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Final
+
+from experiments.console.exit_codes import one_line
+from experiments.console.progress import Progress
+
+ENGINES: Final = ("sumo", "highway")
+DURATION_S: Final = 20.0
+"""How long either engine drives, s: until vehicles meet, which some kernels are needed for."""
+
+
+class _Advance(logging.Handler):
+    """Advances a progress display at every message, which is a kernel being compiled."""
+
+    def __init__(self, progress: Progress) -> None:
+        super().__init__()
+        self._progress = progress
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.levelno == logging.DEBUG:
+            self._progress.advance()
+
+
+def compile_kernels() -> None:
+    """Classify and predict the frames of both engines, and show how many kernels are compiled."""
+    from graphrqi.predict import predict
+    from graphrqi.stream import load_stream
+    from scenarios import SCENARIOS
+    from sim.engines import get_engine
+    from sim.scenario import sample_agents
+
+    logger = logging.getLogger("graphrqi")
+    before = logger.level
+    with Progress("compiling numerical kernels", 0) as progress:
+        handler = _Advance(progress)
+        logger.addHandler(handler)
+        logger.setLevel(logging.DEBUG)
+        try:
+            scenario = SCENARIOS["four_way_intersection"](duration_s=DURATION_S)
+            agents = sample_agents(scenario, seed=0)
+            for engine in ENGINES:
+                stream = load_stream("graphrqi-plus")
+                for frame in get_engine(engine)(scenario, agents, 0):
+                    posterior = stream.update(frame)
+                    predict(stream.history, posterior, scenario.road, horizon_s=5.0)
+        finally:
+            logger.setLevel(before)
+            logger.removeHandler(handler)
+
+
+if __name__ == "__main__":
+    with one_line():
+        compile_kernels()
