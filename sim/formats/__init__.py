@@ -1,7 +1,7 @@
 """Formats of recordings that other tools write and read, by name.
 
-A reader yields `Recording`s from one file; a writer puts an episode into a folder. Each lives in
-its own file, is loaded when first asked for, and refuses what is broken with one
+A reader yields `Recording`s from one file; a writer puts an episode into a folder. Each format has
+a module of its own that is loaded on first use. A reader refuses a broken file with one
 `behaviors.errors.InputError` that names the file and the line, row or column.
 """
 
@@ -41,9 +41,10 @@ class Format:
         reader: "module:function", or None where it is only written.
         writer: "module:function", or None where it is only read.
         unit: what its lengths are in: "m", or "px" where there is no scale.
-        own_names: whether nothing else is named like its files, so that each of them is to be read,
-            whatever it looks like.
-        beside: patterns of the names of files that only go with its files.
+        own_names: whether no other format names its files so; then every file of such a name is
+            read, whatever it looks like.
+        beside: patterns of the names of files that only accompany its files.
+        example: a small file of this format, which the contract tests read, alter and break.
     """
 
     files: tuple[str, ...]
@@ -53,6 +54,7 @@ class Format:
     unit: str = "m"
     own_names: bool = False
     beside: tuple[str, ...] = ()
+    example: bytes = b""
 
 
 def _columns(*names: str) -> re.Pattern[bytes]:

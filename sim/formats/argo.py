@@ -15,7 +15,7 @@ import numpy as np
 from sim.formats.argo_labels import read_labels
 from sim.formats.common.csv_columns import read_columns
 from sim.formats.common.ego_motion import remove_ego_motion
-from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, Rows, assemble
+from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, assemble
 
 FRAME_RATE_HZ: Final = 10.0
 """Frames per second that are assumed (Argoverse's tracking data has 10)."""
@@ -35,24 +35,12 @@ def read(path: Path) -> Iterator[Recording]:
     """
     columns = read_columns(path, ["frame", "x", "y"], ["id"])
     agent, names = columns.names("id")
-    unknown = np.full(len(columns), np.nan)
-    n = len(names)
-    rows = Rows(
-        agent=agent,
-        names=names,
-        time_s=columns.numbers("frame") / FRAME_RATE_HZ,
-        x=columns.numbers("x"),
-        y=columns.numbers("y"),
-        heading=unknown,
-        speed=unknown,
-        length=np.full(n, CAR_LENGTH_M),
-        width=np.full(n, CAR_WIDTH_M),
-        kind=np.zeros(n, dtype=np.int8),
-    )
+    time_s = columns.numbers("frame") / FRAME_RATE_HZ
+    rows = Rows.of_positions(agent, names, time_s, columns.numbers("x"), columns.numbers("y"))
     tracks = remove_ego_motion(assemble(path, rows))
     notes = [
         "the recording vehicle's motion was estimated from those that stand, and taken out",
-        "kinds and sizes are not in this format: cars of 4.5 m are assumed",
+        CARS_ASSUMED,
     ]
     beside = path.with_name(path.name.replace("_tracks", "_labels"))
     if beside != path and beside.is_file():

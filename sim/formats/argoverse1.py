@@ -22,8 +22,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.formats.common.csv_columns import read_columns
 from sim.formats.common.recording import (
-    CAR_LENGTH_M,
-    CAR_WIDTH_M,
+    CARS_ASSUMED,
     MAX_NAMES,
     Recording,
     Rows,
@@ -58,29 +57,11 @@ def read(path: Path) -> Iterator[Recording]:
     columns = read_columns(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
     agent, names = columns.names("track_id")
     time_s = columns.numbers("timestamp")
-    unknown = np.full(len(columns), np.nan)
-    n = len(names)
-    rows = Rows(
-        agent=agent,
-        names=names,
-        time_s=time_s - time_s.min(),
-        x=columns.numbers("x"),
-        y=columns.numbers("y"),
-        heading=unknown,
-        speed=unknown,
-        length=np.full(n, CAR_LENGTH_M),
-        width=np.full(n, CAR_WIDTH_M),
-        kind=np.zeros(n, dtype=np.int8),
-        behavior=_labels_beside(path, names),
-    )
-    yield Recording(
-        path.stem,
-        assemble(path, rows),
-        (
-            "kinds and sizes are not in this format: cars of 4.5 m are assumed",
-            "headings and speeds are told from the motion",
-        ),
-    )
+    x, y = columns.numbers("x"), columns.numbers("y")
+    labels = _labels_beside(path, names)
+    rows = Rows.of_positions(agent, names, time_s - time_s.min(), x, y, labels)
+    notes = (CARS_ASSUMED, "headings and speeds are told from the motion")
+    yield Recording(path.stem, assemble(path, rows), notes)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:

@@ -32,6 +32,7 @@ from sim.formats.common.recording import (
     assemble,
     check_size,
     default_size,
+    kind_codes,
 )
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
@@ -156,7 +157,7 @@ def read(path: Path) -> Iterator[Recording]:
         speed=np.hypot(column("velocity_x"), column("velocity_y")),
         length=sizes[:, 0],
         width=sizes[:, 1],
-        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        kind=kind_codes(kinds),
         behavior=_labels_beside(path.with_name(f"behavior_{name}.parquet"), names),
     )
     notes = ["sizes are not in this format: those usual for each kind are assumed"]

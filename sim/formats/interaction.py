@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.csv_columns import Columns, read_columns
-from sim.formats.common.recording import MOVING_MPS, Recording, Rows, assemble, default_size
+from sim.formats.common.recording import (
+    MOVING_MPS,
+    Recording,
+    Rows,
+    assemble,
+    default_size,
+    kind_codes,
+)
 from sim.frames import AgentKind
 
 TYPES: Final[dict[str, AgentKind]] = {
@@ -126,7 +133,7 @@ def _rows(path: Path, columns: Columns) -> Rows:
         speed=speed,
         length=length,
         width=width,
-        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        kind=kind_codes(kinds),
     )
 
 

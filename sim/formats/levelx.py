@@ -17,10 +17,18 @@ from typing import Final
 
 import numpy as np
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.csv_columns import read_columns
-from sim.formats.common.recording import MOVING_MPS, Recording, Rows, assemble, default_size
+from sim.formats.common.csv_columns import Columns, read_columns
+from sim.formats.common.recording import (
+    MOVING_MPS,
+    Recording,
+    Rows,
+    assemble,
+    default_size,
+    kind_codes,
+)
 from sim.frames import AgentKind
 
 FRAME_RATE_HZ: Final = 25.0
@@ -54,18 +62,22 @@ def _frame_rate(path: Path) -> float:
     return rate
 
 
+def _agents(
+    path: Path, columns: Columns, id_column: str
+) -> tuple[NDArray[np.int64], tuple[str, ...], NDArray[np.int64], list[AgentKind], list[str]]:
+    """(m,) agent of each row; of each agent its name, first row and kind; and notes."""
+    agent, names = columns.names(id_column)
+    _, first = np.unique(agent, return_index=True)
+    return agent, names, first, *_kinds(path, id_column, names)
+
+
 def _kinds(path: Path, id_column: str, names: tuple[str, ...]) -> tuple[list[AgentKind], list[str]]:
     facts = _beside(path, "tracksMeta")
     if facts == path or not facts.is_file():
         return [AgentKind.CAR] * len(names), [f"{facts.name} is not there: all are taken for cars"]
     columns = read_columns(facts, [], [id_column, "class"])
-    word = dict(
-        zip(
-            columns.table.column(id_column).to_pylist(),
-            columns.table.column("class").to_pylist(),
-            strict=True,
-        )
-    )
+    ids, words = (columns.table.column(name).to_pylist() for name in (id_column, "class"))
+    word = dict(zip(ids, words, strict=True))
     kinds = []
     for name in names:
         found = word.get(name)
@@ -103,9 +115,7 @@ def read_ind(path: Path) -> Iterator[Recording]:
                 f"{path}: column recordingid: found {recordings[0]} and {recordings[1]}, expected "
                 "one recording in a file"
             )
-    agent, names = columns.names("trackid")
-    kinds, notes = _kinds(path, "trackid", names)
-    _, first = np.unique(agent, return_index=True)
+    agent, names, first, kinds, notes = _agents(path, columns, "trackid")
     length, width = columns.numbers("length")[first], columns.numbers("width")[first]
     points = (length == 0) | (width == 0)  # pedestrians and bicycles have no box
     usual = np.array([default_size(kind) for kind in kinds])
@@ -121,7 +131,7 @@ def read_ind(path: Path) -> Iterator[Recording]:
         speed=np.hypot(columns.numbers("xvelocity"), columns.numbers("yvelocity")),
         length=np.where(points, usual[:, 0], length),
         width=np.where(points, usual[:, 1], width),
-        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        kind=kind_codes(kinds),
     )
     yield Recording(path.stem, assemble(path, rows), tuple(notes))
 
@@ -141,9 +151,7 @@ def read_highd(path: Path) -> Iterator[Recording]:
     columns = read_columns(
         path, ["frame", "x", "y", "width", "height", "xvelocity", "yvelocity"], ["id"]
     )
-    agent, names = columns.names("id")
-    kinds, notes = _kinds(path, "id", names)
-    _, first = np.unique(agent, return_index=True)
+    agent, names, first, kinds, notes = _agents(path, columns, "id")
     vx, vy = columns.numbers("xvelocity"), -columns.numbers("yvelocity")
     speed = np.hypot(vx, vy)
     rows = Rows(
@@ -156,6 +164,6 @@ def read_highd(path: Path) -> Iterator[Recording]:
         speed=speed,
         length=columns.numbers("width")[first],
         width=columns.numbers("height")[first],
-        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        kind=kind_codes(kinds),
     )
     yield Recording(path.stem, assemble(path, rows), (*notes, "headings are told from velocities"))

@@ -24,7 +24,14 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.csv_columns import Columns, read_columns, read_fields, read_header
-from sim.formats.common.recording import MAX_CELLS, Recording, Rows, assemble, check_size
+from sim.formats.common.recording import (
+    MAX_CELLS,
+    Recording,
+    Rows,
+    assemble,
+    check_size,
+    kind_codes,
+)
 from sim.frames import AgentKind
 
 FOOT_M: Final = 0.3048
@@ -166,7 +173,7 @@ def _recording(path: Path, name: str, columns: Columns) -> Recording:
         speed=values["v_vel"] * FOOT_M,
         length=length,
         width=values["v_width"][first] * FOOT_M,
-        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        kind=kind_codes(kinds),
         rest_heading=math.pi / 2,
     )
     # The motion of the front tells the heading, the heading where the centre is.

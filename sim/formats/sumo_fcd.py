@@ -30,6 +30,7 @@ from sim.formats.common.recording import (
     Rows,
     assemble,
     check_size,
+    kind_codes,
 )
 from sim.formats.common.recording import default_size as usual_size
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
@@ -282,7 +283,7 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
         speed=column["speed"],
         length=length,
         width=np.array([size[1] for size in sizes]),
-        kind=np.array([kind.code for kind in kinds], dtype=np.int8),
+        kind=kind_codes(kinds),
         behavior=behavior if (behavior >= 0).any() else None,
         empty_s=tuple(set(found.times_s) - set(column["time"].tolist())),
     )

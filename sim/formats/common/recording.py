@@ -1,11 +1,12 @@
 """A recording from elsewhere: rows of any format become `Tracks`, or one clear error.
 
-Every reader gives rows (agent, time, box centre, heading, speed, size, kind) in our conventions;
-what is common to all of them is here: duplicates, order, limits, headings from motion.
+Every reader gives rows (agent, time, centre, heading, speed, size, kind) in our conventions. What
+all readers share is here: order, duplicates, limits, and headings that follow from the motion.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -32,21 +33,24 @@ MAX_CELLS: Final = 10**8
 """Most agents times steps as dense arrays (our choice: 3 GB)."""
 
 MAX_MAGNITUDE: Final = 1e9
-"""Largest absolute number that a place, time or speed may have (our choice; longer than UTM)."""
+"""Largest absolute position, time or speed (our choice; beyond any UTM coordinate)."""
 
 MAX_SIDE: Final = 1000.0
 """Longest agent, m (our choice; longer than any train, and than any box in an image, pixels)."""
 
 MOVING_MPS: Final = 0.5
-"""From this speed on the direction of motion tells the heading (our choice: noise of some
+"""From this speed on, the direction of motion is taken for the heading (our choice: noise of some
 centimetres at 10 Hz is slower)."""
 
 SHORTEST_S: Final = 1e-6
-"""Times closer than this give no velocity, s (our choice)."""
+"""Times closer than this give no velocity, s (our choice: far below any sampling interval)."""
 
 CAR_LENGTH_M: Final = 4.5
 CAR_WIDTH_M: Final = 1.8
 """Size of a car where a format does not say it (a European median)."""
+
+CARS_ASSUMED: Final = "kinds and sizes are not in this format: cars of 4.5 m are assumed"
+"""The note of recordings made with `Rows.of_positions`."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +73,16 @@ class Recording:
 
 @dataclass(frozen=True)
 class Rows:
-    """What a reader found: one entry per agent and time, in any order.
+    """What a reader found: one entry per agent and time, in any order of rows.
 
     Attributes:
-        agent: (m,) index into ``names`` of who it is.
+        agent: (m,) index of the agent in ``names``.
         names: the source's own ids.
         time_s: (m,) s.
-        x: (m,) of the box centre, m.
-        y: (m,) of the box centre, m.
-        heading: (m,) rad; NaN where it has to be told from the motion.
-        speed: (m,) m/s; NaN where it has to be told from the motion.
+        x: (m,) of the vehicle's centre, m.
+        y: (m,) of the vehicle's centre, m.
+        heading: (m,) rad; NaN where `assemble` takes it from the motion.
+        speed: (m,) m/s; NaN where `assemble` takes it from the motion.
         length: (len(names),) m.
         width: (len(names),) m.
         kind: (len(names),) codes into ``sim.frames.KINDS``.
@@ -101,6 +105,32 @@ class Rows:
     behavior: NDArray[np.int8] | None = None
     empty_s: tuple[float, ...] = ()
 
+    @classmethod
+    def of_positions(
+        cls,
+        agent: NDArray[np.int64],
+        names: tuple[str, ...],
+        time_s: FloatArray,
+        x: FloatArray,
+        y: FloatArray,
+        behavior: NDArray[np.int8] | None = None,
+    ) -> Rows:
+        """Rows of a format that has positions only: everyone is taken for a car.
+
+        Args:
+            agent: as in `Rows`, like the others.
+            names: the source's own ids.
+            time_s: s.
+            x: m.
+            y: m.
+            behavior: codes, or None.
+        """
+        unknown, n = np.full(x.size, np.nan), len(names)
+        return cls(
+            agent, names, time_s, x, y, unknown, unknown, np.full(n, CAR_LENGTH_M),
+            np.full(n, CAR_WIDTH_M), np.zeros(n, dtype=np.int8), behavior=behavior,
+        )  # fmt: skip
+
 
 def check_size(path: Path) -> None:
     """Refuse what is not a file or is too large to read.
@@ -113,6 +143,11 @@ def check_size(path: Path) -> None:
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise InputError(f"{path}: found {size} bytes, expected at most {MAX_BYTES}")
+
+
+def kind_codes(kinds: Sequence[AgentKind]) -> NDArray[np.int8]:
+    """(n,) codes into ``KINDS``."""
+    return np.array([kind.code for kind in kinds], dtype=np.int8)
 
 
 def default_size(kind: AgentKind) -> tuple[float, float]:
@@ -195,7 +230,7 @@ def assemble(path: Path, rows: Rows) -> Tracks:
         moved_heading, moved_speed = motion(xy, time_s, rows.rest_heading)
         speed = np.where(np.isnan(speed), moved_speed, speed)
         heading = np.where(np.isnan(heading), moved_heading, heading)
-    turned = (heading > np.pi) | (heading <= -np.pi)  # others stay as they are to the last digit
+    turned = (heading > np.pi) | (heading <= -np.pi)  # angles in range keep their last digit
     heading = np.where(turned, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
     return Tracks(
         ids=np.arange(n),
