@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from experiments.console.exit_codes import one_line
+from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
 from experiments.data.generate import GenerateConfig, generate
 from experiments.report.page import printed_tables, write_report
@@ -168,5 +168,5 @@ def main() -> None:
 
 if __name__ == "__main__":
     show_notices()
-    with one_line():
+    with exit_on_user_error():
         main()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import graphrqi.predict
-from experiments.console.exit_codes import one_line
+from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
 from experiments.data.generate import GenerateConfig, generate
 from experiments.demo import BEST_METHOD, SCENARIOS
@@ -82,5 +82,5 @@ def build_models(work: Path, quiet: bool = False) -> None:
 
 if __name__ == "__main__":
     show_notices()
-    with one_line():
+    with exit_on_user_error():
         build_models(Path("runs/model"))

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from experiments.benches.registry import BENCHES
-from experiments.console.exit_codes import one_line
+from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
 from experiments.rows import write_json
 
@@ -43,5 +43,5 @@ def run_study(out: Path, quick: bool = False) -> list[Path]:
 
 if __name__ == "__main__":
     show_notices()
-    with one_line():
+    with exit_on_user_error():
         run_study(Path("runs/study"))

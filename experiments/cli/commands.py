@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.bench import BenchGroup
-from experiments.console.exit_codes import STOPPED, Interrupted, one_line
+from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import show_notices
 
 app = typer.Typer(
@@ -321,14 +321,14 @@ def replay(
     quiet: Quiet = False,
 ) -> None:
     """Make a page that plays an episode in a browser."""
-    from experiments.replay import write_replay
+    from experiments.replay.write import ReplayOptions, write_replay
 
-    written = write_replay(
-        source, out, episode=episode, labels=labels, predictions=predictions, format=format,
-        net=net, model=model, predictor=predictor, color=color, begin_s=begin_s, end_s=end_s,
-        video=video, picture=picture, quiet=quiet,
+    options = ReplayOptions(
+        episode=episode, labels=labels, predictions=predictions, format=format, net=net,
+        model=model, predictor=predictor, color=color, begin_s=begin_s, end_s=end_s, video=video,
+        picture=picture,
     )  # fmt: skip
-    for path in written:
+    for path in write_replay(source, out, options, quiet):
         typer.echo(path)
 
 
@@ -453,7 +453,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: the command's arguments; by default those of the process.
     """
     show_notices(quiet="--quiet" in (sys.argv if arguments is None else arguments))
-    with one_line():
+    with exit_on_user_error():
         code = app(arguments, prog_name="graphrqi", standalone_mode=False)
         if code == STOPPED:
             raise Interrupted("stopped")  # typer swallows a Ctrl-C and returns its code

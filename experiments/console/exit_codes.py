@@ -1,4 +1,4 @@
-"""How a program ends when its user asked for what cannot be, or stopped it: one line, no traceback.
+"""A program that fails because of its input, or is stopped, says why in one line and exits.
 
 Only what every program needs is imported here, so that help appears at once.
 """
@@ -13,7 +13,7 @@ from typing import Final, NoReturn
 from typer.exceptions import TyperException
 
 STOPPED: Final = 130
-"""Exit code of a program that Ctrl-C stopped: 128 and the signal's number, as shells have it."""
+"""Exit code of a program that Ctrl-C stopped: 128 plus the signal's number, as in shells."""
 
 
 class Interrupted(Exception):
@@ -21,12 +21,12 @@ class Interrupted(Exception):
 
 
 @contextmanager
-def one_line() -> Iterator[None]:
-    """Turn errors of the user's making into a line on stderr and exit code 2, Ctrl-C into 130.
+def exit_on_user_error() -> Iterator[None]:
+    """Turn errors that the user made into one line on stderr and exit code 2, Ctrl-C into 130.
 
     Raises:
-        SystemExit: instead of an `InputError`, an `OSError` with a reason of the system's, a wrong
-            command line, an `Interrupted` or a `KeyboardInterrupt`; whatever else is raised is a
+        SystemExit: instead of an `InputError`, an `OSError` with a reason given by the system, a
+            wrong command line, an `Interrupted` or a `KeyboardInterrupt`. Any other exception is a
             defect of the program and keeps its traceback.
     """
     try:
@@ -46,7 +46,7 @@ def _end(message: str, code: int) -> NoReturn:
 
 
 def _reason(error: Exception) -> str | None:
-    """What the user did wrong; None if it was not the user."""
+    """What the user did wrong; None if the program is to blame."""
     from behaviors.errors import InputError
 
     if isinstance(error, TyperException):

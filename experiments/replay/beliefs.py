@@ -56,7 +56,7 @@ class Beliefs:
         return Posterior(self.ids[known], now[known].astype(np.float64))
 
 
-def looks(tracks: Tracks) -> IntArray:
+def kept_steps(tracks: Tracks) -> IntArray:
     """Indices of the frames at which beliefs and the graph are looked at: every half a second.
 
     Args:
@@ -95,7 +95,7 @@ def believe(tracks: Tracks, model: Model) -> Beliefs:
     Returns:
         Its beliefs every half a second.
     """
-    steps = looks(tracks)
+    steps = kept_steps(tracks)
     probability = _nothing(tracks, steps)
     column = {int(step): i for i, step in enumerate(steps)}
     stream = BehaviorStream(model)
@@ -124,7 +124,7 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     """
     table = episode_rows(path, LABELS, episode, "labels")
     agent = agent_rows(path, table, episode, tracks)
-    steps = looks(tracks)
+    steps = kept_steps(tracks)
     times = tracks.time_s[steps]
     time_s = table["time_s"].to_numpy()
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)

@@ -23,7 +23,7 @@ from behaviors.labels import BEHAVIORS, TRAITS
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.replay.packing import differences, pack, quantum
 from experiments.replay.ramp import ramp_color
-from experiments.replay.scene import Scene
+from experiments.replay.scene import ReplayScene
 from sim.formats import FORMATS
 from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray, Tracks
 from sim.road.shapes import road_shapes
@@ -57,12 +57,12 @@ def ramp() -> list[str]:
     return [ramp_color(share) for share in np.linspace(0.0, 1.0, RAMP_STOPS)]
 
 
-def default_mode(scene: Scene) -> str:
+def default_mode(scene: ReplayScene) -> str:
     """What agents are coloured by at first: the truth where it is known."""
     return "predicted" if scene.tracks.behavior is None else "true"
 
 
-def write_page(scene: Scene, out: Path, mode: str, begin_s: float | None = None) -> None:
+def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None = None) -> None:
     """Write the page of a scene.
 
     Args:
@@ -108,7 +108,7 @@ def _json(value: object) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _data(scene: Scene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
+def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
     """What the page's script reads."""
     tracks = scene.tracks
     begin_s = float(tracks.time_s[0])
@@ -185,7 +185,7 @@ def _row(ids: IntArray, agent: int) -> int:
     return at if at < ids.size and ids[at] == agent else -1
 
 
-def _agents(scene: Scene) -> list[dict[str, Any]]:
+def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
     tracks = scene.tracks
     found = []
     for i, agent in enumerate(tracks.ids.tolist()):
@@ -206,7 +206,7 @@ def _agents(scene: Scene) -> list[dict[str, Any]]:
     return found
 
 
-def _places(scene: Scene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _places(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Where everyone is, as runs of steps without a gap."""
     tracks = scene.tracks
     agent, step = np.nonzero(tracks.valid)
@@ -239,7 +239,7 @@ def _places(scene: Scene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     }
 
 
-def _extent(scene: Scene, xy: FloatArray) -> list[float]:
+def _extent(scene: ReplayScene, xy: FloatArray) -> list[float]:
     """x0, y0, x1, y1 of what is worth showing."""
     if scene.road is not None:
         return [round(v, 2) for v in scene.road.bounds]
@@ -247,14 +247,14 @@ def _extent(scene: Scene, xy: FloatArray) -> list[float]:
     return [round(float(v), 2) for v in (x0, y0, x1, y1)]
 
 
-def _beliefs(scene: Scene, arrays: dict[str, NDArray[Any]]) -> None:
+def _beliefs(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> None:
     """(N, S, 6) probabilities in 255ths; all 0 where nothing is believed."""
     probability = scene.beliefs.probability
     arrays["beliefTime"] = (scene.beliefs.time_s - scene.tracks.time_s[0]).astype("f4")
     arrays["belief"] = np.rint(np.nan_to_num(probability) * 255.0).astype("u1").ravel()
 
 
-def _graph(scene: Scene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """|w| as roots in 254ths of the largest, 255 for nobody; edges by look."""
     w = scene.graph.w
     largest = np.nan_to_num(w).max(axis=0, initial=0.0)
@@ -270,7 +270,7 @@ def _graph(scene: Scene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     return {}
 
 
-def _forecasts(scene: Scene, arrays: dict[str, NDArray[Any]], unit: float) -> dict[str, Any]:
+def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]], unit: float) -> dict[str, Any]:
     """Futures, each as its first place and how the steps between its places change."""
     if not scene.forecasts:
         return {"ahead": []}
@@ -309,7 +309,7 @@ def _many(shapes: Sequence[FloatArray]) -> list[list[float]]:
     return [_flat(shape) for shape in shapes]
 
 
-def _road(scene: Scene) -> dict[str, Any] | None:
+def _road(scene: ReplayScene) -> dict[str, Any] | None:
     if scene.road is None:
         return None
     shapes = road_shapes(scene.road)

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS
 from experiments.replay.ramp import ramp_color
-from experiments.replay.scene import Scene
+from experiments.replay.scene import ReplayScene
 from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
 from sim.road.shapes import RoadShapes, road_shapes
 from sim.store.atomic import write_whole
@@ -110,7 +110,7 @@ def lay_out(extent: tuple[float, float, float, float], width: int, height: int) 
     return panels
 
 
-def shown_extent(scene: Scene) -> tuple[float, float, float, float]:
+def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of what is worth showing: of a junction, where its traffic is."""
     places = scene.tracks.xy[scene.tracks.valid]
     if scene.road is None:
@@ -141,7 +141,7 @@ class Painter:
         height: pixels.
     """
 
-    def __init__(self, scene: Scene, mode: str, width: int = 1280, height: int = 720) -> None:
+    def __init__(self, scene: ReplayScene, mode: str, width: int = 1280, height: int = 720) -> None:
         self.scene, self.mode = scene, mode
         self.width, self.height = width * FINE, height * FINE
         self.panels = [
@@ -368,7 +368,7 @@ class Painter:
             pen.ellipse((x - r, y - r, x + r, y + r), None, GRAVE, 3 * FINE)
 
 
-def write_picture(scene: Scene, path: Path, mode: str, time_s: float | None = None) -> None:
+def write_picture(scene: ReplayScene, path: Path, mode: str, time_s: float | None = None) -> None:
     """Write a scene at one time as a PNG.
 
     Args:

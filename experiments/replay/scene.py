@@ -14,7 +14,7 @@ from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
-from experiments.replay.graph_watch import WatchedGraph, watch_graph
+from experiments.replay.graph_history import GraphHistory, graph_history
 from graphrqi.methods import load_model
 from sim.episode.annotate import annotate
 from sim.episode.rows import TrajectoryRows
@@ -38,7 +38,7 @@ MAX_AGENTS: Final = 2**15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class ReplayScene:
     """One episode, ready to be drawn.
 
     Attributes:
@@ -64,7 +64,7 @@ class Scene:
     exhibits: tuple[ShownTrait, ...]
     beliefs: Beliefs
     believer: str
-    graph: WatchedGraph
+    graph: GraphHistory
     forecasts: tuple[Forecast, ...]
     predictor: str
     notes: tuple[str, ...]
@@ -108,7 +108,7 @@ def gather(
     predictions: Path | None = None,
     predictor: str | None = None,
     quiet: bool = True,
-) -> Scene:
+) -> ReplayScene:
     """Read an episode, and classify and predict in it what no file says.
 
     Args:
@@ -158,11 +158,11 @@ def gather(
             shown = predictor or DEFAULT_PREDICTOR
             forecasts = forecast(tracks, beliefs, road, shown)
         progress.advance()
-        graph = watch_graph(tracks)
+        graph = graph_history(tracks)
         progress.advance()
     unit = FORMATS[entry.engine].unit if entry.engine in FORMATS else "m"
     stride = _stride(tracks)
-    return Scene(
+    return ReplayScene(
         entry=entry,
         unit=unit,
         road=road,

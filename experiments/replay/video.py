@@ -12,7 +12,7 @@ from PIL import Image
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.replay.picture import Painter
-from experiments.replay.scene import Scene
+from experiments.replay.scene import ReplayScene
 from sim.store.atomic import whole_file
 
 FRAMES_PER_S: Final = {".mp4": 20.0, ".gif": 10.0}
@@ -44,7 +44,7 @@ def check_video(path: Path) -> None:
 
 
 def write_video(
-    scene: Scene,
+    scene: ReplayScene,
     path: Path,
     mode: str,
     begin_s: float | None = None,

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.report.cases import look_closer
+from experiments.report.excerpts import take_excerpts
 from experiments.report.run_file import Metrics
 from experiments.report.sections import (
     LAYOUTS,
@@ -69,12 +69,12 @@ def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Pat
     """
     source = read_source(path)
     run = source.run
-    closer = []
+    excerpts = []
     if run is not None and (path / run.dataset).is_dir() and (path / run.model).is_dir():
         predicted = source.rows.get("prediction", ())
         scenarios = list(dict.fromkeys(words(r["scenario"]) for r in source.rows["classification"]))
         name = shown_predictor(predicted) if predicted else "none"
-        closer = look_closer(path, run.dataset, run.model, scenarios, name, jobs, quiet)
+        excerpts = take_excerpts(path, run.dataset, run.model, scenarios, name, jobs, quiet)
     confusions = [
         confusion_table(matrix, f"{method}, {scenario}")
         for scenario, methods in (run.confusion if run else {}).items()
@@ -83,7 +83,7 @@ def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Pat
     out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
     _write(
         out, "page.html", source=source, run=run, sections=sections(source.rows),
-        confusions=confusions, behaviors=[str(b) for b in BEHAVIORS], closer=closer,
+        confusions=confusions, behaviors=[str(b) for b in BEHAVIORS], excerpts=excerpts,
         missing=[
             (layout.title, layout.made_by)
             for bench, layout in LAYOUTS.items()

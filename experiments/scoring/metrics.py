@@ -181,6 +181,33 @@ def calibration_error(bins: FloatArray) -> FloatArray:
     return np.asarray(missed / bins[..., 0].sum(axis=-1))
 
 
+def auc(score: FloatArray, positive: FloatArray) -> float:
+    """Area under the ROC curve: the probability that a positive scores above a negative.
+
+    Equal to scikit-learn's ``roc_auc_score``, which takes a hundred times as long: intervals need
+    thousands of values.
+
+    Examples:
+        >>> auc(np.array([0.9, 0.4, 0.4]), np.array([1.0, 1.0, 0.0]))
+        0.75
+    """
+    up, down = score[positive > 0.5], np.sort(score[positive <= 0.5])
+    if not up.size or not down.size:
+        return float("nan")
+    below = np.searchsorted(down, up, side="left") + np.searchsorted(down, up, side="right")
+    return float(below.mean() / (2 * down.size))
+
+
+def brier(chance: FloatArray, happened: FloatArray) -> float:
+    """Mean squared difference between chance and outcome."""
+    return float(((chance - happened) ** 2).mean())
+
+
+def pairs_won(up: FloatArray, down: FloatArray) -> FloatArray:
+    """(n, m) 1 where a positive scores above a negative, 1/2 where both score the same."""
+    return np.asarray((up[:, None] > down) + 0.5 * (up[:, None] == down))
+
+
 def auc_within(
     score: FloatArray, positive: NDArray[np.bool_], group: IntArray, seed: int = 0
 ) -> tuple[float, float, float]:
@@ -206,7 +233,7 @@ def auc_within(
     for each in np.unique(group):
         here = group == each
         up, down = score[here & positive], score[here & ~positive]
-        beats = (up[:, None] > down) + 0.5 * (up[:, None] == down)
+        beats = pairs_won(up, down)
         weights = [np.ones((RESAMPLES + 1, part.size)) for part in (up, down)]
         for weight, part in zip(weights, (up, down), strict=True):
             if part.size:

@@ -27,14 +27,7 @@ from experiments.scoring.prediction_file import PREDICTIONS, predictions_file, p
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor, predict
-from graphrqi.predict.metrics import (
-    METRICS,
-    SAMPLE_S,
-    covered,
-    distances,
-    log_density,
-    overlap,
-)
+from graphrqi.predict.metrics import METRICS, SAMPLE_S, covered, distances, log_density, overlap
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene.scene import LEARNED_S, LONGEST_S, make_scene
 from graphrqi.stream import DEFAULT_MODEL, BehaviorStream

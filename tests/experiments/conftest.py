@@ -10,10 +10,10 @@ import pytest
 from behaviors.detector_inputs import ShownTrait
 from behaviors.labels import BEHAVIORS, Behavior, Trait
 from behaviors.profiles import PROFILES
-from experiments.replay.beliefs import Beliefs, looks, sampled
+from experiments.replay.beliefs import Beliefs, kept_steps, sampled
 from experiments.replay.forecasts import Forecast
-from experiments.replay.graph_watch import watch_graph
-from experiments.replay.scene import Scene
+from experiments.replay.graph_history import graph_history
+from experiments.replay.scene import ReplayScene
 from scenarios import SCENARIOS
 from sim.frames import AgentKind, Event, EventKind, Tracks
 from sim.scenario import AgentSpec
@@ -61,7 +61,7 @@ def make_scene():
             behavior=truth,
             events=(Event(EventKind.COLLISION, 5.0, int(ids[0]), int(ids[1]), HOSTILE),),
         )
-        seen = looks(tracks)
+        seen = kept_steps(tracks)
         probability = np.full((agents, seen.size, len(BEHAVIORS)), 0.06, dtype=np.float32)
         probability[np.arange(agents), :, (truth + 1) % len(BEHAVIORS)] = 0.7
         probability[:, :2] = np.nan
@@ -91,7 +91,7 @@ def make_scene():
             )
             for i, c in zip(ids, truth, strict=True)
         }
-        return Scene(
+        return ReplayScene(
             entry=entry,
             unit="m",
             road=road,
@@ -100,7 +100,7 @@ def make_scene():
             exhibits=(ShownTrait(Trait.CUTTING_IN, int(ids[0]), 3.0, 6.0, 1.0),),
             beliefs=Beliefs(ids, time_s[seen], probability),
             believer="a model",
-            graph=watch_graph(tracks),
+            graph=graph_history(tracks),
             forecasts=tuple(forecasts),
             predictor="a predictor",
             notes=(HOSTILE,),

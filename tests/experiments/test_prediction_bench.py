@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.benches.prediction import busy_road, compare, rollout_time, shifted_in_time
+from experiments.benches.prediction.bench import busy_road, compare, rollout_time, shifted_in_time
 from experiments.scoring.prediction import GROUPS, MEASURES, Errors
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS

@@ -8,28 +8,29 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.benches.classification import BENCH, plot_classification
-from experiments.benches.protocols import (
-    LONG_TAIL,
-    OURS,
-    Disturbed,
-    Recordings,
-    _long_tailed,
-    _mislabelled,
-    ablation,
-    across_scenarios,
+from experiments.benches.classification.bench import BENCH, plot_classification
+from experiments.benches.classification.controls import (
     ceiling,
-    difference_rows,
-    in_scenes,
-    inductive,
     interpretability,
     leak_probe,
     random_rows,
-    robustness,
-    score_rows,
-    speed_rows,
+)
+from experiments.benches.classification.protocols import (
+    ablation,
+    across_scenarios,
+    in_scenes,
+    inductive,
     transductive,
 )
+from experiments.benches.classification.recordings import OURS, Disturbed, Recordings
+from experiments.benches.classification.robustness import (
+    LONG_TAIL,
+    long_tailed,
+    mislabelled,
+    robustness,
+)
+from experiments.benches.classification.rows import difference_rows, score_rows
+from experiments.benches.classification.speed import speed_rows
 from experiments.data.disturbances import (
     DISTURBANCES,
     cut_tracks,
@@ -163,14 +164,14 @@ def samples(codes: np.ndarray, episodes: np.ndarray) -> Samples:
 def test_a_long_tailed_mix_has_the_shares_of_traf():
     rng = np.random.default_rng(0)
     many = samples(rng.integers(0, 6, 12000), np.repeat(np.arange(240), 50))
-    count = np.bincount(_long_tailed(many, 0).codes, minlength=6)
+    count = np.bincount(long_tailed(many, 0).codes, minlength=6)
     np.testing.assert_allclose(count / count.sum(), np.array(LONG_TAIL) / 392, atol=0.02)
 
 
 def test_wrong_labels_are_wrong_for_all_windows_of_a_driver():
     one = samples(np.zeros(4000, int), np.repeat(np.arange(80), 50))
     twice = Samples.join([one, one])
-    wrong = _mislabelled(twice, 0.3, 0).codes
+    wrong = mislabelled(twice, 0.3, 0).codes
     assert (wrong != 0).mean() == pytest.approx(0.3, abs=0.03)
     np.testing.assert_array_equal(wrong[:4000], wrong[4000:])
 

@@ -15,15 +15,15 @@ from PIL import Image
 from behaviors.colors import COLORS, rgb
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.replay import write_replay
 from experiments.replay.beliefs import read_beliefs
 from experiments.replay.forecasts import read_forecasts
-from experiments.replay.graph_watch import watch_graph
+from experiments.replay.graph_history import graph_history
 from experiments.replay.packing import differences
 from experiments.replay.page import write_page
 from experiments.replay.picture import Painter, lay_out, write_picture
 from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.video import write_video
+from experiments.replay.write import ReplayOptions, write_replay
 from experiments.scoring.classification import LABELS
 from experiments.scoring.prediction_file import predictions_file, predictions_table
 from graphrqi.features.spectral import NEIGHBORS, RESET
@@ -125,7 +125,7 @@ def test_predictions_come_back_from_their_file(dataset, tmp_path):
 
 
 def test_the_graph_is_the_papers(scene):
-    watched = watch_graph(scene.tracks)
+    watched = graph_history(scene.tracks)
     look = 7
     graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
     for step in range(int(np.searchsorted(scene.tracks.time_s, watched.time_s[look])) + 1):
@@ -266,18 +266,18 @@ def test_what_is_asked_for_wrongly_is_refused_before_any_work(tmp_path):
         ({"video": tmp_path / "nowhere" / "v.gif"}, "found no folder"),
     ):
         with pytest.raises(InputError, match=said):
-            write_replay(tmp_path / "no-data", out, **options)
+            write_replay(tmp_path / "no-data", out, ReplayOptions(**options))
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("begin_s", [-1.0, 1e6, float("nan")])
 def test_a_time_outside_the_episode_is_refused(dataset, tmp_path, begin_s):
     labels_file(tmp_path / "labels.parquet", dataset, "mapped")
+    options = ReplayOptions(
+        "mapped", labels=tmp_path / "labels.parquet", predictor="none", begin_s=begin_s
+    )
     with pytest.raises(InputError, match=r"--begin-s: found .*, expected a time from"):
-        write_replay(
-            dataset, tmp_path / "r.html", episode="mapped", labels=tmp_path / "labels.parquet",
-            predictor="none", begin_s=begin_s, quiet=True,
-        )  # fmt: skip
+        write_replay(dataset, tmp_path / "r.html", options, quiet=True)
     assert not (tmp_path / "r.html").exists()
 
 
@@ -290,10 +290,10 @@ def test_without_ffmpeg_the_extra_is_named(scene, tmp_path, monkeypatch):
 
 def test_the_command_writes_page_picture_and_film(dataset, tmp_path):
     labels_file(tmp_path / "labels.parquet", dataset, "mapped")
-    written = write_replay(
-        dataset, tmp_path / "r.html", episode="mapped", labels=tmp_path / "labels.parquet",
-        predictor="constant-velocity", picture=tmp_path / "p.png", video=tmp_path / "v.gif",
-        begin_s=4.0, end_s=4.5, quiet=True,
+    options = ReplayOptions(
+        "mapped", labels=tmp_path / "labels.parquet", predictor="constant-velocity",
+        picture=tmp_path / "p.png", video=tmp_path / "v.gif", begin_s=4.0, end_s=4.5,
     )  # fmt: skip
+    written = write_replay(dataset, tmp_path / "r.html", options, quiet=True)
     assert [path.name for path in written] == ["r.html", "v.gif", "p.png"]
     assert all(path.stat().st_size > 5000 for path in written)

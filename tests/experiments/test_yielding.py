@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.metrics import brier_score_loss, roc_auc_score
 
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
-from experiments.benches.yield_picture import clearest, draw_cases
-from experiments.benches.yielding import (
+from experiments.benches.prediction.yield_picture import clearest, draw_cases
+from experiments.benches.prediction.yielding import (
     BELIEFS,
-    Asked,
+    EncounterChances,
     approaching,
-    ask,
-    auc,
-    brier,
+    encounter_chances,
     score_chances,
     travelled,
 )
+from experiments.scoring.metrics import auc, auc_within, brier
 from graphrqi.posterior import Posterior
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
@@ -65,7 +65,7 @@ def episode(road, *, brakes: bool, walker: bool = True) -> Tracks:
 
 @pytest.mark.parametrize("brakes", [True, False])
 def test_an_encounter_and_its_outcome_are_seen(road, brakes):
-    asked = ask(
+    asked = encounter_chances(
         episode(road, brakes=brakes), road, dict.fromkeys(range(55, 65), NOBODY),
         ["constant-velocity"],
     )  # fmt: skip
@@ -84,17 +84,17 @@ def with_event(tracks: Tracks, yielded: bool, time_s: float = 8.0, agent: int = 
 def test_who_yielded_is_what_the_events_at_that_crossing_say(road, yielded):
     tracks = episode(road, brakes=False)
     stops = dict.fromkeys(range(55, 65), Posterior(np.array([0]), np.eye(len(BEHAVIORS))[1:2]))
-    asked = ask(with_event(tracks, yielded), road, stops, [])
+    asked = encounter_chances(with_event(tracks, yielded), road, stops, [])
     assert asked.yielded.tolist() == [float(yielded)]
     assert asked.chance[BELIEFS] == pytest.approx(PROFILES[BEHAVIORS[1]].yield_probability)
     for elsewhere in (with_event(tracks, yielded, 12.0), with_event(tracks, yielded, agent=7)):
-        assert np.isnan(ask(elsewhere, road, stops, []).yielded).all()
+        assert np.isnan(encounter_chances(elsewhere, road, stops, []).yielded).all()
 
 
 def test_nobody_on_the_crossing_is_no_encounter(road):
     tracks = episode(road, brakes=False, walker=False)
     assert not approaching(make_scene(tracks.window(61, 50), road))[0].size
-    asked = ask(tracks, road, {61: NOBODY}, ["constant-velocity"])
+    asked = encounter_chances(tracks, road, {61: NOBODY}, ["constant-velocity"])
     assert asked.waited.size == 0
 
 
@@ -103,23 +103,32 @@ def test_travelled_adds_up_the_way():
     assert way.tolist() == [9.0]
 
 
-def test_auc_and_brier_by_hand():
+def test_auc_and_brier_by_hand_and_as_scikit_learn_has_them():
     assert auc(np.array([0.9, 0.8, 0.3, 0.1]), np.array([1.0, 0.0, 1.0, 0.0])) == 0.75
     assert brier(np.array([1.0, 0.5]), np.array([1.0, 0.0])) == 0.125
+    rng = np.random.default_rng(0)
+    chance = rng.integers(0, 20, 200) / 20.0  # with ties
+    happened = (rng.random(200) < chance).astype(float)
+    assert auc(chance, happened) == pytest.approx(roc_auc_score(happened, chance), abs=1e-12)
+    assert brier(chance, happened) == pytest.approx(brier_score_loss(happened, chance), abs=1e-12)
+    one_group = np.zeros(200, dtype=np.int64)
+    assert auc_within(chance, happened > 0, one_group)[0] == pytest.approx(auc(chance, happened))
 
 
 def test_rows_need_both_outcomes():
-    both = Asked({"a": np.array([0.9, 0.2, 0.7])}, np.array([1.0, 0.0, np.nan]), np.ones(3))
+    both = EncounterChances(
+        {"a": np.array([0.9, 0.2, 0.7])}, np.array([1.0, 0.0, np.nan]), np.ones(3)
+    )
     rows = score_chances([both], "somewhere", "test")
     assert {(r["metric"], r["n"]): r["value"] for r in rows}["yield_auc", 2] == 1.0
     assert {r["metric"] for r in rows} == {"yield_auc", "yield_brier"}  # all waited
-    one = Asked({"a": np.ones(2)}, np.ones(2), np.ones(2))
+    one = EncounterChances({"a": np.ones(2)}, np.ones(2), np.ones(2))
     assert score_chances([one], "somewhere", "test") == []
 
 
 def test_the_clearest_cases_are_drawn(road, tmp_path):
     asked = [
-        ask(
+        encounter_chances(
             with_event(episode(road, brakes=False), yielded), road,
             dict.fromkeys(range(55, 65), NOBODY), ["graphrqi-predict"],
         )

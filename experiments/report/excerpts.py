@@ -1,6 +1,6 @@
-"""A closer look at a run's unseen episodes: how early, how sure, which traits, and where it failed.
+"""Excerpts of a run's unseen episodes: how early and how sure it was, and where it failed.
 
-Each episode that is looked at gets its replay beside the report, to which its worst cases link.
+Each of these episodes gets its replay beside the report, and the worst cases link to it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.replay.page import write_page
 from experiments.replay.picture import Painter, png_bytes
-from experiments.replay.scene import Scene, gather
+from experiments.replay.scene import ReplayScene, gather
 from experiments.report.charts import Axis, Line, Point, line_chart
 from experiments.report.tables import Cell, Table
 from experiments.scoring.metrics import balanced_accuracy, bootstrap, confusion, reliability
@@ -31,23 +31,23 @@ from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 
 EPISODES: Final = 4
-"""Unseen episodes of each scenario that are looked at (our choice)."""
+"""Unseen episodes of each scenario that are shown (our choice)."""
 
 CASES: Final = 3
 """Worst cases of each sort that are shown for each scenario (our choice)."""
 
 SECONDS: Final = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0)
-"""After how much watching answers are scored, s."""
+"""Lengths of observation after which answers are scored, s."""
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """Somebody about whom the run was wrong.
+class WorstCase:
+    """An agent about which the run was wrong.
 
     Attributes:
         sort: "classification" or "prediction".
         badness: how wrong; the probability given to the wrong behaviour, or metres.
-        said: in words.
+        said: one sentence on it.
         href: where to see it, relative to the report.
     """
 
@@ -58,16 +58,16 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class EpisodeExcerpt:
     """What one episode shows.
 
     Attributes:
-        seconds: (n,) for how long each driver had been watched, each time it was looked at, s.
-        truth: (n,) its true code.
-        probability: (n, 6) what was believed.
-        cases: its worst.
-        shown: (6, traits) how many drivers of each behaviour showed each trait enough.
-        drivers: (6,) how many drivers there were of each behaviour.
+        seconds: (n,) how long a driver had been observed when a belief was kept, s.
+        truth: (n,) that driver's true code.
+        probability: (n, 6) the belief.
+        cases: the worst cases.
+        shown: (6, traits) how many drivers of each behaviour characteristically showed each trait.
+        drivers: (6,) how many drivers of each behaviour there were.
         w: mean |w| of aggressive and of conservative drivers.
         pictures: the fullest moment, by predicted behaviour and by |w|, as PNG.
         href: its replay at that moment.
@@ -76,7 +76,7 @@ class Look:
     seconds: FloatArray
     truth: NDArray[np.int8]
     probability: FloatArray
-    cases: tuple[Case, ...]
+    cases: tuple[WorstCase, ...]
     shown: IntArray
     drivers: IntArray
     w: tuple[float, float]
@@ -85,13 +85,13 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True)
-class Closer:
+class ScenarioExcerpt:
     """What the unseen episodes of one scenario show, for the page.
 
     Attributes:
-        scenario: which.
-        told: how many episodes and drivers it rests on.
-        charts: how early, how sure.
+        scenario: its name.
+        basis: how many episodes and drivers it rests on.
+        charts: how early and how sure the answers were.
         traits: which behaviour showed which trait.
         cases: the worst of each sort.
         pictures: data addresses of one moment, by predicted behaviour and by |w|.
@@ -100,27 +100,27 @@ class Closer:
     """
 
     scenario: str
-    told: str
+    basis: str
     charts: tuple[Markup, ...]
     traits: Table | None
-    cases: tuple[Case, ...]
+    cases: tuple[WorstCase, ...]
     pictures: tuple[str, str]
     href: str
     w: tuple[str, str]
 
 
-def look_closer(
+def take_excerpts(
     folder: Path, dataset: str, model: str, scenarios: Sequence[str], predictor: str,
     jobs: int | None = None, quiet: bool = True,
-) -> list[Closer]:  # fmt: skip
-    """Look at a run's unseen episodes and write their replays.
+) -> list[ScenarioExcerpt]:  # fmt: skip
+    """Summarise a run's unseen episodes and write their replays.
 
     Args:
         folder: the run's; replays go into ``replays`` in it.
         dataset: its dataset, relative to the folder.
         model: its model, relative to the folder.
-        scenarios: which.
-        predictor: whose predictions are looked at.
+        scenarios: names of the scenarios.
+        predictor: the predictor whose predictions are shown.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -133,31 +133,35 @@ def look_closer(
     arguments = [
         (folder, dataset, model, entry, predictor) for part in chosen.values() for entry in part
     ]
-    found: dict[str, list[Look]] = {}
-    with Progress("looking at episodes", len(arguments), quiet) as progress:
-        for given, look in zip(arguments, in_parallel(look_at, arguments, jobs), strict=True):
-            found.setdefault(given[3].scenario, []).append(look)
+    found: dict[str, list[EpisodeExcerpt]] = {}
+    with Progress("excerpting episodes", len(arguments), quiet) as progress:
+        for given, excerpt in zip(arguments, in_parallel(excerpt_of, arguments, jobs), strict=True):
+            found.setdefault(given[3].scenario, []).append(excerpt)
             progress.advance()
-    return [_closer(scenario, found[scenario]) for scenario in scenarios if scenario in found]
+    return [
+        _scenario_excerpt(scenario, found[scenario]) for scenario in scenarios if scenario in found
+    ]
 
 
-def look_at(folder: Path, dataset: str, model: str, entry: EpisodeEntry, predictor: str) -> Look:
-    """Look at one episode and write its replay."""
+def excerpt_of(
+    folder: Path, dataset: str, model: str, entry: EpisodeEntry, predictor: str
+) -> EpisodeExcerpt:
+    """Summarise one episode and write its replay."""
     scene = gather(
         open_dataset(folder / dataset), entry, model=str(folder / model), predictor=predictor
     )
     page = f"replays/{entry.id}.html"
     write_page(scene, folder / page, "predicted")
     moment = float(scene.tracks.time_s[scene.tracks.valid.sum(axis=0).argmax()])
-    agent, look = _looks(scene)
+    agent, sample = _scored_beliefs(scene)
     behavior = scene.tracks.behavior
     truth = np.full(scene.tracks.ids.size, -1, np.int8) if behavior is None else behavior
     first_s = scene.tracks.time_s[scene.tracks.valid.argmax(axis=1)]
     shown, drivers = _traits(scene, truth)
-    return Look(
-        seconds=scene.beliefs.time_s[look] - first_s[agent],
+    return EpisodeExcerpt(
+        seconds=scene.beliefs.time_s[sample] - first_s[agent],
         truth=truth[agent],
-        probability=scene.beliefs.probability[agent, look].astype(np.float64),
+        probability=scene.beliefs.probability[agent, sample].astype(np.float64),
         cases=(*_wrongly_classified(scene, truth, page), *_badly_predicted(scene, page)),
         shown=shown,
         drivers=drivers,
@@ -170,44 +174,46 @@ def look_at(folder: Path, dataset: str, model: str, entry: EpisodeEntry, predict
     )
 
 
-def _looks(scene: Scene) -> tuple[IntArray, IntArray]:
-    """Rows and looks at which something is believed of a driver whose truth is known."""
+def _scored_beliefs(scene: ReplayScene) -> tuple[IntArray, IntArray]:
+    """Rows and time indices of the beliefs about drivers whose truth is known."""
     behavior = scene.tracks.behavior
     truth = np.full(scene.tracks.ids.size, -1) if behavior is None else behavior
     believed = np.isfinite(scene.beliefs.probability).all(axis=2)
-    agent, look = np.nonzero(believed & (truth >= 0)[:, None])
-    return agent, look
+    agent, sample = np.nonzero(believed & (truth >= 0)[:, None])
+    return agent, sample
 
 
 def _link(page: str, time_s: float, agent: str = "", mode: str = "predicted") -> str:
-    wanted = {"t": f"{time_s:.1f}", "mode": mode} | ({"agent": agent} if agent else {})
-    return f"{page}#{urlencode(wanted)}"
+    query = {"t": f"{time_s:.1f}", "mode": mode} | ({"agent": agent} if agent else {})
+    return f"{page}#{urlencode(query)}"
 
 
-def _wrongly_classified(scene: Scene, truth: NDArray[np.int8], page: str) -> list[Case]:
-    """Drivers of whom the last belief is wrong, the surest first."""
+def _wrongly_classified(scene: ReplayScene, truth: NDArray[np.int8], page: str) -> list[WorstCase]:
+    """Drivers about which the last belief is wrong, the surest first."""
     cases = []
     for row in np.flatnonzero(truth >= 0):
         believed = scene.beliefs.probability[row]
-        looks = np.flatnonzero(np.isfinite(believed).all(axis=1))
-        if not looks.size:
+        samples = np.flatnonzero(np.isfinite(believed).all(axis=1))
+        if not samples.size:
             continue
-        last = believed[looks[-1]]
+        last = believed[samples[-1]]
         code = int(last.argmax())
         if code == truth[row]:
             continue
-        surest = int(looks[believed[looks, code].argmax()])
+        surest = int(samples[believed[samples, code].argmax()])
         time_s, name = float(scene.beliefs.time_s[surest]), scene.tracks.names[row]
         said = (
             f"driver {name} is {BEHAVIORS[truth[row]]}, taken for {BEHAVIORS[code]} with "
-            f"{100 * last[code]:.0f} % at the last look"
+            f"{100 * last[code]:.0f} % at last"
         )
-        cases.append(Case("classification", float(last[code]), said, _link(page, time_s, name)))
+        cases.append(
+            WorstCase("classification", float(last[code]), said, _link(page, time_s, name))
+        )
     return sorted(cases, key=lambda case: -case.badness)[:CASES]
 
 
-def _badly_predicted(scene: Scene, page: str) -> list[Case]:
-    """Agents that ended farthest from their likeliest future, one case each."""
+def _badly_predicted(scene: ReplayScene, page: str) -> list[WorstCase]:
+    """Agents that ended farthest from their likeliest future, one case for each agent."""
     tracks = scene.tracks
     worst: dict[int, tuple[float, float]] = {}
     for forecast in scene.forecasts:
@@ -225,11 +231,11 @@ def _badly_predicted(scene: Scene, page: str) -> list[Case]:
     for row, (error, time_s) in worst.items():
         name = tracks.names[row]
         said = f"agent {name}, predicted at {time_s:.1f} s, ended {error:.1f} {scene.unit} away"
-        cases.append(Case("prediction", error, said, _link(page, time_s, name)))
+        cases.append(WorstCase("prediction", error, said, _link(page, time_s, name)))
     return sorted(cases, key=lambda case: -case.badness)[:CASES]
 
 
-def _traits(scene: Scene, truth: NDArray[np.int8]) -> tuple[IntArray, IntArray]:
+def _traits(scene: ReplayScene, truth: NDArray[np.int8]) -> tuple[IntArray, IntArray]:
     names = list(TRAITS)
     shown = np.zeros((len(BEHAVIORS), len(names)), dtype=np.int64)
     drivers = np.bincount(truth[truth >= 0], minlength=len(BEHAVIORS))
@@ -240,35 +246,35 @@ def _traits(scene: Scene, truth: NDArray[np.int8]) -> tuple[IntArray, IntArray]:
     return shown, drivers
 
 
-def _mean_w(scene: Scene, truth: NDArray[np.int8], style: Style) -> float:
+def _mean_w(scene: ReplayScene, truth: NDArray[np.int8], style: Style) -> float:
     codes = [b.code for b in BEHAVIORS if b.style is style]
     values = scene.graph.w[np.isin(truth, codes)]
     values = values[np.isfinite(values)]
     return float(values.mean()) if values.size else float("nan")
 
 
-def _closer(scenario: str, looks: Sequence[Look]) -> Closer:
-    episode = np.concatenate([np.full(k.truth.size, i) for i, k in enumerate(looks)])
-    seconds = np.concatenate([k.seconds for k in looks])
-    truth = np.concatenate([k.truth for k in looks])
-    probability = np.concatenate([k.probability for k in looks])
-    drivers = np.sum([k.drivers for k in looks], axis=0)
+def _scenario_excerpt(scenario: str, episodes: Sequence[EpisodeExcerpt]) -> ScenarioExcerpt:
+    episode = np.concatenate([np.full(k.truth.size, i) for i, k in enumerate(episodes)])
+    seconds = np.concatenate([k.seconds for k in episodes])
+    truth = np.concatenate([k.truth for k in episodes])
+    probability = np.concatenate([k.probability for k in episodes])
+    drivers = np.sum([k.drivers for k in episodes], axis=0)
     charts = (
         _early_chart(scenario, episode, seconds, truth, probability),
         _reliability_chart(scenario, episode, truth, probability),
     )
-    cases = sorted((c for k in looks for c in k.cases), key=lambda case: -case.badness)
+    cases = sorted((c for k in episodes for c in k.cases), key=lambda case: -case.badness)
     chosen = [
         *[c for c in cases if c.sort == "classification"][:CASES],
         *[c for c in cases if c.sort == "prediction"][:CASES],
     ]
-    first = looks[0]
-    means = [np.array([k.w[style] for k in looks]) for style in (0, 1)]
-    return Closer(
+    first = episodes[0]
+    means = [np.array([k.w[style] for k in episodes]) for style in (0, 1)]
+    return ScenarioExcerpt(
         scenario=scenario,
-        told=f"{len(looks)} unseen episode{'s' * (len(looks) > 1)}, {int(drivers.sum())} drivers",
+        basis=f"{len(episodes)} unseen episodes, {int(drivers.sum())} drivers",
         charts=tuple(chart for chart in charts if chart),
-        traits=_trait_table(np.sum([k.shown for k in looks], axis=0), drivers),
+        traits=_trait_table(np.sum([k.shown for k in episodes], axis=0), drivers),
         cases=tuple(chosen),
         pictures=(_address(first.pictures[0]), _address(first.pictures[1])),
         href=first.href,
@@ -289,7 +295,7 @@ def _early_chart(
     scenario: str, episode: IntArray, seconds: FloatArray, truth: NDArray[np.int8],
     probability: FloatArray,
 ) -> Markup:  # fmt: skip
-    """How good the answer is after how much watching, with 95 % intervals over episodes."""
+    """Balanced accuracy against length of observation, with 95 % intervals over episodes."""
     points = []
     for after in SECONDS:
         here = np.abs(seconds - after) < 0.26
@@ -303,7 +309,7 @@ def _early_chart(
         "chance", tuple(Point(p.x, 1 / len(BEHAVIORS)) for p in points), "#8C8C8C", thin=True
     )
     return line_chart(
-        f"{scenario}: how early", Axis("watched, s"),
+        f"{scenario}: how early", Axis("observed, s"),
         Axis("balanced accuracy", low=0.0, high=1.0),
         [Line("this run's model", tuple(points)), chance] if points else [],
     )  # fmt: skip
@@ -312,7 +318,7 @@ def _early_chart(
 def _reliability_chart(
     scenario: str, episode: IntArray, truth: NDArray[np.int8], probability: FloatArray
 ) -> Markup:
-    """How often answers of a certain confidence are right."""
+    """Share of right answers against confidence."""
     if not truth.size:
         return Markup("")
     answers, sure, right = reliability(truth, probability, episode).sum(axis=0).T
@@ -330,7 +336,7 @@ def _reliability_chart(
 
 
 def _trait_table(shown: IntArray, drivers: IntArray) -> Table | None:
-    """Share of each behaviour's drivers that showed each trait enough."""
+    """Share of each behaviour's drivers that characteristically showed each trait."""
     seen = np.flatnonzero(shown.sum(axis=0))
     if not seen.size:
         return None
@@ -351,8 +357,8 @@ def _trait_table(shown: IntArray, drivers: IntArray) -> Table | None:
     )
     return Table(
         "Traits shown",
-        "Drivers of each true behaviour that showed a trait enough for it to be characteristic. "
-        "Bold: the behaviour to which the paper's trait table gives it.",
+        "Drivers of each true behaviour that showed a trait often enough to be characteristic. "
+        "Bold: the behaviour to which the paper's trait table assigns it.",
         "trait",
         tuple(f"{b} ({drivers[b.code]})" for b in BEHAVIORS),
         rows,

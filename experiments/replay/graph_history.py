@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.replay.beliefs import looks
+from experiments.replay.beliefs import kept_steps
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
@@ -18,7 +18,7 @@ from sim.frames import FloatArray, IntArray, Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WatchedGraph:
+class GraphHistory:
     """A traffic graph, followed.
 
     Attributes:
@@ -33,7 +33,7 @@ class WatchedGraph:
     edges: IntArray
 
 
-def watch_graph(tracks: Tracks) -> WatchedGraph:
+def graph_history(tracks: Tracks) -> GraphHistory:
     """Follow the paper's accumulated 4-nearest-neighbour graph through an episode.
 
     Args:
@@ -42,7 +42,7 @@ def watch_graph(tracks: Tracks) -> WatchedGraph:
     Returns:
         The graph as looked at every half a second.
     """
-    steps = looks(tracks)
+    steps = kept_steps(tracks)
     column = {int(step): i for i, step in enumerate(steps)}
     many = tracks.ids.size
     w = np.full((many, steps.size), np.nan)
@@ -70,6 +70,6 @@ def watch_graph(tracks: Tracks) -> WatchedGraph:
         value = np.abs(np.asarray(graph.laplacian @ leading))
         w[rows, look] = value[graph.rows_of(tracks.ids[rows])]
     edges += [(*divmod(key, many), begin, steps.size) for key, begin in since.items()]
-    return WatchedGraph(
+    return GraphHistory(
         tracks.time_s[steps], w, np.array(sorted(edges), dtype=np.int64).reshape(-1, 4)
     )

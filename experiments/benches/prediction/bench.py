@@ -12,10 +12,15 @@ from typing import Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.benches import yielding
 from experiments.benches.contract import Bench, option
-from experiments.benches.yield_picture import YieldCase, clearest, draw_cases
-from experiments.benches.yielding import NOTHING_ASKED, Asked, ask, score_chances
+from experiments.benches.prediction import yielding
+from experiments.benches.prediction.yield_picture import YieldCase, clearest, draw_cases
+from experiments.benches.prediction.yielding import (
+    NO_ENCOUNTERS,
+    EncounterChances,
+    encounter_chances,
+    score_chances,
+)
 from experiments.data.generate import GenerateConfig, generate
 from experiments.data.parallel import in_parallel
 from experiments.rows import Row, tidy_row
@@ -48,11 +53,11 @@ SCENARIOS: Final = ("straight_road", "four_way_intersection")
 SEED: Final = 9_172_026
 """Seed of the episodes predicted on: no shipped model was trained on them."""
 
-MAPLESS: Final = ("constant-velocity", "graphrqi-predict")
-"""What is compared without a map, where all but the first are one."""
+MAP_FREE: Final = ("constant-velocity", "graphrqi-predict")
+"""What is compared without a map, where all predictors but the first are the same."""
 
 MOST_SHIFT_S: Final = 4.0
-"""By so much at most each vehicle's clock is put wrong, as in some recordings in circulation, s."""
+"""Each vehicle's clock is shifted by up to this, as in some recordings in circulation, s."""
 
 RATIOS: Final = (
     ("graphrqi-predict", "ade_m", "constant-velocity"),
@@ -66,7 +71,7 @@ RATIOS: Final = (
     ("car-following-wary", "ade_m", "car-following"),
     ("lstm", "ade_m", "mlp"),
 )
-"""Whose figure is divided by whose, at the longest horizon."""
+"""Predictor, metric, and the predictor by whose figure it is divided, at the longest horizon."""
 
 GAINS: Final = (
     ("graphrqi-predict-unlabelled", "graphrqi-predict", "graphrqi-predict-oracle"),
@@ -81,16 +86,16 @@ class EpisodeResult:
     """What one episode contributes.
 
     Attributes:
-        errors: with its road.
-        mapless: without its road.
-        shifted: without its road, every vehicle's clock wrong.
-        asked: of yielding.
+        errors: of predictors that are given the road.
+        map_free: of predictors without it.
+        shifted: the same, with every vehicle's clock wrong.
+        chances: what was said about who yields.
     """
 
     errors: Mapping[str, Errors]
-    mapless: Mapping[str, Errors]
+    map_free: Mapping[str, Errors]
     shifted: Mapping[str, Errors]
-    asked: Asked
+    chances: EncounterChances
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +148,13 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
             rows: list[Row] = []
             for split, episodes in (
                 ("unseen", [one.errors for one in found]),
-                ("unseen, no map", [one.mapless for one in found]),
+                ("unseen, no map", [one.map_free for one in found]),
                 ("unseen, no map, clocks shifted", [one.shifted for one in found]),
             ):
                 rows += summarize(episodes, scenario, split)
                 rows += compare(episodes, scenario, split)
-            rows += score_chances([one.asked for one in found], scenario, "unseen")
-            cases += [case for one in found for case in one.asked.cases]
+            rows += score_chances([one.chances for one in found], scenario, "unseen")
+            cases += [case for one in found for case in one.chances.cases]
             yield rows
     if settings.picture is not None and cases:
         draw_cases(clearest(cases), settings.picture)
@@ -169,9 +174,11 @@ def bench_episode(
     late = shifted_in_time(tracks, entry.seed)
     return EpisodeResult(
         errors=evaluate(tracks, moments, road, predictors),
-        mapless=evaluate(tracks, moments, None, MAPLESS),
-        shifted=evaluate(late, moments, None, MAPLESS),
-        asked=NOTHING_ASKED if road is None else ask(tracks, road, posteriors, predictors),
+        map_free=evaluate(tracks, moments, None, MAP_FREE),
+        shifted=evaluate(late, moments, None, MAP_FREE),
+        chances=NO_ENCOUNTERS
+        if road is None
+        else encounter_chances(tracks, road, posteriors, predictors),
     )
 
 

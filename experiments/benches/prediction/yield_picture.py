@@ -1,11 +1,11 @@
-"""The paper's pedestrian figure: a driver foreseen to let somebody cross, and one who is not."""
+"""The paper's pedestrian figure: a driver predicted to let somebody cross, and one that is not."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene.scene import Scene
 from sim.frames import PEDESTRIAN, FloatArray
 from sim.store.atomic import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SHOWN_M: Final = 45.0
 """The picture shows this much around the driver, m."""
@@ -24,23 +27,21 @@ class YieldCase:
 
     Attributes:
         predictor: whose prediction.
-        chance: predicted, that it yields.
+        chance: the predicted chance that it yields.
         yielded: whether it did.
-        time_s: when.
-        box: (n, 5) of everyone near: x, y, heading, length, width, the driver first.
-        walks: (n,) who walks.
+        poses: (n, 5) x, y, heading, length, width of everyone near, the driver first.
+        walks: (n,) whether each of them walks.
         futures: (K, H, 2) predicted places of the driver, m.
         probability: (K,).
         truth: (H, 2) where it went, m.
-        lanes: centre lines near by.
-        crossings: their centre lines and widths.
+        lanes: centre lines.
+        crossings: centre lines and widths.
     """
 
     predictor: str
     chance: float
     yielded: bool
-    time_s: float
-    box: FloatArray
+    poses: FloatArray
     walks: np.ndarray[tuple[int], np.dtype[np.bool_]]
     futures: FloatArray
     probability: FloatArray
@@ -59,12 +60,10 @@ class YieldCase:
         near = np.argsort(away, kind="stable")
         near = near[away[near] < SHOWN_M]
         history = scene.history
-        box = np.column_stack(
-            [scene.xy, scene.heading, history.length, history.width],
-        )[near]
+        poses = np.column_stack([scene.xy, scene.heading, history.length, history.width])[near]
         return cls(
-            predictor=predictor, chance=chance, yielded=yielded, time_s=float(history.time_s[-1]),
-            box=box, walks=history.kind[near] == PEDESTRIAN, futures=prediction.xy[row],
+            predictor=predictor, chance=chance, yielded=yielded,
+            poses=poses, walks=history.kind[near] == PEDESTRIAN, futures=prediction.xy[row],
             probability=prediction.probability[row], truth=truth,
             lanes=tuple(x.centerline for x in scene.road.lanes if not x.walking),
             crossings=tuple((c.centerline, c.width_m) for c in scene.road.crossings),
@@ -72,7 +71,7 @@ class YieldCase:
 
 
 def clearest(cases: Sequence[YieldCase]) -> list[YieldCase]:
-    """Of those who yielded the one most expected to, of the others the one least expected to."""
+    """The driver that yielded and was most expected to, and the one that did not and was least."""
     yes = [case for case in cases if case.yielded]
     no = [case for case in cases if not case.yielded]
     found = [max(yes, key=lambda c: c.chance)] if yes else []
@@ -107,10 +106,10 @@ def draw_cases(cases: Sequence[YieldCase], path: Path) -> None:
             axis.plot(*case.futures[k, -1], "o", color="#0072B2", markersize=4, zorder=3,
                       alpha=0.25 + 0.75 * float(case.probability[k]))  # fmt: skip
         axis.plot(*case.truth.T, "--", color="#D55E00", zorder=4, label="what it did")
-        for i, (x, y, heading, length, width) in enumerate(case.box):
-            _box(axis, x, y, heading, length, width, bool(case.walks[i]), driver=i == 0)
-        x, y = case.box[0, :2]
-        ahead = 15.0 * np.array([np.cos(case.box[0, 2]), np.sin(case.box[0, 2])])
+        for i, (x, y, heading, length, width) in enumerate(case.poses):
+            _draw_pose(axis, x, y, heading, length, width, bool(case.walks[i]), driver=i == 0)
+        x, y = case.poses[0, :2]
+        ahead = 15.0 * np.array([np.cos(case.poses[0, 2]), np.sin(case.poses[0, 2])])
         axis.set_xlim(x + ahead[0] - SHOWN_M / 1.5, x + ahead[0] + SHOWN_M / 1.5)
         axis.set_ylim(y + ahead[1] - SHOWN_M / 2.5, y + ahead[1] + SHOWN_M / 2.5)
         axis.set_aspect("equal")
@@ -122,21 +121,17 @@ def draw_cases(cases: Sequence[YieldCase], path: Path) -> None:
         figure.savefig(partial, format=path.suffix.lstrip(".") or "png", dpi=130)
 
 
-def _box(
-    axis: object, x: float, y: float, heading: float, length: float, width: float, walks: bool,
+def _draw_pose(
+    axis: Axes, x: float, y: float, heading: float, length: float, width: float, walks: bool,
     *, driver: bool,
 ) -> None:  # fmt: skip
-    """Draw a vehicle as its box and a pedestrian as a dot."""
-    from typing import cast
-
-    from matplotlib.axes import Axes
+    """Draw the outline of a vehicle, or a pedestrian as a dot."""
     from matplotlib.patches import Polygon
 
-    on = cast(Axes, axis)
     if walks:
-        on.plot([x], [y], "o", color="#009E73", markersize=6, zorder=5)
+        axis.plot([x], [y], "o", color="#009E73", markersize=6, zorder=5)
         return
     cos, sin = np.cos(heading), np.sin(heading)
     corner = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (length / 2, width / 2)
     turned = corner @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
-    on.add_patch(Polygon(turned, color="#CC79A7" if driver else "#8C8C8C", zorder=5))
+    axis.add_patch(Polygon(turned, color="#CC79A7" if driver else "#8C8C8C", zorder=5))

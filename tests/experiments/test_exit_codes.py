@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from behaviors.errors import InputError
-from experiments.console.exit_codes import Interrupted, one_line
+from experiments.console.exit_codes import Interrupted, exit_on_user_error
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ from experiments.console.exit_codes import Interrupted, one_line
 def test_what_users_do_ends_in_one_line(
     capsys: pytest.CaptureFixture[str], error: BaseException, code: int, line: str
 ) -> None:
-    with pytest.raises(SystemExit) as ended, one_line():
+    with pytest.raises(SystemExit) as ended, exit_on_user_error():
         raise error
     assert ended.value.code == code
     assert capsys.readouterr().err == line
@@ -34,7 +34,7 @@ def test_what_users_do_ends_in_one_line(
 
 @pytest.mark.parametrize("error", [ValueError("a bug"), OSError("no reason"), KeyError("x")])
 def test_defects_keep_their_traceback(error: Exception) -> None:
-    with pytest.raises(type(error)) as raised, one_line():
+    with pytest.raises(type(error)) as raised, exit_on_user_error():
         raise error
     assert raised.value is error
 

@@ -1,15 +1,15 @@
-"""Will it let the pedestrian go first? The paper's pedestrian figure, as numbers.
+"""Will a driver let the pedestrian go first? The paper's pedestrian figure, as numbers.
 
-An encounter is a driver that reaches a crossing in about two seconds, at its present speed, while
-someone is or will be in its way there, and with no red light before it. Two things are asked.
+An encounter is a driver that reaches a crossing in about two seconds at its present speed, while
+someone is or will be in its way there, and with no red light before it. Two questions are scored.
 
-- Will it let the pedestrian go first? Asked where the simulator's own rule tells what it did
-  (`sim.episode.incidents`): somebody was in its way or would have been, it could have stopped, and
-  nothing but the pedestrian held it. Beliefs about who drives how answer it with what the
-  behaviours' profiles say of yielding; predictors with their futures.
-- Will it have entered the crossing `DECIDED_S` later? Asked of every encounter: others hold who
-  would not have yielded, and who would may find the crossing free again when it gets there. What a
-  predictor says of it is the share of its futures that have not entered.
+- Does it let the pedestrian go first? Scored where the events of the episode
+  (`sim.episode.incidents`) say what it did: somebody was or would have been in its way, it could
+  have stopped, and nothing but the pedestrian held it. Beliefs about who drives how give the chance
+  that the behaviours' profiles state; predictors give it with their futures.
+- Has it not entered the crossing `DECIDED_S` later? Scored for every encounter: some drivers are
+  held by others, and some find the crossing free again when they get there. A predictor's chance is
+  the share of its futures that have not entered.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import Final
 
 import numpy as np
 
-from experiments.benches.yield_picture import YieldCase, clearest
+from experiments.benches.prediction.yield_picture import YieldCase, clearest
 from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import RESAMPLES
+from experiments.scoring.metrics import RESAMPLES, auc, brier
 from experiments.scoring.prediction import HISTORY_S, future, prediction_keys
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
@@ -37,29 +37,30 @@ BEFORE_S: Final = (1.5, 2.5)
 """An encounter is judged when the crossing is between these times away, s: two seconds."""
 
 DECIDED_S: Final = 3.5
-"""Who has not entered the crossing so much later has yielded, s (our choice: 1.5 s late)."""
+"""A driver that has not entered the crossing after this time waited, s (1.5 s later than at its
+speed, our choice)."""
 
 LEAST_SPEED_MPS: Final = 2.0
-"""Slower drivers have decided already (our choice)."""
+"""Slower drivers are left out: they have already decided to stop (our choice)."""
 
 ENTERED_M: Final = 1.0
-"""So far into the crossing counts as having entered it (our choice)."""
+"""A driver this far into the crossing has entered it (our choice)."""
 
 SAME_PLACE_M: Final = 3.0
 """An event counts as that of an encounter if it happens within this of where the crossing was, m
 (our choice: less than lies between two crossings)."""
 
 BELIEFS: Final = "beliefs"
-"""What stands for the beliefs alone where predictors are named."""
+"""Stands among the names of predictors for the beliefs alone."""
 
 EVERY_S: Final = 0.5
-"""How often encounters are looked for, s, so that hardly any is missed."""
+"""Encounters are searched at this interval, s, so that hardly any is missed."""
 
 DRAWN: Final = "graphrqi-predict"
-"""Whose predictions are drawn."""
+"""The predictor whose predictions are drawn."""
 
 VAGUE_M: Final = 1.5
-"""Spread taken for predictors that give none, m (our choice)."""
+"""Spread assumed for predictors that give none, m (our choice)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +70,10 @@ class Encounters:
     Attributes:
         row: (m,) rows of the scene.
         room: (m,) front bumper to the crossing's near edge, m.
-        yielded: (m,) 1 who let the pedestrian go first, 0 who did not, NaN where the simulator's
-            rule tells neither.
-        waited: (m,) 1 who has not entered the crossing `DECIDED_S` later, else 0.
-        went: (m, H, 2) where they went, every half second, m.
+        yielded: (m,) 1 if the driver let the pedestrian go first, 0 if not, NaN where no event says
+            so.
+        waited: (m,) 1 if it has not entered the crossing `DECIDED_S` later, else 0.
+        went: (m, H, 2) where it went, every half second, m.
     """
 
     row: IntArray
@@ -83,7 +84,7 @@ class Encounters:
 
 
 def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
-    """Rows of the drivers about two seconds before an occupied crossing, and the room left, m."""
+    """Rows of the drivers about two seconds before an occupied crossing, and the way left, m."""
     graph, paths = scene.graph, scene.paths
     zones = graph.cross_lane.size
     row, room = [], []
@@ -112,7 +113,7 @@ def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
 
 
 def travelled(xy: FloatArray, start: FloatArray) -> FloatArray:
-    """(...,) length of the way from start (..., 2) through places (..., H, 2), m."""
+    """(...,) length of the path from start (..., 2) through places (..., H, 2), m."""
     steps = np.diff(np.concatenate([start[..., None, :], xy], axis=-2), axis=-2)
     return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
 
@@ -141,7 +142,7 @@ def encounters(
     """Every first encounter of a driver in an episode, at the instants of the posteriors.
 
     Yields:
-        The scene, the beliefs and who meets whom.
+        The scene, the beliefs and the encounters.
     """
     met: set[int] = set()
     ahead = np.arange(1, round(DECIDED_S / 0.5) + 1, dtype=np.float64) * 0.5
@@ -167,7 +168,7 @@ def encounters(
 
 
 def outcome(tracks: Tracks, column: int, rows: IntArray, room: FloatArray) -> FloatArray:
-    """(m,) whether drivers went on to yield, 1 or 0, by the events of the episode; NaN: none.
+    """(m,) 1 if a driver went on to yield, 0 if not, by the episode's events; NaN without one.
 
     Args:
         tracks: the episode.
@@ -194,14 +195,14 @@ def outcome(tracks: Tracks, column: int, rows: IntArray, room: FloatArray) -> Fl
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What predictors said of the encounters of an episode.
+class EncounterChances:
+    """What predictors say about the encounters of an episode.
 
     Attributes:
         chance: (m,) chance of not having entered by predictor, and of yielding by `BELIEFS`.
-        yielded: (m,) 1 where the driver yielded, 0 where it did not, NaN where that was not asked.
-        waited: (m,) 1 where it has not entered.
-        cases: the clearest two by the default predictor, to be drawn.
+        yielded: (m,) as in `Encounters`.
+        waited: (m,) as in `Encounters`.
+        cases: the clearest two of the default predictor, to be drawn.
     """
 
     chance: Mapping[str, FloatArray]
@@ -210,14 +211,14 @@ class Asked:
     cases: tuple[YieldCase, ...] = ()
 
 
-NOTHING_ASKED: Final = Asked({}, np.empty(0), np.empty(0))
+NO_ENCOUNTERS: Final = EncounterChances({}, np.empty(0), np.empty(0))
 """Of an episode without encounters."""
 
 
-def ask(
+def encounter_chances(
     tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior], predictors: Sequence[str]
-) -> Asked:
-    """Ask predictors about every encounter of an episode.
+) -> EncounterChances:
+    """What predictors say about every encounter of an episode.
 
     Args:
         tracks: the episode.
@@ -247,8 +248,8 @@ def ask(
                     if not np.isnan(y)
                 ]
     if not waited:
-        return NOTHING_ASKED
-    return Asked(
+        return NO_ENCOUNTERS
+    return EncounterChances(
         {n: np.concatenate(c) for n, c in chance.items()},
         np.concatenate(yielded),
         np.concatenate(waited),
@@ -256,11 +257,11 @@ def ask(
     )
 
 
-def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[Row]:
+def score_chances(episodes: Sequence[EncounterChances], scenario: str, split: str) -> list[Row]:
     """AUC and Brier score of each predictor's chances, with intervals over encounters.
 
     Args:
-        episodes: from `ask`.
+        episodes: from `encounter_chances`.
         scenario: its name, for the rows.
         split: which part of the data, for the rows.
 
@@ -277,40 +278,19 @@ def score_chances(episodes: Sequence[Asked], scenario: str, split: str) -> list[
         ("wait", [e.waited for e in episodes]),
     ):
         happened = np.concatenate(answers)
-        asked = ~np.isnan(happened)
-        happened = happened[asked]
+        scored = ~np.isnan(happened)
+        happened = happened[scored]
         if not happened.size or happened.min() == happened.max():
             continue
         shape = RESAMPLES // 4, happened.size
         draws = np.random.default_rng(0).integers(0, happened.size, shape)
         for name in episodes[0].chance:
-            told = np.concatenate([e.chance[name] for e in episodes])[asked]
+            chance = np.concatenate([e.chance[name] for e in episodes])[scored]
             for metric, score in (("auc", auc), ("brier", brier)):
                 low, high = np.nanquantile(
-                    [score(told[d], happened[d]) for d in draws], [0.025, 0.975]
+                    [score(chance[d], happened[d]) for d in draws], [0.025, 0.975]
                 )
                 keys = prediction_keys(scenario, name, DECIDED_S, split)
-                value, n = score(told, happened), int(happened.size)
+                value, n = score(chance, happened), int(happened.size)
                 rows.append(tidy_row(keys, f"{question}_{metric}", value, low, high, n))
     return rows
-
-
-def auc(chance: FloatArray, happened: FloatArray) -> float:
-    """Probability that one who yielded was given a higher chance than one who did not.
-
-    Examples:
-        >>> auc(np.array([0.9, 0.4, 0.4]), np.array([1.0, 1.0, 0.0]))
-        0.75
-    """
-    yes, no = chance[happened > 0.5], chance[happened <= 0.5]
-    if not yes.size or not no.size:
-        return float("nan")
-    order = np.sort(no)
-    below = np.searchsorted(order, yes, side="left")
-    up_to = np.searchsorted(order, yes, side="right")
-    return float((below + up_to).mean() / (2 * no.size))
-
-
-def brier(chance: FloatArray, happened: FloatArray) -> float:
-    """Mean squared difference between chance and outcome."""
-    return float(((chance - happened) ** 2).mean())

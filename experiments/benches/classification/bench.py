@@ -10,25 +10,24 @@ from pathlib import Path
 from typing import Any, Final
 
 from behaviors.errors import lookup
-from experiments.benches.contract import Bench, option
-from experiments.benches.protocols import (
-    MAIN_S,
-    OURS,
-    SCORED_S,
-    Recordings,
-    ablation,
-    across_datasets,
-    across_scenarios,
+from experiments.benches.classification.controls import (
     ceiling,
-    inductive,
     interpretability,
     leak_probe,
     random_rows,
-    robustness,
+)
+from experiments.benches.classification.protocols import (
+    ablation,
+    across_datasets,
+    across_scenarios,
+    inductive,
     shipped,
-    speed_rows,
     transductive,
 )
+from experiments.benches.classification.recordings import MAIN_S, OURS, SCORED_S, Recordings
+from experiments.benches.classification.robustness import robustness
+from experiments.benches.classification.speed import speed_rows
+from experiments.benches.contract import Bench, option
 from experiments.data.generate import GenerateConfig, generate
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS

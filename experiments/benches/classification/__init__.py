@@ -1,0 +1,1 @@
+"""The classification bench: protocols that cannot leak, and how far each disturbance hurts."""

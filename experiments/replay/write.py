@@ -1,0 +1,102 @@
+"""Writes the replay of one episode: a page, and beside it a film or a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from behaviors.errors import InputError, lookup
+from experiments.data.exchange import as_dataset
+from experiments.replay.page import MODES, default_mode, write_page
+from experiments.replay.picture import write_picture
+from experiments.replay.scene import chosen_entry, gather
+from experiments.replay.video import check_video, write_video
+from graphrqi.predict import get_predictor
+from sim.store.dataset import open_dataset
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """What a replay shows, and what is made of it beside the page.
+
+    Attributes:
+        episode: the beginning of an episode's id; None for the first.
+        format: format of a recording; None to recognise it by its content.
+        net: the SUMO net that a recording was made on.
+        labels: a labels file; None to classify with ``model``.
+        predictions: a predictions file; None to predict with ``predictor``.
+        model: a shipped model's name or a folder.
+        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
+            or for the first in ``predictions``.
+        color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
+        begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
+            opens when the road has filled to half, a film begins with the episode, and a picture
+            shows the fullest moment.
+        end_s: when a film ends, s; None for the end.
+        video: also film it into this file, .mp4 or .gif.
+        picture: also draw it into this file, .png.
+    """
+
+    episode: str | None = None
+    format: str | None = None
+    net: Path | None = None
+    labels: Path | None = None
+    predictions: Path | None = None
+    model: str = "graphrqi-plus"
+    predictor: str | None = None
+    color: str | None = None
+    begin_s: float | None = None
+    end_s: float | None = None
+    video: Path | None = None
+    picture: Path | None = None
+
+
+def write_replay(
+    source: Path, out: Path, options: ReplayOptions | None = None, quiet: bool = False
+) -> list[Path]:
+    """What ``graphrqi replay`` does.
+
+    Args:
+        source: a dataset or a recording.
+        out: the HTML file.
+        options: what it shows; None for the defaults.
+        quiet: whether to show no progress.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        InputError: if an option or a file is wrong.
+        OSError: if something cannot be written.
+    """
+    o = options or ReplayOptions()
+    if o.color is not None:
+        lookup({mode: mode for mode in MODES}, o.color, "color")
+    if o.predictor is not None and o.predictor != "none":
+        get_predictor(o.predictor)
+    wanted = [path for path in (out, o.video, o.picture) if path is not None]
+    for path in wanted:
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: found no folder {path.parent}, expected one")
+    if o.video is not None:
+        check_video(o.video)
+    if o.picture is not None and o.picture.suffix.lower() != ".png":
+        raise InputError(f"--picture: found {o.picture.name!r}, expected a name that ends in .png")
+    with as_dataset(source, o.format, o.net) as folder:
+        dataset = open_dataset(folder)
+        scene = gather(
+            dataset, chosen_entry(dataset, o.episode), model=o.model, labels=o.labels,
+            predictions=o.predictions, predictor=o.predictor, quiet=quiet,
+        )  # fmt: skip
+    first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])
+    if o.begin_s is not None and not min(first_s, 0.0) <= o.begin_s <= last_s:
+        raise InputError(
+            f"--begin-s: found {o.begin_s:g}, expected a time from {first_s:g} to {last_s:g} s"
+        )
+    mode = o.color or default_mode(scene)
+    write_page(scene, out, mode, o.begin_s)
+    if o.video is not None:
+        write_video(scene, o.video, mode, o.begin_s, o.end_s, quiet)
+    if o.picture is not None:
+        write_picture(scene, o.picture, mode, o.begin_s)
+    return wanted
