@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from typing import Final
 
-from experiments.console.exit_codes import one_line
+from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.progress import Progress
 
 ENGINES: Final = ("sumo", "highway")
@@ -58,5 +58,5 @@ def compile_kernels() -> None:
 
 
 if __name__ == "__main__":
-    with one_line():
+    with exit_on_user_error():
         compile_kernels()
