@@ -189,7 +189,7 @@ def run_scenario(
     simulated_s, spent_s, count = 0.0, 0.0, 0
     frames = get_engine(config.engine)(scenario, agents, config.seed)
     with _live(quiet) as show:
-        for frame in summary.watch(frames, scenario.step_s):
+        for frame in summary.count(frames, scenario.step_s):
             simulated_s, begun = frame.time_s, time.monotonic()
             if stream is not None:
                 posterior = stream.update(frame)
@@ -215,7 +215,7 @@ def run_scenario(
         {"what": "scenario", "value": scenario.name},
         {"what": "simulated, s", "value": round(simulated_s, 3)},
         {"what": "times real time", "value": round(factor, 1)},
-        {"what": "agents that entered", "value": len(summary.seen)},
+        {"what": "agents that entered", "value": len(summary.entered)},
         {"what": "mean speed, m/s", "value": mean_speed},
         {"what": "collisions", "value": summary.events[EventKind.COLLISION]},
         *(believed.rows() if stream is not None else []),

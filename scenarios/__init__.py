@@ -21,7 +21,8 @@ class ScenarioEntry:
 
     Attributes:
         name: what it is registered as.
-        function: makes it from keyword options; those that a `functools.partial` has set are fixed.
+        function: makes it from keyword options; those that a `functools.partial` has set are fixed,
+            and ``**population`` stands for all of `PopulationOptions`.
     """
 
     name: str
@@ -31,11 +32,16 @@ class ScenarioEntry:
     def options(self) -> Mapping[str, inspect.Parameter]:
         """The options that it takes, with their defaults."""
         fixed = self.function.keywords if isinstance(self.function, functools.partial) else ()
-        parameters = inspect.signature(self.function).parameters
-        return {name: p for name, p in parameters.items() if name not in fixed}
+        found: dict[str, inspect.Parameter] = {}
+        for name, parameter in inspect.signature(self.function).parameters.items():
+            if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+                found |= _population_options()
+            elif name not in fixed:
+                found[name] = parameter
+        return found
 
     def __call__(self, **options: Any) -> Scenario:
-        """Make the scenario; its function's own docstring tells the options.
+        """Make the scenario; the docstring of its function explains the options.
 
         Raises:
             InputError: if an option is unknown or out of range; the message names it.
@@ -49,8 +55,22 @@ class ScenarioEntry:
         return dataclasses.replace(self.function(**options), name=self.name)
 
 
+def _population_options() -> dict[str, inspect.Parameter]:
+    """The options of every scenario, with the defaults of `Scenario`."""
+    from scenarios.demand import PopulationOptions
+
+    keyword, missing = inspect.Parameter.KEYWORD_ONLY, dataclasses.MISSING
+    return {
+        one.name: inspect.Parameter(
+            one.name, keyword, default=None if one.default is missing else one.default
+        )
+        for one in dataclasses.fields(Scenario)
+        if one.name in PopulationOptions.__annotations__
+    }
+
+
 def _fits(value: object, default: object) -> bool:
-    """Whether a value may stand where a default truth value or number stands."""
+    """Whether a value has the type of the default, where that is a truth value or a number."""
     if isinstance(default, bool):
         return isinstance(value, bool)
     if isinstance(default, int | float):

@@ -8,11 +8,10 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from behaviors.profiles import DEFAULT_SPREAD
 from scenarios import get_scenario
 from sim.engines import ENGINES, get_engine
 from sim.frames import EventKind, Frame
@@ -21,27 +20,27 @@ from sim.scenario import AgentSpec, Scenario, sample_agents
 
 @dataclass
 class RunSummary:
-    """What a run adds up to, gathered while its frames pass.
+    """Counts and sums over the frames of a run.
 
     Attributes:
         frames: how many frames there were.
-        seen: ids of the agents that appeared.
+        entered: ids of the agents that are in a frame.
         events: how often each kind of event happened.
         distance_m: sum of speed times step over all that drive, m.
         driving_s: time driven by all that drive, s.
     """
 
     frames: int = 0
-    seen: set[int] = field(default_factory=set)
+    entered: set[int] = field(default_factory=set)
     events: Counter[EventKind] = field(default_factory=Counter)
     distance_m: float = 0.0
     driving_s: float = 0.0
 
-    def watch(self, frames: Iterable[Frame], step_s: float) -> Iterator[Frame]:
-        """Pass frames on and count what is in them."""
+    def count(self, frames: Iterable[Frame], step_s: float) -> Iterator[Frame]:
+        """Yield the frames and count what is in them."""
         for frame in frames:
             self.frames += 1
-            self.seen.update(frame.ids.tolist())
+            self.entered.update(frame.ids.tolist())
             self.events.update(event.kind for event in frame.events)
             driving = frame.driving
             self.distance_m += float(frame.speed[driving].sum()) * step_s
@@ -49,8 +48,8 @@ class RunSummary:
             yield frame
 
     def lines(self, agents: Sequence[AgentSpec]) -> list[str]:
-        """The summary in words, one fact a line."""
-        present = [a for a in agents if a.id in self.seen]
+        """The summary as lines of text."""
+        present = [a for a in agents if a.id in self.entered]
         kinds = Counter(a.kind for a in present)
         behaviors = Counter(a.behavior for a in present if a.behavior is not None)
         speed = self.distance_m / self.driving_s if self.driving_s else 0.0
@@ -65,8 +64,19 @@ class RunSummary:
         ]
 
 
-_NAMED: Final = frozenset({"flow", "mix", "kinds", "spread", "duration_s", "step_s"})
-"""Options of every scenario that have their own flag."""
+FLAGS: Final[dict[str, dict[str, Any]]] = {
+    "flow": {"help": "light, medium, dense or vehicles per hour"},
+    "mix": {"help": "share of each behaviour: impatient=.2,timid=.8"},
+    "kinds": {"help": "share of each kind: car=.9,truck=.1"},
+    "spread": {"type": float, "help": "spread between drivers of one behaviour"},
+    "duration_s": {"type": float, "help": "length, s"},
+    "step_s": {"type": float, "help": "time between frames, s"},
+}
+"""The options that have a flag of their own, where the scenario takes them."""
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _set_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
@@ -76,8 +86,8 @@ def _set_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise InputError(f"--set: found {text!r}, expected NAME=VALUE")
-        if name in _NAMED:
-            raise InputError(f"--set: found {name}, expected --{name.replace('_', '-')} for it")
+        if name in FLAGS:
+            raise InputError(f"--set: found {name}, expected {_flag(name)} for it")
         found[name] = _value(value)
     return found
 
@@ -101,20 +111,20 @@ def parser(name: str) -> argparse.ArgumentParser:
         epilog=f"example: python -m scenarios.{name} --flow dense --seed 1 --duration-s 60",
     )
     made.add_argument("--engine", default="sumo", help=f"one of {', '.join(ENGINES)}")
-    made.add_argument("--flow", default="medium", help="light, medium, dense or vehicles per hour")
-    made.add_argument("--mix", help="share of each behaviour: impatient=.2,timid=.8; default equal")
-    made.add_argument("--kinds", help="share of each kind: car=.9,truck=.1; default cars only")
-    made.add_argument("--spread", type=float, default=DEFAULT_SPREAD, help="spread between drivers")
     made.add_argument("--seed", type=int, default=0)
-    made.add_argument("--duration-s", type=float, default=300.0, help="length, s")
-    made.add_argument("--step-s", type=float, default=0.1, help="time between frames, s")
+    options = get_scenario(name).options
+    for option, settings in FLAGS.items():
+        if option in options:
+            default = options[option].default
+            shown = "" if default is None else f" (default {default})"
+            made.add_argument(_flag(option), **{**settings, "help": settings["help"] + shown})
     made.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="NAME=VALUE",
         help="another option of the scenario, such as "
-        + ", ".join(n for n in get_scenario(name).options if n not in _NAMED),
+        + ", ".join(option for option in options if option not in FLAGS),
     )
     made.add_argument("--out", type=Path, help="folder to write the episode to")
     return made
@@ -128,22 +138,16 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         arguments: the command's arguments; by default those of the process.
 
     Returns:
-        0, or 2 after one line on stderr if the user asked for what cannot be.
+        0, or 2 after one line on stderr if an option is not usable.
     """
     options = parser(name).parse_args(arguments)
     try:
-        more = _set_options(options.set)
-        scenario = get_scenario(name)(
-            flow=options.flow,
-            mix=options.mix,
-            kinds=options.kinds,
-            spread=options.spread,
-            duration_s=options.duration_s,
-            step_s=options.step_s,
-            **more,
-        )
+        flags = {option: getattr(options, option, None) for option in FLAGS}
+        given = {option: value for option, value in flags.items() if value is not None}
+        given |= _set_options(options.set)
+        scenario = get_scenario(name)(**given)
         agents = sample_agents(scenario, options.seed)
-        summary = _run(scenario, agents, options, more)
+        summary = _run(scenario, agents, options, given)
     except OSError as error:
         sys.stderr.write(f"scenarios.{name}: error: {options.out}: {error.strerror}\n")
         return 2
@@ -158,10 +162,10 @@ def _run(
     scenario: Scenario,
     agents: Sequence[AgentSpec],
     options: argparse.Namespace,
-    more: Mapping[str, bool | int | float | str],
+    given: Mapping[str, Any],
 ) -> RunSummary:
     summary = RunSummary()
-    frames = summary.watch(
+    frames = summary.count(
         get_engine(options.engine)(scenario, agents, options.seed), scenario.step_s
     )
     if options.out is None:
@@ -173,14 +177,15 @@ def _run(
     from sim.store.schema import EpisodeMeta
     from sim.store.writing import made_with, write_episode
 
+    defaults = get_scenario(scenario.name).options
     chosen = {
-        "flow": options.flow,
+        **({"flow": defaults["flow"].default} if "flow" in defaults else {}),
+        **given,
         "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
         "kinds": {str(kind): share for kind, share in scenario.kinds.items()},
         "spread": scenario.spread,
         "duration_s": scenario.duration_s,
         "step_s": scenario.step_s,
-        **more,
     }
     meta = EpisodeMeta(
         scenario=scenario.name,

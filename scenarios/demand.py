@@ -1,16 +1,61 @@
-"""How much traffic and whose: flows, mixes and kinds as a user writes them."""
+"""The demand on a road: flows, and the population of drivers, as a user writes them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import TypeVar
+from typing import Any, TypedDict, TypeVar
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior
+from scenarios.networks.build import net_of
+from scenarios.networks.geometry import Geometry
 from sim.frames import AgentKind
-from sim.scenario import EQUAL_MIX
+from sim.road.net import read_road
+from sim.scenario import EQUAL_MIX, RouteFlow, Scenario
+
+
+class PopulationOptions(TypedDict, total=False):
+    """Options that every scenario takes, beside its own; the defaults are those of `Scenario`.
+
+    Attributes:
+        mix: share of each behaviour, as a mapping or ``"impatient=.2,..."``; None for equal.
+        kinds: share of each kind of vehicle, as a mapping or ``"car=.9,truck=.1"``; None for cars.
+        spread: how much drivers of one behaviour differ.
+        duration_s: length of an episode, s.
+        step_s: time between frames, s.
+        jaywalk_share: share of pedestrians who cross on red and anywhere.
+    """
+
+    mix: str | Mapping[Behavior, float] | Mapping[str, float] | None
+    kinds: str | Mapping[AgentKind, float] | Mapping[str, float] | None
+    spread: float
+    duration_s: float
+    step_s: float
+    jaywalk_share: float
+
+
+def make_scenario(
+    name: str, geometry: Geometry, flows: Sequence[RouteFlow], options: PopulationOptions
+) -> Scenario:
+    """A scenario on a road of a given geometry.
+
+    Args:
+        name: of the scenario and of its road.
+        geometry: of the road; its net is built with netconvert if it is not shipped.
+        flows: the demand.
+        options: the population.
+
+    Raises:
+        InputError: if an option is out of range; the message names it.
+    """
+    given: dict[str, Any] = {
+        **options,
+        "mix": parse_mix(options.get("mix")),
+        "kinds": parse_kinds(options.get("kinds")),
+    }
+    return Scenario(name, read_road(net_of(geometry), name), tuple(flows), **given)
 
 
 def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flow") -> float:

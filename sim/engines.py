@@ -1,20 +1,32 @@
-"""The engines: what makes frames from a scenario and its agents.
+"""The engines: simulators that make frames from a scenario and its agents.
 
-An engine is a function ``run(scenario, agents, seed) -> Iterator[Frame]``. Frames come every
-``scenario.step_s`` from time ``step_s`` on, until ``scenario.duration_s``; closing the iterator
-early closes the simulation. Engines are named by strings and loaded when first asked for.
+An engine is a function ``run(scenario, agents, seed) -> Iterator[Frame]``. It yields a frame every
+``scenario.step_s``, ``scenario.steps`` in all, the first at ``step_s``; closing the iterator early
+closes the simulation. The registry refuses agents and seeds that no engine can drive before it
+calls the engine, so an engine need not check them.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, TypeAlias
 
 from behaviors.registry import Registry
 from sim.frames import Frame
-from sim.scenario import AgentSpec, Scenario
+from sim.scenario import AgentSpec, Scenario, check_agents
 
 Engine: TypeAlias = Callable[[Scenario, Sequence[AgentSpec], int], Iterator[Frame]]
+
+
+def _checked(name: str, run: Engine) -> Engine:
+    @functools.wraps(run)
+    def start(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
+        check_agents(scenario, agents, seed)
+        return run(scenario, agents, seed)
+
+    return start
+
 
 ENGINES: Final[Registry[Engine]] = Registry(
     "engine",
@@ -25,6 +37,7 @@ ENGINES: Final[Registry[Engine]] = Registry(
         "highway": "sim.highway.engine:run",
         "highway-krauss": "sim.highway.engine:run_krauss",
     },
+    made=_checked,
 )
 """Every engine by name."""
 

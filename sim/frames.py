@@ -1,7 +1,7 @@
-"""What an engine says at one instant (`Frame`) and what an episode adds up to (`Tracks`).
+"""The state of the traffic at one time (`Frame`) and over an episode (`Tracks`).
 
 Conventions, converted once where data enters: x east and y north in metres, the position is the
-centre of the agent's box, headings are radians counter-clockwise from +x, everything else SI.
+centre of the agent's outline, headings are radians counter-clockwise from +x, everything else SI.
 Ground truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.AgentSpec`.
 """
 
@@ -16,8 +16,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.display import counted, html_table, import_pandas
 from behaviors.errors import InputError
-from behaviors.labels import Behavior
+from behaviors.labels import BEHAVIORS, Behavior
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -78,7 +79,7 @@ def says_stop(signals: CodeArray) -> BoolArray:
 class EventKind(StrEnum):
     """What can happen to or between agents.
 
-    A collision is told once, when it begins; ``CONTACT`` flags every later frame in which the two
+    A collision is one event, when it begins; ``CONTACT`` marks every later step in which the two
     still touch.
     """
 
@@ -103,7 +104,7 @@ class Event:
         time_s: when, s.
         agent: id of the agent that did it (of a collision: the one that caused it).
         other: id of the second party, or None.
-        rule: why the agent is held to have caused it, in words ("" where nothing is to be said).
+        rule: the rule by which the agent counts as its cause, in words; "" where there is none.
     """
 
     kind: EventKind
@@ -134,7 +135,7 @@ def _check_and_freeze(owner: object, dtypes: dict[str, tuple[Any, tuple[int | No
 
 
 def _cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Numbers as another type, unless that would take something of them away."""
+    """Numbers as another type, if none of them changes by that."""
     try:
         found = np.asarray(values)
     except ValueError as error:  # lists of different lengths
@@ -171,14 +172,14 @@ class Frame:
     Attributes:
         time_s: simulated time, s.
         ids: (n,) agent ids, ascending, unique within an episode.
-        xy: (n, 2) centre of each agent's box, m.
+        xy: (n, 2) centre of each agent's outline, m.
         heading: (n,) rad, counter-clockwise from +x, in (-pi, pi].
         speed: (n,) m/s, along the heading.
         length: (n,) m.
         width: (n,) m.
         kind: (n,) codes into ``KINDS``.
         signals: (s,) codes into ``SIGNALS``, one per signal group of the road; empty if none.
-        events: what happened in the step that led here.
+        events: what happened since the previous frame.
     """
 
     time_s: float
@@ -215,6 +216,14 @@ class Frame:
         """How many agents there are."""
         return int(self.ids.size)
 
+    def __repr__(self) -> str:
+        """The time, the agents by kind, and counts of signals and events."""
+        mean = f", mean speed {self.speed.mean():.1f} m/s" if len(self) else ""
+        return (
+            f"Frame({self.time_s:g} s: {_by_kind(self.kind)}{mean}, "
+            f"{counted(self.signals.size, 'signal group')}, {counted(len(self.events), 'event')})"
+        )
+
     @property
     def driving(self) -> BoolArray:
         """(n,) whether each agent drives (is not a pedestrian)."""
@@ -223,7 +232,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """A whole episode as dense arrays with a mask of what was seen.
+    """A whole episode as dense arrays with a mask of the times at which each agent is present.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -235,9 +244,9 @@ class Tracks:
         xy: (N, T, 2) m; NaN where not valid.
         heading: (N, T) rad; NaN where not valid.
         speed: (N, T) m/s; NaN where not valid.
-        valid: (N, T) whether the agent was seen at that time.
+        valid: (N, T) whether the agent is present at that time.
         signals: (S, T) codes into ``SIGNALS``.
-        behavior: (N,) codes into ``BEHAVIORS`` (-1: none), or None where nothing is known.
+        behavior: (N,) codes into ``BEHAVIORS`` (-1: no label), or None if nobody is labelled.
         events: every event, in time order.
     """
 
@@ -288,10 +297,10 @@ class Tracks:
         Args:
             frames: frames in time order.
             behaviors: the true behaviour of each agent id, if known.
-            names: the source's own id of each agent id; the id itself where missing.
+            names: the source's own id of each agent id; by default the id itself.
 
         Returns:
-            Tracks over all ids that appear.
+            Tracks of all agents that are in a frame.
         """
         seq = list(frames)
         all_ids = np.unique(np.concatenate([f.ids for f in seq])) if seq else np.empty(0, np.int64)
@@ -313,8 +322,8 @@ class Tracks:
             signals[:, j] = frame.signals
         codes = None
         if behaviors is not None:
-            known = [behaviors.get(int(i)) for i in all_ids]
-            codes = np.array([-1 if b is None else b.code for b in known], dtype=np.int8)
+            labels = [behaviors.get(int(i)) for i in all_ids]
+            codes = np.array([-1 if b is None else b.code for b in labels], dtype=np.int8)
         return cls(
             ids=all_ids,
             names=tuple((names or {}).get(int(i), str(int(i))) for i in all_ids),
@@ -350,19 +359,19 @@ class Tracks:
         )
 
     def frames(self) -> Iterator[Frame]:
-        """All frames in time order: a recording plays like any engine."""
+        """All frames in time order, as an engine yields them."""
         for step in range(self.time_s.size):
             yield self.frame(step)
 
     def window(self, stop: int, steps: int) -> Tracks:
-        """What was seen of the agents present at index ``stop - 1``, ``steps`` frames long.
+        """The recent past of the agents that are present at index ``stop - 1``.
 
         Args:
-            stop: one past the last frame.
-            steps: how many frames at most; fewer where the recording has not begun yet.
+            stop: index after the last frame.
+            steps: how many frames at most; fewer at the beginning of the recording.
 
         Returns:
-            Tracks of those agents only; the last column is the present.
+            Tracks of those agents only; the last column is index ``stop - 1``.
         """
         columns = slice(max(0, stop - steps), stop)
         return self.part(np.flatnonzero(self.valid[:, stop - 1]), columns)
@@ -403,5 +412,82 @@ class Tracks:
         return float(np.median(np.diff(self.time_s)))
 
     def with_behavior(self, behavior: CodeArray) -> Tracks:
-        """The same tracks with other labels (-1: none)."""
+        """The same tracks with other labels (-1: no label)."""
         return dataclasses.replace(self, behavior=behavior)
+
+    def __repr__(self) -> str:
+        """The agents by kind, the times, and counts of labels, signals and events."""
+        labelled = 0 if self.behavior is None else int((self.behavior >= 0).sum())
+        parts = [
+            _by_kind(self.kind),
+            self._times(),
+            counted(int(self.valid.sum()), "row"),
+            f"{labelled} labelled",
+            counted(len(self.signals), "signal group"),
+            counted(len(self.events), "event"),
+        ]
+        return f"Tracks({', '.join(parts)})"
+
+    def _times(self) -> str:
+        if self.time_s.size < 2:
+            return counted(self.time_s.size, "frame")
+        first, last = self.time_s[0], self.time_s[-1]
+        return f"{self.time_s.size} frames from {first:g} to {last:g} s every {self.step_s:.3g} s"
+
+    def _repr_html_(self) -> str:
+        """A table with a row per kind of agent, for notebooks."""
+        rows = []
+        for code in np.unique(self.kind).tolist():
+            of_kind = self.kind == code
+            present = self.valid[of_kind]
+            speed = self.speed[of_kind][present]
+            rows.append(
+                (
+                    KINDS[code],
+                    int(of_kind.sum()),
+                    int(present.sum()),
+                    f"{speed.mean():.1f}" if speed.size else "",
+                    0 if self.behavior is None else int((self.behavior[of_kind] >= 0).sum()),
+                )
+            )
+        header = ("kind", "agents", "rows", "mean speed, m/s", "labelled")
+        return html_table(f"Tracks: {self._times()}", header, rows)
+
+    def to_pandas(self) -> Any:
+        """A pandas table with a row for each time at which each agent is present.
+
+        Returns:
+            A data frame, by agent and then by time, with the columns id, name, kind, time_s (s),
+            x and y (m), heading (rad), speed (m/s), length and width (m) and behavior (missing
+            where there is no label).
+
+        Raises:
+            InputError: if pandas is not installed.
+        """
+        pandas = import_pandas()
+        rows, columns = np.nonzero(self.valid)
+        codes = np.full(len(self.ids), -1) if self.behavior is None else self.behavior
+        kinds = np.array([str(kind) for kind in KINDS], dtype=object)
+        behaviors = np.array([*map(str, BEHAVIORS), None], dtype=object)  # code -1 is the last
+        return pandas.DataFrame(
+            {
+                "id": self.ids[rows],
+                "name": np.array(self.names, dtype=object)[rows],
+                "kind": kinds[self.kind[rows]],
+                "time_s": self.time_s[columns],
+                "x": self.xy[rows, columns, 0],
+                "y": self.xy[rows, columns, 1],
+                "heading": self.heading[rows, columns],
+                "speed": self.speed[rows, columns],
+                "length": self.length[rows],
+                "width": self.width[rows],
+                "behavior": behaviors[codes[rows]],
+            }
+        )
+
+
+def _by_kind(codes: CodeArray) -> str:
+    """How many agents there are of each kind."""
+    counts = np.bincount(codes, minlength=len(KINDS)).tolist()
+    parts = [f"{count} {kind}" for kind, count in zip(KINDS, counts, strict=True) if count]
+    return counted(codes.size, "agent") + (f" ({', '.join(parts)})" if parts else "")

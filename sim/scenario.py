@@ -1,29 +1,32 @@
-"""What is to happen: a road, who wants to travel on it, and the drivers drawn for it.
+"""A scenario: a road, the demand on it, and the road-agents that are drawn from the demand.
 
-The population is drawn here, before any engine runs, so that the same drivers drive everywhere.
+The agents are drawn before any engine runs, so that the same drivers drive in every engine.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 
+from behaviors.display import counted, html_table
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile
-from sim.frames import AgentKind
+from sim.frames import KINDS, AgentKind
 from sim.road import Road
+
+M = TypeVar("M")
 
 DEFAULT_JAYWALK_SHARE: Final = 0.1
 """Share of pedestrians who cross where and when they should not (our choice)."""
 
 MAX_PER_HOUR: Final = 100_000.0
-"""Most vehicles, and most pedestrians, per hour over all of a scenario's streams (our choice: twice
+"""Most vehicles, and most pedestrians, per hour over all of a scenario's flows (our choice: twice
 what 20 lanes of 2400 vehicles an hour take in, and no scenario here has more lanes)."""
 
 MAX_DURATION_S: Final = 86_400.0
@@ -34,7 +37,7 @@ MAX_SPREAD: Final = 1.0
 then within a factor of e)."""
 
 CarFollowing = Literal["Krauss", "IDM"]
-"""SUMO's name of the law that everybody on a road follows their leader by."""
+"""The car-following law of all drivers in a run, by SUMO's names."""
 
 IMPERFECTION: Final = 0.2
 """Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5). IDM has none."""
@@ -42,20 +45,19 @@ IMPERFECTION: Final = 0.2
 EQUAL_MIX: Final[dict[Behavior, float]] = {b: 1.0 / len(BEHAVIORS) for b in BEHAVIORS}
 """Every behaviour as often as any other."""
 
-
 WALK_START_M: Final = 40.0
 """Pedestrians enter this far before the end of their first edge, so that those who cross do so
 within an episode and not after minutes of sidewalk (our choice)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
-    """One stream of demand along one route.
+class RouteFlow:
+    """The demand along one route.
 
     Attributes:
         route: edge ids from first to last.
         per_hour: agents per hour, with exponential gaps between departures.
-        walking: whether pedestrians walk it.
+        walking: whether the agents are pedestrians.
     """
 
     route: tuple[str, ...]
@@ -100,9 +102,9 @@ class Scenario:
 
     Attributes:
         name: registered name.
-        road: where it happens.
-        streams: who travels where, and how many per hour; at most `MAX_PER_HOUR` vehicles and as
-            many pedestrians.
+        road: the road network.
+        flows: the demand along each route; at most `MAX_PER_HOUR` vehicles and as many pedestrians
+            in all.
         mix: share of each behaviour among drivers; sums to 1.
         spread: log-normal spread between drivers of one behaviour, at most `MAX_SPREAD`.
         duration_s: length of an episode, s; at least a step, at most `MAX_DURATION_S`.
@@ -113,7 +115,7 @@ class Scenario:
 
     name: str
     road: Road
-    streams: tuple[Stream, ...]
+    flows: tuple[RouteFlow, ...]
     mix: Mapping[Behavior, float] = field(default_factory=lambda: dict(EQUAL_MIX))
     spread: float = DEFAULT_SPREAD
     duration_s: float = 300.0
@@ -123,16 +125,16 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated, by name."""
-        for stream in self.streams:
-            if not math.isfinite(stream.per_hour) or stream.per_hour < 0:
-                raise InputError(f"flow: found {stream.per_hour}, expected vehicles per hour >= 0")
-            if not stream.route:
-                raise InputError("streams: found a route without edges, expected at least one")
+        for flow in self.flows:
+            if not math.isfinite(flow.per_hour) or flow.per_hour < 0:
+                raise InputError(f"flow: found {flow.per_hour}, expected vehicles per hour >= 0")
+            if not flow.route:
+                raise InputError("flows: found a route without edges, expected at least one")
         if AgentKind.PEDESTRIAN in self.kinds:
             raise InputError("kinds: found pedestrian, expected kinds of vehicles")
         for field_name, walking in (("flow", False), ("pedestrians_per_h", True)):
-            per_hour = sum(stream.per_hour for stream in self.streams if stream.walking is walking)
-            if per_hour > MAX_PER_HOUR * (1 + 1e-9):  # what was divided may add up to a hair more
+            per_hour = self.per_hour(walking=walking)
+            if per_hour > MAX_PER_HOUR * (1 + 1e-9):  # the parts of a total may add up to more
                 raise InputError(
                     f"{field_name}: found {per_hour:g} per hour, expected at most {MAX_PER_HOUR:g}"
                 )
@@ -164,6 +166,37 @@ class Scenario:
     def steps(self) -> int:
         """How many frames an episode has: the last is at or just before its end."""
         return math.floor(self.duration_s / self.step_s + 1e-6)
+
+    def per_hour(self, *, walking: bool) -> float:
+        """Demand over all routes: pedestrians per hour if ``walking``, else vehicles per hour."""
+        return sum(flow.per_hour for flow in self.flows if flow.walking is walking)
+
+    def __repr__(self) -> str:
+        """The demand, the duration and the size of the road."""
+        return (
+            f"Scenario({self.name:.60}: {self.per_hour(walking=False):g} vehicles/h and "
+            f"{self.per_hour(walking=True):g} pedestrians/h on {counted(len(self.flows), 'route')}"
+            f", {self.duration_s:g} s in steps of {self.step_s:g} s, "
+            f"road {self.road.name:.60} with {counted(len(self.road.lanes), 'lane')})"
+        )
+
+    def _repr_html_(self) -> str:
+        """The demand as a table, for notebooks."""
+
+        def listed(shares: Mapping[Any, float]) -> str:
+            return ", ".join(f"{name} {share:.0%}" for name, share in shares.items() if share)
+
+        rows = [
+            ("road", f"{self.road.name}, {counted(len(self.road.lanes), 'lane')}"),
+            ("vehicles per hour", f"{self.per_hour(walking=False):g}"),
+            ("pedestrians per hour", f"{self.per_hour(walking=True):g}"),
+            ("pedestrians who jaywalk", f"{self.jaywalk_share:.0%}"),
+            ("kinds of vehicle", listed(self.kinds)),
+            ("behaviours", listed(self.mix)),
+            ("spread within a behaviour", f"{self.spread:g}"),
+            ("duration", f"{self.duration_s:g} s in steps of {self.step_s:g} s"),
+        ]
+        return html_table(f"Scenario {self.name}", ("", ""), rows)
 
 
 DIMENSIONS_M: Final[dict[AgentKind, tuple[float, float, float]]] = {
@@ -213,10 +246,10 @@ WALKING_SPEED_MPS: Final = (1.34, 0.26)
 
 
 def sample_agents(scenario: Scenario, seed: int) -> tuple[AgentSpec, ...]:
-    """Draw everyone who will travel, in order of departure.
+    """Draw all agents of an episode, in order of departure.
 
-    Each stream draws from its own generator, so changing one stream's flow leaves the others'
-    agents as they were.
+    Each flow draws from its own generator, so changing one flow leaves the agents of the others as
+    they were.
 
     Args:
         scenario: whose demand to draw.
@@ -224,59 +257,75 @@ def sample_agents(scenario: Scenario, seed: int) -> tuple[AgentSpec, ...]:
 
     Returns:
         Agents with ids 0, 1, 2, ... in order of departure.
+
+    Raises:
+        InputError: if the seed is negative.
     """
     if seed < 0:
         raise InputError(f"seed: found {seed}, expected an integer >= 0")
     drawn: list[AgentSpec] = []
-    behaviors = [b for b in BEHAVIORS if scenario.mix.get(b, 0.0) > 0]
-    weights = np.array([scenario.mix[b] for b in behaviors])
-    kinds = [k for k in AgentKind if scenario.kinds.get(k, 0.0) > 0]
-    kind_weights = np.array([scenario.kinds[k] for k in kinds])
-    for stream, child in zip(
-        scenario.streams, np.random.SeedSequence(seed).spawn(len(scenario.streams)), strict=True
-    ):
+    children = np.random.SeedSequence(seed).spawn(len(scenario.flows))
+    for flow, child in zip(scenario.flows, children, strict=True):
         rng = np.random.default_rng(child)
         time_s = 0.0
-        while stream.per_hour > 0:
-            time_s += float(rng.exponential(3600.0 / stream.per_hour))
+        while flow.per_hour > 0:
+            time_s += float(rng.exponential(3600.0 / flow.per_hour))
             if time_s >= scenario.duration_s:
                 break
-            drawn.append(
-                _draw(scenario, stream, time_s, rng, behaviors, weights, kinds, kind_weights)
-            )
+            draw = _draw_pedestrian if flow.walking else _draw_driver
+            drawn.append(draw(scenario, flow.route, time_s, rng))
     drawn.sort(key=lambda a: a.depart_s)
     return tuple(dataclasses.replace(agent, id=i) for i, agent in enumerate(drawn))
 
 
-def _draw(
-    scenario: Scenario,
-    stream: Stream,
-    depart_s: float,
-    rng: np.random.Generator,
-    behaviors: list[Behavior],
-    weights: np.ndarray,
-    kinds: list[AgentKind],
-    kind_weights: np.ndarray,
+def check_agents(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
+    """Refuse what no engine can drive.
+
+    Raises:
+        InputError: if the seed is out of range, an id occurs twice, or a route has an edge that is
+            not on the road.
+    """
+    if not 0 <= seed < 2**31:
+        raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
+    if len({agent.id for agent in agents}) != len(agents):
+        raise InputError("agents: found an id twice, expected unique ids")
+    edges = {lane.edge for lane in scenario.road.lanes if not lane.internal}
+    for agent in agents:
+        for edge in agent.route:
+            if edge not in edges:
+                raise InputError(
+                    f"agent {agent.id}: found edge {edge!r} in its route, "
+                    f"expected an edge of road {scenario.road.name!r}"
+                )
+
+
+def _draw_pedestrian(
+    scenario: Scenario, route: tuple[str, ...], depart_s: float, rng: np.random.Generator
 ) -> AgentSpec:
     seed = int(rng.integers(2**31))
-    if stream.walking:
-        length, width, _ = DIMENSIONS_M[AgentKind.PEDESTRIAN]
-        mean, sd = WALKING_SPEED_MPS
-        return AgentSpec(
-            id=0,
-            kind=AgentKind.PEDESTRIAN,
-            behavior=None,
-            profile=None,
-            route=stream.route,
-            depart_s=depart_s,
-            length_m=length,
-            width_m=width,
-            speed_mps=float(np.clip(rng.normal(mean, sd), 0.6, 2.2)),
-            seed=seed,
-            jaywalks=bool(rng.random() < scenario.jaywalk_share),
-        )
-    behavior = behaviors[int(rng.choice(len(behaviors), p=weights / weights.sum()))]
-    kind = kinds[int(rng.choice(len(kinds), p=kind_weights / kind_weights.sum()))]
+    length, width, _ = DIMENSIONS_M[AgentKind.PEDESTRIAN]
+    mean, sd = WALKING_SPEED_MPS
+    return AgentSpec(
+        id=0,
+        kind=AgentKind.PEDESTRIAN,
+        behavior=None,
+        profile=None,
+        route=route,
+        depart_s=depart_s,
+        length_m=length,
+        width_m=width,
+        speed_mps=float(np.clip(rng.normal(mean, sd), 0.6, 2.2)),
+        seed=seed,
+        jaywalks=bool(rng.random() < scenario.jaywalk_share),
+    )
+
+
+def _draw_driver(
+    scenario: Scenario, route: tuple[str, ...], depart_s: float, rng: np.random.Generator
+) -> AgentSpec:
+    seed = int(rng.integers(2**31))
+    behavior = _choose(BEHAVIORS, scenario.mix, rng)
+    kind = _choose(KINDS, scenario.kinds, rng)
     limits = KIND_LIMITS[kind]
     wanted = sample_profile(behavior, rng, scenario.spread)
     profile = dataclasses.replace(
@@ -286,4 +335,11 @@ def _draw(
     )
     median, width, spread = DIMENSIONS_M[kind]
     length = float(median * np.exp(spread * rng.standard_normal()))
-    return AgentSpec(0, kind, behavior, profile, stream.route, depart_s, length, width, 0.0, seed)
+    return AgentSpec(0, kind, behavior, profile, route, depart_s, length, width, 0.0, seed)
+
+
+def _choose(members: Sequence[M], shares: Mapping[M, float], rng: np.random.Generator) -> M:
+    """Draw one of the members that have a share."""
+    shared = [member for member in members if shares.get(member, 0.0) > 0]
+    weights = np.array([shares[member] for member in shared])
+    return shared[int(rng.choice(len(shared), p=weights / weights.sum()))]

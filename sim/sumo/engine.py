@@ -27,7 +27,7 @@ from behaviors.errors import InputError
 from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame
 from sim.road import Road
 from sim.road.net import signal_code
-from sim.scenario import AgentSpec, CarFollowing, Scenario
+from sim.scenario import AgentSpec, CarFollowing, Scenario, check_agents
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
 from sim.sumo.vehicle_poses import draw
@@ -168,23 +168,12 @@ def _run(
 
 
 def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
-    if not 0 <= seed < 2**31:
-        raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
+    check_agents(scenario, agents, seed)
     if not scenario.road.source.is_file():
         raise InputError(f"{scenario.road.source}: found no file, expected a SUMO net (.net.xml)")
     milliseconds = scenario.step_s * 1000
     if abs(milliseconds - round(milliseconds)) > 1e-6:
         raise InputError(f"step_s: found {scenario.step_s}, expected whole milliseconds")
-    if len({a.id for a in agents}) != len(agents):
-        raise InputError("agents: found an id twice, expected unique ids")
-    edges = {lane.edge for lane in scenario.road.lanes if not lane.internal}
-    for agent in agents:
-        for edge in agent.route:
-            if edge not in edges:
-                raise InputError(
-                    f"agent {agent.id}: found edge {edge!r} in its route, "
-                    f"expected an edge of road {scenario.road.name!r}"
-                )
 
 
 def _substeps(step_s: float) -> tuple[int, int]:

@@ -1,4 +1,3 @@
-import importlib
 import json
 import os
 import subprocess
@@ -8,9 +7,9 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior
-from scenarios import SCENARIOS, get_scenario
+from scenarios import SCENARIOS, ScenarioEntry, get_scenario
 from scenarios.command import main
-from scenarios.demand import parse_flow, parse_kinds, parse_mix
+from scenarios.demand import PopulationOptions, parse_flow, parse_kinds, parse_mix
 from scenarios.networks import build
 from scenarios.networks.geometry import FourWayGeometry, StraightGeometry
 from sim.engines import ENGINES, get_engine
@@ -36,14 +35,60 @@ def test_the_command_runs_from_any_folder(tmp_path):
     assert done.stderr == ""
 
 
+def test_each_command_of_the_package_runs_the_scenario_of_its_file():
+    texts = {path.stem: path.read_text() for path in build.FOLDER.parent.glob("*.py")}
+    commands = {name: text for name, text in texts.items() if "SystemExit(main(" in text}
+    assert len(commands) == 6
+    for name, text in commands.items():
+        assert name in SCENARIOS
+        assert f'SystemExit(main("{name}"))' in text
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_carry_the_name_they_are_registered_under(name):
     scenario = SCENARIOS[name]()
     assert scenario.name == name
     assert sum(scenario.mix.values()) == pytest.approx(1.0)
-    assert importlib.import_module(f"scenarios.{name}").__doc__
     edges = {lane.edge for lane in scenario.road.lanes}
-    assert {e for stream in scenario.streams for e in stream.route} <= edges
+    assert {e for flow in scenario.flows for e in flow.route} <= edges
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_option_has_the_default_that_the_scenario_is_made_with(name):
+    entry = SCENARIOS[name]
+    assert all(option.default is not option.empty for option in entry.options.values())
+    own = {option: parameter.default for option, parameter in entry.options.items()}
+    assert sample_agents(entry(**own), 0) == sample_agents(entry(), 0)
+
+
+def test_a_scenario_takes_the_options_of_the_population():
+    population = {"mix", "kinds", "spread", "duration_s", "step_s", "jaywalk_share"}
+    assert population == PopulationOptions.__annotations__.keys()
+    assert population < SCENARIOS["two_way_road"].options.keys()
+    assert SCENARIOS["two_way_road"].options.keys().isdisjoint({"two_way", "lanes", "crossing"})
+    made = SCENARIOS["two_way_road"](jaywalk_share=0.5, mix="timid=1")
+    assert (made.jaywalk_share, dict(made.mix)) == (0.5, {Behavior.TIMID: 1.0})
+
+
+@pytest.fixture
+def quiet_road():
+    """A registered scenario without the options of the population."""
+
+    def make(*, flow: str = "light", duration_s: float = 5.0):
+        return SCENARIOS["straight_road"](flow=flow, duration_s=duration_s)
+
+    SCENARIOS["quiet_road"] = ScenarioEntry("quiet_road", make)
+    yield
+    del SCENARIOS["quiet_road"]
+
+
+@pytest.mark.usefixtures("quiet_road")
+def test_a_scenario_without_the_common_options_has_a_command_too(capsys):
+    assert SCENARIOS["quiet_road"].options.keys() == {"flow", "duration_s"}
+    assert main("quiet_road", ["--engine", "highway"]) == 0
+    assert "frames: 50" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main("quiet_road", ["--mix", "timid=1"])
 
 
 def test_an_episode_is_written(tmp_path, capsys):

@@ -13,7 +13,7 @@ from behaviors.errors import InputError
 from sim.engines import get_engine
 from sim.road import Road
 from sim.road.net import read_road
-from sim.scenario import Scenario, Stream, sample_agents
+from sim.scenario import RouteFlow, Scenario, sample_agents
 
 HEAD = (
     '<net version="1.20"><location netOffset="0.00,0.00" convBoundary="-500,-500,500,500" '
@@ -85,7 +85,7 @@ def ring(path: Path) -> Road:
 
 def drive(engine: str, road: Road, *route: str) -> tuple[set[int], list[np.ndarray]]:
     """Who was seen, and where everybody was."""
-    scenario = Scenario("here", road, (Stream(route, 1200.0),), duration_s=30.0)
+    scenario = Scenario("here", road, (RouteFlow(route, 1200.0),), duration_s=30.0)
     frames = list(get_engine(engine)(scenario, sample_agents(scenario, 3), 3))
     return {int(i) for f in frames for i in f.ids}, [f.xy for f in frames]
 

@@ -7,7 +7,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Behavior
 from scenarios.straight_road import straight_road
 from sim.frames import AgentKind
-from sim.scenario import KIND_LIMITS, Scenario, Stream, sample_agents
+from sim.scenario import KIND_LIMITS, RouteFlow, Scenario, check_agents, sample_agents
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,8 @@ def test_pedestrians_have_no_behaviour_and_drivers_have_a_profile(scenario):
 def test_one_stream_does_not_change_another(scenario):
     fewer = dataclasses.replace(
         scenario,
-        streams=tuple(
-            dataclasses.replace(s, per_hour=0.0) if s.walking else s for s in scenario.streams
+        flows=tuple(
+            dataclasses.replace(s, per_hour=0.0) if s.walking else s for s in scenario.flows
         ),
     )
     drivers = [a for a in sample_agents(scenario, 3) if a.profile is not None]
@@ -78,8 +78,8 @@ def test_jaywalkers_are_as_many_as_asked_for():
         ("mix", {Behavior.TIMID: 1.5, Behavior.RECKLESS: -0.5}),
         ("kinds", {AgentKind.CAR: 0.9}),
         ("kinds", {AgentKind.PEDESTRIAN: 1.0}),
-        ("streams", (Stream((), 900.0),)),
-        ("streams", (Stream((), 900.0, walking=True),)),
+        ("flows", (RouteFlow((), 900.0),)),
+        ("flows", (RouteFlow((), 900.0, walking=True),)),
         ("spread", -1.0),
         ("spread", 1.1),
         ("duration_s", 0.0),
@@ -96,3 +96,31 @@ def test_what_cannot_be_is_refused_by_name(scenario, field, value):
 def test_negative_seed_is_refused(scenario):
     with pytest.raises(InputError, match="seed: found -1"):
         sample_agents(scenario, -1)
+
+
+def test_a_scenario_shows_its_demand_its_duration_and_its_road(scenario):
+    text = repr(scenario)
+    assert text.startswith(
+        "Scenario(straight_road: 2100 vehicles/h and 600 pedestrians/h on 5 routes"
+    )
+    assert "200 s in steps of 0.1 s, road straight_road with" in text
+    assert len(repr(dataclasses.replace(scenario, name="x" * 500))) < 400
+    table = straight_road(mix="timid=.25,reckless=.75")._repr_html_()
+    assert "<td>behaviours</td><td>timid 25%, reckless 75%</td>" in table
+    assert "<td>vehicles per hour</td><td>2100</td>" in table
+
+
+@pytest.mark.parametrize(
+    ("change", "seed", "message"),
+    [
+        ({}, -1, "seed: found -1, expected an integer from 0"),
+        ({}, 2**31, "seed: found 2147483648"),
+        ({"id": 0}, 0, "agents: found an id twice"),
+        ({"route": ("east_in", "nowhere")}, 0, "agent 1: found edge 'nowhere' in its route"),
+    ],
+)
+def test_agents_that_no_engine_can_drive_are_refused(scenario, change, seed, message):
+    first, second, *_ = sample_agents(scenario, 0)
+    check_agents(scenario, (first, second), 0)
+    with pytest.raises(InputError, match=message):
+        check_agents(scenario, (first, dataclasses.replace(second, **change)), seed)

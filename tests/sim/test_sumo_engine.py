@@ -43,7 +43,8 @@ def short(name="straight_road", **options):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_conventions(name):
-    scenario = short(name, pedestrians_per_h=600.0)
+    walkers = {"pedestrians_per_h": 600.0} if "pedestrians_per_h" in SCENARIOS[name].options else {}
+    scenario = short(name, **walkers)
     frames = drive(scenario)
     assert [f.time_s for f in frames] == pytest.approx(np.arange(1, 401) * 0.1)
     west, south, east, north = scenario.road.bounds
@@ -70,7 +71,7 @@ def lone(scenario, **changes) -> AgentSpec:
         kind=AgentKind.CAR,
         behavior=Behavior.CAREFUL,
         profile=PROFILES[Behavior.CAREFUL],
-        route=scenario.streams[0].route,
+        route=scenario.flows[0].route,
         depart_s=1.0,
         length_m=5.0,
         width_m=1.9,

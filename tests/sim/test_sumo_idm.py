@@ -22,7 +22,7 @@ def pair(scenario) -> list[AgentSpec]:
     leader = dataclasses.replace(follower, speed_factor=0.75)
     first = AgentSpec(
         id=0, kind=AgentKind.CAR, behavior=Behavior.CAREFUL, profile=leader,
-        route=scenario.streams[0].route, depart_s=0.0, length_m=5.0, width_m=1.8,
+        route=scenario.flows[0].route, depart_s=0.0, length_m=5.0, width_m=1.8,
     )  # fmt: skip
     return [first, dataclasses.replace(first, id=1, profile=follower, depart_s=4.0)]
 
