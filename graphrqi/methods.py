@@ -1,4 +1,8 @@
-"""Methods: features, solver and classifier as one thing that can be trained, saved and streamed."""
+"""Methods that classify drivers, and the models that training makes of them.
+
+A method names an observer, which turns positions into features, and a classifier. A model is a
+trained method; it is saved as a folder of ``model.json`` and ``weights.safetensors``.
+"""
 
 from __future__ import annotations
 
@@ -36,22 +40,22 @@ from sim.store.atomic import whole_folder
 FloatArray = NDArray[np.float64]
 
 SCHEMA_VERSION: Final = 2
-"""Of model folders; any other one is refused."""
+"""Version of model folders; other versions are refused."""
 
 MOST_SEED: Final = 2**32 - 1
-"""Largest seed that NumPy's and scikit-learn's generators take."""
+"""Largest seed that the generators of NumPy and scikit-learn accept."""
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """How a driver's behaviour is told.
+    """A way to classify drivers.
 
     Attributes:
-        name: registered name.
+        name: its key in ``METHODS``.
         summary: one line for people.
-        observer: makes what turns positions into features, from a solver's name.
+        observer: makes an observer from a solver's name.
         classifier: a key of ``graphrqi.classify.CLASSIFIERS``.
-        options: of that classifier.
+        options: keyword options of that classifier.
     """
 
     name: str
@@ -137,7 +141,7 @@ METHODS: Final[Registry[Method]] = Registry(
         ),
     },
 )
-"""The methods there are; the keys are the methods' names."""
+"""The methods by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,11 +149,11 @@ class Model:
     """A trained method.
 
     Attributes:
-        method: what was trained.
-        solver: which eigenvalue algorithm its observer uses.
-        classifier: what was learned.
-        shares: of each behaviour among the training windows; sum to 1.
-        card: what it was trained on and how it scored, in words and numbers.
+        method: the method that was trained.
+        solver: the eigenvalue solver that its observer uses.
+        classifier: the trained classifier.
+        shares: share of each behaviour among the training windows; they sum to 1.
+        card: training data and scores, as JSON values.
     """
 
     method: Method
@@ -163,7 +167,7 @@ class Model:
         return self.method.observer(self.solver)
 
     def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, 6) probabilities of feature vectors (n, F), each row by itself."""
+        """(n, 6) probabilities of feature vectors (n, F)."""
         return self.classifier.posterior(features)
 
 
@@ -180,10 +184,10 @@ def train(
     Args:
         method: a key of ``METHODS``.
         training: samples of the training episodes.
-        validation: samples of other episodes, to stop and to calibrate by.
+        validation: samples of other episodes, for early stopping and calibration.
         solver: a key of ``graphrqi.spectrum.SOLVERS``.
-        seed: same seed and samples, same model.
-        card: what to note in the model's card.
+        seed: the same seed and samples give the same model.
+        card: the model's card.
 
     Returns:
         The trained model.
@@ -224,29 +228,46 @@ class _ModelFile(BaseModel):
     @classmethod
     def _of_this_version(cls, found: int) -> int:
         if found != SCHEMA_VERSION:
-            said = f"found {found}, expected {SCHEMA_VERSION}; train the model again"
-            raise PydanticCustomError("schema_version", said)
+            raise _wrong(f"found {found}, expected {SCHEMA_VERSION}; train the model again")
+        return found
+
+    @field_validator("classes")
+    @classmethod
+    def _all_behaviors(cls, found: tuple[str, ...]) -> tuple[str, ...]:
+        if found != tuple(BEHAVIORS):
+            raise _wrong(f"found {found}, expected {tuple(map(str, BEHAVIORS))}")
+        return found
+
+    @field_validator("shares")
+    @classmethod
+    def _a_distribution(cls, found: tuple[float, ...]) -> tuple[float, ...]:
+        if len(found) != len(BEHAVIORS):
+            raise _wrong(f"found {len(found)}, expected {len(BEHAVIORS)}")
+        total = sum(found)
+        if min(found) < 0.0 or not math.isclose(total, 1.0, abs_tol=1e-6):
+            raise _wrong(f"found a sum of {total:g} or less than 0, expected 1")
         return found
 
 
+def _wrong(said: str) -> PydanticCustomError:
+    return PydanticCustomError("model_file", said)
+
+
 def check_model_folder(folder: Path) -> None:
-    """Refuse a folder that a model cannot be written to.
+    """Refuse a folder that a model must not be written to.
 
     Raises:
-        InputError: if the folder holds something that is not a model.
+        InputError: if the folder exists and is not a model.
     """
     if folder.exists() and (not folder.is_dir() or not (folder / "model.json").exists()):
         raise InputError(f"{folder}: found something that is not a model, expected no such folder")
 
 
 def save_model(model: Model, folder: Path) -> None:
-    """Write a model folder: ``model.json`` and ``weights.safetensors``.
-
-    The JSON holds method, class order, feature names, the classes' shares and card. The folder
-    appears whole; a model that stands there is replaced.
+    """Write a model folder; a model that is already there is replaced.
 
     Raises:
-        InputError: if the folder holds something that is not a model, or JSON cannot hold the card.
+        InputError: if the folder exists and is not a model, or JSON cannot hold the card.
     """
     from safetensors.numpy import save
 
@@ -274,7 +295,7 @@ def save_model(model: Model, folder: Path) -> None:
 
 
 MODELS: Final = Path(__file__).parent / "models"
-"""Where the models that ship with the package are."""
+"""Folder of the models that ship with the package."""
 
 
 def load_model(name_or_folder: str | Path) -> Model:
@@ -292,39 +313,8 @@ def load_model(name_or_folder: str | Path) -> Model:
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
 
-    folder = Path(name_or_folder)
-    if not folder.is_dir() and os.sep not in str(name_or_folder):
-        folder = MODELS / str(name_or_folder)
-    if not (folder / "model.json").is_file():
-        shipped = sorted(p.parent.name for p in MODELS.glob("*/model.json"))
-        raise InputError(
-            f"model {str(name_or_folder)!r}: found no model.json, expected a model folder "
-            f"or one of {', '.join(shipped) or 'none shipped'}"
-        )
-    path = folder / "model.json"
-    try:
-        file = _ModelFile.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(x) for x in first["loc"]) or "content"
-        raise InputError(f"{path}: {where}: {first['msg']}") from None
-    if len(file.shares) != len(BEHAVIORS):
-        raise InputError(f"{path}: shares: found {len(file.shares)}, expected {len(BEHAVIORS)}")
-    if file.classes != tuple(b.value for b in BEHAVIORS):
-        raise InputError(f"{path}: classes: found {file.classes}, expected {tuple(BEHAVIORS)}")
-    total = sum(file.shares)
-    if min(file.shares) < 0.0 or not math.isclose(total, 1.0, abs_tol=1e-6):
-        raise InputError(f"{path}: shares: found a sum of {total:g} or less than 0, expected 1")
-    try:
-        method = METHODS[file.method]
-        _ = SOLVERS[file.solver]  # refuses an unknown name
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    if file.features != method.observer(file.solver).feature_names:
-        raise InputError(
-            f"{path}: features: found those of another version, expected this version's; "
-            "train the model again"
-        )
+    folder = _model_folder(name_or_folder)
+    file, method = _description(folder / "model.json")
     weights = folder / "weights.safetensors"
     try:
         arrays = load_file(weights)
@@ -337,3 +327,37 @@ def load_model(name_or_folder: str | Path) -> Model:
             f"{weights}: found weights that do not load ({reason}), expected those of {file.method}"
         ) from None
     return Model(method, file.solver, classifier, file.shares, file.card)
+
+
+def _model_folder(name_or_folder: str | Path) -> Path:
+    folder = Path(name_or_folder)
+    if not folder.is_dir() and os.sep not in str(name_or_folder):
+        folder = MODELS / str(name_or_folder)
+    if not (folder / "model.json").is_file():
+        shipped = sorted(p.parent.name for p in MODELS.glob("*/model.json"))
+        raise InputError(
+            f"model {str(name_or_folder)!r}: found no model.json, expected a model folder "
+            f"or one of {', '.join(shipped) or 'none shipped'}"
+        )
+    return folder
+
+
+def _description(path: Path) -> tuple[_ModelFile, Method]:
+    """A checked ``model.json`` and its method."""
+    try:
+        file = _ModelFile.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(x) for x in first["loc"]) or "content"
+        raise InputError(f"{path}: {where}: {first['msg']}") from None
+    try:
+        method = METHODS[file.method]
+        _ = SOLVERS[file.solver]  # refuses an unknown name
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if file.features != method.observer(file.solver).feature_names:
+        raise InputError(
+            f"{path}: features: found those of another version, expected this version's; "
+            "train the model again"
+        )
+    return file, method

@@ -1,8 +1,10 @@
-"""What a classifier believes: a probability for each behaviour of each agent."""
+"""The answer of a classifier: a probability for each behaviour of each driver."""
 
 from __future__ import annotations
 
+import html
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +12,16 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-@dataclass(frozen=True, slots=True)
+_SHOWN: Final = 10
+"""Drivers shown in a notebook's table."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
 class Posterior:
-    """Belief about the drivers seen long enough.
+    """Probabilities of the behaviours of the drivers that were observed long enough.
 
     Attributes:
         ids: (n,) agent ids, ascending.
@@ -23,6 +31,8 @@ class Posterior:
         >>> p = Posterior(ids=[7], probability=[[0.1, 0.5, 0.1, 0.1, 0.1, 0.1]])
         >>> p.most_likely.tolist()
         [1]
+        >>> p
+        Posterior(1 driver, most likely: 1 reckless)
     """
 
     ids: NDArray[np.int64]
@@ -32,7 +42,7 @@ class Posterior:
         """Check ids and probabilities, and make the arrays read-only.
 
         Raises:
-            InputError: if ids are not whole numbers that ascend, or rows are no probabilities.
+            InputError: if ids are not ascending whole numbers, or rows are not probabilities.
         """
         ids = np.asarray(self.ids)
         if ids.size and ids.dtype.kind not in "iu":
@@ -64,10 +74,49 @@ class Posterior:
         return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
 
     def of(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(m, 6) probabilities of the given agents; uniform for those not known yet."""
+        """(m, 6) probabilities of the given agents; uniform for those without an answer."""
         out = np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
         if self.ids.size:
             at = np.clip(np.searchsorted(self.ids, ids), 0, self.ids.size - 1)
             known = self.ids[at] == ids
             out[known] = self.probability[at[known]]
         return out
+
+    def __repr__(self) -> str:
+        """The number of drivers and of each most likely behaviour."""
+        n = self.ids.size
+        counts = np.bincount(self.most_likely, minlength=len(BEHAVIORS)).tolist()
+        found = [f"{k} {name}" for k, name in zip(counts, BEHAVIORS, strict=True) if k]
+        said = f", most likely: {', '.join(found)}" if n else ""
+        return f"Posterior({n} driver{'s' * (n != 1)}{said})"
+
+    def _repr_html_(self) -> str:
+        """A table of the first drivers, for notebooks."""
+        head = "".join(f"<th>{title}</th>" for title in ("agent", *BEHAVIORS))
+        lines = [
+            f"<tr><td>{agent}</td>" + "".join(f"<td>{p:.2f}</td>" for p in row) + "</tr>"
+            for agent, row in zip(self.ids[:_SHOWN], self.probability[:_SHOWN], strict=True)
+        ]
+        if self.ids.size > _SHOWN:
+            more = f"and {self.ids.size - _SHOWN} more"
+            lines.append(f"<tr><td colspan={len(BEHAVIORS) + 1}>{more}</td></tr>")
+        caption = f"<caption>{html.escape(repr(self))}</caption>"
+        return f"<table>{caption}<tr>{head}</tr>{''.join(lines)}</table>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Table of the probabilities: a row per driver, a column per behaviour.
+
+        Returns:
+            Rows indexed by agent id (``agent``); a last column ``most_likely``.
+
+        Raises:
+            InputError: if pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise InputError("pandas: found none, expected it: pip install pandas") from error
+        names = [behavior.value for behavior in BEHAVIORS]
+        index = pd.Index(np.array(self.ids), name="agent")
+        table = pd.DataFrame(np.array(self.probability), index=index, columns=names)
+        return table.assign(most_likely=[names[code] for code in self.most_likely])

@@ -1,4 +1,4 @@
-"""Labelled feature vectors from recordings: what classifiers are trained and scored on.
+"""Labelled feature vectors of recordings, on which classifiers are trained and scored.
 
 Every sample carries the episode, agent and time it comes from, so that data can be split by
 episode and never by row.
@@ -21,29 +21,29 @@ from sim.frames import Tracks
 FloatArray = NDArray[np.float64]
 
 WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0, float("inf"))
-"""Lengths of the stretches of observation that are trained on (our choice); the last is a driver's
-life so far, which is what a stream knows."""
+"""Lengths of the observation windows for training; the infinite one is a driver's life so far,
+which is what a stream knows."""
 
-LOOK_S: Final = 1.0
-"""Time between looks at what an observer has gathered: windows are differences of two looks, so
-their lengths are multiples of it (our choice)."""
+SNAPSHOT_S: Final = 1.0
+"""Time between snapshots of an observer's evidence: a window is the difference of two snapshots, so
+its length is a multiple of this."""
 
 MOVED_M: Final = 2.0
-"""A driver counts as moving in a window if it moved farther than this (our choice)."""
+"""A driver counts as moving in a window if it moved farther than this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Feature vectors with their labels and where they come from.
+    """Feature vectors with their labels and origins.
 
     Attributes:
         features: (n, F) float32.
         codes: (n,) true classes, codes into ``BEHAVIORS``.
         episode: (n,) number of the episode.
         agent: (n,) agent id within the episode.
-        time_s: (n,) when the observation ended, s.
+        time_s: (n,) end of the observation, s.
         seconds: (n,) length of the observation, s.
-        window_s: (n,) length asked for, s; inf for a driver's life so far.
+        window_s: (n,) length requested, s; inf for a driver's life so far.
         moving: (n,) whether the driver moved in it.
     """
 
@@ -57,7 +57,7 @@ class Samples:
     moving: NDArray[np.bool_]
 
     def __len__(self) -> int:
-        """How many samples."""
+        """The number of samples."""
         return int(self.codes.size)
 
     def where(self, chosen: NDArray[np.bool_]) -> Samples:
@@ -79,7 +79,26 @@ class Samples:
 
 
 class NoSamplesError(InputError):
-    """A recording that nothing can be learned from or scored on: it may be left out."""
+    """A recording without any sample; callers may skip it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Snapshot:
+    """An observer's evidence at one time, and the drivers' positions (n, 2), m."""
+
+    time_s: float
+    seen: Observation
+    xy: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """Observations of one length that end now, of the drivers in ``rows`` of the last snapshot."""
+
+    rows: NDArray[np.int64]
+    features: FloatArray
+    seconds: FloatArray
+    moving: NDArray[np.bool_]
 
 
 def collect(
@@ -91,72 +110,62 @@ def collect(
     per_moment: int | None = None,
     seed: int = 0,
 ) -> Samples:
-    """Run an observer over a recording and cut windows out of what it saw.
+    """Run an observer over a recording and cut windows out of its evidence.
 
     Args:
         tracks: with labels in ``tracks.behavior``.
         observer: a fresh one.
-        episode: number to put on the samples.
-        windows_s: lengths of observation wanted; ``inf`` means a driver's life so far.
+        episode: the samples' episode number.
+        windows_s: requested lengths of observation; ``inf`` is a driver's life so far.
         every_s: time between the ends of windows.
-        per_moment: how many of the lengths to draw for each driver and moment; None takes all.
+        per_moment: number of lengths drawn for each driver and moment; None takes all.
         seed: of that draw.
 
     Returns:
         One sample per labelled driver, moment and window that fits into its life.
 
     Raises:
-        NoSamplesError: if the recording has no labels, or shows nobody for long enough.
+        NoSamplesError: if the recording has no labels, or shows no driver for long enough.
     """
     if tracks.behavior is None:
         raise NoSamplesError("tracks.behavior: found no labels, expected one per agent")
     rng = np.random.default_rng(seed)
-    look_s = min(LOOK_S, every_s)
-    snapshots: list[tuple[float, Observation, FloatArray]] = []
+    snapshot_s = min(SNAPSHOT_S, every_s)
+    longest_s = max((w for w in windows_s if np.isfinite(w)), default=0.0)
+    snapshots: list[_Snapshot] = []
     parts: list[Samples] = []
-    begin = float(tracks.time_s[0]) if tracks.time_s.size else 0.0
     for frame in tracks.frames():
         observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        passed_s = frame.time_s - begin
-        if not _due(passed_s, look_s, tracks.step_s):
+        passed_s = frame.time_s - float(tracks.time_s[0])
+        if not _due(passed_s, snapshot_s, tracks.step_s):
             continue
         seen = observer.observation()
         xy = frame.xy[np.searchsorted(frame.ids, seen.ids)]
-        snapshots.append((frame.time_s, seen, xy))
-        longest = max((w for w in windows_s if np.isfinite(w)), default=0.0)
-        while snapshots and snapshots[0][0] < frame.time_s - longest - 1e-6:
+        snapshots.append(_Snapshot(frame.time_s, seen, xy))
+        while snapshots[0].time_s < frame.time_s - longest_s - 1e-6:
             snapshots.pop(0)
         if not _due(passed_s, every_s, tracks.step_s):
             continue
-        drawn = rng.random((seen.ids.size, len(windows_s)))
-        rank = drawn.argsort(axis=1).argsort(axis=1)
+        codes = tracks.behavior[np.searchsorted(tracks.ids, seen.ids)]
+        rank = rng.random((seen.ids.size, len(windows_s))).argsort(axis=1).argsort(axis=1)
         for column, window_s in enumerate(windows_s):
-            part = _cut(snapshots, window_s, observer, look_s)
-            if part is None:
+            window = _cut(snapshots, window_s, observer, snapshot_s)
+            if window is None:
                 continue
-            rows, features, seconds, moved = part
+            kept = codes[window.rows] >= 0
             if per_moment is not None:
-                keep = rank[rows, column] < per_moment
-                rows, features, seconds, moved = (
-                    rows[keep],
-                    features[keep],
-                    seconds[keep],
-                    moved[keep],
-                )
-            ids = seen.ids[rows]
-            codes = tracks.behavior[np.searchsorted(tracks.ids, ids)]
-            known = codes >= 0
-            n = int(known.sum())
+                kept &= rank[window.rows, column] < per_moment
+            rows, n = window.rows[kept], int(kept.sum())
             parts.append(
                 Samples(
-                    features=features[known].astype(np.float32),
-                    codes=codes[known],
+                    features=window.features[kept].astype(np.float32),
+                    codes=codes[rows],
                     episode=np.full(n, episode, dtype=np.int64),
-                    agent=ids[known],
+                    agent=seen.ids[rows],
                     time_s=np.full(n, frame.time_s),
-                    seconds=seconds[known],
+                    seconds=window.seconds[kept],
                     window_s=np.full(n, window_s),
-                    moving=moved[known],
+                    moving=window.moving[kept],
                 )
             )
     if not parts:
@@ -167,34 +176,33 @@ def collect(
 
 
 def _due(passed_s: float, every_s: float, step_s: float) -> bool:
-    """Whether this frame is the nearest to a whole number of intervals (at least one)."""
+    """Whether this frame is the nearest one to a whole number of intervals, at least one."""
     due = passed_s / every_s
     return round(due) >= 1 and abs(due - round(due)) <= 0.25 * step_s / every_s
 
 
 def _cut(
-    snapshots: list[tuple[float, Observation, FloatArray]],
-    window_s: float,
-    observer: Observer,
-    look_s: float,
-) -> tuple[NDArray[np.int64], FloatArray, FloatArray, NDArray[np.bool_]] | None:
-    """Rows of the newest snapshot with a whole window, their features, seconds and movement."""
-    time_s, now, xy = snapshots[-1]
+    snapshots: list[_Snapshot], window_s: float, observer: Observer, snapshot_s: float
+) -> _Window | None:
+    """The window of one length that ends at the last snapshot; None before it fits anybody."""
+    last = snapshots[-1]
+    now = last.seen
     if not np.isfinite(window_s):
-        rows = np.flatnonzero(now.seconds >= look_s - 1e-6)
+        rows = np.flatnonzero(now.seconds >= snapshot_s - 1e-6)
         features = observer.features(now.seconds[rows], now.sums[rows], now.instant[rows])
-        return rows, features, now.seconds[rows], np.ones(rows.size, dtype=bool)
-    earlier = [s for s in snapshots if abs(s[0] - (time_s - window_s)) < 0.25 * look_s]
-    if not earlier:
+        return _Window(rows, features, now.seconds[rows], np.ones(rows.size, dtype=bool))
+    start_s = last.time_s - window_s
+    first = next((s for s in snapshots if abs(s.time_s - start_s) < 0.25 * snapshot_s), None)
+    if first is None:
         return None
-    _, past, past_xy = earlier[0]
+    past = first.seen
     rows, before = align(past.ids, now.ids)
     if rows.size == 0:
         return None
     seconds = now.seconds[rows] - past.seconds[before]
-    whole = seconds > window_s - 0.5 * look_s  # a driver that left and came back is a new one
+    whole = seconds > window_s - 0.5 * snapshot_s  # a driver that returned is a new one
     rows, before, seconds = rows[whole], before[whole], seconds[whole]
     sums = now.sums[rows] - past.sums[before]
     features = observer.features(seconds, sums, now.instant[rows])
-    moved = np.hypot(*(xy[rows] - past_xy[before]).T) > MOVED_M
-    return rows, features, seconds, moved
+    moving = np.hypot(*(last.xy[rows] - first.xy[before]).T) > MOVED_M
+    return _Window(rows, features, seconds, moving)

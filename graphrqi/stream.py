@@ -1,4 +1,4 @@
-"""The stream: a frame in, a posterior over the six behaviours of every driver out."""
+"""The stream: it takes frames and gives a posterior over the six behaviours of every driver."""
 
 from __future__ import annotations
 
@@ -17,29 +17,28 @@ from sim.episode.buffer import FrameBuffer
 from sim.frames import Frame, Tracks
 
 MIN_SECONDS: Final = 1.0
-"""Time after which a driver is classified (our choice: before it, velocity is hardly known)."""
+"""Time after which a driver is classified; before it, velocity is hardly known."""
 
-MIX_EVERY_S: Final = 1.0
-"""Time between estimates of how common each behaviour is here (our choice: drivers come and go more
-slowly)."""
+PRIOR_EVERY_S: Final = 1.0
+"""Time between estimates of the shares of behaviours; drivers come and go more slowly."""
 
 HISTORY_STEPS: Final = 50
-"""Frames remembered for prediction (our choice: 5 s at 10 Hz)."""
+"""Frames remembered for prediction; 5 s at 10 Hz."""
 
 DEFAULT_MODEL: Final = "graphrqi-plus"
-"""The model that ships with the package."""
+"""Name of the model that is used by default."""
 
 
 class BehaviorStream:
-    """Classifies drivers as they drive.
+    """Classifies drivers frame by frame.
 
-    Uses nothing of a frame but its time and the ids, positions and kinds (driving or walking).
-    Evidence on a driver accumulates for as long as it stays in sight, and how common each behaviour
-    is here is learned of all drivers (`graphrqi.prior_shift`).
+    Of a frame only the time and the agents' ids, positions and kinds (driver or pedestrian) are
+    used. Evidence on a driver accumulates for as long as it is present, and the shares of the
+    behaviours are estimated from all drivers (`graphrqi.prior_shift`).
 
     Args:
         model: a trained model.
-        min_seconds: a driver is classified from this long after it was first seen.
+        min_seconds: time observed after which a driver is classified, s.
     """
 
     def __init__(self, model: Model, min_seconds: float = MIN_SECONDS) -> None:
@@ -47,8 +46,9 @@ class BehaviorStream:
         self.min_seconds = min_seconds
         self._observer = model.observer()
         self._buffer = FrameBuffer(HISTORY_STEPS)
-        self._mix = PriorShift(np.array(model.shares))
-        self._mixed_s = -np.inf
+        self._last: Frame | None = None
+        self._prior_shift = PriorShift(np.array(model.shares))
+        self._shifted_s = -np.inf
         self._answered: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
 
     def update(self, frame: Frame) -> Posterior:
@@ -58,11 +58,11 @@ class BehaviorStream:
             frame: later than the one before.
 
         Returns:
-            Posterior of every driver present and seen long enough.
+            Posterior of every driver that is present and was observed long enough.
 
         Raises:
-            InputError: if the frame's time does not increase or something in it is not usable, see
-                `sim.episode.buffer.FrameBuffer.push`; the stream is as it was before then.
+            InputError: if the frame's time does not increase or a value in it is not usable, see
+                `sim.episode.buffer.FrameBuffer.push`; the stream then stays as it was.
         """
         self.push(frame)
         return self.posterior()
@@ -77,13 +77,13 @@ class BehaviorStream:
             )
         self._buffer.push(frame)
         self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        self._answered = None
-        if frame.time_s >= self._mixed_s + MIX_EVERY_S - 1e-6:
-            self._mix.observe(frame.time_s, *self._answers())
-            self._mixed_s = frame.time_s
+        self._last, self._answered = frame, None
+        if frame.time_s >= self._shifted_s + PRIOR_EVERY_S - 1e-6:
+            self._prior_shift.observe(frame.time_s, *self._answers())
+            self._shifted_s = frame.time_s
 
     def _answers(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Ids of those seen long enough, and what the model alone says of them now."""
+        """Ids of the drivers observed long enough, and their probabilities without prior shift."""
         if self._answered is None:
             seen = self._observer.observation()
             ready = seen.seconds >= self.min_seconds - 1e-6
@@ -94,9 +94,23 @@ class BehaviorStream:
         return self._answered
 
     def posterior(self) -> Posterior:
-        """Belief about every driver present and seen long enough, now."""
+        """Posterior of every driver that is present and was observed long enough."""
         ids, probability = self._answers()
-        return Posterior(ids=ids, probability=self._mix.corrected(probability))
+        return Posterior(ids=ids, probability=self._prior_shift.corrected(probability))
+
+    def __repr__(self) -> str:
+        """The model, and the time and the agents of the last frame."""
+        now = "no frame yet"
+        if self._last is not None:
+            drivers = int(self._last.driving.sum())
+            now = (
+                f"at {self._last.time_s:g} s: {drivers} drivers, "
+                f"{len(self._last) - drivers} pedestrians"
+            )
+        return (
+            f"BehaviorStream({self.model.method.name} with solver {self.model.solver}, "
+            f"answers after {self.min_seconds:g} s, {now})"
+        )
 
     @property
     def history(self) -> Tracks:

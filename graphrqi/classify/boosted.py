@@ -1,6 +1,6 @@
-"""Gradient-boosted trees: scikit-learn's histogram boosting grows them, plain arrays keep them.
+"""Gradient-boosted trees, grown by scikit-learn's histogram boosting and kept as plain arrays.
 
-Validation data decides after how many rounds to stop and the temperature of the probabilities.
+The number of rounds and the temperature of the probabilities are chosen on validation data.
 
 References:
     Friedman (2001), Ann. Statist. 29, 1189; Ke et al. (2017), LightGBM, NeurIPS.
@@ -14,26 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
-from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
-from graphrqi.classify.trees import ShortTrees, Trees
+from graphrqi.classify.trees import QuickScorer, Trees
 
 PATIENCE: Final = 30
-"""After so many rounds without a smaller validation loss no more are grown (our choice)."""
+"""Growing stops after this many rounds without a smaller validation loss."""
 
 
 class Boosted:
-    """Trees that each mend what those before got wrong.
+    """Trees of which each one corrects the errors of those before it.
 
     Args:
         num_classes: C.
-        rounds: at most this many trees per class; none are grown once they stop helping.
-        learning_rate: how much of each tree counts.
+        rounds: largest number of trees per class; growing stops when the validation loss does
+            not fall any more.
+        learning_rate: factor of each tree's leaves.
         max_leaves: of a tree.
-        max_depth: of a tree; every sample takes as many steps as a tree is deep.
+        max_depth: of a tree.
         min_leaf: fewest training samples in a leaf.
         ridge: penalty of squared leaf values.
-        feature_share: share of the features looked at for each split.
+        feature_share: share of the features considered for each split.
     """
 
     def __init__(
@@ -61,13 +62,7 @@ class Boosted:
         self._baseline = np.zeros(num_classes)
         self._temperature = 1.0
 
-    def fit(
-        self,
-        features: FloatArray,
-        codes: CodeArray,
-        validation: tuple[FloatArray, CodeArray] | None,
-        seed: int,
-    ) -> None:
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
         from sklearn.ensemble import HistGradientBoostingClassifier
 
@@ -84,13 +79,13 @@ class Boosted:
         self._baseline[classes] = 0.0
         self._baseline[shown] = grown._baseline_prediction.ravel()
         rounds = grown._predictors
-        if held:  # those up to the smallest loss; the first one told is that of no trees
+        if held:  # up to the smallest loss; the first one is that of no trees
             rounds = rounds[: int(np.argmax(grown.validation_score_[1:])) + 1]
         self._temperature = 1.0
         self._keep(
             Trees.join(
                 [
-                    self._plain(grower.nodes, code)
+                    _converted(grower.nodes, code)
                     for each in rounds
                     for grower, code in zip(each, shown, strict=True)
                 ]
@@ -102,22 +97,10 @@ class Boosted:
 
     def _keep(self, trees: Trees) -> None:
         self._trees = trees
-        self._quickest: Trees | ShortTrees = ShortTrees.of(trees) or trees
-
-    def _plain(self, nodes: NDArray[Any], code: int) -> Trees:
-        """One of scikit-learn's trees, its leaves adding to the score of a class."""
-        leaf = nodes["is_leaf"].astype(bool)
-        return Trees.single(
-            np.where(leaf, -1, nodes["feature_idx"]),
-            np.where(leaf, 0.0, nodes["num_threshold"]),
-            nodes["left"].astype(np.int64),
-            nodes["right"].astype(np.int64),
-            np.where(leaf, nodes["value"], 0.0)[:, None],
-            int(code),
-        )
+        self._evaluator: Trees | QuickScorer = QuickScorer.of(trees) or trees
 
     def _untempered(self, features: FloatArray) -> FloatArray:
-        return softmax(self._quickest.total(features, self._num_classes) + self._baseline)
+        return softmax(self._evaluator.total(features, self._num_classes) + self._baseline)
 
     def _trained(self) -> NDArray[np.bool_]:
         return self._baseline > NEVER
@@ -127,7 +110,7 @@ class Boosted:
         return tempered(self._untempered(features), self._temperature, self._trained())
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """All nodes, the baseline and the temperature."""
+        """Nodes, baseline and temperature."""
         return {
             **self._trees.arrays(),
             "baseline": self._baseline,
@@ -135,7 +118,20 @@ class Boosted:
         }
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """Take what was saved."""
+        """See `graphrqi.classify.contract.Classifier.restore`."""
         self._keep(Trees.restored(arrays, num_features, self._num_classes))
         self._baseline = saved(arrays, "baseline", (self._num_classes,))
         self._temperature = saved_temperature(arrays)
+
+
+def _converted(nodes: NDArray[Any], code: int) -> Trees:
+    """One of scikit-learn's trees, whose leaves add to the score of a class."""
+    leaf = nodes["is_leaf"].astype(bool)
+    return Trees.single(
+        np.where(leaf, -1, nodes["feature_idx"]),
+        np.where(leaf, 0.0, nodes["num_threshold"]),
+        nodes["left"].astype(np.int64),
+        nodes["right"].astype(np.int64),
+        np.where(leaf, nodes["value"], 0.0)[:, None],
+        int(code),
+    )

@@ -1,4 +1,4 @@
-"""What classifiers check alike: rows they are given and arrays they are restored from."""
+"""Checks that classifiers share: of validation rows and of the arrays they are restored from."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 
 
-def of_trained_classes(
-    validation: tuple[FloatArray, CodeArray] | None, codes: CodeArray
-) -> tuple[FloatArray, CodeArray] | None:
-    """Validation data without rows of classes that are not learned; None if nothing is left.
+def of_trained_classes(validation: HeldOut, codes: CodeArray) -> HeldOut:
+    """Validation data without rows of classes that are not trained; None if no row is left.
 
     Args:
         validation: vectors and classes.
@@ -29,13 +27,15 @@ def of_trained_classes(
 
 
 def showing_every_class(
-    held: tuple[FloatArray, CodeArray] | None, training: tuple[FloatArray, CodeArray]
+    held: HeldOut, training: tuple[FloatArray, CodeArray]
 ) -> tuple[FloatArray, CodeArray]:
-    """Rows to fit a link to probabilities on: a class that it is not shown it never answers.
+    """Rows on which scores are mapped to probabilities: the held-out ones if they show every class.
+
+    A class without rows would get probability zero.
 
     Args:
         held: vectors and classes of other episodes.
-        training: of those learned from, taken where the others lack a class of these.
+        training: vectors and classes of the training rows, used if a class is missing in ``held``.
     """
     return held if held is not None and np.isin(training[1], held[1]).all() else training
 
@@ -43,15 +43,15 @@ def showing_every_class(
 def saved(
     arrays: dict[str, NDArray[Any]], name: str, shape: tuple[int | None, ...] | None = None
 ) -> NDArray[Any]:
-    """An array of numbers that was saved.
+    """A saved array of finite numbers.
 
     Args:
-        arrays: what was saved.
+        arrays: all saved arrays by name.
         name: of the array.
-        shape: it must have; None stands for any, as a length too.
+        shape: the expected shape; a length of None, or no shape at all, accepts any.
 
     Raises:
-        InputError: if there is none, it is of another shape or holds what is not finite.
+        InputError: if it is missing, has another shape or holds numbers that are not finite.
     """
     if name not in arrays:
         raise InputError(f"{name}: found no such array, expected one")
@@ -67,13 +67,13 @@ def saved(
 
 
 def saved_temperature(arrays: dict[str, NDArray[Any]]) -> float:
-    """The temperature that was saved.
+    """The saved temperature.
 
     Args:
-        arrays: what was saved.
+        arrays: all saved arrays by name.
 
     Raises:
-        InputError: if there is none or it is not positive.
+        InputError: if it is missing or not positive.
     """
     found = float(saved(arrays, "temperature", (1,))[0])
     if found <= 0.0:

@@ -1,4 +1,4 @@
-"""The one contract of all classifiers."""
+"""The contract of all classifiers."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 CodeArray = NDArray[np.int8]
+HeldOut = tuple[FloatArray, CodeArray] | None
+"""Feature vectors and classes of episodes that are not trained on, if there are any."""
 
 
 class Classifier(Protocol):
-    """Learns from feature vectors and tells the probability of each class."""
+    """Learns from feature vectors and gives the probability of each class.
 
-    def fit(
-        self,
-        features: FloatArray,
-        codes: CodeArray,
-        validation: tuple[FloatArray, CodeArray] | None,
-        seed: int,
-    ) -> None:
-        """Learn.
+    It is made from the number of classes C and keyword options.
+    """
+
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
+        """Learn from labelled feature vectors.
 
         Args:
             features: (n, F) training vectors.
-            codes: (n,) classes, 0 to C - 1.
-            validation: vectors and classes of other episodes, to stop and to calibrate by; rows of
-                classes that are not learned are left out.
-            seed: same seed, same classifier.
+            codes: (n,) classes, 0 to C - 1; a class that does not occur here gets probability zero
+                or nearly so.
+            validation: for early stopping and calibration; its rows of classes that do not occur
+                in ``codes`` are ignored.
+            seed: the same seed gives the same classifier.
         """
         ...
 
@@ -37,17 +37,17 @@ class Classifier(Protocol):
         ...
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What was learned, to be saved."""
+        """What was learned, as arrays to be saved."""
         ...
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """Take what was saved; the next `posterior` is the same as before saving.
+        """Restore what was saved; `posterior` then answers as before saving.
 
         Args:
             arrays: as from `arrays`.
-            num_features: F.
+            num_features: F, against which the arrays are checked.
 
         Raises:
-            InputError: if the arrays are not of such a classifier.
+            InputError: if the arrays are not those of such a classifier.
         """
         ...

@@ -1,6 +1,6 @@
-"""Random forest (Breiman 2001): scikit-learn grows the trees, plain arrays keep them.
+"""Random forest (Breiman 2001), grown by scikit-learn and kept as plain arrays.
 
-The mean of the trees' leaf shares, with a temperature fitted on validation data.
+The answer is the mean of the trees' leaf shares, with a temperature fitted on validation data.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.classify.checks import of_trained_classes, saved_temperature
-from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import best_temperature, tempered
 from graphrqi.classify.trees import Trees
 
@@ -22,9 +22,9 @@ class Forest:
 
     Args:
         num_classes: C.
-        trees: how many.
+        trees: number of trees.
         min_leaf: fewest training samples in a leaf.
-        feature_share: share of the features looked at for each split.
+        feature_share: share of the features considered for each split.
     """
 
     def __init__(
@@ -37,13 +37,7 @@ class Forest:
         self._keep(Trees.constant(np.full(num_classes, 1.0 / num_classes)))
         self._temperature = 1.0
 
-    def fit(
-        self,
-        features: FloatArray,
-        codes: CodeArray,
-        validation: tuple[FloatArray, CodeArray] | None,
-        seed: int,
-    ) -> None:
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
         from sklearn.ensemble import RandomForestClassifier
 
@@ -82,11 +76,11 @@ class Forest:
         return tempered(self._share(features), self._temperature, self._trained)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """All nodes and the temperature."""
+        """Nodes and temperature."""
         return {**self._trees.arrays(), "temperature": np.array([self._temperature])}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """Take what was saved."""
+        """See `graphrqi.classify.contract.Classifier.restore`."""
         self._keep(Trees.restored(arrays, num_features, self._num_classes))
         share = self._trees.value[self._trees.is_leaf()]
         if (

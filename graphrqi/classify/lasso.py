@@ -1,8 +1,8 @@
 """Lasso: linear scores with an L1 penalty that keeps few features (scikit-learn fits them).
 
-One regression per class onto its indicator, the penalty chosen on validation data; a multinomial
-regression turns the scores into probabilities, fitted on validation data if it holds every class
-that was trained.
+Each class has a regression onto its indicator, with a penalty chosen on validation data. A
+multinomial regression maps the scores to probabilities; it is fitted on validation data if they
+show every trained class.
 
 References:
     Tibshirani (1996), J. R. Statist. Soc. B 58, 267; used on trajectory features by Cheung, Bera,
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.classify.checks import of_trained_classes, saved, showing_every_class
-from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import SoftmaxRegression
 from graphrqi.classify.standardisation import Standardisation
 
@@ -28,8 +28,8 @@ class IndicatorLasso:
 
     Args:
         num_classes: C.
-        penalties: of the absolute weights; the one with the least squared error on validation
-            data is taken, without such data the middle one.
+        penalties: candidate penalties of the absolute weights; the one with the least squared error
+            on validation data is chosen, or the middle one without such data.
     """
 
     def __init__(
@@ -41,14 +41,8 @@ class IndicatorLasso:
         self._coefficients: FloatArray = np.zeros((0, num_classes))
         self._link = SoftmaxRegression(np.eye(num_classes), np.zeros(num_classes))
 
-    def fit(
-        self,
-        features: FloatArray,
-        codes: CodeArray,
-        validation: tuple[FloatArray, CodeArray] | None,
-        seed: int,
-    ) -> None:
-        """Learn; coordinate descent in a fixed order, so the seed has no part in it."""
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
+        """Learn by coordinate descent; its order is fixed, so the seed has no effect."""
         from sklearn.linear_model import Lasso
 
         validation = of_trained_classes(validation, codes)
@@ -77,7 +71,7 @@ class IndicatorLasso:
         return self._link.posterior(self._inputs.apply(features) @ self._coefficients)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Standardisation, coefficients and the link to probabilities."""
+        """Standardisation, coefficients and the regression to probabilities."""
         return {
             **self._inputs.arrays(),
             "coefficients": self._coefficients,
@@ -85,7 +79,7 @@ class IndicatorLasso:
         }
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """Take what was saved."""
+        """See `graphrqi.classify.contract.Classifier.restore`."""
         self._inputs = Standardisation.restored(arrays, num_features)
         self._coefficients = saved(arrays, "coefficients", (num_features, self._num_classes))
         self._link = SoftmaxRegression.restored(arrays, self._num_classes, self._num_classes)

@@ -1,6 +1,6 @@
 """Long short-term memory over the entries of a feature vector, the paper's ablation, in PyTorch.
 
-The vector is read as a sequence, one entry a step: of a row of eigenvectors, from the largest
+The vector is read as a sequence of one entry a step: a row of eigenvectors is read from the largest
 eigenvalue down. The last hidden state goes through a linear layer; the loss is cross-entropy.
 """
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from graphrqi.classify.checks import of_trained_classes, saved
-from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.mlp import one_thread
 from graphrqi.classify.standardisation import Standardisation
 
@@ -31,13 +31,13 @@ class _Network(nn.Module):
         return out
 
 
-class Lstm:
+class LstmClassifier:
     """A recurrent network (Hochreiter and Schmidhuber 1997).
 
     Args:
         num_classes: C.
         hidden: width of the memory.
-        epochs: passes over the training data; with validation data the best one is kept.
+        epochs: passes over the training data; with validation data the best weights are kept.
         learning_rate: Adam's.
         batch: samples per step.
     """
@@ -61,13 +61,7 @@ class Lstm:
     def _tensor(self, features: FloatArray) -> Tensor:
         return torch.from_numpy(self._inputs.apply(features).astype(np.float32))
 
-    def fit(
-        self,
-        features: FloatArray,
-        codes: CodeArray,
-        validation: tuple[FloatArray, CodeArray] | None,
-        seed: int,
-    ) -> None:
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
         validation = of_trained_classes(validation, codes)
         self._inputs = Standardisation.of(features)
@@ -110,7 +104,7 @@ class Lstm:
         return {**self._inputs.arrays(), **weights}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """Take what was saved."""
+        """See `graphrqi.classify.contract.Classifier.restore`."""
         self._inputs = Standardisation.restored(arrays, num_features)
         self._network.load_state_dict(
             {

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -19,22 +19,18 @@ from torch import Tensor, nn
 
 from behaviors.errors import InputError
 from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
-from graphrqi.classify.contract import CodeArray, FloatArray
-from graphrqi.classify.standardisation import Standardisation
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
+from graphrqi.classify.standardisation import CLIP, Standardisation
 
 Loss = Literal["squared-error", "cross-entropy"]
-
-_CLIP: Final = 8.0
-"""Standardised features are clipped here: nothing a driver does is 8 deviations from all others
-(our choice; keeps one wild position from deciding)."""
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Compute on one thread.
 
-    Sums then come out the same whatever the machine's cores, and the layers are so small that
-    more threads cost more than they bring.
+    Sums then do not depend on the number of cores, and on layers this small more threads would cost
+    more time than they save.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -50,13 +46,13 @@ class Mlp:
     Args:
         num_classes: C.
         hidden: widths of the hidden layers.
-        loss: what is minimised.
+        loss: the loss that is minimised.
         epochs: passes over the training data.
         dropout: share of hidden units silenced while training.
         learning_rate: peak of a one-cycle schedule (Smith 2018) for AdamW.
         weight_decay: AdamW's.
         batch: samples per step.
-        members: how many networks are averaged.
+        members: number of networks that are averaged.
     """
 
     def __init__(
@@ -93,15 +89,9 @@ class Mlp:
 
     def _standardise(self, features: FloatArray) -> Tensor:
         x = torch.from_numpy(np.ascontiguousarray(features, dtype=np.float32))
-        return ((x - self._mean) / self._scale).clamp(-_CLIP, _CLIP)
+        return ((x - self._mean) / self._scale).clamp(-CLIP, CLIP)
 
-    def fit(
-        self,
-        features: FloatArray,
-        codes: CodeArray,
-        validation: tuple[FloatArray, CodeArray] | None,
-        seed: int,
-    ) -> None:
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
         with torch.random.fork_rng(devices=[]), one_thread():
             torch.manual_seed(seed)
@@ -190,7 +180,7 @@ class Mlp:
         return out
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """Take saved weights."""
+        """See `graphrqi.classify.contract.Classifier.restore`."""
         inputs = Standardisation.restored(arrays, num_features)
         self._mean = torch.from_numpy(inputs.mean.copy())
         self._scale = torch.from_numpy(inputs.scale.copy())

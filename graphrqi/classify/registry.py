@@ -1,4 +1,4 @@
-"""The classifiers there are; each is loaded when first asked for."""
+"""The registry of classifiers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CLASSIFIERS: Final[Registry[Callable[..., Classifier]]] = Registry(
         "forest": "graphrqi.classify.forest:Forest",
         "lasso": "graphrqi.classify.lasso:IndicatorLasso",
         "logistic": "graphrqi.classify.logistic:Logistic",
-        "lstm": "graphrqi.classify.lstm:Lstm",
+        "lstm": "graphrqi.classify.lstm:LstmClassifier",
         "majority": "graphrqi.classify.majority:Majority",
         "mlp": "graphrqi.classify.mlp:Mlp",
         "svm": "graphrqi.classify.svm:SupportVectors",
@@ -30,7 +30,7 @@ CLASSIFIERS: Final[Registry[Callable[..., Classifier]]] = Registry(
 
 
 def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
-    """An unlearned classifier.
+    """A classifier that has not been trained.
 
     Args:
         name: a key of ``CLASSIFIERS``.
@@ -47,7 +47,8 @@ def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
 
 
 CHECKED_WHOLE: Final = ("boosted", "forest")
-"""Classifiers whose arrays leave nothing to be tried: an answer would load compiled kernels."""
+"""Classifiers that check all their arrays, so that no trial answer is needed: it would compile or
+load kernels."""
 
 
 def restore_classifier(
@@ -57,7 +58,9 @@ def restore_classifier(
     options: dict[str, Any],
     arrays: dict[str, NDArray[Any]],
 ) -> Classifier:
-    """A classifier as it was saved, once it has answered a trial, or all its arrays are checked.
+    """A classifier as it was saved.
+
+    It answers a trial first, unless it checks all its arrays itself.
 
     Args:
         name: a key of ``CLASSIFIERS``.
@@ -70,7 +73,7 @@ def restore_classifier(
         The classifier.
 
     Raises:
-        InputError: if there is no such classifier, or the arrays are not one's.
+        InputError: if there is no such classifier, or the arrays are not those of one.
     """
     classifier = make_classifier(name, num_classes, **options)
     classifier.restore(arrays, num_features)

@@ -1,4 +1,4 @@
-"""Scores to probabilities: the softmax, a multinomial regression onto it, and its temperature."""
+"""From scores to probabilities: softmax, multinomial regression and temperature scaling."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from graphrqi.classify.contract import CodeArray, FloatArray
 BoolArray = NDArray[np.bool_]
 
 NEVER: Final = -1e3
-"""Score of a class that training never showed: its probability is zero to the last digit."""
+"""Score of a class without training rows; its probability is exactly zero."""
 
 FLOOR: Final = 1e-4
-"""Smallest probability that takes part in fitting a temperature (our choice: an average of some
-hundred trees can be exactly zero where the truth is only rare)."""
+"""Probabilities below this count as this when a temperature is fitted: the average of a hundred
+trees can be exactly zero for a class that is only rare."""
 
 MAX_ITERATIONS: Final = 500
-"""Of the quasi-Newton solver (our choice: standardised features converge in fewer)."""
+"""Iterations of the quasi-Newton solver; standardised features converge in fewer."""
 
 
 def softmax(scores: FloatArray) -> FloatArray:
@@ -37,15 +37,15 @@ def softmax(scores: FloatArray) -> FloatArray:
 
 
 def best_temperature(probability: FloatArray, codes: CodeArray, trained: BoolArray) -> float:
-    """The temperature that makes probabilities most likely on held-out data.
+    """The temperature with the largest likelihood on held-out data.
 
     Args:
         probability: (n, C) of a classifier.
-        codes: (n,) true classes, of those that were trained.
-        trained: (C,) whether training showed the class.
+        codes: (n,) true classes; all of them were trained.
+        trained: (C,) whether the class has training rows.
 
     Returns:
-        T; probabilities proportional to p^(1/T) fit best.
+        T, for probabilities proportional to p^(1/T).
 
     References:
         Guo, Pleiss, Sun, Weinberger (2017), On Calibration of Modern Neural Networks, ICML.
@@ -58,12 +58,12 @@ def best_temperature(probability: FloatArray, codes: CodeArray, trained: BoolArr
 
 
 def tempered(probability: FloatArray, temperature: float, trained: BoolArray) -> FloatArray:
-    """Probabilities proportional to p^(1/T); as they are when T is 1.
+    """Probabilities proportional to p^(1/T).
 
     Args:
         probability: (n, C) of a classifier.
         temperature: T.
-        trained: (C,) whether training showed the class; zero stays the probability of the others.
+        trained: (C,) whether the class has training rows; the others keep probability zero.
     """
     if temperature == 1.0:
         return probability

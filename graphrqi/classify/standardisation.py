@@ -1,4 +1,4 @@
-"""Features brought to mean zero and deviation one, as the training data had them."""
+"""Standardisation of features by mean and deviation of the training data."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from graphrqi.classify.checks import saved
 FloatArray = NDArray[np.float64]
 
 CLIP: Final = 8.0
-"""Standardised features are clipped here (our choice: nothing a driver does is 8 deviations from
-all others, so one wild position must not decide)."""
+"""Standardised features are clipped here, so that a single wrong position does not decide the
+class; drivers do not differ by 8 standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,9 @@
 """Support vector machine with a Gaussian kernel, one class against the rest.
 
-scikit-learn fits the machines; what is kept is the decision function itself, the sum over support
-vectors of a_i exp(-gamma |x - x_i|^2) plus b for each class. A multinomial regression turns the
-six margins into probabilities (the multi-class form of Platt 1999), fitted on validation data
-if it holds every class that was trained.
+scikit-learn fits the machines; the decision function of each class is kept: the sum over support
+vectors of a_i exp(-gamma |x - x_i|^2), plus b. A multinomial regression maps the margins to
+probabilities (the multi-class form of Platt 1999); it is fitted on validation data if they show
+every trained class.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.classify.checks import of_trained_classes, saved, showing_every_class
-from graphrqi.classify.contract import CodeArray, FloatArray
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import SoftmaxRegression
 from graphrqi.classify.standardisation import Standardisation
 
 _CHUNK: Final = 4096
-"""Rows whose kernel is held at once (our choice: some 100 MB)."""
+"""Rows whose kernel matrix is in memory at once, about 100 MB."""
 
 
 class SupportVectors:
-    """Gaussian-kernel machines on a bounded draw of the training data.
+    """Gaussian-kernel machines trained on a bounded sample of the training data.
 
     Args:
         num_classes: C.
         penalty: of margin violations (libsvm's C).
-        max_rows: training rows at most, drawn at random: the cost grows with their square.
+        max_rows: largest number of training rows, drawn at random; the cost is quadratic in it.
     """
 
     def __init__(self, num_classes: int, penalty: float = 1.0, max_rows: int = 4000) -> None:
@@ -41,13 +41,7 @@ class SupportVectors:
         self._offset: FloatArray = np.zeros(num_classes)
         self._link = SoftmaxRegression(np.eye(num_classes), np.zeros(num_classes))
 
-    def fit(
-        self,
-        features: FloatArray,
-        codes: CodeArray,
-        validation: tuple[FloatArray, CodeArray] | None,
-        seed: int,
-    ) -> None:
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
         from sklearn.svm import SVC
 
@@ -56,7 +50,7 @@ class SupportVectors:
         self._inputs = Standardisation.of(features)
         x, y = self._inputs.apply(features[rows]), codes[rows]
         duals = np.zeros((rows.size, self._num_classes))
-        self._offset = np.full(self._num_classes, -1.0)  # what is never seen is never answered
+        self._offset = np.full(self._num_classes, -1.0)  # a class without rows is never answered
         for code in range(self._num_classes):
             if 0 < np.count_nonzero(y == code) < y.size:
                 machine = SVC(C=self._penalty, gamma=self._gamma(x.shape[1]))
@@ -90,7 +84,7 @@ class SupportVectors:
         return self._link.posterior(self._margins(features))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Support vectors, their coefficients, and the link to probabilities."""
+        """Support vectors, their coefficients, and the regression to probabilities."""
         return {
             **self._inputs.arrays(),
             "vectors": self._vectors,
@@ -100,7 +94,7 @@ class SupportVectors:
         }
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """Take what was saved."""
+        """See `graphrqi.classify.contract.Classifier.restore`."""
         self._inputs = Standardisation.restored(arrays, num_features)
         self._vectors = saved(arrays, "vectors", (None, num_features))
         self._duals = saved(arrays, "duals", (len(self._vectors), self._num_classes))

@@ -1,11 +1,11 @@
-"""The compiled walk down decision trees."""
+"""The compiled evaluation of decision trees."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.classify.simd import WORDS, all_bits, first_bits, keep_where_above
+from graphrqi.classify.simd import WIDTH, all_bits, first_bits, keep_where_above
 from sim.compiled import compiled
 
 
@@ -21,22 +21,22 @@ def sum_of_leaves(
     value: NDArray[np.float32],
     out: NDArray[np.float64],
 ) -> None:
-    """Add up the leaves that each sample falls into.
+    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.Trees`.
 
     Every sample takes as many steps in a tree as the tree is deep (a leaf leads to itself), and a
-    batch of samples takes each step together, so that nothing is left for the processor to guess
-    and its steps do not wait for one another. Unsigned indices spare a look at their sign. Six
-    times as quick as following one sample after another.
+    batch of samples takes each step together: there are no branches to predict, and the steps of
+    different samples overlap. Unsigned indices need no check for negative ones. This is six times
+    as fast as one sample after another.
 
     Args:
         features: (n, F).
-        root: (B,) node at which each tree begins.
-        depth: (B,) steps from there to the deepest leaf.
-        column: (B,) of the sums that the first of a leaf's values adds to.
-        feature: (N,) feature asked at a node.
-        threshold: (N,) a value above this goes to the second child; infinite at a leaf.
-        child: (N,) first child, the second comes next; a leaf is its own.
-        value: (N, W) what a leaf adds.
+        root: (B,).
+        depth: (B,).
+        column: (B,).
+        feature: (N,).
+        threshold: (N,).
+        child: (N,).
+        value: (N, W).
         out: (n, C) receives the sums; must be zero before.
     """
     batch = 64
@@ -67,28 +67,27 @@ def sum_of_first_leaves(
     column: NDArray[np.uint64],
     out: NDArray[np.float64],
 ) -> None:
-    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.ShortTrees`.
+    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.QuickScorer`.
 
     Args:
         features: (K * F, 64) of K batches of 64 samples, feature by feature.
-        first: (B + 1,) where each tree's inner nodes begin, and the last's end. Unsigned numbers
-            spare a look at their sign.
-        feature: (I,) feature asked at an inner node.
-        threshold: (I,) above it the answer is yes.
-        keep: (I,) bits of the leaves that are then still in reach.
-        leaf: (B, 32) what each leaf adds.
-        column: (B,) of the sum that the tree adds to.
+        first: (B + 1,).
+        feature: (I,).
+        threshold: (I,).
+        keep: (I,).
+        leaf: (B, 32).
+        column: (B,).
         out: (K, C, 64) receives the sums; must be zero before.
     """
-    place = np.empty(WORDS, dtype=np.uint32)
+    place = np.empty(WIDTH, dtype=np.uint32)
     batch = np.uint64(len(features) // max(len(out), 1))
     for k in range(np.uint64(len(out))):
         for b in range(np.uint64(first.size - 1)):
-            left = all_bits()
+            reachable = all_bits()
             for i in range(first[b], first[b + np.uint64(1)]):
                 row = k * batch + feature[i]
-                left = keep_where_above(left, features, row, threshold[i], keep[i])
-            first_bits(left, place)
+                reachable = keep_where_above(reachable, features, row, threshold[i], keep[i])
+            first_bits(reachable, place)
             values, total = leaf[b], out[k, column[b]]
-            for j in range(WORDS):
+            for j in range(WIDTH):
                 total[j] += values[place[j]]

@@ -1,10 +1,10 @@
-"""How agents move in a recording whose units are not known: a video in pixels, say.
+"""Features of a recording whose units are not known, such as a video in pixels.
 
-Everything is a ratio or an angle, or is measured in the size that agents have at that height of
-the image (a camera sees near ones larger); what is left of the units goes when each feature is
-standardised within its recording. Positions are whole pixels, so they are smoothed, and velocities
-are differenced over many frames. Needs the whole recording: these are features of a track's whole
-life, not of a stream.
+Every feature is a ratio or an angle, or is measured in the size of agents at the same height of the
+image, since a camera shows near agents larger. Standardising each feature within its recording
+removes the units that remain. Positions are whole pixels, so they are smoothed, and velocities are
+differenced over many frames. These are features of a whole track, not of a stream: the whole
+recording is needed.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 SMOOTH_FRAMES: Final = 15
-"""Length of the centred mean over positions (our choice: half a second of video)."""
+"""Length of the centred mean over positions; half a second of video."""
 
 SPAN_FRAMES: Final = 10
-"""Frames over which velocities are differenced, and between the instants looked at (our choice)."""
+"""Frames over which velocities are differenced, and between the instants that are evaluated."""
 
 STANDING: Final = 0.15
-"""Slower than this share of the recording's median speed counts as standing (our choice)."""
+"""Agents slower than this share of the recording's median speed count as standing."""
 
 NEIGHBORS: Final = 4
-"""Nearest neighbours compared with (as many as the paper's graph joins)."""
+"""Nearest neighbours that an agent is compared with; the paper's graph joins as many."""
 
 FLOW_RADIUS: Final = 1.5
-"""Sizes within which others' passing, at any time, tells the local flow (our choice)."""
+"""Radius, in agent sizes, within which velocities at any time are averaged to the local flow."""
 
 NAMES: Final = (
     "speed",
@@ -62,12 +62,12 @@ NAMES: Final = (
     "aspect",
     "size",
 )
-"""What each column of `unit_free_features` is."""
+"""Columns of `unit_free_features`."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Instant:
-    """Who is where and moves how at one time."""
+    """Positions, velocities and sizes of the agents at one time."""
 
     rows: IntArray
     xy: FloatArray
@@ -76,14 +76,14 @@ class _Instant:
 
 
 def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
-    """Centred mean of the positions that are known.
+    """Centred mean of the known positions.
 
     Args:
         xy: (N, T, 2); NaN where unknown.
         frames: length of the mean, odd.
 
     Returns:
-        (N, T, 2); unknown stays unknown.
+        (N, T, 2); NaN where unknown.
 
     Examples:
         >>> smoothed(np.array([[[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]]), 3)[0, 1].tolist()
@@ -102,7 +102,7 @@ def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
 
 
 def scale_at(y: FloatArray, size: FloatArray) -> tuple[float, float]:
-    """How large agents are at a height of the image.
+    """Size of agents as a function of the height in the image.
 
     Args:
         y: (N,) median height of each agent.
@@ -110,7 +110,7 @@ def scale_at(y: FloatArray, size: FloatArray) -> tuple[float, float]:
 
     Returns:
         Level and slope of a straight line through log sizes, fitted to the least absolute error
-        (large and small kinds of agents are at all heights).
+        because large and small kinds of agents occur at all heights.
     """
     level, slope = float(np.median(np.log(size))), 0.0
     weight = np.ones(y.size)
@@ -138,15 +138,15 @@ def _instants(xy: FloatArray, level: float, slope: float) -> list[_Instant]:
 
 
 def unit_free_features(xy: FloatArray, sides: FloatArray) -> FloatArray:
-    """Features of each track's whole life.
+    """Features of whole tracks.
 
     Args:
-        xy: (N, T, 2) box centres, any unit, y up; NaN where not seen.
-        sides: (N, 2) width and height of each box.
+        xy: (N, T, 2) centres of bounding boxes, in any unit, y up; NaN where unknown.
+        sides: (N, 2) width and height of each bounding box.
 
     Returns:
         (N, F) columns named by ``NAMES``, each standardised within the recording; zero (the mean)
-        where a track is too short to tell.
+        where a track is too short.
     """
     n = len(xy)
     known = ~np.isnan(xy[..., 0])
@@ -157,22 +157,22 @@ def unit_free_features(xy: FloatArray, sides: FloatArray) -> FloatArray:
     )
     level, slope = scale_at(middle, size)
     instants = _instants(place, level, slope)
-    seen: list[list[tuple[float, ...]]] = [[] for _ in range(n)]
+    rows: list[list[tuple[float, ...]]] = [[] for _ in range(n)]
     flow = _Flow(instants)
     passed = np.zeros((n, 2))
     before: dict[tuple[int, int], bool] = {}
     for at in instants:
-        found, ahead = _look(at, flow)
+        found, ahead = _instant_features(at, flow)
         for k, row in enumerate(at.rows):
-            seen[int(row)].append(tuple(found[k]))
+            rows[int(row)].append(tuple(found[k]))
         for (one, other), in_front in ahead.items():
             if before.get((one, other), in_front) != in_front:
                 passed[one, int(in_front)] += 1.0
         before |= ahead
-    moving = [s[0] for track in seen for s in track if s[0] > 0]
+    moving = [s[0] for track in rows for s in track if s[0] > 0]
     slow = STANDING * float(np.median(moving)) if moving else 0.0
     out = np.full((n, len(NAMES)), np.nan)
-    for i, track in enumerate(seen):
+    for i, track in enumerate(rows):
         if track:
             out[i] = _summary(np.array(track), slow, passed[i], place[i, known[i]], size[i])
     life = known.sum(axis=1)
@@ -183,7 +183,7 @@ def unit_free_features(xy: FloatArray, sides: FloatArray) -> FloatArray:
 
 
 def standardised(values: FloatArray) -> FloatArray:
-    """Columns over their own mean and deviation, clipped at 4; zero where unknown."""
+    """Standardised columns, clipped at 4; zero where unknown."""
     out = np.zeros_like(values)
     for column in range(values.shape[1]):
         known = ~np.isnan(values[:, column])
@@ -195,7 +195,7 @@ def standardised(values: FloatArray) -> FloatArray:
 
 
 class _Flow:
-    """Which way others pass at a place, at any time."""
+    """Velocities of other agents at a place, at any time of the recording."""
 
     def __init__(self, instants: list[_Instant]) -> None:
         from scipy.spatial import cKDTree
@@ -213,7 +213,7 @@ class _Flow:
         self._tree = cKDTree(places) if len(places) else None
 
     def at(self, row: int, xy: FloatArray, radius: float) -> FloatArray:
-        """Mean velocity of all but one agent near a place; zero if nobody passes there."""
+        """Mean velocity near a place of all agents but one; zero if there is none."""
         if self._tree is None:
             return np.zeros(2)
         near = np.asarray(self._tree.query_ball_point(xy, radius), dtype=np.int64)
@@ -221,8 +221,8 @@ class _Flow:
         return self._velocity[near].mean(axis=0) if near.size else np.zeros(2)
 
 
-def _look(at: _Instant, flow: _Flow) -> tuple[FloatArray, dict[tuple[int, int], bool]]:
-    """(n, 11) what is momentarily true of each agent, and who is in front of whom."""
+def _instant_features(at: _Instant, flow: _Flow) -> tuple[FloatArray, dict[tuple[int, int], bool]]:
+    """(n, 11) features of each agent at one time, and which agent is in front of which."""
     n = at.rows.size
     out = np.full((n, 11), np.nan)
     speed = np.hypot(at.velocity[:, 0], at.velocity[:, 1])
@@ -266,7 +266,7 @@ def _look(at: _Instant, flow: _Flow) -> tuple[FloatArray, dict[tuple[int, int], 
 def _summary(
     track: FloatArray, slow: float, passed: FloatArray, way: FloatArray, size: float
 ) -> FloatArray:
-    """One row of features from what was seen at each instant."""
+    """One row of features from the features of each instant."""
 
     def over(values: FloatArray, quantile: float | None = None) -> float:
         values = values[~np.isnan(values)]

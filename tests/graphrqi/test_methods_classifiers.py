@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from graphrqi.classify import CLASSIFIERS, make_classifier, restore_classifier
 from graphrqi.classify.softmax import best_temperature, tempered
-from graphrqi.classify.trees import ShortTrees, Trees
+from graphrqi.classify.trees import QuickScorer, Trees
 
 SMALL: dict[str, dict[str, object]] = {
     "boosted": {"rounds": 20, "min_leaf": 5},
@@ -197,23 +197,23 @@ def test_one_class_cannot_be_learned(name):
 
 
 @pytest.mark.parametrize("samples", [1, 16, 61, 1300])
-def test_short_trees_add_up_to_the_same_bits(samples):
+def test_quick_scorer_adds_up_to_the_same_bits(samples):
     classifier = make_classifier("boosted", 6, rounds=12, max_leaves=31, min_leaf=5)
     classifier.fit(*blobs(900, 1), None, seed=3)
     arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
     trees = Trees.restored(arrays, 5, 6)
-    short = ShortTrees.of(trees)
-    assert short is not None
+    quick = QuickScorer.of(trees)
+    assert quick is not None
     points, _ = blobs(samples, 4)
     points[0, 1] = np.nan
     points[-1, 2] = np.inf
-    assert np.array_equal(short.total(points, 6), trees.total(points, 6))
+    assert np.array_equal(quick.total(points, 6), trees.total(points, 6))
 
 
-def test_trees_of_many_leaves_are_not_short():
+def test_quick_scorer_takes_trees_of_few_leaves_only():
     classifier = make_classifier("boosted", 6, rounds=2, max_leaves=80, min_leaf=1)
     classifier.fit(*blobs(900, 1), None, seed=3)
     arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
     trees = Trees.restored(arrays, 5, 6)
     most = max(np.diff([*trees.root.tolist(), trees.feature.size])) // 2 + 1
-    assert (ShortTrees.of(trees) is None) == (most > 32)
+    assert (QuickScorer.of(trees) is None) == (most > 32)

@@ -13,7 +13,9 @@ from safetensors.numpy import load_file, save_file
 
 from behaviors.errors import InputError
 from experiments.scoring.metrics import Estimate
-from graphrqi.methods import METHODS, load_model, save_model, train
+from graphrqi.classify import CLASSIFIERS
+from graphrqi.classify.majority import Majority
+from graphrqi.methods import METHODS, Method, load_model, save_model, train
 from graphrqi.samples import Samples
 
 SMALL = {
@@ -206,3 +208,24 @@ def test_cards_are_valid_json(tmp_path):
     with pytest.raises(InputError, match=r"model\.json: card: found"):
         save_model(train("majority", training, card={"score": np.nan}), tmp_path / "other")
     assert not (tmp_path / "other").exists()
+
+
+class Elsewhere(Majority):
+    """A classifier that is not part of the package, such as a plugin's."""
+
+
+def test_models_of_methods_from_elsewhere_load_by_name(tmp_path):
+    CLASSIFIERS["elsewhere"] = Elsewhere
+    METHODS["plugin"] = Method("plugin", "another one", METHODS["svm"].observer, "elsewhere")
+    try:
+        model = train("plugin", drawn("plugin", 30), solver="eigh")
+        save_model(model, tmp_path / "model")
+        again = load_model(tmp_path / "model")
+        assert type(again.classifier) is Elsewhere
+        features = drawn("plugin", 5).features.astype(np.float64)
+        np.testing.assert_array_equal(again.posterior(features), model.posterior(features))
+        refused(tmp_path / "model", tmp_path / "damaged", lambda arrays: arrays.pop("share"))
+    finally:
+        del CLASSIFIERS["elsewhere"], METHODS["plugin"]
+    with pytest.raises(InputError, match=r"model\.json: unknown method 'plugin'"):
+        load_model(tmp_path / "model")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from graphrqi.methods import load_model, save_model, train
 from graphrqi.posterior import Posterior
 from graphrqi.samples import Samples, collect
@@ -245,3 +247,38 @@ def test_posterior_checks_and_looks_up():
     found = known.of(np.array([5, 3]))
     assert found[0].argmax() == 1
     assert found[1] == pytest.approx(np.full(6, 1 / 6))
+
+
+def test_stream_shows_model_time_and_agents(tracks, model):
+    stream = BehaviorStream(model)
+    assert "no frame yet" in repr(stream)
+    frame = tracks.frame(300)
+    stream.push(frame)
+    drivers = int(frame.driving.sum())
+    said = repr(stream)
+    assert "graphrqi-plus" in said
+    assert f"at {frame.time_s:g} s: {drivers} drivers, {len(frame) - drivers} pedestrians" in said
+    assert len(said) < 400
+
+
+def test_posterior_shows_counts_and_a_table():
+    rows = np.eye(6)[np.arange(1000) % 3]
+    posterior = Posterior(ids=np.arange(1000) * 7, probability=rows)
+    said = repr(posterior)
+    assert said.startswith("Posterior(1000 drivers, most likely: 334 impatient, 333 ")
+    assert len(said) < 400
+    assert repr(Posterior(ids=[], probability=np.empty((0, 6)))) == "Posterior(0 drivers)"
+    page = posterior._repr_html_()
+    assert page.count("<tr>") == 1 + 10 + 1
+    assert "and 990 more" in page
+    table = posterior.to_pandas()
+    assert table.index.tolist() == posterior.ids.tolist()
+    assert table.columns.tolist() == [*BEHAVIORS, "most_likely"]
+    np.testing.assert_array_equal(table[list(BEHAVIORS)].to_numpy(), posterior.probability)
+    assert table["most_likely"].iloc[:3].tolist() == list(BEHAVIORS[:3])
+
+
+def test_posterior_without_pandas_says_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pandas: found none"):
+        Posterior(ids=[1], probability=np.eye(6)[:1]).to_pandas()
