@@ -1,19 +1,20 @@
 """TRAF annotation sheets: the traits that annotators noted, from .xlsx files without a header.
 
 Columns: agent id, agent type, an aggressive flag, the number of traits, then their codes. Rows
-without a number of traits are agents nobody annotated. A sheet's name is the annotator's letter
-and the video's number: ``c8.xlsx``. A workbook is a zip of XML; nothing else is needed to read it.
+without a number of traits are agents that nobody annotated. A sheet's name is the annotator's
+letter and the video's number: ``c8.xlsx``.
 """
 
 from __future__ import annotations
 
 import re
+import warnings
 import zipfile
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +43,22 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
 }
 """The sheets' codes; by the order of the paper's trait table where nothing else tells."""
 
-MAX_XML_BYTES: Final = 2**26
-"""Largest unpacked part of a workbook that is read (our choice: 64 MiB; real ones have 50 kB)."""
+MAX_XML_BYTES: Final = 2**24
+"""Most bytes that a workbook may unpack to (our choice: 16 MiB; real ones have 60 kB)."""
 
-_SPACE: Final = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
-_SHEET: Final = "xl/worksheets/sheet1.xml"
-_STRINGS: Final = "xl/sharedStrings.xml"
+MAX_SHEET_ROWS: Final = 2**20
+"""Most rows of a sheet, empty ones included (as many as Excel has)."""
+
+MAX_TRAITS: Final = 20
+MAX_COLUMNS: Final = 4 + MAX_TRAITS
+"""Most traits of one agent, and the columns that they take (our choice: there are 15 traits)."""
+
+_BROKEN: Final = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, OSError, RuntimeError,
+    SyntaxError, TypeError, ValueError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What openpyxl and zipfile raise on a broken workbook."""
+
 _NAME: Final = re.compile(r"([a-z])(\d+)")
 
 
@@ -70,38 +81,37 @@ class Sheet:
     contradictions: tuple[int, ...]
 
 
-def _part(path: Path, archive: zipfile.ZipFile, name: str) -> ElementTree.Element:
-    if archive.getinfo(name).file_size > MAX_XML_BYTES:
-        raise InputError(f"{path}: {name}: found more than {MAX_XML_BYTES} bytes")
-    with archive.open(name) as file:
-        data = file.read(MAX_XML_BYTES + 1)
-    if len(data) > MAX_XML_BYTES or b"<!DOCTYPE" in data:
-        raise InputError(f"{path}: {name}: found a document type or too much, expected a sheet")
-    return ElementTree.fromstring(data)
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells, as text, of each row of the first sheet that has any."""
+    _check_parts(path)
+    from openpyxl import load_workbook
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of styles and extensions, which nobody reads
+        book = load_workbook(path, read_only=True, data_only=True)
+        try:
+            sheet = book.worksheets[0]
+            sheet.reset_dimensions()  # the size that a file claims may be wrong
+            for number, row in enumerate(sheet.iter_rows(max_col=MAX_COLUMNS, values_only=True), 1):
+                if number > MAX_SHEET_ROWS:
+                    raise InputError(f"{path}: found more than {MAX_SHEET_ROWS} rows")
+                cells = ["" if value is None else str(value).strip() for value in row]
+                if any(cells):
+                    yield number, cells
+        finally:
+            book.close()
 
 
-def _cells(path: Path) -> dict[int, dict[str, str]]:
-    """Text of each cell that has any, by row number and column letters."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            shared: list[str] = []
-            if _STRINGS in archive.namelist():
-                shared = [
-                    "".join(text.text or "" for text in item.iter(f"{_SPACE}t"))
-                    for item in _part(path, archive, _STRINGS).iter(f"{_SPACE}si")
-                ]
-            rows: dict[int, dict[str, str]] = {}
-            for cell in _part(path, archive, _SHEET).iter(f"{_SPACE}c"):
-                place = re.fullmatch(r"([A-Z]+)(\d+)", cell.get("r", ""))
-                value = cell.find(f"{_SPACE}v")
-                if place is None or value is None or value.text is None:
-                    continue
-                text = shared[int(value.text)] if cell.get("t") == "s" else value.text
-                if text.strip():
-                    rows.setdefault(int(place[2]), {})[place[1]] = text.strip()
-            return rows
-    except (zipfile.BadZipFile, KeyError, ElementTree.ParseError, IndexError) as error:
-        raise InputError(f"{path}: found no readable .xlsx sheet ({error})") from None
+def _check_parts(path: Path) -> None:
+    """Refuse what unpacks to too much, and XML that declares entities."""
+    with zipfile.ZipFile(path) as archive:
+        size = sum(part.file_size for part in archive.infolist())
+        if size > MAX_XML_BYTES:
+            raise InputError(f"{path}: found {size} bytes inside, expected at most {MAX_XML_BYTES}")
+        for part in archive.infolist():
+            # without zeros, so that UTF-16 is seen through
+            if b"<!DOCTYPE" in archive.read(part).replace(b"\0", b""):
+                raise InputError(f"{path}: {part.filename}: found a document type, expected none")
 
 
 def read_sheet(path: Path) -> Sheet:
@@ -119,23 +129,30 @@ def read_sheet(path: Path) -> Sheet:
     name = _NAME.fullmatch(path.stem)
     if name is None or not path.is_file():
         raise InputError(f"{path}: found no sheet, expected <letter><video>.xlsx")
+    try:
+        rows = list(_rows(path))
+    except InputError:
+        raise
+    except _BROKEN as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: found no readable .xlsx sheet ({reason:.200})") from None
     traits: dict[int, tuple[Trait, ...]] = {}
     blank, contradictions = [], []
-    for number, row in _cells(path).items():
+    for number, row in rows:
         where = f"{path}: row {number}"
 
-        def whole(column: str, row: Mapping[str, str] = row, where: str = where) -> int:
-            text = row.get(column, "")
+        def whole(column: str, row: list[str] = row, where: str = where) -> int:
+            text = row[ord(column) - ord("A")]
             if not re.fullmatch(r"-?\d{1,9}(\.0+)?", text):
-                raise InputError(f"{where}, column {column}: found {text!r}, expected a number")
+                raise InputError(f"{where}, column {column}: found {text!r:.60}, expected a number")
             return int(float(text))
 
         agent = whole("A")
         if agent in traits or agent in blank:
             raise InputError(f"{where}: found agent {agent} a second time, expected it once")
-        count = whole("D") if "D" in row else 0
-        if not 0 <= count <= 20:
-            raise InputError(f"{where}, column D: found {count} traits, expected 0 to 20")
+        count = whole("D") if row[3] else 0
+        if not 0 <= count <= MAX_TRAITS:
+            raise InputError(f"{where}, column D: found {count} traits, expected 0 to {MAX_TRAITS}")
         if count == 0:
             blank.append(agent)
             continue
@@ -144,7 +161,7 @@ def read_sheet(path: Path) -> Sheet:
         if unknown:
             raise InputError(f"{where}: found trait code {unknown[0]}, expected one of the table")
         traits[agent] = tuple(TRAIT_CODES[code] for code in codes)
-        if "C" in row and (whole("C") > 0) != (codes[0] >= 100):
+        if row[2] and (whole("C") > 0) != (codes[0] >= 100):
             contradictions.append(agent)
     return Sheet(name[1], int(name[2]), traits, tuple(blank), tuple(contradictions))
 

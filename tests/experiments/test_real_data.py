@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from openpyxl import Workbook
 
 from behaviors.errors import InputError
 from behaviors.labelling import style_of
@@ -30,26 +33,24 @@ from sim.formats.argo_labels import read_labels
 from sim.formats.common.ego_motion import remove_ego_motion, rigid_motion
 from sim.formats.traf_sheets import defects, labels, read_sheet, sheets_of
 
-SPACE = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 
-
-def write_sheet(path: Path, rows: list[list[object]], extra: str = "") -> Path:
+def write_sheet(path: Path, rows: list[list[object]]) -> Path:
     """A workbook with numbers, one row per list; None leaves a cell empty."""
-    body = "".join(
-        f'<row r="{r}">'
-        + "".join(
-            f'<c r="{chr(65 + c)}{r}" t="n"><v>{value}</v></c>'
-            for c, value in enumerate(row)
-            if value is not None
-        )
-        + "</row>"
-        for r, row in enumerate(rows, 1)
-    )
-    sheet = f'<worksheet xmlns="{SPACE}"><sheetData>{body}</sheetData></worksheet>'
-    text = f'<?xml version="1.0"?>{extra}{sheet}'
     path.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("xl/worksheets/sheet1.xml", text)
+    book = Workbook()
+    for row in rows:
+        book.active.append(row)
+    book.save(path)
+    return path
+
+
+def altered_sheet(path: Path, name: str, change: Callable[[bytes], bytes]) -> Path:
+    """A sound workbook with one of its parts changed."""
+    sound = write_sheet(path.with_name("a0.xlsx"), [[7, 0, 0, 1, 1]])
+    with zipfile.ZipFile(sound) as source, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
+        for part in source.infolist():
+            data = source.read(part)
+            out.writestr(part.filename, change(data) if part.filename == name else data)
     return path
 
 
@@ -127,10 +128,54 @@ def test_broken_sheets_are_named(tmp_path, rows, message):
         read_sheet(write_sheet(tmp_path / "v1.xlsx", rows))
 
 
-def test_hostile_workbooks_are_refused(tmp_path):
-    doctype = '<!DOCTYPE a [<!ENTITY b "c">]>'
-    with pytest.raises(InputError, match="document type"):
-        read_sheet(write_sheet(tmp_path / "v1.xlsx", [[0]], doctype))
+SHEET = "xl/worksheets/sheet1.xml"
+
+
+def test_cells_with_text_inside_are_read(tmp_path):
+    """Other programs than Excel write text into the cell itself, not into a table of strings."""
+    inside = b'<c r="A1" t="inlineStr"><is><t>12</t></is></c>'
+    path = altered_sheet(
+        tmp_path / "c8.xlsx", SHEET, lambda xml: re.sub(rb'<c r="A1".*?</c>', inside, xml)
+    )
+    assert read_sheet(path).traits == {12: (Trait.UNIFORM_SPEED,)}
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        (SHEET, lambda xml: b'<!DOCTYPE a [<!ENTITY b "c">]>' + xml, "document type"),
+        (SHEET, lambda xml: xml.decode().encode("utf-16") + b"<!DOCTYPE", "document type"),
+        (SHEET, lambda xml: xml + b" " * 2**25, "bytes inside"),
+        (SHEET, lambda xml: xml[:100], "no readable"),
+        (
+            SHEET,
+            lambda xml: xml.replace(b'row r="1"', b'row r="999999999"'),
+            "found more than",
+        ),
+        (SHEET, lambda xml: xml.replace(b'r="A1"', b'r="A1" t="s"'), "no readable"),
+        ("xl/workbook.xml", lambda xml: b"", "no readable"),
+        ("[Content_Types].xml", lambda xml: b"<a/>", "no readable"),
+    ],
+)
+def test_hostile_workbooks_are_refused(tmp_path, name, change, message):
+    with pytest.raises(InputError, match=message) as caught:
+        read_sheet(altered_sheet(tmp_path / "v1.xlsx", name, change))
+    assert "\n" not in str(caught.value)
+
+
+def test_merged_and_far_cells_cost_nothing(tmp_path):
+    """A dense table of this sheet would have 10^10 cells."""
+    merged = b'<mergeCells><mergeCell ref="A1:XFD1048576"/></mergeCells></worksheet>'
+    path = altered_sheet(
+        tmp_path / "c8.xlsx", SHEET,
+        lambda xml: xml.replace(b"</row>", b'<c r="XFD1"><v>1</v></c></row>').replace(
+            b"</worksheet>", merged
+        ),
+    )  # fmt: skip
+    assert read_sheet(path).traits == {7: (Trait.UNIFORM_SPEED,)}
+
+
+def test_what_is_no_workbook_is_refused(tmp_path):
     (tmp_path / "v2.xlsx").write_bytes(b"no zip")
     with pytest.raises(InputError, match=r"no readable \.xlsx"):
         read_sheet(tmp_path / "v2.xlsx")
