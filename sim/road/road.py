@@ -6,6 +6,7 @@ from a SUMO net by `sim.road.net.read_road`, or from a recording's own map.
 
 from __future__ import annotations
 
+import html
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.display import counted
 from behaviors.errors import InputError
 from sim.frames import Signal
 
@@ -174,6 +176,46 @@ class Road:
     signal_groups: tuple[str, ...]
     source: Path
     signal_plans: tuple[SignalPlan, ...] = ()
+
+    def __repr__(self) -> str:
+        """How many lanes of each use it has, their length, and its extent."""
+        walking = sum(lane.walking for lane in self.lanes)
+        internal = sum(lane.internal and not lane.walking for lane in self.lanes)
+        length_m = sum(lane.length_m for lane in self.lanes if not (lane.internal or lane.walking))
+        extent = ""
+        if self.lanes:
+            x0, y0, x1, y1 = self.bounds
+            extent = f" in {x1 - x0:.0f} m x {y1 - y0:.0f} m"
+        return (
+            f"Road({self.name:.60}: {counted(len(self.lanes) - walking - internal, 'lane')} ("
+            f"{length_m / 1000:.2f} km in all), {counted(internal, 'junction path')}, "
+            f"{counted(walking, 'sidewalk')}, {counted(len(self.connections), 'connection')}, "
+            f"{counted(len(self.crossings), 'crossing')}, "
+            f"{counted(len(self.signal_groups), 'signal group')}{extent})"
+        )
+
+    def _repr_html_(self) -> str:
+        """A picture of the centre lines, for notebooks: sidewalks and crossings are lighter."""
+        lines = [
+            (lane.centerline, lane.width_m, "#bbb" if lane.walking else "#666")
+            for lane in self.lanes
+        ]
+        lines += [(crossing.centerline, crossing.width_m, "#ddd") for crossing in self.crossings]
+        if not lines:
+            return f"<p>{html.escape(repr(self))}</p>"
+        x0, y0, x1, y1 = self.bounds
+        margin = 5.0
+        box = f"{x0 - margin:.1f} {-y1 - margin:.1f} {x1 - x0 + 10:.1f} {y1 - y0 + 10:.1f}"
+        paths = "".join(
+            f'<polyline fill="none" stroke="{color}" stroke-width="{0.9 * width_m:.1f}" points="'
+            + " ".join(f"{x:.1f},{-y:.1f}" for x, y in line)
+            + '"/>'
+            for line, width_m, color in lines
+        )
+        return (
+            f'<figure><svg viewBox="{box}" width="480" height="320">{paths}</svg>'
+            f"<figcaption>{html.escape(repr(self))}</figcaption></figure>"
+        )
 
     @cached_property
     def lane_index(self) -> dict[str, int]:

@@ -5,10 +5,13 @@ What the files hold is said in `sim.store.schema`; `sim.store.writing` writes th
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
 
 from behaviors.detector_inputs import ShownTrait
+from behaviors.display import counted, html_table, import_pandas
 from behaviors.errors import InputError
 from sim.frames import Tracks
 from sim.road import Road
@@ -17,6 +20,13 @@ from sim.scenario import AgentSpec
 from sim.store.catalogue import checked_bytes, checksum, read_manifest, road_path
 from sim.store.decode import read_tables
 from sim.store.schema import EPISODE_FILES, EpisodeEntry, Manifest, Split
+
+SHOWN_EPISODES: Final = 10
+"""Most episodes that a notebook shows of a dataset."""
+
+_COLUMNS: Final = (
+    "id", "scenario", "engine", "seed", "index", "split", "frames", "agents", "agent_steps",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,23 @@ class Episode:
     tracks: Tracks
     agents: tuple[AgentSpec, ...]
     shown_traits: tuple[ShownTrait, ...] = ()
+
+    def __repr__(self) -> str:
+        """Where it comes from and what it holds."""
+        entry = self.entry
+        return (
+            f"Episode({entry.id}: {entry.scenario:.60} {entry.index} by {entry.engine:.60}, seed "
+            f"{entry.seed}, {entry.split}; {counted(len(self.agents), 'agent')} drawn, "
+            f"{counted(len(self.shown_traits), 'shown trait')}; {self.tracks!r})"
+        )
+
+    def to_pandas(self) -> Any:
+        """Its steps as a pandas table: a row for each agent and time, as `Tracks.to_pandas` has it.
+
+        Raises:
+            InputError: if pandas is not installed.
+        """
+        return self.tracks.to_pandas()
 
 
 @dataclass(frozen=True)
@@ -70,6 +97,47 @@ class Dataset:
     def scenarios(self) -> tuple[str, ...]:
         """Names of the scenarios that have episodes, sorted."""
         return tuple(sorted({e.scenario for e in self.manifest.episodes}))
+
+    def __repr__(self) -> str:
+        """Counts of episodes by split, of scenarios, agents and agent-steps, and the size."""
+        entries = self.manifest.episodes
+        splits = Counter(e.split for e in entries)
+        size = sum(file.size for e in entries for file in e.files.values())
+        by_split = ", ".join(f"{splits[name]} {name}" for name in sorted(splits))
+        return (
+            f"Dataset({self.path!s:.120}: {counted(len(entries), 'episode')}"
+            + (f" ({by_split})" if by_split else "")
+            + f" of {counted(len(self.scenarios), 'scenario')}, "
+            f"{counted(sum(e.agents for e in entries), 'agent')}, "
+            f"{counted(sum(e.agent_steps for e in entries), 'agent-step')}, {size / 1e6:.1f} MB)"
+        )
+
+    def _repr_html_(self) -> str:
+        """A table of the first episodes, for notebooks."""
+        entries = self.manifest.episodes
+        rows: list[tuple[object, ...]] = [
+            tuple(getattr(e, name) for name in _COLUMNS) for e in entries[:SHOWN_EPISODES]
+        ]
+        if len(entries) > SHOWN_EPISODES:
+            rest = f"and {len(entries) - SHOWN_EPISODES} more"
+            rows.append((rest, *[""] * (len(_COLUMNS) - 1)))
+        return html_table(repr(self), _COLUMNS, rows)
+
+    def to_pandas(self) -> Any:
+        """A pandas table with a row per episode.
+
+        Returns:
+            A data frame with the columns id, scenario, engine, seed, index, split, frames, agents,
+            agent_steps, road (checksum; missing where unknown) and bytes, in the manifest's order.
+
+        Raises:
+            InputError: if pandas is not installed.
+        """
+        pandas = import_pandas()
+        entries = self.manifest.episodes
+        table = {name: [getattr(e, name) for e in entries] for name in (*_COLUMNS, "road")}
+        table["bytes"] = [sum(file.size for file in e.files.values()) for e in entries]
+        return pandas.DataFrame(table)
 
     def read(self, entry: EpisodeEntry) -> Episode:
         """Read an episode, checking every file against its checksum.

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -545,3 +546,46 @@ def test_altered_tables_are_read_or_refused(
     shutil.rmtree(folder)
     assert ".parquet" in message
     assert "\n" not in message
+
+
+def test_datasets_and_episodes_show_themselves(tmp_path: Path) -> None:
+    dataset = small(tmp_path)
+    shown = repr(dataset)
+    assert len(shown) < 400
+    assert "1 episode (1 train) of 1 scenario, 7 agents, 252 agent-steps" in shown
+    assert "MB" in shown
+    episode = dataset.read(dataset.episodes()[0])
+    shown = repr(episode)
+    assert len(shown) < 400
+    assert "hand-made 0 by sumo, seed 4, train; 8 agents drawn, 0 shown traits" in shown
+    many = dataclasses.replace(
+        dataset,
+        manifest=dataset.manifest.model_copy(update={"episodes": dataset.episodes() * 25}),
+    )
+    table = many._repr_html_()
+    assert table.count("<tr>") == 12  # the header, ten episodes, how many more
+    assert "and 15 more" in table
+
+
+def test_tables_for_pandas(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    dataset = small(tmp_path)
+    (entry,) = dataset.episodes()
+    table = dataset.to_pandas()
+    assert len(table) == 1
+    row = table.iloc[0]
+    assert (row["id"], row["frames"], row["agent_steps"]) == (entry.id, 40, 252)
+    assert pandas.isna(row["road"])
+    episode = dataset.read(entry)
+    steps = episode.to_pandas()
+    assert len(steps) == 252
+    np.testing.assert_array_equal(steps["x"], episode.tracks.xy[..., 0][episode.tracks.valid])
+
+
+def test_without_pandas_tables_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset = small(tmp_path)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pandas: found none"):
+        dataset.to_pandas()
+    with pytest.raises(InputError, match="pandas: found none"):
+        dataset.read(dataset.episodes()[0]).to_pandas()

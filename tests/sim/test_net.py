@@ -1,4 +1,6 @@
+import dataclasses
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,7 +8,7 @@ import pytest
 from behaviors.errors import InputError
 from scenarios.networks.build import SHIPPED, net_of
 from sim.frames import Signal
-from sim.road import SignalPlan
+from sim.road import Road, SignalPlan
 from sim.road.net import read_road, signal_code
 
 
@@ -151,3 +153,21 @@ def test_what_is_no_net_is_refused_in_one_line(tmp_path, text, message):
         read_road(path)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_roads_show_themselves(four_way):
+    shown = repr(four_way)
+    assert len(shown) < 400
+    for part in ("four_way", " lanes (", " km in all)", "4 crossings", "4 signal groups", " m x "):
+        assert part in shown
+    picture = four_way._repr_html_()
+    assert picture.count("<polyline") == len(four_way.lanes) + len(four_way.crossings)
+    assert "&" not in picture
+    hostile = dataclasses.replace(four_way, name="<script>")
+    assert "<script>" not in hostile._repr_html_()
+
+
+def test_a_road_without_lanes_shows_itself():
+    road = Road("none", (), (), (), (), Path("none"))
+    assert repr(road).startswith("Road(none: 0 lanes (0.00 km in all)")
+    assert "svg" not in road._repr_html_()
