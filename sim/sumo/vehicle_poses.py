@@ -1,8 +1,8 @@
-"""From front bumpers to boxes: where a vehicle's centre is and how it is turned.
+"""Vehicle poses from front bumpers: where each vehicle's centre is, and its heading.
 
-A vehicle is drawn as a car rolls: its front bumper goes where SUMO puts it, its rear axle follows
-after (a tractrix). SUMO's own angle is right in lanes and turns, but it tilts a car that changes
-lanes by up to 60 degrees when it crawls, and leaves it so when it stops.
+The front bumper of a vehicle is where SUMO puts it, and the rear axle follows it (a tractrix), as
+in a rolling car. SUMO's own angle is right in lanes and turns, but a crawling car that changes
+lanes is turned by up to 60 degrees, and stays so when it stops.
 """
 
 from __future__ import annotations
@@ -20,49 +20,54 @@ AXLE_SHARE: Final = 0.8
 cars)."""
 
 TURNING, KEEPING = 0.8, 0.25
-"""A front bumper moves aside by at most this share of its way ahead, where the road turns and
+"""A front bumper moves sideways by at most this share of its motion ahead, where the road turns and
 elsewhere (our choice: about 40 degrees, the full lock of ordinary cars, and 14 degrees, a hasty
-change of lanes); SUMO's cars slide sideways beyond it while they crawl or stand."""
+lane change). Sideways motion beyond it, which SUMO makes while cars crawl or stand, moves the rear
+axle, too."""
 
 STRAIGHTENING_M: Final = 6.0
 """A car is still straightening up this far after a turn (our choice: a car's length and more)."""
 
 
 @numba.njit(cache=True)
-def draw(
+def vehicle_poses(
     order: IntArray,
     rows: IntArray,
     front: FloatArray,
     speed: FloatArray,
     angle: FloatArray,
     length: FloatArray,
-    walks: BoolArray,
-    turns: FloatArray,
-    before: FloatArray,
+    pedestrian: BoolArray,
+    turning_area: FloatArray,
+    axles: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres and headings of boxes, from where the front bumpers are now and were before.
+    """Centres and headings, from where the front bumpers are now and where they were before.
 
     Args:
-        order: (n,) place of each in the next three, which are in SUMO's own order.
-        rows: (n,) which agents.
-        front: (2n,) centre of each front bumper, x and y by turns, m.
+        order: (n,) index of each agent in ``front``, ``speed`` and ``angle``, which are in SUMO's
+            order.
+        rows: (n,) row of each agent in ``length``, ``pedestrian`` and ``axles``.
+        front: (2n,) centre of each front bumper, x and y alternating, m.
         speed: (n,) m/s.
-        angle: (n,) SUMO's angle, degrees clockwise from north, of pedestrians and of the new.
+        angle: (n,) SUMO's angle, degrees clockwise from north; used for pedestrians and for
+            vehicles that have just departed.
         length: (N,) of every agent, m.
-        walks: (N,) whether an agent is a pedestrian: those face where SUMO says.
-        turns: (2, 2) south-west and north-east corner of where the road turns, m.
-        before: (N, 4) front bumper and rear axle at the last call, m, NaN for the new; updated.
+        pedestrian: (N,) whether an agent is a pedestrian.
+        turning_area: (2, 2) south-west and north-east corner of where the road turns, m.
+        axles: (N, 4) front bumper and rear axle at the last call, m; NaN for vehicles that have
+            just departed. Updated in place.
 
     Returns:
         In the order of ``rows``: (n, 2) centres, m, (n,) headings, rad in (-pi, pi], and (n,)
         speeds, m/s.
 
     Examples:
-        >>> before = np.full((1, 4), np.nan)
+        >>> axles = np.full((1, 4), np.nan)
         >>> agent, nowhere = np.zeros(1, np.int64), np.array([[np.inf] * 2, [-np.inf] * 2])
-        >>> for x, y in ((5.0, 0.0), (5.0, 1.0)):  # the front jumps aside: the car slides
-        ...     xy, heading, _ = draw(agent, agent, np.array([x, y]), np.ones(1), np.array([90.0]),
-        ...                           np.array([4.0]), np.zeros(1, np.bool_), nowhere, before)
+        >>> for x, y in ((5.0, 0.0), (5.0, 1.0)):  # the front jumps sideways: so does the car
+        ...     xy, heading, _ = vehicle_poses(
+        ...         agent, agent, np.array([x, y]), np.ones(1), np.array([90.0]), np.array([4.0]),
+        ...         np.zeros(1, np.bool_), nowhere, axles)
         >>> xy.tolist(), heading.tolist()
         ([[3.0, 1.0]], [0.0])
     """
@@ -73,17 +78,17 @@ def draw(
         x, y = front[2 * at], front[2 * at + 1]
         ordered[i] = speed[at]
         reach = AXLE_SHARE * length[row]
-        if walks[row] or math.isnan(before[row, 0]):
-            told = math.radians(90.0 - angle[at])
-            east, north = math.cos(told), math.sin(told)
+        if pedestrian[row] or math.isnan(axles[row, 0]):
+            heading_east = math.radians(90.0 - angle[at])
+            east, north = math.cos(heading_east), math.sin(heading_east)
         else:
-            fx, fy, ax, ay = before[row]
+            fx, fy, ax, ay = axles[row]
             old_east, old_north = (fx - ax) / reach, (fy - ay) / reach
             ahead = (x - fx) * old_east + (y - fy) * old_north
             aside = (y - fy) * old_east - (x - fx) * old_north
-            # a box about the turns, and around it how far a car leaving them straightens up
-            out_x = x - min(max(x, turns[0, 0]), turns[1, 0])
-            out_y = y - min(max(y, turns[0, 1]), turns[1, 1])
+            # how far outside the turning area the front is, and whether it drives away from it
+            out_x = x - min(max(x, turning_area[0, 0]), turning_area[1, 0])
+            out_y = y - min(max(y, turning_area[0, 1]), turning_area[1, 1])
             leaves = out_x * old_east + out_y * old_north >= 0.0
             turning = leaves and max(abs(out_x), abs(out_y)) < STRAIGHTENING_M
             most = (TURNING if turning else KEEPING) * max(ahead, 0.0)
@@ -91,8 +96,8 @@ def draw(
             east, north = x - ax + slid * old_north, y - ay - slid * old_east
             far = max(math.hypot(east, north), 1e-9)
             east, north = east / far, north / far
-        before[row, 0], before[row, 1] = x, y
-        before[row, 2], before[row, 3] = x - reach * east, y - reach * north
+        axles[row, 0], axles[row, 1] = x, y
+        axles[row, 2], axles[row, 3] = x - reach * east, y - reach * north
         xy[i, 0], xy[i, 1] = x - 0.5 * length[row] * east, y - 0.5 * length[row] * north
         heading[i] = math.atan2(north, east)
         if heading[i] == -math.pi:

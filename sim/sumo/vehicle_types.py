@@ -1,9 +1,8 @@
-"""Turns drawn agents into SUMO's route file: one vehicle type per driver.
+"""SUMO's route file of an episode: one vehicle type per driver.
 
-Everybody drives by the same car-following model (Krauss's, or IDM in another run) and SUMO's LC2013
-lane-change model with the same imperfection; only what a `Profile` says differs. SUMO accepts a
-misspelled attribute silently, so attributes are written from the one table below and from nowhere
-else.
+All drivers of a run have the same car-following model (Krauss's or IDM) and SUMO's LC2013
+lane-change model with the same imperfection; they differ in what their `Profile` says. SUMO accepts
+misspelled attributes silently, so attributes are checked against `ATTRIBUTES`.
 
 References:
     Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08.
@@ -47,14 +46,7 @@ ATTRIBUTES: Final[frozenset[str]] = frozenset(
 
 
 def driver_attributes(profile: Profile) -> dict[str, str]:
-    """The vType attributes that a driver's profile sets.
-
-    Args:
-        profile: the driver's own numbers.
-
-    Returns:
-        Attribute values by name.
-    """
+    """The vType attributes that a driver's profile sets, by name."""
     return {
         "speedFactor": _number(profile.speed_factor),
         "speedDev": "0",
@@ -75,7 +67,7 @@ def driver_attributes(profile: Profile) -> dict[str, str]:
 
 
 def vehicle_type(agent: AgentSpec, law: CarFollowing = "Krauss") -> dict[str, str]:
-    """All vType attributes of one agent, who follows its leader by this law.
+    """All vType attributes of one agent, with the car-following law of the run.
 
     Raises:
         InputError: if a driver has no profile.
@@ -124,9 +116,9 @@ def route_file(
     """The lines of a SUMO route file, in order of departure.
 
     Args:
-        agents: who travels; any order.
-        jaywalking: where along their first edge, m, those who jaywalk cross the road, by id.
-        law: by which everybody follows their leader.
+        agents: all agents of the episode, in any order.
+        jaywalking: where along their first edge jaywalkers cross the road, m, by agent id.
+        law: the car-following law of all drivers.
 
     Yields:
         Lines of XML, without line ends.

@@ -1,5 +1,5 @@
-"""What drivers and pedestrians do that SUMO's own models cannot: small seeded controllers.
+"""Controllers for what SUMO's own models cannot do, such as rule breaking, cut-ins, jaywalking.
 
-A controller acts after each simulation step, on the agents whose profile asks for it, in the order
-in which SUMO lists them; each agent's chance decisions come from its own generator.
+A controller acts after a simulation step on the agents whose profiles ask for it, in SUMO's order;
+the random decisions of each agent come from its own generator.
 """

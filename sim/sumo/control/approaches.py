@@ -1,4 +1,4 @@
-"""What lies ahead at the end of an edge: signals, stop lines, crossings, lanes that lead on."""
+"""Approaches: the signals, stop lines and crossings at the end of an edge, for each next edge."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from sim.road import Connection, Road
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """The junction at the end of an edge, for one way on.
+    """The junction at the end of an edge, for one next edge.
 
     Attributes:
-        lanes: indices of the edge's lanes from which the way on can be driven.
+        lanes: indices of the edge's lanes from which the next edge can be reached.
         signal: whether a signal controls it.
         stop: whether there is a stop sign.
-        crossings: ids of the crossings that it leads over while people may walk there.
-        on_red: ids of those that it leads over on red, too.
+        crossings: ids of the crossings on the way where pedestrians may walk at the same time.
+        on_red: ids of all crossings on the way, which vehicles that run a red light may meet.
     """
 
     lanes: frozenset[int]
@@ -27,7 +27,7 @@ class Approach:
 
 
 def approaches(road: Road) -> dict[tuple[str, str], Approach]:
-    """The approach of every edge and the edge that may follow it."""
+    """The approaches of a road, by edge and next edge."""
     lanes = {lane.id: lane for lane in road.lanes}
     links: dict[tuple[str, str], list[Connection]] = {}
     for link in road.connections:

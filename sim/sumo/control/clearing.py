@@ -1,9 +1,9 @@
-"""Letting those who are still in the junction leave it before one enters.
+"""Waiting before a junction until others have left it.
 
-SUMO's drivers enter on green, and at all-way stops, while somebody on a way that crosses theirs
-still stands in the junction, and go on past each other's corners. Who lets pedestrians go first
-lets vehicles finish, too (German road traffic regulations, section 11(1) and (3)): with the same
-probability, drawn once per junction.
+SUMO's drivers enter on green, and at all-way stops, while a vehicle whose path crosses theirs still
+stands in the junction, and the two clip each other's corners. Drivers that yield to pedestrians let
+vehicles clear the junction, too (German road traffic regulations, section 11(1) and (3)): with the
+same probability, drawn once per junction.
 """
 
 from __future__ import annotations
@@ -20,48 +20,48 @@ from behaviors.profiles import Profile
 from sim.frames import FloatArray
 from sim.road import Connection, Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.drivers import OnRoute, Steered
+from sim.sumo.control.drivers import Controller, RouteDriver
 
 APART_M: Final = 2.5
-"""Ways that come closer than this cross or join (our choice: a car's width and some room)."""
+"""Paths that come closer than this cross or join, m (our choice: a car's width and some room)."""
 
 ELSEWHERE_S: Final = 1.0
-"""Who is on no lane that leads to such a junction looks again after this (our choice)."""
+"""A driver on a lane that leads to no such junction is looked at again after this, s (our
+choice)."""
 
 BEFORE_LINE_M: Final = 1.0
-"""Who waits does it this far before the line (SUMO's own distance)."""
+"""Drivers wait this far before the line, m (SUMO's own distance)."""
 
 
 @dataclass(slots=True)
-class _Driver(OnRoute):
-    """One driver who lets others finish."""
-
-    lets: bool = False
+class _YieldingDriver(RouteDriver):
+    yields: bool = False
     waits: bool = False
 
 
-class Clearing(Steered[_Driver]):
+class Clearing(Controller[_YieldingDriver]):
     """Keeps drivers before the line while others clear the junction.
 
     Args:
         sumo: libsumo's C module.
         road: the road.
-        agents: everyone; those who never let anybody go first are left alone.
-        acts_s: how often drivers act, s.
+        agents: all agents; drivers that never yield are left alone.
+        period_s: how often `step` is called, s.
     """
 
-    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], acts_s: float) -> None:
-        super().__init__()
-        self._sumo = sumo
+    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], period_s: float) -> None:
         self._length = {lane.id: lane.length_m for lane in road.lanes if not lane.internal}
         self._edge = {lane.id: lane.edge for lane in road.lanes if not lane.internal}
         self._foes = _foes(road)
-        self._acts_s = acts_s
-        self._drivers = {
-            str(a.id): _Driver(a, np.random.default_rng((a.seed, 6)))
-            for a in agents
-            if self._foes and a.profile is not None and a.profile.yield_probability > 0
-        }
+        self._period_s = period_s
+        super().__init__(
+            sumo,
+            (
+                _YieldingDriver(agent, 6)
+                for agent in agents
+                if self._foes and agent.profile is not None and agent.profile.yield_probability > 0
+            ),
+        )
 
     def step(self, time_s: float) -> None:
         """Hold drivers back before the line, or let them go.
@@ -70,86 +70,83 @@ class Clearing(Steered[_Driver]):
             time_s: simulated time, s.
         """
         sumo = self._sumo
-        for name, driver in self._here:
-            if time_s < driver.look_s:
+        for name, driver in self._present:
+            if time_s < driver.next_check_s:
                 continue
             lane = sumo.vehicle_getLaneID(name)
             edge = self._edge.get(lane, "")
             foes = self._foes.get((lane, driver.following.get(edge, "")))
-            if foes is None or not self._lets(driver, edge):
+            if foes is None or not self._yields(driver, edge):
                 last = edge == driver.agent.route[-1]
-                driver.look_s = math.inf if last else time_s + ELSEWHERE_S
+                driver.next_check_s = math.inf if last else time_s + ELSEWHERE_S
                 self._go(name, driver)
                 continue
-            profile = driver.agent.profile
-            assert profile is not None
+            profile = driver.profile
             brake, speed = profile.comfort_decel_mps2, sumo.vehicle_getSpeed(name)
             away_m = self._length[lane] - sumo.vehicle_getLanePosition(name)
             needs_m = speed * speed / (2.0 * brake)
             if not driver.waits:
-                spare_m = away_m - needs_m - 2 * BEFORE_LINE_M - 2 * speed * self._acts_s
+                spare_m = away_m - needs_m - 2 * BEFORE_LINE_M - 2 * speed * self._period_s
                 if spare_m > 0:
-                    driver.look_s = time_s + self._until_s(profile, speed, spare_m)
+                    driver.next_check_s = time_s + self._until_s(profile, speed, spare_m)
                     continue
                 if away_m < needs_m:
                     continue  # too late to stop comfortably
             if not any(map(sumo.lane_getLastStepVehicleNumber, foes)):
                 self._go(name, driver)
                 continue
-            left_m = max(away_m - BEFORE_LINE_M - speed * self._acts_s, 0.0)
+            left_m = max(away_m - BEFORE_LINE_M - speed * self._period_s, 0.0)
             sumo.vehicle_setSpeed(name, braking_speed(left_m, 0.0, brake))
             driver.waits = True
 
-    def _lets(self, driver: _Driver, edge: str) -> bool:
-        """Whether a driver lets others finish at the junction that an edge leads to."""
-        profile = driver.agent.profile
-        assert profile is not None
+    def _yields(self, driver: _YieldingDriver, edge: str) -> bool:
+        """Whether a driver waits for others at the junction that an edge leads to."""
         if driver.edge != edge:
             driver.edge = edge
-            driver.lets = bool(driver.rng.random() < profile.yield_probability)
-        return driver.lets
+            driver.yields = bool(driver.rng.random() < driver.profile.yield_probability)
+        return driver.yields
 
     def _until_s(self, profile: Profile, speed: float, spare_m: float) -> float:
-        """How long spare room lasts at least, s: for who accelerates all the while."""
+        """The shortest time in which a driver that accelerates can use up the spare room, s."""
         accel = profile.max_accel_mps2
-        longer = 1.0 + accel / profile.comfort_decel_mps2  # braking takes longer, too
-        square, linear = 0.5 * accel * longer, speed * longer + 2.0 * self._acts_s * accel
+        longer = 1.0 + accel / profile.comfort_decel_mps2  # the braking distance grows, too
+        square, linear = 0.5 * accel * longer, speed * longer + 2.0 * self._period_s * accel
         return (math.sqrt(linear**2 + 4.0 * square * spare_m) - linear) / (2.0 * square)
 
-    def _go(self, name: str, driver: _Driver) -> None:
+    def _go(self, name: str, driver: _YieldingDriver) -> None:
         if driver.waits:
             self._sumo.vehicle_setSpeed(name, -1.0)
             driver.waits = False
 
 
 def _foes(road: Road) -> dict[tuple[str, str], tuple[str, ...]]:
-    """By lane and next edge, the lanes inside a junction on which others have to finish first."""
+    """By lane and next edge, the lanes inside the junction that have to be empty first."""
     edge = {lane.id: lane.edge for lane in road.lanes}
-    ways = [(number, way) for number, way in enumerate(road.connections) if way.via]
-    if not ways:
+    links = [(number, link) for number, link in enumerate(road.connections) if link.via]
+    if not links:
         return {}
-    paths = [_points(road, way) for _, way in ways]
+    paths = [_points(road, link) for _, link in links]
     low = np.array([path.min(axis=0) for path in paths]) - APART_M
     high = np.array([path.max(axis=0) for path in paths])
     found: dict[tuple[str, str], tuple[str, ...]] = {}
-    for k, (one, way) in enumerate(ways):
+    for k, (one, link) in enumerate(links):
         close = ((low <= high[k]) & (low[k] <= high)).all(axis=1)
         lanes = [
             lane
             for m in np.flatnonzero(close).tolist()
-            if ways[m][1].from_lane != way.from_lane
-            and road.first_come(one, ways[m][0])
+            if links[m][1].from_lane != link.from_lane
+            and road.first_come(one, links[m][0])
             and _apart_m(paths[k], paths[m]) < APART_M
-            for lane in ways[m][1].via
+            for lane in links[m][1].via
         ]
         if lanes:
-            found[way.from_lane, edge[way.to_lane]] = tuple(dict.fromkeys(lanes))
+            found[link.from_lane, edge[link.to_lane]] = tuple(dict.fromkeys(lanes))
     return found
 
 
-def _points(road: Road, way: Connection) -> FloatArray:
-    """(P, 2) points at most a metre apart along a way through a junction, m."""
-    line = np.concatenate([road.lanes[road.lane_index[name]].centerline for name in way.via])
+def _points(road: Road, link: Connection) -> FloatArray:
+    """(P, 2) points at most a metre apart along a path through a junction, m."""
+    line = np.concatenate([road.lanes[road.lane_index[name]].centerline for name in link.via])
     at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     fine = np.linspace(0.0, at[-1], math.ceil(at[-1]) + 1)
     return np.stack([np.interp(fine, at, line[:, k]) for k in (0, 1)], axis=1)

@@ -1,4 +1,4 @@
-"""All controllers of one simulation, each only if somebody asks for it."""
+"""All controllers of one simulation."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from sim.sumo.control.stopping import Stopping
 from sim.sumo.control.wrong_way import WrongWay
 
 DRIVERS_ACT_S: Final = 0.2
-"""How often drivers reconsider; pedestrians who are led by hand move at every step."""
+"""How often the controllers of drivers act, s; jaywalkers are moved at every step."""
 
 
 class Controls:
-    """Steps the controllers that at least one agent's profile asks for.
+    """Steps all controllers.
 
     Args:
         sumo: libsumo's C module.
         road: the road.
-        agents: everyone.
+        agents: all agents of the episode.
         step_s: length of a simulation step, s.
     """
 
@@ -38,7 +38,7 @@ class Controls:
         self._cutting_in = CuttingIn(sumo, road, agents)
         self._stopping = Stopping(sumo, road, agents)
         self._wrong_way = WrongWay(sumo, road, agents)
-        self._drivers = (
+        self._of_drivers = (
             self._obedience, self._clearing, self._cutting_in, self._stopping, self._wrong_way,
         )  # fmt: skip
         self._jaywalking = Jaywalking(sumo, road, agents, step_s)
@@ -54,8 +54,8 @@ class Controls:
         self._step += 1
         if vehicles is not self._vehicles:
             self._vehicles = vehicles
-            for drivers in self._drivers:
-                drivers.look_round(vehicles)
+            for controller in self._of_drivers:
+                controller.set_vehicles(vehicles)
         self._jaywalking.step(time_s, vehicles, persons)
         if self._step % self._every == 0:
             self._obedience.step(time_s, persons)
@@ -69,15 +69,15 @@ class Controls:
 
     @property
     def removed(self) -> Sequence[int]:
-        """Ids of the agents that the last step took off the road."""
+        """Ids of the agents that the last step removed."""
         return self._wrong_way.removed
 
     @property
     def walking_speeds(self) -> Mapping[str, float]:
-        """Speed of the pedestrians who are led by hand, m/s: SUMO does not know it."""
+        """Speed of the pedestrians that a controller moves, m/s; SUMO does not know it."""
         return self._jaywalking.speeds
 
     @property
     def moved(self) -> bool:
-        """Whether somebody was placed by hand since the last simulation step."""
+        """Whether a controller moved an agent since the last simulation step."""
         return self._jaywalking.moved

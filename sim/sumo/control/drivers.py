@@ -1,54 +1,104 @@
-"""The drivers that a controller steers, and which of them are on the road."""
+"""What the controllers of drivers have in common: the drivers, and which of them are present."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from behaviors.profiles import Profile
 from sim.scenario import AgentSpec
-
-D = TypeVar("D")
 
 
 @dataclass(slots=True)
-class OnRoute:
-    """A driver whose conduct is decided anew on every edge of its route.
+class Driver:
+    """A driver whom a controller steers.
 
     Attributes:
-        agent: who drives.
-        rng: its own, for what is decided.
-        following: by edge, the one that follows.
-        edge: the last one on which something was decided.
-        look_s: when to look at it again, s.
+        agent: the driver's drawn numbers.
+        stream: number of the driver's random stream for this controller.
+        rng: that stream.
     """
 
     agent: AgentSpec
-    rng: np.random.Generator
-    following: Mapping[str, str] = field(init=False)
+    stream: int
+    rng: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin the random stream."""
+        self.rng = np.random.default_rng((self.agent.seed, self.stream))
+
+    @property
+    def profile(self) -> Profile:
+        """The driver's profile."""
+        assert self.agent.profile is not None
+        return self.agent.profile
+
+
+@dataclass(slots=True)
+class RouteDriver(Driver):
+    """A driver whose conduct is decided anew on every edge of its route.
+
+    Attributes:
+        edge: the last edge on which something was decided.
+        next_check_s: when to look at the driver again, s.
+        following: by edge, the one that follows.
+    """
+
     edge: str = ""
-    look_s: float = 0.0
+    next_check_s: float = 0.0
+    following: Mapping[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
         """Read the route."""
+        Driver.__post_init__(self)
         self.following = dict(itertools.pairwise(self.agent.route))
 
 
-class Steered(Generic[D]):
-    """What controllers of drivers have in common.
+@dataclass(slots=True)
+class RandomTimeDriver(Driver):
+    """A driver who acts at random times, with exponential pauses between them.
 
     Attributes:
-        _drivers: by name, everyone whom the controller steers.
-        _here: those of them who are on the road, in SUMO's order.
+        rate_per_min: how often, per minute.
+        next_s: when the driver next wants to act, s.
     """
 
-    def __init__(self) -> None:
-        self._drivers: dict[str, D] = {}
-        self._here: list[tuple[str, D]] = []
+    rate_per_min: float
+    next_s: float = field(init=False)
 
-    def look_round(self, vehicles: Sequence[str]) -> None:
-        """Note who is on the road, whenever that changes."""
-        self._here = [(name, self._drivers[name]) for name in vehicles if name in self._drivers]
+    def __post_init__(self) -> None:
+        """Draw the first time."""
+        Driver.__post_init__(self)
+        self.pause_from(self.agent.depart_s)
+
+    def pause_from(self, time_s: float) -> None:
+        """Draw the next time to act, after a pause that begins at ``time_s``."""
+        self.next_s = time_s + float(self.rng.exponential(60.0 / self.rate_per_min))
+
+
+D = TypeVar("D", bound=Driver)
+
+
+class Controller(Generic[D]):
+    """Steers some drivers of a running simulation.
+
+    Args:
+        sumo: libsumo's C module.
+        drivers: those that it steers.
+
+    Attributes:
+        _present: name and driver of those that are on the road, in SUMO's order.
+    """
+
+    def __init__(self, sumo: Any, drivers: Iterable[D]) -> None:
+        self._sumo = sumo
+        self._drivers = {str(driver.agent.id): driver for driver in drivers}
+        self._present: list[tuple[str, D]] = []
+
+    def set_vehicles(self, vehicles: Sequence[str]) -> None:
+        """Take the names of the vehicles on the road, whenever they change."""
+        self._present = [(name, self._drivers[name]) for name in vehicles if name in self._drivers]

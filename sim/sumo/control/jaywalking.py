@@ -1,4 +1,4 @@
-"""Pedestrians who cross anywhere: from the sidewalk straight over, when they find the gap."""
+"""Jaywalking: pedestrians walk from the sidewalk straight over the road when they find a gap."""
 
 from __future__ import annotations
 
@@ -14,68 +14,69 @@ from sim.road import Lane, Road
 from sim.scenario import AgentSpec
 
 MARGIN_S: Final = 1.5
-"""A vehicle may come this long after the walker has left its lane, not sooner (our choice)."""
+"""Shortest time between a pedestrian leaving a lane and a vehicle reaching it, s (our choice)."""
 
 SIGHT_M: Final = 150.0
-"""Vehicles farther than this are not looked at (our choice)."""
+"""Pedestrians consider vehicles up to this distance, m (our choice)."""
 
 PATIENCE_S: Final = 60.0
-"""Who finds no gap for this long walks on (our choice)."""
+"""A pedestrian that finds no gap for this long walks on along the sidewalk, s (our choice)."""
 
 BEYOND_M: Final = 0.8
-"""The walk ends this far beyond the carriageway, on the other sidewalk."""
+"""The walk ends this far beyond the carriageway, on the other sidewalk, m."""
 
 MARGIN_M: Final = 40.0
-"""No jaywalking nearer to a junction or crossing (our choice)."""
+"""No jaywalking nearer to a junction or crossing, m (our choice)."""
 
 FASTEST: Final = 1.5
-"""Nobody walks faster than this many times the own free speed, so nobody comes to the chosen place
-sooner (our choice, on the safe side)."""
+"""An upper bound of walking speeds, in free speeds, for the earliest time at which a pedestrian can
+be at the chosen place."""
 
 
 @dataclass(slots=True)
-class _Walker:
-    """One jaywalker."""
+class _Jaywalker:
+    """A pedestrian that is to jaywalk, and how far it has come."""
 
     agent: AgentSpec
     edge: str
     at_m: float
     begin: tuple[float, float] = (0.0, 0.0)
     aim: tuple[float, float] = (0.0, 0.0)
-    look_s: float = 0.0
-    came: bool = False
+    next_check_s: float = 0.0
+    reached_edge: bool = False
     waiting_since_s: float = -1.0
     walked_m: float = -1.0
     done: bool = False
 
 
 class Jaywalking:
-    """Walks jaywalkers over the road, away from any crossing.
+    """Moves jaywalkers over the road, away from any crossing.
 
     Args:
         sumo: libsumo's C module.
         road: the road.
-        agents: everyone; who does not jaywalk is left alone.
+        agents: all agents; those that do not jaywalk are left alone.
         step_s: length of a simulation step, s.
 
     Attributes:
-        speeds: walking speed of everyone who is led by hand now, m/s, by name.
+        speeds: speed of each pedestrian that is moved now, m/s, by name.
+        moved: whether a pedestrian was moved in this step.
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
         self._sumo = sumo
         self._step_s = step_s
         self._road = road
-        self._walkers: dict[str, _Walker] = {}
+        self._walkers: dict[str, _Jaywalker] = {}
         self.speeds: dict[str, float] = {}
         self.moved = False
         at = jaywalking_places(road, agents)
         for agent in agents:
             if agent.id in at:
-                self._walkers[str(agent.id)] = _Walker(agent, agent.route[0], at[agent.id])
+                self._walkers[str(agent.id)] = _Jaywalker(agent, agent.route[0], at[agent.id])
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
-        """Stop jaywalkers at the kerb, look for gaps, lead them over.
+        """Stop jaywalkers at the kerb until there is a gap, then move them over the road.
 
         Args:
             time_s: simulated time, s.
@@ -92,24 +93,26 @@ class Jaywalking:
                 self._walk(name, walker)
             elif walker.waiting_since_s >= 0:
                 self._wait(name, walker, time_s, vehicles)
-            elif time_s >= walker.look_s and self._arrived(name, walker, time_s):
+            elif time_s >= walker.next_check_s and self._arrived(name, walker, time_s):
                 walker.waiting_since_s = time_s
                 self._wait(name, walker, time_s, vehicles)
 
-    def _arrived(self, name: str, walker: _Walker, time_s: float) -> bool:
-        """Whether the walker has come to the chosen place; chooses where to aim at."""
+    def _arrived(self, name: str, walker: _Jaywalker, time_s: float) -> bool:
+        """Whether the pedestrian is at the chosen place; if so, sets both ends of the walk."""
         sumo = self._sumo
         if sumo.person_getRoadID(name) != walker.edge:
-            walker.done = walker.came  # nobody walks back
+            walker.done = walker.reached_edge  # it has left the edge again
             return False
-        walker.came = True
+        walker.reached_edge = True
         place = np.array(sumo.person_getPosition(name))
         lane = next(one for one in self._road.lanes if one.edge == walker.edge and one.walking)
         line = lane.centerline
         direction = (line[-1] - line[0]) / np.hypot(*(line[-1] - line[0]))
         along = float((place - line[0]) @ direction)
         if along < walker.at_m:
-            walker.look_s = time_s + (walker.at_m - along) / (FASTEST * walker.agent.speed_mps)
+            walker.next_check_s = time_s + (walker.at_m - along) / (
+                FASTEST * walker.agent.speed_mps
+            )
             return False
         aim = _other_side(self._road, lane, place, direction)
         if aim is None or abs(along - walker.at_m) > MARGIN_M:
@@ -118,7 +121,7 @@ class Jaywalking:
         walker.begin, walker.aim = (float(place[0]), float(place[1])), aim
         return True
 
-    def _wait(self, name: str, walker: _Walker, time_s: float, vehicles: Sequence[str]) -> None:
+    def _wait(self, name: str, walker: _Jaywalker, time_s: float, vehicles: Sequence[str]) -> None:
         if time_s - walker.waiting_since_s > PATIENCE_S:
             walker.done = True
             return
@@ -128,8 +131,8 @@ class Jaywalking:
         else:
             self._place(name, walker, 0.0, 0.0)
 
-    def _gap(self, walker: _Walker, vehicles: Sequence[str]) -> bool:
-        """Whether everyone who comes will come after the walker has left their lane."""
+    def _gap(self, walker: _Jaywalker, vehicles: Sequence[str]) -> bool:
+        """Whether every vehicle will arrive after the pedestrian has left its lane."""
         sumo = self._sumo
         (x, y), (ax, ay) = walker.begin, walker.aim
         width = math.hypot(ax - x, ay - y)
@@ -149,15 +152,15 @@ class Jaywalking:
                 continue
             leaves_s = (aside + 2.0) / walker.agent.speed_mps
             enters_s = (aside - 2.0) / walker.agent.speed_mps
-            speed = max(sumo.vehicle_getSpeed(name), 3.0)  # who stands now may start
-            if ahead < 0:  # passing or past: clear once the rear is
+            speed = max(sumo.vehicle_getSpeed(name), 3.0)  # a standing vehicle may start
+            if ahead < 0:  # beside or past the pedestrian: wait for its rear
                 if -ahead < 12.0 + 2.0 and enters_s < 2.0:
                     return False
             elif ahead / speed < leaves_s + MARGIN_S:
                 return False
         return True
 
-    def _walk(self, name: str, walker: _Walker) -> None:
+    def _walk(self, name: str, walker: _Jaywalker) -> None:
         walker.walked_m += walker.agent.speed_mps * self._step_s
         (x, y), (ax, ay) = walker.begin, walker.aim
         if walker.walked_m >= math.hypot(ax - x, ay - y):
@@ -169,7 +172,7 @@ class Jaywalking:
             return
         self._place(name, walker, walker.walked_m, walker.agent.speed_mps)
 
-    def _place(self, name: str, walker: _Walker, walked_m: float, speed_mps: float) -> None:
+    def _place(self, name: str, walker: _Jaywalker, walked_m: float, speed_mps: float) -> None:
         (x, y), (ax, ay) = walker.begin, walker.aim
         share = walked_m / math.hypot(ax - x, ay - y)
         angle = math.degrees(math.atan2(ax - x, ay - y)) % 360.0
@@ -181,11 +184,11 @@ class Jaywalking:
 
 
 def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, float]:
-    """Where along their first sidewalk, m, jaywalkers cross the road, by id.
+    """Where along their first sidewalk jaywalkers cross the road, m, by agent id.
 
     Args:
         road: the road.
-        agents: everyone; who does not jaywalk, or finds no place to, is left out.
+        agents: all agents; those that do not jaywalk or have no place to are left out.
     """
     walkers = [a for a in agents if a.jaywalks and a.kind is AgentKind.PEDESTRIAN]
     begun = {agent.route[0] for agent in walkers}
@@ -204,9 +207,10 @@ def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, floa
 
 
 def _places(road: Road, sidewalk: Lane) -> FloatArray:
-    """Distances along a sidewalk, m, where one may jaywalk.
+    """Distances along a sidewalk at which jaywalking is possible, m.
 
-    Away from junctions, and from where vehicles appear: nobody can see who is not there yet.
+    They are away from junctions, and from where vehicles enter: a pedestrian cannot see a vehicle
+    that has not entered yet.
     """
     reached = {link.to_lane for link in road.connections}
     entries = [
@@ -226,7 +230,7 @@ def _places(road: Road, sidewalk: Lane) -> FloatArray:
 def _other_side(
     road: Road, sidewalk: Lane, place: np.ndarray, direction: np.ndarray
 ) -> tuple[float, float] | None:
-    """Where a straight walk over the carriageway from a sidewalk ends; None if there is no road."""
+    """Where a straight walk from a sidewalk over the road ends; None if there is no road."""
     over = np.array([-direction[1], direction[0]])  # to the left: sidewalks are on the right
     farthest = 0.0
     for lane in road.lanes:

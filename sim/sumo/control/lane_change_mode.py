@@ -1,4 +1,4 @@
-"""SUMO's lane-change modes: which of its own reasons and checks a vehicle's changes obey.
+"""SUMO's lane-change modes: for which reasons a vehicle changes lanes, and what it checks before.
 
 The bits are those of SUMO's ``setLaneChangeMode`` command.
 """
@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Final
 
 ORDINARY: Final = 1621
-"""SUMO's default: changes for every reason of its own, and what is commanded."""
+"""SUMO's default: changes for all of SUMO's reasons, and by command."""
 
 NOTHING: Final = 0
-"""No change but what is commanded."""
+"""Changes by command only."""
 
 COLLISIONS_ONLY: Final = 256
-"""Only what is commanded, refused only if boxes would touch."""
+"""Changes by command only, refused only if vehicles would touch."""

@@ -1,4 +1,4 @@
-"""Slowing and stopping for no reason that others can see."""
+"""Unprovoked slowing and stopping."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.drivers import Steered
+from sim.sumo.control.drivers import Controller, RandomTimeDriver
 from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 
 LOWEST_S, HIGHEST_S = 3.0, 6.0
@@ -22,50 +20,46 @@ STOP_SHARE: Final = 0.5
 SLOW_FACTOR: Final = 0.4
 
 PAUSE_S: Final = 20.0
-"""At least this long between two such stops (our choice: oftener, and everyone stands)."""
+"""Shortest pause between two such stops, s (our choice: with shorter ones the road jams)."""
 
 CLEAR_M: Final = 50.0
-"""No leader, junction or crossing within this distance, else there would be a reason."""
+"""A driver stops only if no leader, junction or crossing is this near, m: a stop is unprovoked."""
 
 IN_LANE_M: Final = 0.1
-"""Who is farther from the middle of the lane is changing lanes, and does that first."""
+"""A driver farther from the middle of its lane is changing lanes and does not stop, m."""
 
 SLOWEST_MPS: Final = 3.0
-"""Who drives slower has nothing to slow down from."""
+"""Drivers slower than this do not slow down, m/s."""
 
 
 @dataclass(slots=True)
-class _Driver:
-    """One driver who stops unprovoked."""
-
-    agent: AgentSpec
-    rng: np.random.Generator
-    wish_s: float
+class _StoppingDriver(RandomTimeDriver):
     target_mps: float = -1.0
     release_s: float = -1.0
     hold_s: float = 0.0
 
 
-class Stopping(Steered[_Driver]):
+class Stopping(Controller[_StoppingDriver]):
     """Makes drivers slow down or stop unprovoked as often as their profiles say.
 
     Args:
         sumo: libsumo's C module.
         road: the road.
-        agents: everyone; those who never do are left alone.
+        agents: all agents; drivers whose profiles have no such stops are left alone.
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
-        super().__init__()
-        self._sumo = sumo
+        super().__init__(
+            sumo,
+            (
+                _StoppingDriver(agent, 3, agent.profile.stop_rate_per_min)
+                for agent in agents
+                if agent.profile is not None and agent.profile.stop_rate_per_min > 0
+            ),
+        )
         self._length = {
             lane.id: lane.length_m for lane in road.lanes if not lane.internal and not lane.walking
         }
-        for agent in agents:
-            if agent.profile is not None and agent.profile.stop_rate_per_min > 0:
-                driver = _Driver(agent, np.random.default_rng((agent.seed, 3)), 0.0)
-                driver.wish_s = agent.depart_s + _pause_s(driver)
-                self._drivers[str(agent.id)] = driver
 
     def step(self, time_s: float) -> None:
         """Begin, hold and end unprovoked stops.
@@ -74,18 +68,20 @@ class Stopping(Steered[_Driver]):
             time_s: simulated time, s.
         """
         sumo = self._sumo
-        for name, driver in self._here:
+        for name, driver in self._present:
             if driver.target_mps >= 0:
                 self._hold(name, driver, time_s)
-            elif time_s >= driver.wish_s and self._free(name):
+            elif time_s >= driver.next_s and self._free(name):
                 stop = driver.rng.random() < STOP_SHARE
                 driver.hold_s = float(driver.rng.uniform(LOWEST_S, HIGHEST_S))
                 driver.target_mps = 0.0 if stop else SLOW_FACTOR * sumo.vehicle_getSpeed(name)
                 driver.release_s = -1.0
                 sumo.vehicle_setSpeed(name, driver.target_mps)
-                sumo.vehicle_setLaneChangeMode(name, NOTHING)  # nobody stands between lanes
+                sumo.vehicle_setLaneChangeMode(
+                    name, NOTHING
+                )  # so that it does not stop between lanes
 
-    def _hold(self, name: str, driver: _Driver, time_s: float) -> None:
+    def _hold(self, name: str, driver: _StoppingDriver, time_s: float) -> None:
         sumo = self._sumo
         if driver.release_s < 0:
             if sumo.vehicle_getSpeed(name) <= driver.target_mps + 0.1:
@@ -94,10 +90,10 @@ class Stopping(Steered[_Driver]):
             sumo.vehicle_setSpeed(name, -1.0)
             sumo.vehicle_setLaneChangeMode(name, ORDINARY)
             driver.target_mps = -1.0
-            driver.wish_s = time_s + PAUSE_S + _pause_s(driver)
+            driver.pause_from(time_s + PAUSE_S)
 
     def _free(self, name: str) -> bool:
-        """Whether nothing ahead would be a reason to slow down."""
+        """Whether there is nothing ahead that would provoke slowing down."""
         sumo = self._sumo
         length = self._length.get(sumo.vehicle_getLaneID(name))
         if length is None or sumo.vehicle_getSpeed(name) < SLOWEST_MPS:
@@ -108,10 +104,3 @@ class Stopping(Steered[_Driver]):
             return False
         leader = sumo.vehicle_getLeader(name, CLEAR_M)
         return leader is None or not leader[0] or leader[1] > CLEAR_M
-
-
-def _pause_s(driver: _Driver) -> float:
-    """Time until the next wish, s."""
-    profile = driver.agent.profile
-    assert profile is not None
-    return float(driver.rng.exponential(60.0 / profile.stop_rate_per_min))

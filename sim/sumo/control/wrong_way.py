@@ -1,8 +1,8 @@
-"""Driving on the wrong side to get past a slower car, on two-way roads.
+"""Overtaking on the wrong side of two-way roads.
 
-SUMO leads a vehicle over the middle of the road only where it cannot change lanes within its own
-side. On roads with several lanes a side, who passes therefore gets a class of vehicle that may use
-the leftmost lane only, for as long as the passing lasts.
+SUMO moves a vehicle to the opposite lane only where it cannot change lanes within its own side. On
+roads with several lanes per direction, an overtaking vehicle is therefore given a vehicle class
+that may use the leftmost lane only, until it has overtaken.
 """
 
 from __future__ import annotations
@@ -12,118 +12,119 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.drivers import Steered
+from sim.sumo.control.drivers import Controller, RandomTimeDriver
 from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 from sim.sumo.vehicle_types import VEHICLE_CLASS
 
 SIGHT_M: Final = 250.0
-"""The oncoming lane must be clear this far to start (our choice: with less there are head-on
-stand-offs)."""
+"""The oncoming lane must be clear this far to start, m (our choice: with less, vehicles come to
+stand face to face)."""
 
 START_S: Final = 14.0
-"""Nor may anyone meet the driver sooner than this."""
+"""No oncoming vehicle may meet the driver sooner than this, s."""
 
 RETURN_M, RETURN_S = 100.0, 7.0
-"""Someone oncoming nearer than this, or met sooner: back to the right side."""
+"""The driver returns to its own side if an oncoming vehicle is nearer than this, m, or is met
+sooner than this, s."""
 
 LONGEST_S: Final = 20.0
-"""Nobody stays on the wrong side longer on purpose (our choice)."""
+"""The driver returns to its own side after this time, s (our choice)."""
 
 LEADER_M: Final = 40.0
-"""A slower car this close ahead is worth passing (our choice)."""
+"""A driver overtakes a slower leader that is this close, m (our choice)."""
 
 PASSED_M: Final = 12.0
-"""So far behind, front to front, the passed car is passed."""
+"""The leader is overtaken when its front is this far behind the driver's, m."""
 
 SLOWER_MPS: Final = 1.5
-"""What counts as slower than the own desired speed (our choice)."""
+"""A leader counts as slower if it is this much below the driver's desired speed, m/s (our
+choice)."""
 
 STAND_S: Final = 5.0
-"""Who stands this long on the wrong side is taken off the road, else everyone waits for good."""
+"""A vehicle that stands this long on the wrong side is removed, s; otherwise the road stays
+blocked."""
 
 CLEAR_M: Final = 60.0
-"""No start closer to the end of the lane (our choice)."""
+"""No overtaking starts closer to the end of the lane, m (our choice)."""
 
 PASSING_CLASS: Final = "custom1"
-"""The vehicle class, otherwise unused, of who passes."""
+"""The vehicle class of overtaking vehicles; nothing else uses it."""
 
 _PERIOD_S: Final = 0.5
-"""How often a driver with a wish looks for a chance."""
+"""How often a driver that wants to overtake looks for an opportunity, s."""
 
 
 @dataclass(slots=True)
-class _Driver:
-    """One driver who uses the wrong side."""
-
-    agent: AgentSpec
-    rng: np.random.Generator
-    wish_s: float
-    against: frozenset[str]
-    passing: str = ""
+class _OvertakingDriver(RandomTimeDriver):
+    oncoming: frozenset[str] = frozenset()
+    overtaking: str = ""
     since_s: float = -1.0
     returning: bool = False
     standing_s: float = -1.0
 
 
-class WrongWay(Steered[_Driver]):
-    """Makes drivers pass on the wrong side as often as their profiles wish, where it is clear.
+class WrongWay(Controller[_OvertakingDriver]):
+    """Makes drivers overtake on the wrong side as often as their profiles say, where it is clear.
 
     Args:
         sumo: libsumo's C module.
-        road: the road; those without opposite lanes never see it happen.
-        agents: everyone; those who never do are left alone.
+        road: the road; nothing happens on roads without opposite lanes.
+        agents: all agents; drivers whose profiles have no such overtaking are left alone.
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
-        super().__init__()
-        self._sumo = sumo
         self._lanes = {lane.id: lane for lane in road.lanes if not lane.walking}
         self._passable = frozenset(lane.id for lane in road.lanes if lane.opposite)
         self._closed = False
         self._oncoming_lanes = self._passable | {lane.id for lane in road.lanes if lane.internal}
         self.removed: list[int] = []
-        for agent in agents if self._passable else ():
-            if agent.profile is not None and agent.profile.wrong_way_rate_per_min > 0:
-                rng = np.random.default_rng((agent.seed, 4))
-                driver = _Driver(agent, rng, 0.0, self._against(agent.route, agents))
-                driver.wish_s = agent.depart_s + _pause_s(driver)
-                self._drivers[str(agent.id)] = driver
+        super().__init__(
+            sumo,
+            (
+                _OvertakingDriver(
+                    agent,
+                    4,
+                    agent.profile.wrong_way_rate_per_min,
+                    self._oncoming_names(agent.route, agents),
+                )
+                for agent in (agents if self._passable else ())
+                if agent.profile is not None and agent.profile.wrong_way_rate_per_min > 0
+            ),
+        )
 
     def step(self, time_s: float, vehicles: Sequence[str]) -> None:
-        """Begin, end and clear up drives on the wrong side.
+        """Begin and end overtaking, and remove vehicles that block the wrong side.
 
         Args:
             time_s: simulated time, s.
-            vehicles: names of the vehicles on the road; who is taken off is in `removed`.
+            vehicles: names of the vehicles on the road; ids of those removed are in `removed`.
         """
         self.removed = []
         if not self._drivers:
             return
         if not self._closed:
             self._close_other_lanes()
-        present = list(vehicles)
-        for name, driver in self._here:
+        left = list(vehicles)
+        for name, driver in self._present:
             if driver.since_s >= 0:
-                self._follow_up(name, driver, time_s, present)
+                self._follow_up(name, driver, time_s, left)
                 if driver.agent.id in self.removed:
-                    present.remove(name)
-            elif time_s >= driver.wish_s:
-                leader = self._chance(name, driver, present)
+                    left.remove(name)
+            elif time_s >= driver.next_s:
+                leader = self._opportunity(name, driver, left)
                 if leader:
                     lane = self._lanes[self._sumo.vehicle_getLaneID(name)]
                     self._sumo.vehicle_setLaneChangeMode(name, NOTHING)
                     self._sumo.vehicle_setVehicleClass(name, PASSING_CLASS)
                     self._sumo.vehicle_changeLane(name, lane.index + 1, 3.0)
-                    driver.passing, driver.since_s = leader, time_s
+                    driver.overtaking, driver.since_s = leader, time_s
                 else:
-                    driver.wish_s = time_s + _PERIOD_S
+                    driver.next_s = time_s + _PERIOD_S
 
-    def _against(self, route: Sequence[str], agents: Sequence[AgentSpec]) -> frozenset[str]:
-        """Names of those who come the other way."""
+    def _oncoming_names(self, route: Sequence[str], agents: Sequence[AgentSpec]) -> frozenset[str]:
+        """Names of the agents whose routes use the opposite lanes of a route."""
         edges = {
             self._lanes[lane.opposite].edge
             for lane in self._lanes.values()
@@ -132,7 +133,7 @@ class WrongWay(Steered[_Driver]):
         return frozenset(str(a.id) for a in agents if edges & set(a.route))
 
     def _close_other_lanes(self) -> None:
-        """Close the lanes beside the leftmost ones to who passes."""
+        """Close all lanes but the leftmost ones to overtaking vehicles."""
         self._closed = True
         edges = {self._lanes[lane].edge for lane in self._passable}
         for lane in self._lanes.values():
@@ -140,8 +141,8 @@ class WrongWay(Steered[_Driver]):
                 closed = (*self._sumo.lane_getDisallowed(lane.id), PASSING_CLASS)
                 self._sumo.lane_setDisallowed(lane.id, closed)
 
-    def _chance(self, name: str, driver: _Driver, vehicles: Sequence[str]) -> str:
-        """The slower car ahead, if it can be passed now; otherwise nothing."""
+    def _opportunity(self, name: str, driver: _OvertakingDriver, vehicles: Sequence[str]) -> str:
+        """Name of the slower leader if it can be overtaken now, otherwise an empty text."""
         sumo = self._sumo
         lane = self._lanes.get(sumo.vehicle_getLaneID(name))
         if lane is None or lane.id not in self._passable or lane.internal:
@@ -158,21 +159,21 @@ class WrongWay(Steered[_Driver]):
         return str(leader[0]) if distance > SIGHT_M and meeting > START_S else ""
 
     def _follow_up(
-        self, name: str, driver: _Driver, time_s: float, vehicles: Sequence[str]
+        self, name: str, driver: _OvertakingDriver, time_s: float, vehicles: Sequence[str]
     ) -> None:
         sumo = self._sumo
         wrong = self._on_wrong_side(name)
         speed = sumo.vehicle_getSpeed(name)
         if not driver.returning:
             distance, meeting = self._oncoming(name, driver, vehicles)
-            passed = driver.passing not in vehicles or self._behind(name, driver.passing)
+            passed = driver.overtaking not in vehicles or self._behind(name, driver.overtaking)
             late = time_s - driver.since_s > LONGEST_S
             if passed or late or distance < RETURN_M or meeting < RETURN_S:
                 driver.returning = True
                 sumo.vehicle_setLaneChangeMode(name, ORDINARY)
         elif not wrong and time_s - driver.since_s > 3.0:
             driver.since_s, driver.returning, driver.standing_s = -1.0, False, -1.0
-            driver.wish_s = time_s + _pause_s(driver)
+            driver.pause_from(time_s)
             sumo.vehicle_setVehicleClass(name, VEHICLE_CLASS[driver.agent.kind])
             return
         if wrong and speed < 0.1:
@@ -182,12 +183,12 @@ class WrongWay(Steered[_Driver]):
                 sumo.vehicle_remove(name)
                 self.removed.append(driver.agent.id)
                 driver.since_s = -1.0
-                driver.wish_s = math.inf
+                driver.next_s = math.inf
         else:
             driver.standing_s = -1.0
 
     def _on_wrong_side(self, name: str) -> bool:
-        """Whether a vehicle is on a lane that leads the other way."""
+        """Whether a vehicle is on a lane of the opposite direction."""
         sumo = self._sumo
         lane = self._lanes.get(sumo.vehicle_getLaneID(name))
         if lane is None:
@@ -197,7 +198,7 @@ class WrongWay(Steered[_Driver]):
         return bool(east * (x1 - x0) + north * (y1 - y0) < 0)
 
     def _behind(self, name: str, other: str) -> bool:
-        """Whether another vehicle has fallen behind far enough to return before it."""
+        """Whether another vehicle is far enough behind to return in front of it."""
         sumo = self._sumo
         x, y = sumo.vehicle_getPosition(name)
         east, north = _direction(sumo.vehicle_getAngle(name))
@@ -205,15 +206,17 @@ class WrongWay(Steered[_Driver]):
         ahead = (ox - x) * east + (oy - y) * north
         return bool(ahead < -PASSED_M)
 
-    def _oncoming(self, name: str, driver: _Driver, vehicles: Sequence[str]) -> tuple[float, float]:
-        """Distance, m, and time to meeting, s, of the nearest vehicle coming the other way."""
+    def _oncoming(
+        self, name: str, driver: _OvertakingDriver, vehicles: Sequence[str]
+    ) -> tuple[float, float]:
+        """Distance to the nearest oncoming vehicle, m, and time until the first is met, s."""
         sumo = self._sumo
         x, y = sumo.vehicle_getPosition(name)
         east, north = _direction(sumo.vehicle_getAngle(name))
         speed = sumo.vehicle_getSpeed(name)
         nearest, soonest = math.inf, math.inf
         for other in vehicles:
-            if other not in driver.against:
+            if other not in driver.oncoming:
                 continue
             ox, oy = sumo.vehicle_getPosition(other)
             ahead = (ox - x) * east + (oy - y) * north
@@ -232,10 +235,3 @@ def _direction(angle: float) -> tuple[float, float]:
     """East and north part of a direction given in degrees clockwise from north."""
     radians = math.radians(angle)
     return math.sin(radians), math.cos(radians)
-
-
-def _pause_s(driver: _Driver) -> float:
-    """Time until the next wish, s."""
-    profile = driver.agent.profile
-    assert profile is not None
-    return float(driver.rng.exponential(60.0 / profile.wrong_way_rate_per_min))
