@@ -57,7 +57,7 @@ REGISTRIES: Final[dict[str, str]] = {
     "method": "graphrqi.methods:METHODS",
     "solver": "graphrqi.spectrum:SOLVERS",
     "predictor": "graphrqi.predict:PREDICTORS",
-    "classifier": "graphrqi.classify:CLASSIFIERS",
+    "classifier": "graphrqi.classify.registry:CLASSIFIERS",
     "format": "sim.formats:FORMATS",
     "bench": "experiments.benches.registry:BENCHES",
 }
