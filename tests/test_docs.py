@@ -17,11 +17,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-import typer.main
 from sybil import Example, Sybil
 from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
 
-from experiments.cli.commands import bench
+from experiments.benches.registry import BENCHES
+from experiments.cli.bench import bench_command
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
@@ -39,8 +39,8 @@ LONGEST_S = 240.0
 def run_commands(example: Example) -> None:
     script = INSTALLS.sub("", str(example.parsed))
     for name, options in BENCH.findall(script):
-        command = {c.name: c for c in typer.main.get_group(bench).commands.values()}[name]
-        known = {option for parameter in command.params for option in parameter.opts}
+        parameters = bench_command(BENCHES[name]).params
+        known = {option for parameter in parameters for option in parameter.opts}
         assert set(re.findall(r"--[a-z-]+", options)) <= known, f"{name} {options}"
     script = BENCH.sub("", script)
     for shown, here in SMALL_DATA.items():
