@@ -119,7 +119,7 @@ def _make(road: str, cars: int, seed: int) -> Any:
     from sim.highway.fast_road import FastRoad
     from sim.highway.network import HighwayNetwork, LaneInfo
     from sim.highway.traffic import TrafficRoad
-    from sim.highway.vehicle import ProfileVehicle
+    from sim.highway.vehicle import Driver, ProfileVehicle
     from sim.road import Road as SumoRoad
 
     net = RoadNetwork.straight_road_network(LANES, length=20_000.0, speed_limit=25.0)
@@ -148,9 +148,8 @@ def _make(road: str, cars: int, seed: int) -> Any:
                 made,
                 lane.position(s, 0.0),
                 speed=speed,
-                profile=profile,
+                driver=Driver(profile, seed=(seed, i)),
                 agent=i,
-                seed=(seed, i),
                 lane_index=("0", "1", i % LANES),
                 stretches=(("0", "1"),),
             )

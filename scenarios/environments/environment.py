@@ -44,7 +44,8 @@ from sim.highway.ego import (
 from sim.highway.engine import network_of, read_frame
 from sim.highway.fast_road import outlines_of
 from sim.highway.network import LaneIndex
-from sim.highway.traffic import TrafficRoad, agent_of
+from sim.highway.state import agent_of
+from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.scenario import sample_agents
 
@@ -207,7 +208,7 @@ class TrafficEnv(EgoEnv):
         self.define_spaces()
         self._distance_left = distance_left_m(self.road, self.vehicle)
         self._events = []
-        self.road.look()
+        self.road.locate()
 
     def _classifier(self) -> Callable[[Frame], Belief] | None:
         """What classifies the drivers of this episode; None where nothing is classified."""
@@ -231,7 +232,7 @@ class TrafficEnv(EgoEnv):
         route = tuple(network.stretches(self._route()))
         lanes = network.lanes_towards(route[0], route[1] if len(route) > 1 else None)
         for _ in range(round(LONGEST_WAIT_S / self._dt)):
-            road.look()
+            road.locate()
             lane, room, speed = self._roomiest(lanes)
             if room > ROOM_M:
                 break
@@ -291,7 +292,7 @@ class TrafficEnv(EgoEnv):
                 self.action_type.act(action)
             self._advance()
             self.steps += 1
-            self.road.look()
+            self.road.locate()
             near = self._near_ids()
             self._near_misses += len(near - self._near)  # once each time somebody comes near
             self._near = near
@@ -354,7 +355,7 @@ class TrafficEnv(EgoEnv):
         """Ids of those that the ego vehicle is about to hit or passes too near."""
         ego, road = self.vehicle, self.road
         near = set()
-        lead = road.around(ego, ego.lane_index)
+        lead = road.neighbours(ego, ego.lane_index)
         closing = ego.speed - lead.front_speed
         if lead.front is not None and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
             near.add(agent_of(lead.front))
@@ -375,7 +376,7 @@ class TrafficEnv(EgoEnv):
         return observation_space(self.config["observation"], self.config["observed"])
 
     def _observe(self) -> Observation:
-        self.road.look()
+        self.road.locate()
         ego, observed = self.vehicle, self.config["observed"]
         others = observable_agents(self.road, ego)[:observed]
         found: Observation = {

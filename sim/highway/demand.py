@@ -11,17 +11,17 @@ from behaviors.errors import InputError
 from sim.frames import AgentKind
 from sim.highway import driving
 from sim.highway.network import LaneIndex
-from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import ProfileVehicle
+from sim.highway.state import RoadState
+from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import Footway, Walker, find_footway
 from sim.scenario import AgentSpec, CarFollowing
 
 LONGEST_WAIT_S: Final = 60.0
-"""Who found no room for this long stays away (as in the SUMO engine)."""
+"""An agent that finds no room for this long does not enter (as in the SUMO engine)."""
 
 ENTRY_BRAKING_MPS2: Final = 1.0
-"""Nobody enters so fast that keeping the headway to the vehicle ahead takes more braking (our
-choice)."""
+"""Agents enter at a speed at which keeping the headway to the vehicle ahead takes no more braking
+than this."""
 
 
 class Demand:
@@ -29,9 +29,9 @@ class Demand:
 
     Args:
         road: where they will travel.
-        agents: who they are; any order.
-        seed: mixed into every driver's own chance.
-        law: the one by which everybody follows.
+        agents: in any order.
+        seed: mixed into every driver's own random numbers.
+        law: the car-following law of all drivers.
 
     Raises:
         InputError: if a route is not of this road, or a driver has no profile.
@@ -39,7 +39,7 @@ class Demand:
 
     def __init__(
         self,
-        road: TrafficRoad,
+        road: RoadState,
         agents: Sequence[AgentSpec],
         seed: int,
         law: CarFollowing = "IDM",
@@ -67,7 +67,7 @@ class Demand:
             self._queues.setdefault((way[0], *way[1:2]), deque()).append(agent)
 
     def enter(self) -> None:
-        """Let in everybody whose time has come and who has room, in order of departure."""
+        """Let in the agents whose time has come and who have room, in order of departure."""
         road, now = self.road, self.road.time_s
         while self._walking and self._walking[0].depart_s <= now:
             agent = self._walking.popleft()
@@ -93,17 +93,17 @@ class Demand:
         way = self._stretches[agent.route]
         then = way[1] if len(way) > 1 else None
         assert agent.profile is not None
-        numbers = driving.driver_numbers(agent.profile, agent.kind)
+        driver = driving.driver_parameters(agent.profile, agent.kind)
         best: tuple[float, float, LaneIndex] | None = None
         for lane in network.lanes_towards(way[0], then):
             gap, ahead = self._room(lane, agent.length_m)
             limit = float(network.lanes[lane].speed_limit)
-            wanted = min(numbers[driving.SPEED_FACTOR] * limit, numbers[driving.TOP_SPEED])
+            wanted = min(driver[driving.SPEED_FACTOR] * limit, driver[driving.TOP_SPEED])
             speed = wanted
             if gap < math.inf:
-                headway = numbers[driving.TIME_HEADWAY]
-                room = gap - numbers[driving.MIN_GAP]
-                if driving.idm(numbers, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
+                headway = driver[driving.TIME_HEADWAY]
+                room = gap - driver[driving.MIN_GAP]
+                if driving.idm(driver, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
                     twice = 2.0 * ENTRY_BRAKING_MPS2
                     reach = headway * ENTRY_BRAKING_MPS2
                     slows = math.sqrt(max(reach**2 + twice * room + ahead**2, 0.0)) - reach
@@ -122,14 +122,11 @@ class Demand:
             geometry.position(s, 0.0),
             geometry.heading_at(s),
             speed,
-            profile=agent.profile,
+            driver=Driver(agent.profile, agent.behavior, self._law, (self.seed, agent.seed)),
             kind=agent.kind,
             length=agent.length_m,
             width=agent.width_m,
             agent=agent.id,
-            behavior=agent.behavior,
-            law=self._law,
-            seed=(self.seed, agent.seed),
             lane_index=lane,
             stretches=way,
         )

@@ -1,21 +1,18 @@
-"""The equations every driver drives by, compiled.
+"""How a driver of the highway engine accelerates, changes lanes and steers.
 
-The same functions serve the vehicle objects, one at a time, and the loops over everybody on a
-straight road (`decide`, `move`), so the two cannot drift apart. The loops are in this file and not
-beside their caller because numba's cache looks at a function's own file only. A driver's numbers
-are one row, laid out by the indices below (`driver_numbers` makes it from a `Profile`).
+The same compiled functions serve vehicle objects one at a time (`sim.highway.vehicle`) and the
+loops over all drivers of a straight road (`sim.highway.straight`). The laws themselves are those of
+`behaviors.driver_models`. A driver's parameters are one row, made by `driver_parameters` and laid
+out by the indices below.
 
 References:
-    Treiber, Hennecke, Helbing (2000), Phys. Rev. E 62, 1805: IDM.
-    Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08: his law.
-    Kesting, Treiber, Helbing (2007), Transportation Research Record 1999, 86: MOBIL.
-    Polack et al. (2017), IEEE IV: the kinematic bicycle; highway-env's steering cascade.
+    Polack et al. (2017), IEEE IV: the kinematic bicycle that highway-env steers.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +24,6 @@ from sim.frames import AgentKind
 from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SPEED_FACTOR: Final = 0
 TIME_HEADWAY: Final = 1
@@ -62,55 +57,86 @@ IMPOSED_BRAKING_MPS2: Final = 2.0
 """Braking that an average driver imposes on a new follower at most, m/s2 (highway-env's)."""
 
 MOST_IMPOSED_MPS2: Final = 6.0
-"""Nobody imposes more than this, m/s2 (our choice: hard braking without locking wheels)."""
+"""The most braking that any driver imposes, m/s2 (our choice: hard braking without locking
+wheels)."""
 
 LEAST_CHANGE_GAP_M: Final = 0.5
-"""Nobody changes into a smaller gap than this, m (our choice)."""
+"""The smallest gap that any driver changes into, m."""
 
 WORTH_MPS2: Final = 0.15
-"""A lane that soon comes up against a slower leader is taken all the same if that one is faster
-than the present leader by this times the driver's patience (our choice)."""
+"""A driver takes a lane whose leader it will soon reach only if that leader is faster than the
+present one by this times the driver's patience."""
 
 STOP_MARGIN_M: Final = 1.0
-"""How far before a stop line or a crossing one comes to rest, m (our choice)."""
+"""A driver comes to rest this far before a stop line or a crossing, m."""
 
 BRAKING_RESERVE: Final = 2.0
-"""Nobody brakes harder than comfortably unless the distance left demands it with this factor to
-spare (our choice: IDM alone brakes to a standstill whenever someone cuts in)."""
+"""A driver brakes harder than comfortably only as far as the distance left demands, times this (our
+choice: IDM alone brakes to a standstill whenever someone cuts in)."""
 
 STANDING_MPS: Final = 0.2
-"""Below this a vehicle stands (our choice)."""
+"""A slower vehicle counts as standing, m/s."""
 
 LATERAL_GAIN_PER_S: Final = 1.0 / 0.6
-"""Lateral speed wanted per metre off the lane's centre (highway-env's KP_LATERAL)."""
+"""Lateral speed wanted per metre from the lane's centre (highway-env's KP_LATERAL)."""
 
 LATERAL_SPEED_MPS: Final = 1.5
-"""Largest lateral speed, m/s: a lane change takes about 3 s (our choice, as in SUMO's runs)."""
+"""Largest lateral speed, m/s: a lane change takes about 3 s (our choice, as in the SUMO engine)."""
 
 HEADING_GAIN_PER_S: Final = 5.0
-"""Heading rate wanted per radian off (highway-env's KP_HEADING)."""
+"""Heading rate wanted per radian of error (highway-env's KP_HEADING)."""
 
 MAX_STEERING_RAD: Final = math.pi / 3
 """highway-env's MAX_STEERING_ANGLE."""
 
 CUT_IN_REAR_M: Final = (2.0, 15.0)
-"""Bumper gap to the one cut in front of, m: nearer is a collision, farther is no cut-in (our
-choice)."""
+"""Least and largest bumper gap to the vehicle that a driver cuts in front of, m."""
 
 UNSEEN_S: Final = 1.0
-"""It takes this long until one who changes lanes is seen on the new one, s (0.6 m aside)."""
+"""Others see a vehicle on its new lane this long after it began to change, s: it is then 0.6 m
+aside."""
 
 CUT_IN_BRAKING_MPS2: Final = 4.0
-"""Braking that a cut-in may demand of either party at once, m/s2 (our choice)."""
+"""The most braking that a cut-in may demand of either driver, m/s2."""
 
 
-def driver_numbers(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM") -> FloatArray:
-    """One driver's numbers as the row that the equations read.
+class Leader(NamedTuple):
+    """The vehicle ahead on a lane.
+
+    Attributes:
+        gap: bumper to bumper, m; infinite if there is none.
+        speed: along the lane, m/s.
+    """
+
+    gap: float
+    speed: float
+
+
+class Follower(NamedTuple):
+    """The vehicle behind on a lane.
+
+    Attributes:
+        driver: its driver's parameters.
+        speed: along the lane, m/s.
+        desired: the speed that it wants, m/s.
+        gap: bumper to bumper to the vehicle that may change lanes, m; infinite if there is none.
+        front_gap: to the vehicle ahead of that one on the follower's lane, m.
+    """
+
+    driver: FloatArray
+    speed: float
+    desired: float
+    gap: float
+    front_gap: float
+
+
+def driver_parameters(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM") -> FloatArray:
+    """One driver's parameters as the row that the functions of this module read.
 
     Args:
-        profile: what the driver wants and dares.
-        kind: what is driven; its physics limit the driver.
-        law: the one by which it follows.
+        profile: the driver's behaviour.
+        kind: of vehicle, whose physics limit the driver.
+        law: the car-following law that the driver uses.
 
     Returns:
         (14,) read-only.
@@ -145,7 +171,7 @@ def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_spe
     """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
 
     Args:
-        driver: the driver's numbers.
+        driver: the driver's parameters.
         speed: own speed, m/s.
         desired: speed wanted on a free road, m/s.
         gap: bumper to bumper, m; infinite without leader.
@@ -165,16 +191,13 @@ def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_spe
 def krauss(
     driver: FloatArray, speed: float, desired: float, room: float, leader_speed: float
 ) -> float:
-    """Krauss's acceleration, m/s2, not bounded below and before his dawdling.
-
-    The speed from which one stops behind the leader, should both brake comfortably and oneself
-    begin a headway later (Krauss 1998, eq. 3.2, as SUMO has it).
+    """Krauss's acceleration, m/s2, not bounded below and before dawdling.
 
     Args:
-        driver: the driver's numbers.
+        driver: the driver's parameters.
         speed: own speed, m/s.
         desired: speed wanted on a free road, m/s.
-        room: bumper gap beyond the smallest one, m; infinite without leader.
+        room: bumper gap beyond the one at a standstill, m; infinite without a leader.
         leader_speed: along the own lane, m/s.
     """
     goal = desired
@@ -185,19 +208,26 @@ def krauss(
 
 
 def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
-    """By how much a driver who follows by Krauss's law falls short, m/s2 (as in SUMO).
+    """The acceleration that a driver with Krauss's law loses at random, m/s2 (as in SUMO).
 
     Args:
-        driver: the driver's numbers.
-        speed: m/s; nobody is slowed below standing.
-        chance: drawn evenly from 0 to 1.
+        driver: the driver's parameters.
+        speed: m/s; dawdling never makes it negative.
+        chance: drawn uniformly from 0 to 1.
     """
     return IMPERFECTION * chance * min(float(driver[MAX_ACCEL]), speed / KRAUSS_STEP_S)
 
 
 @compiled
 def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> float:
-    """An acceleration no lower than comfort or, with a reserve, the distance left demands."""
+    """Bound a deceleration by the comfortable one or, if greater, by what the gap demands.
+
+    Args:
+        driver: the driver's parameters.
+        wanted: acceleration by the driver's law, m/s2.
+        gap: distance left, m.
+        closing: own speed minus that of what is ahead, m/s.
+    """
     limit = driver[COMFORT_DECEL]
     if closing > 0.0:
         limit = max(limit, BRAKING_RESERVE * closing * closing / (2.0 * max(gap, 0.1)))
@@ -208,7 +238,7 @@ def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> fl
 def follow(
     driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
 ) -> float:
-    """The acceleration behind a leader by the driver's law, m/s2; arguments as of `idm`."""
+    """The acceleration behind a leader by the driver's law, m/s2; arguments as for `idm`."""
     if driver[FOLLOWS_KRAUSS]:
         raw = krauss(driver, speed, desired, gap - driver[MIN_GAP], leader_speed)
     else:
@@ -220,11 +250,10 @@ def follow(
 def approach(driver: FloatArray, speed: float, gap: float) -> float:
     """The acceleration towards a line at which to stop, m/s2.
 
-    The driver's law behind a standing obstacle whose minimal gap is `STOP_MARGIN_M` instead of the
-    driver's.
+    The driver's law behind a standing obstacle, with `STOP_MARGIN_M` as the gap at a standstill.
 
     Args:
-        driver: the driver's numbers.
+        driver: the driver's parameters.
         speed: m/s.
         gap: front bumper to the line, m.
     """
@@ -232,7 +261,7 @@ def approach(driver: FloatArray, speed: float, gap: float) -> float:
         raw = krauss(driver, speed, np.inf, gap - STOP_MARGIN_M, 0.0)
     else:
         accel = driver[MAX_ACCEL]
-        braking = _desired_gap(speed, 0.0, 0.0, 0.0, accel, driver[COMFORT_DECEL])
+        braking = _desired_gap(speed, 0.0, 0.0, 0.0, accel, driver[COMFORT_DECEL])  # its last term
         wanted = STOP_MARGIN_M + speed * min(driver[TIME_HEADWAY], 1.5) + braking
         raw = accel * (1.0 - _interaction(gap, wanted))
     return bounded(driver, raw, gap - 0.5 * STOP_MARGIN_M, speed)
@@ -245,11 +274,11 @@ def start_up(
     """Hold a standing vehicle back for its driver's start-up delay.
 
     Args:
-        driver: the driver's numbers.
+        driver: the driver's parameters.
         speed: m/s.
         accel: acceleration wanted, m/s2.
         clock: the time now, s.
-        go_at: when it may go, s; infinite while there is no cause to.
+        go_at: when it may start, s; infinite while it has no reason to.
 
     Returns:
         The acceleration, and the new ``go_at``.
@@ -268,72 +297,56 @@ def change_incentive(
     driver: FloatArray,
     speed: float,
     desired: float,
-    old_gap: float,
-    old_speed: float,
-    new_gap: float,
-    new_speed: float,
-    rear: FloatArray,
-    rear_speed: float,
-    rear_desired: float,
-    rear_gap: float,
-    rear_front_gap: float,
-    old_rear: FloatArray,
-    old_rear_speed: float,
-    old_rear_desired: float,
-    old_rear_gap: float,
-    old_rear_front_gap: float,
+    leader: Leader,
+    new_leader: Leader,
+    follower: Follower,
+    new_follower: Follower,
 ) -> float:
-    """MOBIL's advantage of a lane change beyond the driver's threshold, m/s2.
+    """MOBIL's incentive for a lane change beyond the driver's threshold, m/s2.
 
-    Gaps are bumper to bumper and infinite where there is nobody.
+    All accelerations in it are IDM's, whatever law the drivers follow by.
 
     Args:
-        driver: the driver's numbers.
+        driver: the driver's parameters.
         speed: own speed, m/s.
         desired: speed wanted, m/s.
-        old_gap: to the leader on the present lane, m.
-        old_speed: that leader's speed, m/s.
-        new_gap: to the leader on the other lane, m.
-        new_speed: that leader's speed, m/s.
-        rear: the new follower's numbers.
-        rear_speed: its speed, m/s.
-        rear_desired: the speed it wants, m/s.
-        rear_gap: from it to this vehicle, m.
-        rear_front_gap: from it to the leader on the other lane, m.
-        old_rear: the present follower's numbers.
-        old_rear_speed: its speed, m/s.
-        old_rear_desired: the speed it wants, m/s.
-        old_rear_gap: from it to this vehicle, m.
-        old_rear_front_gap: from it to the leader on the present lane, m.
+        leader: ahead on the present lane.
+        new_leader: ahead on the other lane.
+        follower: behind on the present lane.
+        new_follower: behind on the other lane.
 
     Returns:
-        Positive if the change is wanted and safe; minus infinity if it is not safe.
+        Positive if the change is wanted and safe; minus infinity if it is not safe, or not worth
+        while because the new leader will soon be reached.
     """
     threshold = driver[CHANGE_THRESHOLD]
     if threshold == np.inf:
         return -np.inf
-    if new_gap < driver[CHANGE_GAP] or rear_gap < driver[CHANGE_GAP]:
+    if new_leader.gap < driver[CHANGE_GAP] or new_follower.gap < driver[CHANGE_GAP]:
         return -np.inf
-    if new_gap < np.inf and new_speed < desired:
-        lasts = new_gap / (desired - new_speed)
-        better = old_gap < np.inf and new_speed > old_speed + WORTH_MPS2 * driver[PATIENCE]
+    if new_leader.gap < np.inf and new_leader.speed < desired:
+        lasts = new_leader.gap / (desired - new_leader.speed)
+        least = leader.speed + WORTH_MPS2 * driver[PATIENCE]
+        better = leader.gap < np.inf and new_leader.speed > least
         if lasts < driver[PATIENCE] and not better:
             return -np.inf
-    after = idm(driver, speed, desired, new_gap, new_speed)
+    after = idm(driver, speed, desired, new_leader.gap, new_leader.speed)
     if not _safe(after, driver[IMPOSED_BRAKING]):
         return -np.inf
-    own_gain = after - idm(driver, speed, desired, old_gap, old_speed)
-    rear_gain = old_rear_gain = 0.0
-    if rear_gap < np.inf:
-        imposed = idm(rear, rear_speed, rear_desired, rear_gap, speed)
+    own_gain = after - idm(driver, speed, desired, leader.gap, leader.speed)
+    new_gain = old_gain = 0.0
+    if new_follower.gap < np.inf:
+        one = new_follower
+        imposed = idm(one.driver, one.speed, one.desired, one.gap, speed)
         if not _safe(imposed, driver[IMPOSED_BRAKING]):
             return -np.inf
-        rear_gain = imposed - idm(rear, rear_speed, rear_desired, rear_front_gap, new_speed)
-    if old_rear_gap < np.inf:
-        old_rear_gain = idm(
-            old_rear, old_rear_speed, old_rear_desired, old_rear_front_gap, old_speed
-        ) - idm(old_rear, old_rear_speed, old_rear_desired, old_rear_gap, speed)
-    incentive = _incentive(own_gain, rear_gain, old_rear_gain, driver[POLITENESS])
+        before = idm(one.driver, one.speed, one.desired, one.front_gap, new_leader.speed)
+        new_gain = imposed - before
+    if follower.gap < np.inf:
+        one = follower
+        freed = idm(one.driver, one.speed, one.desired, one.front_gap, leader.speed)
+        old_gain = freed - idm(one.driver, one.speed, one.desired, one.gap, speed)
+    incentive = _incentive(own_gain, new_gain, old_gain, driver[POLITENESS])
     return float(incentive - threshold)
 
 
@@ -346,7 +359,16 @@ def may_cut_in(
     rear_gap: float,
     rear_speed: float,
 ) -> bool:
-    """Whether there is someone to cut in front of, and room for it; arguments as above."""
+    """Whether there is a vehicle to cut in front of, and room for it.
+
+    Args:
+        driver: the driver's parameters.
+        speed: own speed, m/s.
+        new_gap: to the leader on the other lane, m.
+        new_speed: that leader's speed, m/s.
+        rear_gap: from the follower on the other lane, m.
+        rear_speed: that follower's speed, m/s.
+    """
     if rear_gap < CUT_IN_REAR_M[0] or rear_gap > CUT_IN_REAR_M[1]:
         return False
     if new_gap < max(2.0 * driver[CHANGE_GAP], CUT_IN_REAR_M[0]):
@@ -370,9 +392,9 @@ def steer(
 ) -> float:
     """The steering angle that keeps to a lane, rad.
 
-    highway-env's cascade (lateral place to heading, heading to heading rate, heading rate to
-    angle). Differs from it: in a bend the body's middle moves at a slip angle to the body, which
-    is allowed for; without that a tight turn is cut by most of a metre.
+    highway-env's cascade: lateral position to heading, heading to heading rate, heading rate to
+    angle. Differs from it: in a bend the body's middle moves at a slip angle to the body, which is
+    corrected for; without that, vehicles cut tight turns by most of a metre.
 
     Args:
         lateral: distance to the right of the lane's centre, m.
@@ -392,180 +414,3 @@ def steer(
     bend = curvature + HEADING_GAIN_PER_S * off / nonzero
     angle = math.atan(2.0 * math.tan(math.asin(min(max(half * bend, -1.0), 1.0))))
     return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)
-
-
-@compiled
-def _search(
-    i: int,
-    lane: int,
-    order: IntArray,
-    count: IntArray,
-    s: FloatArray,
-    along: FloatArray,
-    length: FloatArray,
-    sight: float,
-) -> tuple[int, float, float, int, float, float]:
-    """Who is ahead of and behind a vehicle on a lane: row, bumper gap and speed of both."""
-    here = s[i, lane]
-    low, high = 0, count[lane]
-    while low < high:
-        middle = (low + high) // 2
-        if s[order[lane, middle], lane] < here:
-            low = middle + 1
-        else:
-            high = middle
-    front, front_gap, front_speed = -1, np.inf, 0.0
-    at = low
-    while at < count[lane] and order[lane, at] == i:
-        at += 1
-    if at < count[lane]:
-        j = order[lane, at]
-        gap = -here + s[j, lane] - (length[i] + length[j]) / 2
-        if gap < sight:
-            front, front_gap, front_speed = j, gap, along[j, lane]
-    rear, rear_gap, rear_speed = -1, np.inf, 0.0
-    at = low - 1
-    while at >= 0 and order[lane, at] == i:
-        at -= 1
-    if at >= 0:
-        j = order[lane, at]
-        rear, rear_gap = j, here - s[j, lane] - (length[i] + length[j]) / 2
-        rear_speed = along[j, lane]
-    return front, front_gap, front_speed, rear, rear_gap, rear_speed
-
-
-@compiled
-def _wanted_by(row: int, numbers: FloatArray, limit: float) -> float:
-    if row < 0:
-        return 0.0
-    return float(min(numbers[row, SPEED_FACTOR] * limit, numbers[row, TOP_SPEED]))
-
-
-@compiled
-def decide(
-    active: BoolArray,
-    eligible: BoolArray,
-    cutting_in: BoolArray,
-    stopping: BoolArray,
-    order: IntArray,
-    count: IntArray,
-    s: FloatArray,
-    lateral: FloatArray,
-    along: FloatArray,
-    length: FloatArray,
-    speed: FloatArray,
-    heading: FloatArray,
-    lane: IntArray,
-    target: IntArray,
-    numbers: FloatArray,
-    default: FloatArray,
-    stop_gap: FloatArray,
-    speed_cap: FloatArray,
-    clock: FloatArray,
-    go_at: FloatArray,
-    limit: FloatArray,
-    lane_heading: float,
-    sight: float,
-    wanted: IntArray,
-    steering: FloatArray,
-    accel: FloatArray,
-    cut_in: BoolArray,
-) -> None:
-    """Fill ``wanted``, ``steering``, ``accel``, ``go_at`` and ``cut_in`` of the active rows."""
-    n, lanes = s.shape
-    for i in range(n):
-        if not active[i]:
-            continue
-        driver, mine, v = numbers[i], lane[i], speed[i]
-        desired = min(driver[SPEED_FACTOR] * limit[mine], driver[TOP_SPEED], speed_cap[i])
-        _, gap, ahead, rear, rear_gap, rear_speed = _search(
-            i, mine, order, count, s, along, length, sight
-        )
-        choice = mine
-        if target[i] != mine:
-            choice = target[i]
-            for j in range(n):
-                if j == i or not active[j] or target[j] != target[i] or lane[j] == target[i]:
-                    continue
-                beyond = s[j, mine] - s[i, mine]
-                room = beyond - (length[i] + length[j]) / 2
-                if beyond > 0.0 and room < driver[CHANGE_GAP] + v * 0.5:
-                    choice = mine
-                    break
-        elif eligible[i]:
-            most = 0.0
-            for side in (mine - 1, mine + 1):
-                if side < 0 or side >= lanes:
-                    continue
-                _, new_gap, new_speed, new_rear, new_rear_gap, new_rear_speed = _search(
-                    i, side, order, count, s, along, length, sight
-                )
-                if cutting_in[i] and may_cut_in(
-                    driver, v, new_gap, new_speed, new_rear_gap, new_rear_speed
-                ):
-                    choice = side
-                    cut_in[i] = True
-                    break
-                gain = change_incentive(
-                    driver,
-                    v,
-                    desired,
-                    gap,
-                    ahead,
-                    new_gap,
-                    new_speed,
-                    numbers[new_rear] if new_rear >= 0 else default,
-                    new_rear_speed,
-                    _wanted_by(new_rear, numbers, limit[mine]),
-                    new_rear_gap,
-                    new_rear_gap + length[i] + new_gap,
-                    numbers[rear] if rear >= 0 else default,
-                    rear_speed,
-                    _wanted_by(rear, numbers, limit[mine]),
-                    rear_gap,
-                    rear_gap + length[i] + gap,
-                )
-                if gain > most:
-                    choice, most = side, gain
-        a = follow(driver, v, desired, gap, ahead)
-        if choice != mine:
-            _, new_gap, new_speed, _, _, _ = _search(
-                i, choice, order, count, s, along, length, sight
-            )
-            a = min(a, follow(driver, v, desired, new_gap, new_speed))
-        if stop_gap[i] < np.inf:
-            a = min(a, approach(driver, v, stop_gap[i]))
-        if stopping[i]:
-            a = min(a, -driver[COMFORT_DECEL])
-        a, go_at[i] = start_up(driver, v, a, clock[i], go_at[i])
-        wanted[i], accel[i] = choice, a
-        steering[i] = steer(lateral[i, choice], lane_heading, 0.0, heading[i], v, length[i])
-
-
-@compiled
-def move(
-    mask: BoolArray,
-    crashed: BoolArray,
-    xy: FloatArray,
-    heading: FloatArray,
-    speed: FloatArray,
-    length: FloatArray,
-    steering: FloatArray,
-    accel: FloatArray,
-    most: float,
-    dt: float,
-) -> None:
-    """highway-env's kinematic bicycle for ``dt`` seconds, in place."""
-    for i in range(len(mask)):
-        if not mask[i]:
-            continue
-        angle, a, v = steering[i], accel[i], speed[i]
-        if crashed[i]:
-            angle, a = 0.0, -v
-        if v > most:
-            a = min(a, most - v)
-        slip = math.atan(0.5 * math.tan(angle))
-        xy[i, 0] += v * math.cos(heading[i] + slip) * dt
-        xy[i, 1] += v * math.sin(heading[i] + slip) * dt
-        heading[i] += v * math.sin(slip) / (length[i] / 2.0) * dt
-        speed[i] = max(v + a * dt, 0.0)

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError, lookup
 from sim.frames import AgentKind
 from sim.highway.network import LaneIndex
-from sim.highway.traffic import STRETCH_MARGIN_M, TrafficRoad
+from sim.highway.state import STRETCH_MARGIN_M, RoadState
+from sim.highway.traffic import TrafficRoad
 from sim.highway.viewer import TrafficViewer
 
 Observation = dict[str, NDArray[Any]]
@@ -231,7 +232,7 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
     return action
 
 
-def distance_left_m(road: TrafficRoad, ego: Vehicle) -> float:
+def distance_left_m(road: RoadState, ego: Vehicle) -> float:
     """Distance along the lanes from the ego vehicle's front to the end of its route, m."""
     network, lane = road.network_info, ego.lane_index
     s, _ = ego.lane.local_coordinates(ego.position)
@@ -248,7 +249,7 @@ def distance_left_m(road: TrafficRoad, ego: Vehicle) -> float:
     return float(left)
 
 
-def is_on_route(road: TrafficRoad, ego: Vehicle) -> bool:
+def is_on_route(road: RoadState, ego: Vehicle) -> bool:
     """Whether the ego vehicle is on a stretch of its route or on a path between two of them.
 
     The paths of a junction that begin on one lane overlap at their start, so a vehicle counts as on
@@ -265,18 +266,18 @@ def is_on_route(road: TrafficRoad, ego: Vehicle) -> bool:
     )
 
 
-def is_off_road(road: TrafficRoad, ego: Vehicle) -> bool:
+def is_off_road(road: RoadState, ego: Vehicle) -> bool:
     """Whether the ego vehicle is beside its lane, or past an end of the road."""
     s, lateral = ego.lane.local_coordinates(ego.position)
     return bool(abs(lateral) > ego.lane.width_at(s) / 2 + 1.0 or _is_past_an_end(road, ego, s))
 
 
-def _is_past_an_end(road: TrafficRoad, ego: Vehicle, s: float) -> bool:
+def _is_past_an_end(road: RoadState, ego: Vehicle, s: float) -> bool:
     """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
     network, lane = road.network_info, ego.lane_index
     if network.info[lane].connector or (lane[:2] == ego.stretches[-1] and s > 0.0):
         return False
-    own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # a ghost lane leads where it does
+    own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # on the wrong side, too
     if s < -ego.LENGTH / 2:
         return all(entered[:2] != own for entered in network.exit_of.values())
     if s > ego.lane.length + ego.LENGTH / 2:

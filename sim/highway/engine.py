@@ -17,8 +17,10 @@ from behaviors.errors import InputError
 from sim.frames import PEDESTRIAN, Frame
 from sim.highway.demand import Demand
 from sim.highway.network import HighwayNetwork, build_network
-from sim.highway.traffic import TrafficRoad, agent_of
+from sim.highway.state import RoadState, agent_of
+from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
+from sim.highway.walkers import Walker
 from sim.road import Road
 from sim.scenario import AgentSpec, CarFollowing, Scenario
 
@@ -35,17 +37,17 @@ def network_of(road: Road) -> HighwayNetwork:
 def run(
     scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, compiled: bool = False
 ) -> Iterator[Frame]:
-    """Drive a scenario in highway-env, where everybody follows by IDM.
+    """Drive a scenario in highway-env; drivers follow by IDM.
 
     Args:
         scenario: the road, the duration and the step.
         agents: who travels, as drawn by `sim.scenario.sample_agents`.
-        seed: mixed into the drivers' own chance; the same seed gives the same frames to the bit.
+        seed: of the drivers' random numbers; the same seed gives the same frames to the bit.
         compiled: decide and move all drivers at once in compiled code: quicker, and the same
             within rounding; only on a single straight stretch of road.
 
     Yields:
-        Frames from time ``step_s`` to ``duration_s``. Who never found room to enter is in none.
+        Frames from time ``step_s`` to ``duration_s``; without agents that found no room.
 
     Raises:
         InputError: if the agents, the seed or the road are not usable.
@@ -54,10 +56,10 @@ def run(
 
 
 def run_krauss(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
-    """Drive a scenario in highway-env where everybody follows by Krauss's law; see `run`.
+    """Drive a scenario in highway-env; drivers follow by Krauss's law. See `run`.
 
-    For drivers of the same profiles whose car-following is another one: what is learned from both
-    is less of either law's signature. Lane changes are weighed by IDM in both.
+    The drivers have the same profiles as in `run` and follow by another law, so that a model
+    trained on both depends less on either law. Lane changes are weighed by IDM in both.
     """
     return _run(scenario, agents, seed, "Krauss", compiled=False)
 
@@ -89,7 +91,7 @@ def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[F
         yield read_frame(road)
 
 
-def read_frame(road: TrafficRoad) -> Frame:
+def read_frame(road: RoadState) -> Frame:
     """Everybody on the road now, and the events since the last reading.
 
     highway-env has y to the right of x; frames have it to the left.
@@ -113,8 +115,6 @@ def read_frame(road: TrafficRoad) -> Frame:
 
 
 def _kind_code(one: object) -> int:
-    from sim.highway.walkers import Walker
-
     if isinstance(one, Walker):
         return PEDESTRIAN
     return one.kind.code if isinstance(one, ProfileVehicle) else 0

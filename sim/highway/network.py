@@ -35,6 +35,11 @@ OPPOSITE_M: Final = 1.2
 """An opposite lane is a neighbour if its centre line is within this many lane widths."""
 
 
+def is_wrong_side(lane: LaneIndex) -> bool:
+    """Whether a lane runs over one of the opposite direction; see `HighwayNetwork.wrong_side`."""
+    return lane[0].startswith("~")
+
+
 @dataclass(frozen=True, slots=True)
 class Strip:
     """Where a lane runs over a pedestrian crossing.
@@ -104,8 +109,8 @@ class HighwayNetwork:
         stretch_of: the stretch, as (from, to), of each edge of ``road``.
         onward: the junction path from a lane to each next stretch.
         exit_of: the lane on which each junction path ends.
-        ghost: for leftmost lanes with an opposite neighbour: the lane that runs over it in the
-            same direction, used only by those who drive on the wrong side.
+        wrong_side: for each leftmost lane beside one of the opposite direction, a lane that runs
+            over that one in this direction, for those that overtake on the wrong side.
         edge_at: the edges of each stretch with the distance at which each begins, m.
     """
 
@@ -116,7 +121,7 @@ class HighwayNetwork:
     stretch_of: dict[str, tuple[str, str]]
     onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex]
     exit_of: dict[LaneIndex, LaneIndex]
-    ghost: dict[LaneIndex, LaneIndex]
+    wrong_side: dict[LaneIndex, LaneIndex]
     edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = field(default_factory=dict)
 
     def stretches(self, route: Sequence[str]) -> list[tuple[str, str]]:
@@ -184,7 +189,7 @@ def build_network(road: Road) -> HighwayNetwork:
         road: read from a SUMO net.
 
     Returns:
-        Stretches, junction paths and the ghost lanes over opposite neighbours.
+        Stretches, junction paths and lanes over those of the opposite direction.
 
     Raises:
         InputError: if the road has no drivable lane.
@@ -285,7 +290,7 @@ def build_network(road: Road) -> HighwayNetwork:
             strips=tuple(sorted(strips.get(index, ()), key=lambda s: s.near_s)),
             conflicts=tuple(sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)),
         )
-    ghost = _add_ghosts(net, geometry, info, set(stretch_of.values()))
+    wrong_side = _add_wrong_side_lanes(net, geometry, info, set(stretch_of.values()))
     return HighwayNetwork(
         road=road,
         net=net,
@@ -294,7 +299,7 @@ def build_network(road: Road) -> HighwayNetwork:
         stretch_of=stretch_of,
         onward=onward,
         exit_of=exit_of,
-        ghost=ghost,
+        wrong_side=wrong_side,
         edge_at=edge_at,
     )
 
@@ -379,14 +384,14 @@ def _conflicts(
     return found
 
 
-def _add_ghosts(
+def _add_wrong_side_lanes(
     net: RoadNetwork,
     lanes: dict[LaneIndex, AbstractLane],
     info: dict[LaneIndex, LaneInfo],
     stretches: set[tuple[str, str]],
 ) -> dict[LaneIndex, LaneIndex]:
     """Add a lane over the nearest lane of the opposite direction beside each stretch."""
-    ghost: dict[LaneIndex, LaneIndex] = {}
+    wrong_side: dict[LaneIndex, LaneIndex] = {}
     for stretch in sorted(stretches):
         left = (*stretch, 0)
         lane = lanes[left]
@@ -407,6 +412,6 @@ def _add_ghosts(
                 made.forbidden = True
                 net.add_lane(*key, made)
                 index = (*key, 0)
-                lanes[index], info[index], ghost[left] = made, LaneInfo(), index
+                lanes[index], info[index], wrong_side[left] = made, LaneInfo(), index
                 break
-    return ghost
+    return wrong_side

@@ -1,17 +1,17 @@
-"""The one vehicle class of the highway engine: a highway-env vehicle with a driver's `Profile`.
+"""The vehicle class of the highway engine: a highway-env vehicle with a driver's `Profile`.
 
-Everybody follows by IDM (or by Krauss's law), bumper to bumper and with no clip to the speed limit,
-and changes lanes by MOBIL; the numbers sit on the instance, so highway-env's classes stay as they
-are. What the rules of the road demand (stop lines, crossings, junctions) is worked out by the road
-(`sim.highway.rules`) and handed to the driver as a distance at which to stop and a speed not to
-exceed.
+Drivers follow by IDM or by Krauss's law, from bumper to bumper and not held to the speed limit, and
+change lanes by MOBIL. `sim.highway.rules` works out what the rules of the road demand (stop lines,
+crossings, junctions) and gives it to each driver as `DriverCommands`. A vehicle also drives on
+highway-env's own `Road`, where no rules apply.
 
-Differs from highway-env: a decided lane change is seen by others from the next step on, so that
-nobody's decision depends on the order in which vehicles act; nobody drives backwards.
+Differs from highway-env: others see a decided lane change from the next step on, so that no
+decision depends on the order in which vehicles act; vehicles do not drive backwards.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -27,22 +27,21 @@ from behaviors.profiles import Profile
 from sim.frames import AgentKind
 from sim.highway import driving
 from sim.highway.lanes import PolylineLane
-from sim.highway.network import LaneIndex
+from sim.highway.network import LaneIndex, is_wrong_side
 from sim.scenario import CarFollowing
 
 FloatArray = NDArray[np.float64]
 
 STOP_LASTS_S: Final = (3.0, 6.0)
-"""How long an unprovoked stop lasts, s (our choice)."""
+"""Least and longest duration of an unprovoked stop, s."""
 
-WISH_LASTS_S: Final = 20.0
-"""A wish to cut in or to overtake on the wrong side that finds no chance is given up after this
-long, s (our choice)."""
+GIVE_UP_S: Final = 20.0
+"""A driver that finds nobody to cut in front of for this long waits for its next time, s."""
 
 CHANGE_LEAST_SPEED_MPS: Final = 1.0
-"""Nobody changes lanes slower than this (highway-env's)."""
+"""Slower vehicles do not change lanes, m/s (highway-env's)."""
 
-DEFAULT_DRIVER: Final = driving.driver_numbers(
+DEFAULT_PARAMETERS: Final = driving.driver_parameters(
     Profile(
         speed_factor=1.0, time_headway_s=1.5, min_gap_m=2.0, max_accel_mps2=3.0,
         comfort_decel_mps2=5.0, politeness=0.0, lane_change_gain=1.0,
@@ -53,12 +52,12 @@ DEFAULT_DRIVER: Final = driving.driver_numbers(
     ),
     AgentKind.CAR,
 )  # fmt: skip
-"""What others take a vehicle without a profile for: highway-env's IDM defaults."""
+"""The driver parameters that others assume of a vehicle without a profile: highway-env's own."""
 
 
-@dataclass
+@dataclass(slots=True)
 class Neighbours:
-    """Who is ahead and behind on a lane; gaps are bumper to bumper, m, infinite for nobody.
+    """The vehicles ahead and behind on a lane; gaps are bumper to bumper, infinite without one.
 
     Attributes:
         front: the vehicle ahead.
@@ -78,15 +77,15 @@ class Neighbours:
 
 
 @dataclass
-class Wishes:
-    """When the driver next wants to do what nothing provokes; times in s, infinite for never.
+class ManeuverSchedule:
+    """When a driver next begins an unprovoked manoeuvre; times in s, infinite for never.
 
     Attributes:
-        rng: the driver's own chance.
-        cut_in_at: when to look for someone to cut in front of.
-        stop_at: when to stop for no reason.
-        stop_until: until when such a stop lasts.
-        wrong_way_at: when to overtake on the wrong side.
+        rng: the driver's own random numbers.
+        cut_in_at: when it begins to look for a vehicle to cut in front of.
+        stop_at: when it next stops for no reason.
+        stop_until: when such a stop ends.
+        wrong_way_at: when it begins to look for a chance to overtake on the wrong side.
     """
 
     rng: np.random.Generator
@@ -96,20 +95,21 @@ class Wishes:
     wrong_way_at: float = math.inf
 
     def next(self, now: float, per_minute: float) -> float:
-        """When the next of randomly timed wishes comes, s."""
+        """Draw the time of the next event of a Poisson process, s."""
         return now + float(self.rng.exponential(60.0 / per_minute)) if per_minute > 0 else math.inf
 
 
 @dataclass
-class Orders:
+class DriverCommands:
     """What the rules of the road demand of a driver in this step.
 
     Attributes:
         stop_gap: front bumper to the nearest line at which to stop, m; infinite if none.
         speed_cap: speed not to exceed, m/s; infinite if none.
         held: whether a light or a sign makes the driver stop at the junction's stop line.
-        yields_to: the crossings whose pedestrians are let go first.
+        yields_to: the crossings whose pedestrians the driver lets go first.
         changes: whether lane changes are allowed here.
+        overtaking_lane: the lane to head for, of a driver that overtakes on the wrong side.
     """
 
     stop_gap: float = math.inf
@@ -117,6 +117,28 @@ class Orders:
     held: bool = False
     yields_to: frozenset[int] = field(default_factory=frozenset)
     changes: bool = True
+    overtaking_lane: LaneIndex | None = None
+
+    def stop_within(self, gap: float) -> None:
+        """Stop at a line, m ahead, unless an earlier stop is demanded already."""
+        self.stop_gap = min(self.stop_gap, gap)
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """Who drives a vehicle.
+
+    Attributes:
+        profile: how.
+        behavior: the true behaviour, for colours and labels only.
+        law: the car-following law.
+        seed: of the driver's own random numbers.
+    """
+
+    profile: Profile
+    behavior: Behavior | None = None
+    law: CarFollowing = "IDM"
+    seed: int | tuple[int, ...] = 0
 
 
 class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
@@ -127,14 +149,11 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         position: (2,) m, in highway-env's axes.
         heading: rad, in highway-env's axes.
         speed: m/s.
-        profile: the driver's numbers.
-        kind: what it is.
+        driver: who drives it.
+        kind: of vehicle.
         length: m.
         width: m.
         agent: id, -1 if it has none.
-        behavior: the driver's true behaviour, for colours and labels only.
-        law: the one by which it follows.
-        seed: of the driver's own chance.
         lane_index: the lane it is on; the nearest one if not given.
         stretches: the stretches of road it will drive over, from the present one on.
     """
@@ -149,22 +168,18 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         heading: float = 0.0,
         speed: float = 0.0,
         *,
-        profile: Profile,
+        driver: Driver,
         kind: AgentKind = AgentKind.CAR,
         length: float = 4.6,
         width: float = 1.8,
         agent: int = -1,
-        behavior: Behavior | None = None,
-        law: CarFollowing = "IDM",
-        seed: int | tuple[int, ...] = 0,
         lane_index: LaneIndex | None = None,
         stretches: tuple[tuple[str, str], ...] = (),
     ) -> None:
         self.LENGTH, self.WIDTH = length, width  # before the base class measures the diagonal
-        self.kind, self.agent, self.behavior, self.seed = kind, agent, behavior, seed
-        self.law = law
+        self.kind, self.agent, self.driver = kind, agent, driver
         self.stretches = stretches
-        self.orders = Orders()
+        self.commands = DriverCommands()
         self.clock = 0.0
         self.go_at = math.inf
         self.wrong_way = False
@@ -176,22 +191,27 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         if lane_index is not None:
             self.lane_index, self.lane = lane_index, road.network.get_lane(lane_index)
         self.wanted_lane_index: LaneIndex = self.target_lane_index
-        self.wishes = Wishes(np.random.default_rng(seed))
-        self.profile = profile
+        self.schedule = ManeuverSchedule(np.random.default_rng(driver.seed))
+        self.profile = driver.profile
+
+    @property
+    def behavior(self) -> Behavior | None:
+        """The driver's true behaviour, for colours and labels only."""
+        return self.driver.behavior
 
     @property
     def profile(self) -> Profile:
-        """The driver's numbers; setting them changes how the vehicle drives from now on."""
-        return self._profile
+        """The driver's profile; setting another one changes how the vehicle drives from now on."""
+        return self.driver.profile
 
     @profile.setter
     def profile(self, profile: Profile) -> None:
-        self._profile = profile
-        self.numbers = driving.driver_numbers(profile, self.kind, self.law)
-        wishes, now = self.wishes, self.clock
-        wishes.cut_in_at = wishes.next(now, profile.cut_in_rate_per_min)
-        wishes.stop_at = wishes.next(now, profile.stop_rate_per_min)
-        wishes.wrong_way_at = wishes.next(now, profile.wrong_way_rate_per_min)
+        self.driver = dataclasses.replace(self.driver, profile=profile)
+        self.parameters = driving.driver_parameters(profile, self.kind, self.driver.law)
+        schedule, now = self.schedule, self.clock
+        schedule.cut_in_at = schedule.next(now, profile.cut_in_rate_per_min)
+        schedule.stop_at = schedule.next(now, profile.stop_rate_per_min)
+        schedule.wrong_way_at = schedule.next(now, profile.wrong_way_rate_per_min)
 
     @classmethod
     def create_from(cls, vehicle: Vehicle) -> ProfileVehicle:
@@ -207,14 +227,11 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
             vehicle.position,
             vehicle.heading,
             vehicle.speed,
-            profile=vehicle.profile,
+            driver=vehicle.driver,
             kind=vehicle.kind,
             length=vehicle.LENGTH,
             width=vehicle.WIDTH,
             agent=vehicle.agent,
-            behavior=vehicle.behavior,
-            law=vehicle.law,
-            seed=vehicle.seed,
             lane_index=vehicle.lane_index,
             stretches=vehicle.stretches,
         )
@@ -223,24 +240,23 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         return made
 
     def randomize_behavior(self) -> None:
-        """Nothing: the driver's numbers were drawn before the vehicle was made."""
-
-    @property
-    def limit(self) -> float:
-        """The speed limit here, m/s."""
-        return float(self.lane.speed_limit)
+        """Do nothing: the driver's profile was drawn before the vehicle was made."""
 
     @property
     def desired_speed(self) -> float:
         """The speed wanted on a free road here, m/s."""
-        factor, top = self.numbers[driving.SPEED_FACTOR], self.numbers[driving.TOP_SPEED]
-        return float(min(factor * self.limit, top, self.orders.speed_cap))
+        return min(self._desired_here(self.parameters), self.commands.speed_cap)
+
+    def _desired_here(self, parameters: FloatArray) -> float:
+        """The speed that a driver wants under the limit of this vehicle's lane, m/s."""
+        wanted = parameters[driving.SPEED_FACTOR] * float(self.lane.speed_limit)
+        return float(min(wanted, parameters[driving.TOP_SPEED]))
 
     def neighbours(self, lane_index: LaneIndex) -> Neighbours:
-        """Who is ahead and behind on a lane, onward over the junction where the road knows."""
-        around = getattr(self.road, "around", None)
-        if around is not None:
-            found: Neighbours = around(self, lane_index)
+        """The vehicles ahead and behind on a lane; across junctions on the engine's own road."""
+        search = getattr(self.road, "neighbours", None)
+        if search is not None:
+            found: Neighbours = search(self, lane_index)
             return found
         front, rear = self.road.neighbour_vehicles(self, lane_index)
         lane = self.road.network.get_lane(lane_index)
@@ -259,10 +275,10 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         return seen
 
     def act(self, action: dict[str, float] | str | None = None) -> None:
-        """Decide on a lane, on steering and on acceleration; ``action`` is not used."""
+        """Choose a lane, steering and acceleration; ``action`` is not used."""
         if self.crashed:
             Vehicle.act(
-                self, {"steering": 0.0, "acceleration": -self.numbers[driving.COMFORT_DECEL]}
+                self, {"steering": 0.0, "acceleration": -self.parameters[driving.COMFORT_DECEL]}
             )
             return
         here = self.neighbours(self.lane_index)
@@ -282,14 +298,18 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         super().step(dt)
         if self.speed < 0.0:
             self.speed = 0.0
+        self.update_standing()
+
+    def update_standing(self) -> None:
+        """Record since when the vehicle has stood."""
         if self.speed > driving.STANDING_MPS:
             self.standing_since = math.inf
         elif self.standing_since == math.inf:
             self.standing_since = self.clock
 
     def on_state_update(self) -> None:
-        """Note which lane it is on now: the nearer of the present and the wanted one."""
-        if not hasattr(self, "numbers"):
+        """Update the lane that the vehicle is on: the nearer of the present and the target one."""
+        if not hasattr(self, "parameters"):
             super().on_state_update()
             return
         network = self.road.network
@@ -318,72 +338,64 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         )
 
     def wants_stop(self) -> bool:
-        """Whether an unprovoked stop is on; begins and ends it."""
-        wishes = self.wishes
-        if self.clock >= wishes.stop_at:
-            wishes.stop_until = self.clock + float(wishes.rng.uniform(*STOP_LASTS_S))
-            wishes.stop_at = wishes.next(wishes.stop_until, self.profile.stop_rate_per_min)
-        return self.clock < wishes.stop_until
+        """Whether the driver stops for no reason now; schedules such stops."""
+        schedule = self.schedule
+        if self.clock >= schedule.stop_at:
+            schedule.stop_until = self.clock + float(schedule.rng.uniform(*STOP_LASTS_S))
+            rate = self.profile.stop_rate_per_min
+            schedule.stop_at = schedule.next(schedule.stop_until, rate)
+        return self.clock < schedule.stop_until
 
     def wants_cut_in(self) -> bool:
-        """Whether the driver is looking for someone to cut in front of; gives up in time."""
-        wishes = self.wishes
-        if self.clock > wishes.cut_in_at + WISH_LASTS_S:
-            self.cut_in_done()
-        return self.clock >= wishes.cut_in_at
+        """Whether the driver looks for a vehicle to cut in front of; gives up after a while."""
+        if self.clock > self.schedule.cut_in_at + GIVE_UP_S:
+            self.schedule_cut_in()
+        return self.clock >= self.schedule.cut_in_at
 
-    def cut_in_done(self) -> None:
-        """Note that the wish to cut in is over, and draw when the next one comes."""
-        self.wishes.cut_in_at = self.wishes.next(self.clock, self.profile.cut_in_rate_per_min)
+    def schedule_cut_in(self) -> None:
+        """Draw when the driver next begins to look for a vehicle to cut in front of."""
+        self.schedule.cut_in_at = self.schedule.next(self.clock, self.profile.cut_in_rate_per_min)
 
     def _accelerate(self, here: Neighbours) -> float:
-        desired = self.desired_speed
-        accel = driving.follow(self.numbers, self.speed, desired, here.front_gap, here.front_speed)
+        parameters, speed, desired = self.parameters, self.speed, self.desired_speed
+        accel = driving.follow(parameters, speed, desired, here.front_gap, here.front_speed)
         if self.wanted_lane_index != self.lane_index:
             there = self.neighbours(self.wanted_lane_index)
-            accel = min(
-                accel,
-                driving.follow(
-                    self.numbers, self.speed, desired, there.front_gap, there.front_speed
-                ),
-            )
-        if self.orders.stop_gap < math.inf:
-            accel = min(accel, driving.approach(self.numbers, self.speed, self.orders.stop_gap))
+            wanted = driving.follow(parameters, speed, desired, there.front_gap, there.front_speed)
+            accel = min(accel, wanted)
+        if self.commands.stop_gap < math.inf:
+            accel = min(accel, driving.approach(parameters, speed, self.commands.stop_gap))
         if self.wants_stop():
-            accel = min(accel, -float(self.numbers[driving.COMFORT_DECEL]))
-        accel, self.go_at = driving.start_up(
-            self.numbers, self.speed, accel, self.clock, self.go_at
-        )
-        if self.law == "Krauss":
-            accel -= driving.dawdling(self.numbers, self.speed, float(self.wishes.rng.random()))
+            accel = min(accel, -float(parameters[driving.COMFORT_DECEL]))
+        accel, self.go_at = driving.start_up(parameters, speed, accel, self.clock, self.go_at)
+        if self.driver.law == "Krauss":
+            chance = float(self.schedule.rng.random())
+            accel -= driving.dawdling(self.parameters, self.speed, chance)
         return float(accel)
 
     def _choose_lane(self, here: Neighbours) -> LaneIndex:
-        if self.wrong_way or self.clock >= self.wishes.wrong_way_at:
-            overtake = getattr(self.road, "wrong_way_lane", None)
-            lane = None if overtake is None else overtake(self, here)
-            if lane is not None:
-                return lane  # type: ignore[no-any-return]
+        if self.commands.overtaking_lane is not None:
+            return self.commands.overtaking_lane
         if self.lane_index != self.target_lane_index:
             return self._go_on_changing()
         if self.timer <= self.LANE_CHANGE_DELAY:
             return self.lane_index
         self.timer = 0.0
-        if self.speed < CHANGE_LEAST_SPEED_MPS or not self.orders.changes:
+        if self.speed < CHANGE_LEAST_SPEED_MPS or not self.commands.changes:
             return self.lane_index
         cutting_in = self.wants_cut_in()
         best, most = self.lane_index, 0.0
         for side in self.side_lanes():
             there = self.neighbours(side)
             if cutting_in and driving.may_cut_in(
-                self.numbers,
+                self.parameters,
                 self.speed,
                 there.front_gap,
                 there.front_speed,
                 there.rear_gap,
                 there.rear_speed,
             ):
-                self.cut_in_done()
+                self.schedule_cut_in()
                 return side
             gain = self._incentive(here, there)
             if gain > most:
@@ -400,8 +412,8 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         return found
 
     def _go_on_changing(self) -> LaneIndex:
-        """Give a change up if someone else just ahead is changing to the same lane."""
-        if self.wrong_way or self.target_lane_index[0].startswith("~"):
+        """The target lane, or the present one if a vehicle just ahead changes to the same lane."""
+        if self.wrong_way or is_wrong_side(self.target_lane_index):
             return self.target_lane_index
         for other in self.road.vehicles:
             if (
@@ -412,42 +424,32 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
             ):
                 ahead = self.lane_distance_to(other)
                 gap = ahead - (self.LENGTH + other.LENGTH) / 2
-                if ahead > 0.0 and gap < self.numbers[driving.CHANGE_GAP] + self.speed * 0.5:
+                if ahead > 0.0 and gap < self.parameters[driving.CHANGE_GAP] + self.speed * 0.5:
                     return self.lane_index
         return self.target_lane_index
 
     def _incentive(self, here: Neighbours, there: Neighbours) -> float:
-        rear = numbers_of(there.rear)
-        old_rear = numbers_of(here.rear)
-        return float(
-            driving.change_incentive(
-                self.numbers,
-                self.speed,
-                self.desired_speed,
-                here.front_gap,
-                here.front_speed,
-                there.front_gap,
-                there.front_speed,
-                rear,
-                there.rear_speed,
-                self._wanted_by(there.rear, rear),
-                there.rear_gap,
-                there.rear_gap + self.LENGTH + there.front_gap,
-                old_rear,
-                here.rear_speed,
-                self._wanted_by(here.rear, old_rear),
-                here.rear_gap,
-                here.rear_gap + self.LENGTH + here.front_gap,
-            )
+        return driving.change_incentive(
+            self.parameters,
+            self.speed,
+            self.desired_speed,
+            driving.Leader(here.front_gap, here.front_speed),
+            driving.Leader(there.front_gap, there.front_speed),
+            self._follower(here),
+            self._follower(there),
         )
 
-    def _wanted_by(self, other: Vehicle | None, numbers: FloatArray) -> float:
-        """The speed another driver wants on this road, m/s."""
-        if other is None:
-            return 0.0
-        return float(min(numbers[driving.SPEED_FACTOR] * self.limit, numbers[driving.TOP_SPEED]))
+    def _follower(self, lane: Neighbours) -> driving.Follower:
+        parameters = parameters_of(lane.rear)
+        return driving.Follower(
+            parameters,
+            lane.rear_speed,
+            0.0 if lane.rear is None else self._desired_here(parameters),
+            float(lane.rear_gap),
+            float(lane.rear_gap + self.LENGTH + lane.front_gap),
+        )
 
 
-def numbers_of(vehicle: Vehicle | None) -> FloatArray:
-    """A vehicle's driver's numbers; highway-env's defaults for those without a profile."""
-    return vehicle.numbers if isinstance(vehicle, ProfileVehicle) else DEFAULT_DRIVER
+def parameters_of(vehicle: Vehicle | None) -> FloatArray:
+    """The driver parameters of a vehicle; highway-env's defaults for one without a profile."""
+    return vehicle.parameters if isinstance(vehicle, ProfileVehicle) else DEFAULT_PARAMETERS

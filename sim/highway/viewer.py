@@ -11,7 +11,7 @@ import contextlib
 import os
 import tempfile
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import pygame
@@ -23,11 +23,9 @@ from behaviors.colors import COLORS, rgb
 from behaviors.labels import Behavior
 from sim.frames import Signal
 from sim.highway.lanes import corners
-from sim.highway.network import HighwayNetwork, LaneIndex
+from sim.highway.network import HighwayNetwork, LaneIndex, is_wrong_side
+from sim.highway.state import RoadState
 from sim.road.shapes import DASH_M, band, hull, zebra_bars
-
-if TYPE_CHECKING:
-    from sim.highway.traffic import TrafficRoad
 
 FloatArray = NDArray[np.float64]
 Color = tuple[int, int, int]
@@ -70,7 +68,7 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
     """highway-env's viewer with a drawing of our roads.
 
     Args:
-        env: the environment, with a `TrafficRoad` as its ``road``.
+        env: the environment, with a `RoadState` as its ``road``.
         network: what to draw.
     """
 
@@ -176,13 +174,13 @@ def _shapes(network: HighwayNetwork) -> _Shapes:
         ]
         shapes.asphalt.append(hull(np.concatenate(bands)))
     for index, lane in network.lanes.items():
-        if index[0].startswith("~") or network.info[index].connector:
+        if is_wrong_side(index) or network.info[index].connector:
             continue
         line = corners([lane])[0]
         shapes.asphalt.append(band(line, lane.width))
         many = len(network.net.graph[index[0]][index[1]])
         if index[2] == 0:
-            facing = MIDDLE if index in network.ghost else PAINT
+            facing = MIDDLE if index in network.wrong_side else PAINT
             shapes.edges.append((_beside(line, -lane.width / 2), facing))
         if index[2] == many - 1:
             shapes.edges.append((_beside(line, lane.width / 2), PAINT))
@@ -231,9 +229,7 @@ def draw_road(surface: WorldSurface, shapes: _Shapes) -> None:
         pygame.draw.polygon(surface, PAINT, _pixels(surface, polygon))
 
 
-def draw_traffic(
-    surface: WorldSurface, road: TrafficRoad, shapes: _Shapes, ego: Any | None
-) -> None:
+def draw_traffic(surface: WorldSurface, road: RoadState, shapes: _Shapes, ego: Any | None) -> None:
     """Draw stop lines in the colour of their signal, pedestrians and vehicles."""
     states = list(SIGNAL_COLORS)
     for line, group in shapes.stops:

@@ -1,8 +1,7 @@
-"""Pedestrians of the highway engine: where they walk, when they step out, how they move.
+"""Pedestrians of the highway engine: their ways on foot, and where they are on them.
 
-They keep to the sidewalks of their route and cross where the road has crossings. At a signal they
-wait for green; at a zebra they step out when everybody who comes near is far enough, stands or is
-seen to let them go; on the way they stop before a lane on which somebody comes who does not.
+They keep to the sidewalks of their route and cross where the road has crossings. When they wait and
+when they walk is decided by `sim.highway.rules.crossings`.
 """
 
 from __future__ import annotations
@@ -12,19 +11,15 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from highway_env.vehicle.objects import Landmark
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.frames import Signal
 from sim.road import Road
 from sim.scenario import WALK_START_M, AgentSpec
-
-if TYPE_CHECKING:
-    from sim.highway.traffic import TrafficRoad
 
 FloatArray = NDArray[np.float64]
 
@@ -32,26 +27,9 @@ LINK_M: Final = 12.0
 """Sidewalk ends and crossing ends this near to each other are joined on foot (our choice: the
 widest corner)."""
 
-KERB_M: Final = 0.4
-"""How near the kerb one decides whether to step out, m (our choice: half a stride)."""
-
 SETBACK_M: Final = 1.6
-"""How far back from the kerb one waits, m (our choice: out of the way of turning vehicles); a
-crossover begins and ends there."""
-
-STRIP_M: Final = 0.1
-"""The strip of a lane that is closed to one of vehicles and pedestrians while the other is on it
-ends this far inside the lane's edges, m: one can stand between two lanes (our choice)."""
-
-WALKED_M: Final = 1.1
-"""Half the width of the middle of a crossing on which pedestrians walk, m (`OFFSET_M`, half a
-pedestrian and a little)."""
-
-SPARE_S: Final = 0.7
-"""Time to spare a pedestrian wants before a vehicle comes, s (our choice)."""
-
-STOOD_S: Final = 0.8
-"""A vehicle that has stood this long before a crossing is taken to be waiting, s (our choice)."""
+"""Pedestrians wait this far back from the kerb, m (our choice: out of the way of turning vehicles);
+a crossover begins and ends there."""
 
 OFFSET_M: Final = 0.6
 """Pedestrians keep up to this far to either side of the path's middle, m (our choice)."""
@@ -63,8 +41,8 @@ class Crossover:
 
     Attributes:
         crossing: index into ``Road.crossings``.
-        begin_s: distance along the way at which one waits before it, m.
-        end_s: at which one has left it, m.
+        begin_s: distance along the way at which the pedestrian waits before it, m.
+        end_s: at which the pedestrian has left it, m.
         forward: whether it is walked along its centre line, not against it.
     """
 
@@ -237,10 +215,10 @@ def _crosses(a: FloatArray, b: FloatArray, roads: list[FloatArray]) -> bool:
 
 
 class Walker(Landmark):  # type: ignore[misc]
-    """One pedestrian: an object that moves by itself and is seen by vehicles.
+    """One pedestrian: an object of highway-env that moves by itself.
 
     Args:
-        agent: who it is.
+        agent: the pedestrian.
         footway: its way.
         rng_seed: of how far aside it walks.
     """
@@ -275,77 +253,12 @@ class Walker(Landmark):  # type: ignore[misc]
         way = self.crossover
         return math.inf if way is None else way.begin_s - self.s
 
-    def step(self, dt: float, road: TrafficRoad) -> None:
+    def step(self, dt: float, *, walks: bool) -> None:
         """Walk on or wait for ``dt`` seconds."""
-        speed = 0.0 if self.hit else self.free_speed
         way = self.crossover
-        if way is not None and speed > 0.0:
-            if self.s < way.begin_s:
-                near = way.begin_s - self.s <= max(KERB_M, self.free_speed * dt)
-                if near and not self._may_start(road, way):
-                    speed = 0.0
-            elif not self._may_go_on(road, way, self.free_speed * dt):
-                speed = 0.0
-        self.speed = speed
-        self.stood_s = 0.0 if speed > 0.0 else self.stood_s + dt
-        self.s = min(self.s + speed * dt, self.footway.length)
+        self.speed = self.free_speed if walks else 0.0
+        self.stood_s = 0.0 if self.speed > 0.0 else self.stood_s + dt
+        self.s = min(self.s + self.speed * dt, self.footway.length)
         if way is not None and self.s >= way.end_s:
             self.crossed += 1
         self.position, self.heading = self.footway.place(self.s, self.aside)
-
-    def _strips(self, road: TrafficRoad, way: Crossover) -> list[tuple[float, float, int]]:
-        """Begin and end along the way, m, of each lane to cross, and the lane's strip."""
-        found = []
-        for number, (u, half) in enumerate(road.strips_of[way.crossing]):
-            middle = way.begin_s + way.along(u)
-            half = strip_half(half)
-            found.append((middle - half, middle + half, number))
-        return sorted(found)
-
-    def _may_start(self, road: TrafficRoad, way: Crossover) -> bool:
-        signal = road.network_info.road.crossings[way.crossing].signal
-        lit = signal >= 0 and road.signals[signal] != Signal.OFF.code
-        if lit and road.signals[signal] != Signal.GREEN.code:
-            return False
-        strips = self._strips(road, way)
-        return all(self._safe(road, way, strip) for strip in (strips[:1] if lit else strips))
-
-    def _may_go_on(self, road: TrafficRoad, way: Crossover, stride: float) -> bool:
-        for begin, end, number in self._strips(road, way):
-            if self.s <= begin < self.s + stride and not self._safe(
-                road, way, (begin, end, number)
-            ):
-                return False
-        return True
-
-    def _safe(self, road: TrafficRoad, way: Crossover, strip: tuple[float, float, int]) -> bool:
-        """Whether nobody comes on a lane while it is being crossed.
-
-        Who waits before the crossing holds those behind it back.
-        """
-        begin, end, number = strip
-        enter = max(begin - self.s, 0.0) / self.free_speed
-        leave = (end - self.s) / self.free_speed
-        coming = road.arrivals.get((way.crossing, number), ())
-        for arrival in sorted(coming, key=lambda each: each.near):
-            speed, half = arrival.vehicle.speed, (arrival.far - arrival.near) / 2
-            near, far = arrival.near + half - WALKED_M, arrival.far - half + WALKED_M
-            clear = (far + arrival.vehicle.LENGTH) / max(speed, 0.5)
-            if clear < 0.0 or (speed > 0.5 and clear < enter - 0.2):
-                continue  # past it before the pedestrian comes
-            if near <= 0.1:
-                return False
-            yields = way.crossing in arrival.yields or arrival.held
-            if (yields and speed * speed <= 2.0 * 5.0 * near) or arrival.stood_s > STOOD_S:
-                return True
-            comes = (
-                (-speed + math.sqrt(speed * speed + 2.0 * near)) if speed < 2.0 else near / speed
-            )
-            if comes <= leave + SPARE_S:
-                return False
-        return True
-
-
-def strip_half(half_width: float) -> float:
-    """Half the width of a lane's strip of a crossing, m, for half the lane's width."""
-    return half_width - STRIP_M

@@ -16,9 +16,11 @@ from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
 from sim.highway.demand import Demand
 from sim.highway.engine import network_of, read_frame, run
-from sim.highway.rules import give_orders
-from sim.highway.traffic import CLEAR_AFTER_S, Arrival, TrafficRoad
-from sim.highway.vehicle import ProfileVehicle
+from sim.highway.rules.commands import give_commands
+from sim.highway.rules.crossings import may_walk
+from sim.highway.state import Arrival
+from sim.highway.traffic import CLEAR_AFTER_S, TrafficRoad
+from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import Walker, find_footway
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
 
@@ -58,8 +60,8 @@ def put(
     geometry = road.network_info.lanes[lane]
     vehicle = ProfileVehicle(
         road, geometry.position(s, 0.0), geometry.heading_at(s), speed,
-        profile=PROFILES[behavior], behavior=behavior, agent=number, seed=number,
-        lane_index=lane, stretches=(lane[:2],), law=law,
+        driver=Driver(PROFILES[behavior], behavior, law, number), agent=number,
+        lane_index=lane, stretches=(lane[:2],),
     )  # fmt: skip
     road.vehicles.append(vehicle)
     return vehicle
@@ -104,7 +106,7 @@ def test_stops_behind_what_stands_in_the_way(behavior):
     road = TrafficRoad(straight_network())
     for lane in range(3):
         block = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, behavior, 10 + lane)
-        block.wishes.stop_at, block.wishes.stop_until = math.inf, math.inf
+        block.schedule.stop_at, block.schedule.stop_until = math.inf, math.inf
     own = put(road, ("east_in<", "east_out>", 1), 20.0, 14.0, behavior, 1)
     for _ in range(400):
         road.act()
@@ -248,9 +250,9 @@ def test_who_is_inside_after_its_green_goes_before_those_who_stand_at_the_line(l
     inside.standing_since = waits.standing_since = -5.0
     road.signals[network.info[across].signal] = SIGNALS.index("green")
     road.signals[network.info[turn].signal] = SIGNALS.index(light)
-    road.look()
-    give_orders(road)
-    assert (inside.orders.stop_gap == math.inf) is (light == "red")
+    road.locate()
+    give_commands(road)
+    assert (inside.commands.stop_gap == math.inf) is (light == "red")
 
 
 def meet_pedestrian(behavior: Behavior, seed: int = 0) -> Tracks:
@@ -293,7 +295,7 @@ def test_pedestrians_do_not_mind_who_comes_behind_one_that_waits(waits):
             for front, stood in [(float(each.position[0]) + 2.3, 0.0 if each.speed else 5.0)]
         ]
     }
-    person.step(0.1, road)
+    person.step(0.1, walks=may_walk(road, person, 0.1))
     assert (person.speed > 0.0) is waits
 
 
@@ -342,7 +344,7 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
 def test_a_collision_is_noted_with_its_cause_and_cleared():
     road = TrafficRoad(straight_network())
     standing = put(road, ("east_in<", "east_out>", 1), 100.0, 0.0, Behavior.CAREFUL, 1)
-    standing.wishes.stop_at, standing.wishes.stop_until = math.inf, math.inf
+    standing.schedule.stop_at, standing.schedule.stop_until = math.inf, math.inf
     moving = put(road, ("east_in<", "east_out>", 1), 90.0, 14.0, Behavior.THREATENING, 2)
     for _ in range(10):
         road.act()

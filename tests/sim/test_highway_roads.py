@@ -17,7 +17,7 @@ from sim.highway.engine import network_of, run
 from sim.highway.fast_road import FastRoad
 from sim.highway.lanes import PolylineLane
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import ProfileVehicle
+from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import find_footway
 from sim.road import Road as SumoRoad
 from sim.scenario import sample_agents
@@ -74,11 +74,11 @@ def test_lanes_keep_their_order_over_the_junction():
         assert path[2] == number  # highway-env's own vehicles rely on it
 
 
-def test_opposite_lanes_have_ghosts_and_one_way_roads_have_none():
-    assert network("straight_road").ghost == {}
+def test_only_two_way_roads_have_lanes_on_the_wrong_side():
+    assert network("straight_road").wrong_side == {}
     made = network("two_way_road")
-    for lane, ghost in made.ghost.items():
-        own, over = made.lanes[lane], made.lanes[ghost]
+    for lane, wrong_side in made.wrong_side.items():
+        own, over = made.lanes[lane], made.lanes[wrong_side]
         np.testing.assert_allclose(over.direction, own.direction, atol=1e-9)
         s, lateral = own.local_coordinates(over.position(10.0, 0.0))
         assert s == pytest.approx(10.0)
@@ -182,7 +182,7 @@ def test_a_new_profile_is_heeded_at_the_next_step(compiled):
     road = TrafficRoad(network("straight_road"), compiled=compiled)
     lane = road.network_info.lanes["east_in<", "east_out>", 1]
     vehicle = ProfileVehicle(
-        road, lane.position(50.0, 0.0), 0.0, 9.0, profile=PROFILES[Behavior.CAREFUL],
+        road, lane.position(50.0, 0.0), 0.0, 9.0, driver=Driver(PROFILES[Behavior.CAREFUL]),
         lane_index=("east_in<", "east_out>", 1), stretches=(("east_in<", "east_out>"),),
     )  # fmt: skip
     road.vehicles.append(vehicle)
@@ -206,8 +206,8 @@ def test_copies_keep_their_driver():
     road = TrafficRoad(network("straight_road"))
     lane = road.network_info.lanes["east_in<", "east_out>", 1]
     vehicle = ProfileVehicle(
-        road, lane.position(50.0, 0.0), 0.0, 9.0, profile=PROFILES[Behavior.RECKLESS],
-        behavior=Behavior.RECKLESS, length=6.0, agent=7,
+        road, lane.position(50.0, 0.0), 0.0, 9.0, length=6.0, agent=7,
+        driver=Driver(PROFILES[Behavior.RECKLESS], Behavior.RECKLESS),
     )  # fmt: skip
     vehicle.randomize_behavior()
     copy = ProfileVehicle.create_from(vehicle)
@@ -224,7 +224,9 @@ def test_vehicles_drive_on_highway_envs_own_road_too():
     for i in range(6):
         place = net.get_lane(("0", "1", i % 3)).position(20.0 + 15 * i, 0.0)
         road.vehicles.append(
-            ProfileVehicle(road, place, 0.0, 12.0, profile=PROFILES[list(Behavior)[i]], seed=i)
+            ProfileVehicle(
+                road, place, 0.0, 12.0, driver=Driver(PROFILES[list(Behavior)[i]], seed=i)
+            )
         )
     for _ in range(100):
         road.act()

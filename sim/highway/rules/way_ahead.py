@@ -1,0 +1,64 @@
+"""Where a driver is on its way: its lane, the next junction path and the places ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from highway_env.vehicle.kinematics import Vehicle
+
+from sim.highway.network import LaneIndex
+from sim.highway.state import RoadState
+from sim.highway.vehicle import ProfileVehicle
+
+RANGE_M: Final = 80.0
+"""Drivers attend to junctions and crossings within this distance (our choice: 6 s at 14 m/s)."""
+
+ENTERED_M: Final = 0.5
+"""A vehicle whose front is this far over the stop line has entered the junction."""
+
+
+@dataclass(slots=True)
+class WayAhead:
+    """One vehicle on its way, in one step.
+
+    Attributes:
+        vehicle: which.
+        lane: the lane it is on.
+        s: distance of its middle along the lane, m.
+        front: distance of its front bumper along the lane, m.
+        path: the junction path it is on or comes to next; None if its lane leads to none.
+        to_line: front bumper to the beginning of the path, or to the end of a lane without one, m;
+            negative beyond it.
+    """
+
+    vehicle: Vehicle
+    lane: LaneIndex
+    s: float
+    front: float
+    path: LaneIndex | None
+    to_line: float
+
+
+def way_ahead(road: RoadState, vehicle: Vehicle) -> WayAhead:
+    """Where a vehicle is on its way; a path that it is on is noted as its last one."""
+    lane = vehicle.lane_index
+    s, _ = road.place(vehicle, lane)
+    front = s + vehicle.LENGTH / 2
+    if road.network_info.info[lane].connector:
+        vehicle.last_path = lane
+        return WayAhead(vehicle, lane, s, front, lane, -front)
+    path = road.onward_lane(vehicle, lane)
+    return WayAhead(vehicle, lane, s, front, path, road.network_info.lanes[lane].length - front)
+
+
+def can_stop(speed: float, distance: float, decel: float) -> bool:
+    """Whether braking with ``decel``, m/s2, ends within a distance, m."""
+    return speed * speed <= 2.0 * decel * max(distance, 0.05)
+
+
+def draw_once(vehicle: ProfileVehicle, key: tuple[str, object], probability: float) -> bool:
+    """Whether a driver does something in this encounter: drawn once, then kept."""
+    if key not in vehicle.draws:
+        vehicle.draws[key] = bool(vehicle.schedule.rng.random() < probability)
+    return vehicle.draws[key]
