@@ -1,24 +1,41 @@
-"""Line charts as SVG that take the page's colours and type, light or dark."""
+"""Line charts as SVG in a page: drawn by matplotlib, in the page's colours, light or dark."""
 
 from __future__ import annotations
 
+import io
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import Behavior
 
-WIDTH, HEIGHT = 480, 300
-LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 46
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis as DrawnAxis
+
+WIDTH_IN, HEIGHT_IN, LEGEND_LINE_IN = 5.0, 3.1, 0.21
+"""Size of a chart without its legend, and the height of a line of the legend, inches."""
 
 _CYCLE: Final = ("#4477AA", "#EE6677", "#228833", "#CCBB44", "#66CCEE", "#AA3377", UNKNOWN_COLOR)
-"""Of lines that are no behaviours, none of which has a behaviour's colour: the scheme "bright" of
+"""Colours of lines that are no behaviours; none is a behaviour's colour: the scheme "bright" of
 Tol (2021, SRON technical note EPS/TN/09-002), for all common colour blindness too."""
-_DASHES: Final = ("", "6 3", "2 3")
+
+_DASHES: Final = ("-", "--", ":")
+
+_INK, _MUTED, _RULE = "#010101", "#020202", "#030303"
+_PAGE_COLORS: Final = {_INK: "currentColor", _MUTED: "var(--muted)", _RULE: "var(--line)"}
+"""What matplotlib draws in the colour on the left takes the page's on the right."""
+
+_STYLE: Final[dict[Any, Any]] = {
+    "svg.fonttype": "none", "font.family": "DejaVu Sans", "font.size": 9, "text.color": _INK,
+    "text.parse_math": False, "axes.labelcolor": _INK, "axes.edgecolor": _MUTED,
+    "xtick.color": _MUTED, "ytick.color": _MUTED, "xtick.labelcolor": _INK,
+    "ytick.labelcolor": _INK, "grid.color": _RULE, "axes.axisbelow": True,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +72,7 @@ class Axis:
     Attributes:
         label: what it shows, with the unit.
         log: whether it counts in powers of ten.
-        low: where it begins; None for the data's own.
+        low: where it begins; None for 0, or for the data's own on a logarithmic axis.
         high: where it ends; None for the data's own.
     """
 
@@ -63,6 +80,10 @@ class Axis:
     log: bool = False
     low: float | None = None
     high: float | None = None
+
+    def fits(self, value: float) -> bool:
+        """Whether a value can be drawn."""
+        return math.isfinite(value) and (not self.log or value > 0)
 
 
 def color_of(name: str, number: int) -> str:
@@ -88,136 +109,74 @@ def line_chart(title: str, x: Axis, y: Axis, lines: Sequence[Line]) -> Markup:
         lines: what to draw; those without a point that can be drawn are left out.
 
     Returns:
-        A figure with an SVG; text in it is escaped.
+        A figure with an SVG, empty if there is nothing to draw; text in it is escaped.
     """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
     drawn = [
-        Line(line.name, points, line.color, line.thin)
+        (line, points)
         for line in lines
-        if (points := tuple(p for p in line.points if _fits(p, x, y)))
+        if (points := [p for p in line.points if x.fits(p.x) and y.fits(p.y)])
     ]
     if not drawn:
         return Markup("")
-    across = _Scale(x, [p.x for n in drawn for p in n.points], LEFT, WIDTH - RIGHT)
-    values = [v for n in drawn for p in n.points for v in (p.y, p.low, p.high) if v is not None]
-    up = _Scale(y, [v for v in values if not y.log or v > 0], HEIGHT - BOTTOM, TOP)
-    parts = [_axes(x, y, across, up)]
-    legend = []
-    for number, line in enumerate(drawn):
-        color = line.color or color_of(line.name, number)
-        dash = _DASHES[number // len(_CYCLE) % len(_DASHES)]
-        parts.append(_drawn_line(line, color, dash, across, up))
-        legend.append(_legend_entry(line, color, dash))
-    return Markup(
-        '<figure class="chart"><figcaption>{title}</figcaption>'
-        '<svg viewBox="0 0 {w} {h}" role="img" aria-label="{title}">{parts}</svg>'
-        '<ul class="legend">{legend}</ul></figure>'
-    ).format(title=title, w=WIDTH, h=HEIGHT, parts=Markup("").join(parts),
-             legend=Markup("").join(legend))  # fmt: skip
-
-
-def _fits(point: Point, x: Axis, y: Axis) -> bool:
-    return (
-        math.isfinite(point.x)
-        and math.isfinite(point.y)
-        and (not x.log or point.x > 0)
-        and (not y.log or point.y > 0)
+    with rc_context({"svg.hashsalt": title, **_STYLE}):
+        legend_in = LEGEND_LINE_IN * -(-len(drawn) // 2)
+        figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN + legend_in), layout="constrained")
+        axes = figure.add_subplot()
+        for number, (line, points) in enumerate(drawn):
+            dash = "--" if line.thin else _DASHES[number // len(_CYCLE) % len(_DASHES)]
+            color = _MUTED if line.thin else line.color or color_of(line.name, number)
+            axes.plot(
+                [p.x for p in points], [p.y for p in points], dash, color=color, label=line.name,
+                linewidth=1.0 if line.thin else 1.8, markersize=4,
+                marker="o" if len(points) <= 24 and not line.thin else "",
+            )  # fmt: skip
+            banded = [p for p in points if p.low is not None and p.high is not None]
+            if len(banded) > 1:
+                low, high = [p.low for p in banded], [p.high for p in banded]
+                across = [p.x for p in banded]
+                axes.fill_between(across, low, high, color=color, alpha=0.16, linewidth=0)  # type: ignore[arg-type]
+        axes.set(xlabel=x.label, ylabel=y.label)
+        if x.log:
+            axes.set_xscale("log")
+            _label_logarithms(axes.xaxis)
+        else:
+            axes.set_xlim(min(0.0, axes.get_xlim()[0]) if x.low is None else x.low, x.high)
+        if y.log:
+            axes.set_yscale("log")
+            _label_logarithms(axes.yaxis)
+        else:
+            lowest = min([0.0, *(v for _, ps in drawn for p in ps for v in (p.y, p.low or 0.0))])
+            axes.set_ylim(lowest if y.low is None else y.low, y.high)
+        axes.grid(visible=True, axis="y", linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        figure.legend(loc="outside lower left", ncols=2, frameon=False, handlelength=2.2)
+        out = io.StringIO()
+        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None})
+    return Markup('<figure class="chart"><figcaption>{}</figcaption>{}</figure>').format(
+        title, _inlined(out.getvalue(), title)
     )
 
 
-class _Scale:
-    """From values to pixels."""
+def _label_logarithms(axis: DrawnAxis) -> None:
+    """Label powers of ten, and twice and five times these where there are few, as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator
 
-    def __init__(self, axis: Axis, values: Sequence[float], begin: float, end: float) -> None:
-        low, high = min(values), max(values)
-        self.log = axis.log
-        if axis.log:
-            low, high = 10 ** math.floor(math.log10(low) + 1e-9), 10 ** math.ceil(math.log10(high))
-            high = max(high, low * 10)
-            self.ticks = [
-                10.0**k for k in range(round(math.log10(low)), round(math.log10(high)) + 1)
-            ]
-        else:
-            low = min(low, 0.0) if axis.low is None else axis.low
-            high = high if axis.high is None else axis.high
-            step = _nice((high - low or 1.0) / 4)
-            high = math.ceil(high / step - 1e-9) * step if axis.high is None else high
-            first = math.ceil(low / step - 1e-9)
-            self.ticks = [
-                round(k * step, 10) for k in range(first, math.floor(high / step + 1e-9) + 1)
-            ]
-        self.low, self.high, self.begin, self.end = low, max(high, low + 1e-12), begin, end
-
-    def at(self, value: float) -> float:
-        """The pixel of a value."""
-        if self.log:
-            value = max(value, self.low)
-            share = math.log(value / self.low) / math.log(self.high / self.low)
-        else:
-            share = (value - self.low) / (self.high - self.low)
-        return round(self.begin + min(max(share, 0.0), 1.0) * (self.end - self.begin), 1)
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 100.0 * low else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
 
 
-def _nice(step: float) -> float:
-    power: float = 10.0 ** math.floor(math.log10(step))
-    return next(n * power for n in (1, 2, 2.5, 5, 10) if n * power >= step - 1e-12)
-
-
-def _tick(value: float) -> str:
-    return f"{value:g}"
-
-
-_GRID: Final = Markup('<path class="grid" d="M{} {}H{}"/><text x="{}" y="{}" class="end">{}</text>')
-_TICK: Final = Markup('<text x="{}" y="{}" class="mid">{}</text>')
-_DOT: Final = Markup('<circle cx="{}" cy="{}" r="3" fill="{}"/>')
-_AXES: Final = Markup(
-    '<path class="axis" d="M{l} {t}V{b}H{r}"/>'
-    '<text x="{mx}" y="{ly}" class="mid">{xl}</text>'
-    '<text transform="translate(13 {my}) rotate(-90)" class="mid">{yl}</text>'
-)
-
-
-def _axes(x: Axis, y: Axis, across: _Scale, up: _Scale) -> Markup:
-    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
-    parts = [
-        _GRID.format(LEFT, up.at(v), right, LEFT - 7, up.at(v) + 4, _tick(v)) for v in up.ticks
-    ]
-    parts += [_TICK.format(across.at(v), bottom + 17, _tick(v)) for v in across.ticks]
-    parts.append(
-        _AXES.format(
-            l=LEFT, t=TOP, b=bottom, r=right, mx=(LEFT + right) / 2, ly=HEIGHT - 8,
-            my=(TOP + bottom) / 2, xl=x.label, yl=y.label,
-        )
-    )  # fmt: skip
-    return Markup("").join(parts)
-
-
-def _drawn_line(line: Line, color: str, dash: str, across: _Scale, up: _Scale) -> Markup:
-    places = [(across.at(p.x), up.at(p.y)) for p in line.points]
-    path = "M" + "L".join(f"{a} {b}" for a, b in places)
-    parts = []
-    spread = [p for p in line.points if p.low is not None and p.high is not None]
-    if len(spread) > 1:
-        top = [f"{across.at(p.x)} {up.at(p.high)}" for p in spread if p.high is not None]
-        bottom = [f"{across.at(p.x)} {up.at(p.low)}" for p in spread[::-1] if p.low is not None]
-        parts.append(
-            Markup('<path class="band" fill="{}" d="M{}Z"/>').format(color, "L".join(top + bottom))
-        )
-    style = "helper" if line.thin else "line"
-    parts.append(
-        Markup('<path class="{}" stroke="{}" stroke-dasharray="{}" d="{}"/>').format(
-            style, color, "4 4" if line.thin else dash or "none", path
-        )
-    )
-    if len(places) <= 24 and not line.thin:
-        parts += [_DOT.format(a, b, color) for a, b in places]
-    return Markup("").join(parts)
-
-
-def _legend_entry(line: Line, color: str, dash: str) -> Markup:
-    return Markup(
-        '<li><svg viewBox="0 0 26 10" aria-hidden="true"><path class="{}" stroke="{}" '
-        'stroke-dasharray="{}" d="M1 5H25"/></svg>{}</li>'
-    ).format(
-        "helper" if line.thin else "line", color, "4 4" if line.thin else dash or "none",
-        escape(line.name),
-    )  # fmt: skip
+def _inlined(svg: str, title: str) -> Markup:
+    """A matplotlib picture as part of a page: as wide as its place, in the page's colours."""
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    svg = re.sub(r'^(<svg[^>]*?) width="[^"]*" height="[^"]*"', r"\1", svg)
+    svg = re.sub(r"^(<svg[^>]*?) height=\"[^\"]*\"", r"\1", svg)
+    svg = re.sub(r"^(<svg[^>]*?) width=\"[^\"]*\"", r"\1", svg)
+    for drawn, color in _PAGE_COLORS.items():
+        svg = svg.replace(drawn, color)
+    label = Markup('<svg role="img" aria-label="{}" ').format(title)
+    return label + Markup(svg.removeprefix("<svg "))

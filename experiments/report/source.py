@@ -11,7 +11,7 @@ from behaviors.errors import InputError
 from experiments.data.windows import OBSERVED_S
 from experiments.report.run_file import Metrics, RunFile, read_run
 from experiments.rows import Cell, Row, of_bench, read_rows
-from experiments.scoring.prediction import prediction_keys
+from experiments.scoring.prediction_errors import prediction_keys
 from graphrqi.methods import load_model
 
 _NOT_ROWS: Final = frozenset({"run.json", "metrics.json", "model.json"})

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
-from experiments.scoring.prediction import beliefs
+from experiments.scoring.prediction_errors import beliefs
 from graphrqi.methods import load_model
 from graphrqi.predict import predict
 from graphrqi.predict.prediction import Prediction

@@ -13,7 +13,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
-from experiments.scoring.prediction import (
+from experiments.scoring.prediction_errors import (
     HISTORY_S,
     HORIZONS_S,
     LEAST_SEEN_S,

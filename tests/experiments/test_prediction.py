@@ -12,16 +12,18 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.commands import main
 from experiments.scoring.prediction import (
-    GROUPS,
-    MEASURES,
-    Errors,
     NothingToScore,
-    evaluate,
-    future,
-    instants,
     metrics_tree,
     predict_dataset,
     short_table,
+)
+from experiments.scoring.prediction_errors import (
+    GROUPS,
+    MEASURES,
+    Errors,
+    evaluate,
+    future,
+    instants,
     summarize,
 )
 from experiments.scoring.prediction_file import PREDICTIONS

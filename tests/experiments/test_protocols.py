@@ -291,7 +291,6 @@ def test_rows_of_every_protocol(recordings, few_rounds):
         *ceiling(recordings),
         *interpretability(recordings),
         *transductive(recordings, ("cheung",)),
-        *across_scenarios(recordings, ("majority",)),
         *speed_rows(recordings, ("majority",), (20,), frames=5),
         *random_rows(recordings, ("majority",)),
         *ablation(recordings),
@@ -315,6 +314,29 @@ def test_rows_of_every_protocol(recordings, few_rounds):
         assert table["leak-probe", "leak-probe", 10.0, variation, "macro_f1"] < 0.35
     sizes = {r["variation"]: r["n"] for r in rows if r["protocol"] == "leak-probe"}
     assert sizes["first window"] < sizes[""]
+
+
+def test_each_scenario_is_scored_with_what_was_learned_on_the_other(tmp_path):
+    names = ("straight_road", "two_way_road")
+    config = GenerateConfig(scenarios=names, episodes=5, duration_s=30.0, seed=4)
+    generate(config, tmp_path / "data", jobs=1, quiet=True)
+    both = Recordings(open_dataset(tmp_path / "data"), jobs=1)
+    rows = across_scenarios(both, ("cheung",))
+    assert all(set(row) == KEYS for row in rows)
+    assert {(r["scenario"], r["variation"]) for r in rows} == {
+        (scenario, f"trained on {other}{moving}")
+        for scenario, other in (names, names[::-1])
+        for moving in ("", ", moving")
+    }
+    learned = {name: both.fitted("cheung", name)[0] for name in names}
+    test = both.scored("cheung")
+    for scenario, other in (names, names[::-1]):
+        here = both.of(scenario, test)
+        answers = learned[other].posterior(here.features.astype(np.float64)).argmax(axis=1)
+        (row,) = [r for r in rows if r["variation"] == f"trained on {other}"
+                  and r["metric"] == "weighted_accuracy"]  # fmt: skip
+        assert row["value"] == pytest.approx((answers == here.codes).mean())
+        assert row["n"] == len(here) > 0
 
 
 def test_same_data_same_rows(recordings):

@@ -25,7 +25,7 @@ from experiments.data.generate import GenerateConfig, generate
 from experiments.data.parallel import in_parallel
 from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import Statistic, bootstrap, ratio
-from experiments.scoring.prediction import (
+from experiments.scoring.prediction_errors import (
     EVERY_S,
     HORIZONS_S,
     MEASURES,

@@ -23,7 +23,7 @@ import numpy as np
 from experiments.benches.prediction.yield_picture import YieldCase, clearest
 from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import RESAMPLES, auc, brier
-from experiments.scoring.prediction import HISTORY_S, future, prediction_keys
+from experiments.scoring.prediction_errors import HISTORY_S, future, prediction_keys
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
 from graphrqi.predict.prediction import STEP_S, Prediction
