@@ -92,7 +92,7 @@ DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s
 
 @app.command("list", epilog="example: graphrqi list")
 def list_names(json: Json = None) -> None:
-    """Show every registered name and the distribution that it comes from."""
+    """Show every registered name, the distribution that it comes from, and what it is."""
     from experiments.cli.doctor import registered_names
     from experiments.console.tables import show_table
 

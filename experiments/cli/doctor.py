@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import platform
 import re
@@ -10,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib import metadata
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from behaviors.errors import InputError, lookup
 from behaviors.registry import Registry, loaded
@@ -81,9 +82,9 @@ def names_of(what: str) -> list[str]:
 
 
 def registered_names() -> list[Row]:
-    """Every registered name: what it names and which distribution it comes from."""
+    """Every registered name: what it names, where it comes from, and one line on what it is."""
     return [
-        {"what": what, "name": name, "from": registry.origin(name)}
+        {"what": what, "name": name, "from": registry.origin(name), "about": _about(registry, name)}
         for what in REGISTRIES
         for registry in (_registry(what),)
         for name in registry
@@ -93,6 +94,21 @@ def registered_names() -> list[Row]:
 def _registry(what: str) -> Registry[object]:
     registry: Registry[object] = loaded(lookup(REGISTRIES, what, "registry"))
     return registry
+
+
+def _about(registry: Registry[Any], name: str) -> str:
+    """One line on an entry that has a summary or is made by a documented function, else ""."""
+    try:
+        entry = registry[name]
+    except InputError as error:  # a plugin that does not load
+        return str(error)
+    if hasattr(entry, "summary"):
+        return str(entry.summary)
+    made_by = getattr(entry, "function", None)
+    documented = inspect.getdoc(getattr(made_by, "func", made_by)) if made_by else None
+    about = (documented or "").partition("\n")[0]
+    fixed = ", ".join(f"{k}={v}" for k, v in getattr(made_by, "keywords", {}).items())
+    return f"{about} Here {fixed}." if fixed else about
 
 
 def _requirements() -> Iterator[tuple[str, str]]:

@@ -10,12 +10,15 @@ from pathlib import Path
 
 import pytest
 
+from experiments.benches.registry import BENCHES
 from experiments.cli.commands import app, main
 from experiments.console.exit_codes import Interrupted
 from sim.scenario import MAX_DURATION_S, MAX_PER_HOUR
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
 
+
+LISTED_WITH_SUMMARY = ("scenario", "method", "bench")
 
 ONE = ("generate", "--scenario", "straight_road", "--episodes", "1")
 
@@ -106,8 +109,12 @@ def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_list_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = graphrqi(capsys, "list", "--json", "-")
-    names = {(row["what"], row["name"]) for row in json.loads(out)}
+    rows = json.loads(out)
+    names = {(row["what"], row["name"]) for row in rows}
     assert code == 0
+    about = {row["name"]: row["about"] for row in rows if row["what"] in LISTED_WITH_SUMMARY}
+    assert about["highway"] == BENCHES["highway"].summary
+    assert all(about.values())
     assert {("scenario", "straight_road"), ("engine", "sumo"), ("solver", "graphrqi")} <= names
     assert {row["from"] for row in json.loads(out)} == {"graphrqi"}
 
