@@ -12,7 +12,8 @@ from typing import Final
 import graphrqi.predict
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.data.generate import GenerateConfig, generate
+from experiments.data.configuration import GenerateConfig
+from experiments.data.generate import generate
 from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
 from experiments.training.predictor import calibrate_drivers, train_predictors

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.data.generate import GenerateConfig
+from experiments.data.configuration import GenerateConfig
 from experiments.rows import Row
 from scenarios.command import RunSummary
 from sim.engines import get_engine

@@ -15,7 +15,9 @@ from typing import Final
 import numpy as np
 
 from experiments.benches.contract import Bench, option
-from experiments.data.generate import GenerateConfig, Task, generate, make_episode
+from experiments.data.configuration import GenerateConfig
+from experiments.data.episode import Task, make_episode
+from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel
 from experiments.rows import Cell, Row, tidy_row
 from scenarios import get_scenario

@@ -121,7 +121,7 @@ def run(
 ) -> None:
     """Run a scenario headless and sum up what happened."""
     from experiments.console.tables import show_table
-    from experiments.data.generate import read_config
+    from experiments.data.configuration import read_config
     from experiments.run import run_scenario
 
     config = read_config(
@@ -166,8 +166,8 @@ def generate(
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset, or what is missing of it."""
+    from experiments.data.configuration import read_cluster, read_config
     from experiments.data.generate import generate as make
-    from experiments.data.generate import read_cluster, read_config
 
     chosen = read_config(
         config, scenarios=scenario or None, episodes=episodes, engine=engine, flow=flow, mix=mix,

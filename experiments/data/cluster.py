@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from experiments.console.progress import Progress
-    from experiments.data.generate import Task
+    from experiments.data.episode import Task
     from sim.store.schema import EpisodeEntry
 
 CONNECT_S: Final = 20.0
@@ -113,7 +113,7 @@ def make_on_cluster(
         folder: the dataset.
         tasks: the episodes.
         address: of the scheduler, ``tcp://host:port``.
-        shown: told of each episode made.
+        shown: advances with each episode made.
 
     Returns:
         Entries of those made, and what failed.

@@ -13,6 +13,9 @@ from sim.frames import KINDS
 from sim.store.dataset import Dataset
 from sim.store.schema import Split
 
+DATA_CARD: Final = "README.md"
+"""Name of the card in a dataset's folder."""
+
 LIMITS: Final = (
     "Labels are what each driver was drawn to be. What a driver had the chance to show in the"
     " time it was seen may be less.",

@@ -11,7 +11,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.data.data_card import data_card
+from experiments.data.data_card import DATA_CARD, data_card
 from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
 from sim.formats.common.windows import NoWindowError
 from sim.road.files import read_road_file
@@ -80,7 +80,7 @@ def import_recordings(
             entries.append(entry)
             shown.advance(entry.agents, entry.agent_steps)
         manifest = write_manifest(out, configuration, entries)
-        write_whole(out / "README.md", data_card(open_dataset(out)).encode())
+        write_whole(out / DATA_CARD, data_card(open_dataset(out)).encode())
     return manifest
 
 

@@ -14,7 +14,9 @@ from typing import Any, Final, Literal
 from pydantic import ValidationError
 
 from behaviors.errors import InputError
-from experiments.data.generate import GenerateConfig, generate
+from experiments.data.configuration import GenerateConfig
+from experiments.data.data_card import DATA_CARD
+from experiments.data.generate import generate
 from sim.store.atomic import write_whole
 from sim.store.catalogue import ENTRY, MANIFEST, altered_files, road_path
 from sim.store.dataset import Dataset, open_dataset
@@ -23,8 +25,6 @@ from sim.store.schema import EPISODE_FILES, EpisodeEntry
 from sim.store.writing import made_with
 
 State = Literal["missing", "altered", "foreign"]
-
-DATA_CARD: Final = "README.md"
 
 _OURS: Final = frozenset({MANIFEST, LOCK, DATA_CARD})
 """Files of a dataset that no episode owns."""

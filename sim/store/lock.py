@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,12 +14,12 @@ from typing import Final
 from behaviors.errors import InputError
 
 LOCK: Final = ".lock"
-"""Name of the lock file; it is there only while somebody writes."""
+"""Name of the lock file. It exists only while a run writes, and names that run."""
 
 
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Hold a folder for writing; the operating system lets go of it when the process ends.
+    """Hold a folder for writing; the operating system releases it when the process ends.
 
     Args:
         folder: what to hold; created if need be.
@@ -39,11 +40,15 @@ def sole_writer(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            holder = os.pread(descriptor, 200, 0).decode(errors="replace").strip()
             os.close(descriptor)
             raise InputError(
-                f"{folder}: another run is writing to it; wait for its end or choose another folder"
+                f"{folder}: another run is writing to it{f' ({holder})' if holder else ''}; "
+                "wait for its end or choose another folder"
             ) from None
         if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
             break
         os.close(descriptor)  # the holder before us removed the file that we opened
     try:
@@ -55,7 +60,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Hold a new or empty folder for writing; it is as it was if the block ends with an error.
+    """Hold a new or empty folder for writing; an error in the block leaves it as it was.
 
     Args:
         folder: what to hold; created if need be.
@@ -68,7 +73,7 @@ def new_folder(folder: Path) -> Iterator[None]:
             folder.
         OSError: if the folder cannot be written.
     """
-    known = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
     try:
         with sole_writer(folder):
             if any(child.name != LOCK for child in folder.iterdir()):
@@ -82,7 +87,7 @@ def new_folder(folder: Path) -> Iterator[None]:
                 raise
     except BaseException:
         for path in (folder, *folder.parents):
-            if path == known:
+            if path == existing:
                 break
             with suppress(OSError):
                 path.rmdir()

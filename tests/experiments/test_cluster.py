@@ -15,7 +15,8 @@ from distributed import Client, LocalCluster
 
 import experiments.data.cluster
 from behaviors import InputError
-from experiments.data.generate import GenerateConfig, generate, read_cluster
+from experiments.data.configuration import GenerateConfig, read_cluster
+from experiments.data.generate import generate
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=4, seed=5, duration_s=30.0)
 

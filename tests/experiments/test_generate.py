@@ -15,8 +15,11 @@ import cloudpickle
 import pytest
 
 import experiments.data.generate
+import experiments.data.processes
 from behaviors import InputError
-from experiments.data.generate import GenerateConfig, Task, generate, make_episode, read_config
+from experiments.data.configuration import GenerateConfig, read_config
+from experiments.data.episode import Task, make_episode
+from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
 from scenarios import SCENARIOS
 from sim.scenario import Scenario
@@ -122,7 +125,7 @@ def test_a_second_run_is_refused_while_the_first_lives(tmp_path: Path) -> None:
         assert holder.stdout is not None
         try:
             assert holder.stdout.readline() == "held\n"
-            with pytest.raises(InputError, match="another run is writing"):
+            with pytest.raises(InputError, match=r"another run is writing to it \(process \d+ on "):
                 generate(CONFIG, tmp_path, quiet=True)
         finally:
             holder.kill()
@@ -250,12 +253,12 @@ def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
 def test_no_more_workers_than_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
-    class Pool(experiments.data.generate._Pool):
+    class Pool(experiments.data.processes.RestartingPool):
         def __init__(self, jobs: int) -> None:
             asked.append(jobs)
             super().__init__(jobs)
 
-    monkeypatch.setattr(experiments.data.generate, "_Pool", Pool)
+    monkeypatch.setattr(experiments.data.processes, "RestartingPool", Pool)
     config = CONFIG.model_copy(update={"scenarios": ("straight_road",), "duration_s": 2.0})
     generate(config, tmp_path / "data", jobs=24, quiet=True)
     assert asked == [1]

@@ -17,7 +17,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from experiments.data.generate import GenerateConfig, generate
+from experiments.data.configuration import GenerateConfig
+from experiments.data.generate import generate
 
 pytestmark = pytest.mark.skipif(
     "GRAPHRQI_SLOW" not in os.environ, reason="takes minutes; set GRAPHRQI_SLOW=1 to run it"

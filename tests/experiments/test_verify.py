@@ -13,7 +13,9 @@ import pytest
 import experiments.data.generate
 import experiments.data.verify
 from behaviors import InputError
-from experiments.data.generate import GenerateConfig, Task, generate
+from experiments.data.configuration import GenerateConfig
+from experiments.data.episode import Task
+from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry

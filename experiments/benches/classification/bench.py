@@ -28,7 +28,8 @@ from experiments.benches.classification.recordings import MAIN_S, OURS, SCORED_S
 from experiments.benches.classification.robustness import robustness
 from experiments.benches.classification.speed import speed_rows
 from experiments.benches.contract import Bench, option
-from experiments.data.generate import GenerateConfig, generate
+from experiments.data.configuration import GenerateConfig
+from experiments.data.generate import generate
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS

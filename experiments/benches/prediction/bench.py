@@ -21,7 +21,8 @@ from experiments.benches.prediction.yielding import (
     encounter_chances,
     score_chances,
 )
-from experiments.data.generate import GenerateConfig, generate
+from experiments.data.configuration import GenerateConfig
+from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel
 from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import Statistic, bootstrap, ratio

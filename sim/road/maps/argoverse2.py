@@ -24,8 +24,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import MAX_MAGNITUDE
 from sim.road import Connection, Crossing, Lane, Road
+
+MAX_COORDINATE_M: Final = 1e9
+"""Largest absolute coordinate (our choice; beyond any UTM coordinate)."""
 
 MAX_MAP_BYTES: Final = 2**23
 """Largest map that is read (our choice: 8 MiB; those of scenarios have some 0.2)."""
@@ -50,7 +52,7 @@ choice: about as SUMO's netconvert has it)."""
 
 # --- reading ------------------------------------------------------------------------------------
 
-_Number = Annotated[float, Field(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE, allow_inf_nan=False)]
+_Number = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M, allow_inf_nan=False)]
 _Identity = Annotated[int, Field(ge=0, lt=2**63)]
 
 
