@@ -1,7 +1,8 @@
-"""Train again what ships in the package: ``python -m experiments.model`` (or ``make model``).
+"""Trains the models that ship in the package: ``python -m experiments.model`` (or ``make model``).
 
-The classifier and the predictors are trained on different episodes, since a classifier knows its
-own training drivers too well. The data stay in ``runs/model``; running again goes on with them.
+The classifier and the predictors are trained on different episodes, since a classifier is too
+certain about the drivers that it was trained on. The data are kept in ``runs/model`` and used again
+by the next run.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ from graphrqi.predict.rollout.driver_table import CARD
 
 CLASSIFIER_SEEDS: Final = {"sumo": 2020, "sumo-idm": 2022}
 PREDICTOR_SEED: Final = 2021
-"""Seeds of the datasets, the classifier's by engine (our choice: unlike anything that examples
-use)."""
+"""Seeds of the datasets, the classifier's by engine; examples and benches use other seeds."""
 
 CLASSIFIER_EPISODES: Final = {
     "sumo": {"straight_road": 25, "four_way_intersection": 300},
     "sumo-idm": {"straight_road": 15, "four_way_intersection": 75},
 }
 PREDICTOR_EPISODES: Final = 20
-"""By engine and scenario, 300 s each, 60 % of them for training (our choice: a straight road shows
-three times as many drivers for as long, and twice as many four-way intersections still gained the
-classifier .01 of macro-F1; drivers who follow by another law bring a third engine's styles from .84
-to .89 at the intersection and cost those who follow by Krauss's .004 to .009 of macro-F1)."""
+"""Episodes by engine and scenario, of 300 s each, 60 % of them for training. A straight road shows
+three times as many drivers in the same time; doubling the episodes of the four-way intersection
+still improved macro-F1 by .01. Drivers with another car-following law raise the accuracy of styles
+on a third engine from .84 to .89 at the intersection, and lower macro-F1 on drivers with Krauss's
+law by .004 to .009."""
 
 CLASSIFIER_PER_MOMENT: Final = 2
-"""Window lengths drawn for each driver and moment (our choice: twice the windows of an episode)."""
+"""Window lengths drawn for each driver and moment, twice as many as by default."""
 
 
 def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
@@ -66,7 +67,7 @@ def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -
 
 
 def build_models(work: Path, quiet: bool = False) -> None:
-    """Generate the data and train the drivers' numbers, the classifier and the predictors.
+    """Generate the data, train classifier and predictors, and calibrate the driver parameters.
 
     Args:
         work: folder for the data.

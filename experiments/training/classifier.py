@@ -18,15 +18,15 @@ from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import Split
 
 TRAINING_EVERY_S: Final = 3.0
-"""Time between the ends of training windows of one driver (our choice)."""
+"""Time between the ends of training windows of one driver."""
 
 TRAINING_PER_MOMENT: Final = 1
-"""Window lengths drawn for each driver and moment in training (our choice)."""
+"""Window lengths drawn for each driver and moment in training."""
 
 TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
-"""Speed limits of training data, episode by episode: a third of the training episodes have another
-one, so that speeds are understood beside the pace of the place; the episodes to validate and to
-score on have the usual one."""
+"""Speed limits of the training data, episode by episode. A third of the training episodes have
+another limit than usual, so that speeds are compared with the free-flow speed of the place; the
+episodes for validation and scoring have the usual limit."""
 
 
 def train_model(
@@ -39,23 +39,23 @@ def train_model(
     jobs: int | None = None,
     quiet: bool = True,
 ) -> tuple[Model, dict[str, Scored]]:
-    """Train on the training episodes of all scenarios; validation episodes stop and calibrate.
+    """Train on training episodes; validation episodes serve early stopping and calibration.
 
     Args:
         datasets: with train, validation and (for the card) test episodes.
         method: a key of ``METHODS``.
         solver: a key of ``SOLVERS``.
         per_moment: window lengths drawn for each driver and moment.
-        seed: same seed and data, same model.
+        seed: the same seed and data give the same model.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
     Returns:
-        The model, whose card tells the data, the split and the scores; and its scores on the
-        test episodes of each scenario.
+        The model, with the data, the split and the scores in its card; and its scores on the test
+        episodes of each scenario.
     """
     chosen = METHODS[method]
-    wanted: dict[str, Any] = {
+    options: dict[str, Any] = {
         "solver": solver,
         "windows_s": WINDOWS_S,
         "every_s": TRAINING_EVERY_S,
@@ -64,22 +64,21 @@ def train_model(
         "jobs": jobs,
         "quiet": quiet,
     }
-    training = gather(datasets, "train", chosen.name, **wanted)
-    has_validation = any(dataset.episodes("validation") for dataset in datasets)
+    training = gather(datasets, "train", chosen.name, **options)
     validation, scored = None, dict[str, Scored]()
-    if has_validation:
-        with _left_out():
-            validation = gather(datasets, "validation", chosen.name, **wanted)
+    if any(dataset.episodes("validation") for dataset in datasets):
+        with _skipping_empty():
+            validation = gather(datasets, "validation", chosen.name, **options)
     model = train(chosen.name, training, validation, solver, seed)
     if any(dataset.episodes("test") for dataset in datasets):
-        with _left_out():
+        with _skipping_empty():
             scored = score_model(datasets, model, majority_of(training), jobs=jobs, quiet=quiet)
     return dataclasses.replace(model, card=_card(datasets, model, training, scored)), scored
 
 
 @contextmanager
-def _left_out() -> Iterator[None]:
-    """Do without a part of the data from which nothing can be told, and say so."""
+def _skipping_empty() -> Iterator[None]:
+    """Skip a part of the data that has no samples, and say so."""
     try:
         yield
     except NoSamplesError as reason:
@@ -118,19 +117,19 @@ def train_on(
     jobs: int | None = None,
     per_moment: int = TRAINING_PER_MOMENT,
 ) -> Model:
-    """What ``graphrqi train`` does.
+    """Train on dataset folders and save the model (``graphrqi train``).
 
     Args:
         datasets: folders of datasets.
         method: a key of ``METHODS``.
-        out: where to save the model.
-        seed: same seed and data, same model.
+        out: folder of the model.
+        seed: the same seed and data give the same model.
         quiet: whether to show no progress.
         jobs: processes; None for one per core.
         per_moment: window lengths drawn for each driver and moment.
 
     Returns:
-        The trained model, saved.
+        The trained model.
     """
     opened = [open_dataset(dataset) for dataset in datasets]
     check_model_folder(out)
