@@ -188,9 +188,10 @@ def _cut(
     last = snapshots[-1]
     now = last.seen
     if not np.isfinite(window_s):
-        rows = np.flatnonzero(now.seconds >= snapshot_s - 1e-6)
-        features = observer.features(now.seconds[rows], now.sums[rows], now.instant[rows])
-        return _Window(rows, features, now.seconds[rows], np.ones(rows.size, dtype=bool))
+        long_enough = now.seconds >= snapshot_s - 1e-6
+        rows, life = np.flatnonzero(long_enough), now.where(long_enough)
+        features = observer.features(life.seconds, life.sums, life.instant)
+        return _Window(rows, features, life.seconds, np.ones(rows.size, dtype=bool))
     start_s = last.time_s - window_s
     first = next((s for s in snapshots if abs(s.time_s - start_s) < 0.25 * snapshot_s), None)
     if first is None:

@@ -87,10 +87,10 @@ class BehaviorStream:
         if self._answered is None:
             seen = self._observer.observation()
             ready = seen.seconds >= self.min_seconds - 1e-6
-            features = self._observer.features(
-                seen.seconds[ready], seen.sums[ready], seen.instant[ready]
-            )
-            self._answered = seen.ids[ready], self.model.posterior(features)
+            if not ready.all():
+                seen = seen.where(ready)
+            features = self._observer.features(seen.seconds, seen.sums, seen.instant)
+            self._answered = seen.ids, self.model.posterior(features)
         return self._answered
 
     def posterior(self) -> Posterior:

@@ -239,6 +239,10 @@ _LAW: Final = 2 * following_law.COLUMNS
 """Columns of evidence on the car-following law: in steady following, and in all of it."""
 
 
+_DISTRIBUTIONS: Final = describe_names(BLOCKS)
+"""Features of the blocks; those of the law, of the spectrum and the time follow."""
+
+
 class DrivingObserver:
     """How each driver moves, differs from its neighbours, and treats those around it.
 
@@ -247,7 +251,7 @@ class DrivingObserver:
     """
 
     feature_names = (
-        *describe_names(BLOCKS),
+        *_DISTRIBUTIONS,
         *(f"{when}: {name}" for when in ("steady", "held up") for name in following_law.LAW_NAMES),
         *(f"spectrum_{name}" for name in INVARIANT_NAMES),
         "log_seconds",
@@ -269,16 +273,18 @@ class DrivingObserver:
         moment = _Moment(
             motion, around, self._near, drives, partial(self._free_flow.update, time_s)
         )
-        weights = np.zeros((ids.size, _MEASURED + _LAW + SPECTRAL))
         measured = [quantity.values(moment) for quantity in QUANTITIES]
         shape = len(BLOCKS), ids.size
         values = np.concatenate([value for value, _ in measured]).reshape(shape)
         counts = np.concatenate([condition for _, condition in measured]).reshape(shape)
-        spread(values, counts, BLOCKS, weights)
-        weights[:, _MEASURED : _MEASURED + _LAW] = _law_evidence(moment)
-        weights[:, _MEASURED + _LAW :] = self._spectrum.moment(time_s, ids)
-        everyone = bool(drives.all())  # saves a copy
-        self._sums.add(time_s, ids[drives], weights if everyone else weights[drives])
+        further = np.concatenate(
+            [_law_evidence(moment), self._spectrum.moment(time_s, ids)], axis=1
+        )
+        if not drives.all():
+            values, counts, further = values[:, drives], counts[:, drives], further[drives]
+        sums, rows, step_s = self._sums.advance(time_s, ids[drives])
+        spread(values, counts, BLOCKS, step_s, rows, sums)
+        sums[rows, _MEASURED:] += further * step_s
 
     def observation(self) -> Observation:
         """Evidence on the drivers present."""
@@ -287,15 +293,13 @@ class DrivingObserver:
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, F) distributions of the quantities, the law, the mean spectrum, and the time."""
         law = sums[:, _MEASURED : _MEASURED + _LAW].reshape(-1, following_law.COLUMNS)
-        return np.concatenate(
-            [
-                describe(sums, BLOCKS),
-                following_law.infer(law).reshape(len(sums), 2 * len(following_law.LAW_NAMES)),
-                spectral_means(sums[:, _MEASURED + _LAW :]),
-                np.log1p(seconds)[:, None],
-            ],
-            axis=1,
-        )
+        out = np.empty((len(sums), len(DrivingObserver.feature_names)))
+        describe(sums, BLOCKS, out)
+        first, names = len(_DISTRIBUTIONS), 2 * len(following_law.LAW_NAMES)
+        out[:, first : first + names] = following_law.infer(law).reshape(-1, names)
+        out[:, first + names : -1] = spectral_means(sums[:, _MEASURED + _LAW :])
+        out[:, -1] = np.log1p(seconds)
+        return out
 
 
 def _law_evidence(m: _Moment) -> FloatArray:

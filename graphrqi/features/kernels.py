@@ -153,51 +153,42 @@ def signal_differences(
 
 @compiled
 def spread_on_nodes(
-    values: FloatArray, counts: BoolArray, nodes: FloatArray, starts: IntArray, out: FloatArray
+    values: FloatArray,
+    counts: BoolArray,
+    nodes: FloatArray,
+    starts: IntArray,
+    step_s: float,
+    rows: IntArray,
+    sums: FloatArray,
 ) -> None:
-    """Spread each counted value over the two nodes of its block that it lies between.
+    """Share a duration between the two nodes of its block that each counted value lies between.
 
     Args:
         values: (B, n).
         counts: (B, n).
         nodes: (S,) ascending within each block.
         starts: (B + 1,) where each block's nodes begin.
-        out: (n, S) receives the weights.
+        step_s: the duration, s.
+        rows: (n,) each agent's row in ``sums``.
+        sums: (m, at least S) the durations are added to the nodes' columns.
     """
-    for b in range(values.shape[0]):
-        first, last = starts[b], starts[b + 1] - 1
-        for i in range(values.shape[1]):
+    for i in range(rows.size):
+        row = rows[i]
+        for b in range(values.shape[0]):
             if not counts[b, i]:
                 continue
-            value = values[b, i]
+            value, first, last = values[b, i], starts[b], starts[b + 1] - 1
             if value <= nodes[first]:
-                out[i, first] = 1.0
+                sums[row, first] += step_s
             elif value >= nodes[last]:
-                out[i, last] = 1.0
+                sums[row, last] += step_s
             else:
                 upper = first + 1
                 while nodes[upper] < value:
                     upper += 1
                 share = (value - nodes[upper - 1]) / (nodes[upper] - nodes[upper - 1])
-                out[i, upper - 1] = 1.0 - share
-                out[i, upper] = share
-
-
-@compiled
-def accumulate(sums: FloatArray, rows: IntArray, moment: FloatArray, step_s: float) -> None:
-    """Add weights that held for a time to running sums; most weights are zero.
-
-    Args:
-        sums: (m, S) of all agents.
-        rows: (n,) each agent's row in ``sums``.
-        moment: (n, S).
-        step_s: s.
-    """
-    for i in range(rows.size):
-        row = rows[i]
-        for k in range(moment.shape[1]):
-            if moment[i, k] != 0.0:
-                sums[row, k] += moment[i, k] * step_s
+                sums[row, upper - 1] += (1.0 - share) * step_s
+                sums[row, upper] += share * step_s
 
 
 @compiled
@@ -219,7 +210,7 @@ def summarise(
         levels: (Q,) of the quantiles, ascending.
         least: total below which a block counts as unobserved, s.
         unknown: distance of an unobserved block's quantiles and mean below its lowest node.
-        out: (n, B (Q + 2)) receives block by block the quantiles, the mean, the evidence.
+        out: (n, at least B (Q + 2)) receives block by block the quantiles, the mean, the evidence.
     """
     quantiles = levels.size
     for i in range(sums.shape[0]):

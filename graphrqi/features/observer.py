@@ -6,7 +6,7 @@ and recordings go through the same observer, so training and streaming cannot di
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -34,6 +34,10 @@ class Observation:
     seconds: FloatArray
     sums: FloatArray
     instant: FloatArray
+
+    def where(self, chosen: BoolArray) -> Observation:
+        """The drivers for which ``chosen`` (n,) holds."""
+        return Observation(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
 class Observer(Protocol):
@@ -77,15 +81,23 @@ class RunningSums:
 
     def add(self, time_s: float, ids: IntArray, moment: FloatArray) -> None:
         """Add a moment's values (n, S) of each driver, times the seconds since the last moment."""
-        from graphrqi.features.kernels import accumulate
+        sums, rows, step_s = self.advance(time_s, ids)
+        sums[rows] += moment * step_s
 
+    def advance(self, time_s: float, ids: IntArray) -> tuple[FloatArray, IntArray, float]:
+        """Go to the next moment, at which these drivers are present.
+
+        Returns:
+            (m, S) the sums, to be added to; (n,) the drivers' rows in them; and the time since the
+            last moment, s.
+        """
         step_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
         merged, rows = merge(self._ids[self._seen_s >= time_s - FORGET_S], ids)
         fresh = self._keep(merged, time_s)
-        accumulate(self._sums, rows, moment, step_s)
         self._seconds[rows] += np.where(fresh[rows], 0.0, step_s)
         self._seen_s[rows] = time_s
+        return self._sums, rows, step_s
 
     def _keep(self, merged: IntArray, time_s: float) -> BoolArray:
         """Resize the sums to exactly these agents and return which of them are new."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 LEVELS: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of each distribution that become features."""
@@ -29,7 +30,7 @@ UNKNOWN: Final = 1.0
 """Distance of an unobserved block's features below its scale, so that trees can split it off."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)  # hashed by identity, in every frame
 class Block:
     """Histogram of one quantity under one condition.
 
@@ -43,41 +44,52 @@ class Block:
 
 
 def spread(
-    values: FloatArray, counts: BoolArray, blocks: tuple[Block, ...], out: FloatArray
+    values: FloatArray,
+    counts: BoolArray,
+    blocks: tuple[Block, ...],
+    step_s: float,
+    rows: IntArray,
+    sums: FloatArray,
 ) -> None:
-    """Write each value's weights on the nodes of its block.
+    """Add a moment's duration to the nodes of every block whose condition holds.
 
     Args:
         values: (B, n) one row per block; NaN where unknown.
         counts: (B, n) whether the block's condition holds.
         blocks: B of them.
-        out: (n, S) receives the weights, the blocks' nodes side by side; must be zero before.
+        step_s: the duration, s.
+        rows: (n,) each agent's row in ``sums``.
+        sums: (m, S) durations of all agents, the blocks' nodes side by side; further columns stay.
 
     Examples:
-        >>> out = np.zeros((1, 2))
-        >>> spread(np.array([[0.25]]), np.array([[True]]), (Block("gap", (0.0, 1.0)),), out)
-        >>> out
-        array([[0.75, 0.25]])
+        >>> sums = np.zeros((1, 2))
+        >>> block = Block("gap", (0.0, 1.0))
+        >>> spread(np.array([[0.25]]), np.array([[True]]), (block,), 2.0, np.array([0]), sums)
+        >>> sums
+        array([[1.5, 0.5]])
     """
     from graphrqi.features.kernels import spread_on_nodes
 
     nodes, starts = _scale(blocks)
-    spread_on_nodes(values, counts & ~np.isnan(values), nodes, starts, out)
+    spread_on_nodes(values, counts & ~np.isnan(values), nodes, starts, step_s, rows, sums)
 
 
 @cache
-def _scale(blocks: tuple[Block, ...]) -> tuple[FloatArray, NDArray[np.int64]]:
+def _scale(blocks: tuple[Block, ...]) -> tuple[FloatArray, IntArray]:
     """The nodes of all blocks, and where each block's begin (and the last one's end)."""
     nodes = np.concatenate([np.asarray(b.nodes) for b in blocks])
     return nodes, np.cumsum([0, *(len(b.nodes) for b in blocks)])
 
 
-def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
+def describe(
+    sums: FloatArray, blocks: tuple[Block, ...], out: FloatArray | None = None
+) -> FloatArray:
     """Turn sums of moments into features.
 
     Args:
         sums: (n, S) durations on the nodes of all blocks, side by side, s.
         blocks: in the order of the columns; further columns are ignored.
+        out: (n, at least 7 B) receives the features if given.
 
     Returns:
         (n, 7 B) block by block the quantiles ``LEVELS`` and the mean of its distribution, and
@@ -94,7 +106,8 @@ def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
     from graphrqi.features.kernels import summarise
 
     nodes, starts = _scale(blocks)
-    out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))
+    if out is None:
+        out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))
     summarise(np.ascontiguousarray(sums), nodes, starts, np.array(LEVELS), LEAST_S, UNKNOWN, out)
     return out
 

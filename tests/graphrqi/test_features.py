@@ -131,7 +131,7 @@ def test_spread_conserves_time_and_describe_recovers_the_mean():
     block = Block("x", (0.0, 1.0, 4.0))
     values = np.array([[0.5, 2.0, 9.0, -3.0, np.nan]])
     out = np.zeros((5, 3))
-    spread(values, np.ones((1, 5), bool), (block,), out)
+    spread(values, np.ones((1, 5), bool), (block,), 1.0, np.arange(5), out)
     assert out.sum(axis=1).tolist() == [1, 1, 1, 1, 0]
     features = dict(zip(describe_names((block,)), describe(out, (block,)).T, strict=True))
     assert features["x:mean"] == pytest.approx([0.5, 2.0, 4.0, 0.0, -1.0])
@@ -141,7 +141,7 @@ def test_quantiles_of_a_distribution_spread_evenly():
     block = Block("x", tuple(np.linspace(0.0, 10.0, 11)))
     values = np.random.default_rng(0).uniform(0.0, 10.0, (1, 4000))
     out = np.zeros((4000, 11))
-    spread(values, np.ones(values.shape, bool), (block,), out)
+    spread(values, np.ones(values.shape, bool), (block,), 1.0, np.arange(4000), out)
     found = describe(out.sum(axis=0)[None], (block,))[0]
     names = describe_names((block,))
     for level in LEVELS:
