@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,6 @@ from experiments.benches.contract import Bench, option
 from experiments.rows import Cell, Row, tidy_row
 
 FloatArray = NDArray[np.float64]
-
-LANES: Final = 4
-SPACING_M: Final = 24.0
-"""Mean distance between cars on a lane, m (our choice: they interact)."""
 
 STEP_S: Final = 1.0 / 15.0
 """highway-env's default step, s."""
@@ -96,7 +92,9 @@ BENCH: Final = Bench(
 
 def _drive(road: str, cars: int, frames: int, seed: int) -> tuple[float, FloatArray]:
     """Frames per CPU second, and (frames, cars, 2) where everybody was, m."""
-    made = _make(road, cars, seed)
+    from sim.highway.comparison import straight_traffic
+
+    made = straight_traffic(road, cars, seed)
     vehicles = list(made.vehicles)
     places = np.empty((frames, cars, 2))
     spent = 0.0
@@ -107,51 +105,3 @@ def _drive(road: str, cars: int, frames: int, seed: int) -> tuple[float, FloatAr
         spent += time.process_time() - begin
         places[frame] = [vehicle.position for vehicle in vehicles]
     return frames / max(spent, 1e-9), places
-
-
-def _make(road: str, cars: int, seed: int) -> Any:
-    """A straight road with cars: highway-env's drivers or ours, the same places and speeds."""
-    from highway_env.road.road import Road, RoadNetwork
-    from highway_env.vehicle.behavior import IDMVehicle
-
-    from behaviors.labels import BEHAVIORS
-    from behaviors.profiles import sample_profile
-    from sim.highway.fast_road import FastRoad
-    from sim.highway.network import HighwayNetwork, LaneInfo
-    from sim.highway.traffic import TrafficRoad
-    from sim.highway.vehicle import Driver, ProfileVehicle
-    from sim.road import Road as SumoRoad
-
-    net = RoadNetwork.straight_road_network(LANES, length=20_000.0, speed_limit=25.0)
-    lanes = net.lanes_dict()
-    if road in ("objects", "compiled"):
-        from pathlib import Path
-
-        info = {index: LaneInfo() for index in lanes}
-        named = SumoRoad("bench", (), (), (), (), Path("bench"))
-        network = HighwayNetwork(named, net, info, lanes, {"0-1": ("0", "1")}, {}, {}, {})
-        made: Any = TrafficRoad(network, compiled=road == "compiled")
-    else:
-        kind = FastRoad if road == "fast" else Road
-        made = kind(net, np_random=np.random.RandomState(seed))
-    rng = np.random.default_rng(seed)
-    for i in range(cars):
-        lane = net.get_lane(("0", "1", i % LANES))
-        s = 50.0 + (i // LANES) * SPACING_M + float(rng.uniform(0.0, SPACING_M / 3))
-        speed, wanted = float(rng.uniform(15.0, 25.0)), float(rng.uniform(18.0, 30.0))
-        profile = sample_profile(BEHAVIORS[int(rng.integers(len(BEHAVIORS)))], rng)
-        if road in ("stock", "fast"):
-            vehicle = IDMVehicle(made, lane.position(s, 0.0), speed=speed)
-            vehicle.target_speed = wanted
-        else:
-            vehicle = ProfileVehicle(
-                made,
-                lane.position(s, 0.0),
-                speed=speed,
-                driver=Driver(profile, seed=(seed, i)),
-                agent=i,
-                lane_index=("0", "1", i % LANES),
-                stretches=(("0", "1"),),
-            )
-        made.vehicles.append(vehicle)
-    return made
