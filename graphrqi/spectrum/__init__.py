@@ -11,7 +11,7 @@ Examples:
 from typing import Final
 
 from behaviors.registry import Registry
-from graphrqi.spectrum.certified.solver import certify
+from graphrqi.spectrum.certified.certificate import certify
 from graphrqi.spectrum.contract import Solver
 from graphrqi.spectrum.full import full_spectrum, topology
 from graphrqi.spectrum.spectrum import Spectrum

@@ -204,7 +204,14 @@ def test_the_previous_answer_may_be_of_other_vehicles() -> None:
 
 def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
     from graphrqi.graph import cell_grid, ordering
-    from graphrqi.spectrum.certified import factorization, tracking
+    from graphrqi.spectrum.certified import (
+        active_rows,
+        factorization,
+        rayleigh_ritz,
+        search,
+        shifts,
+        tracking,
+    )
 
     previous: Spectrum | None = None
     for name in ("eigh", "graphrqi", "arpack", "graphrqi"):
@@ -214,10 +221,11 @@ def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
                 for nonzero in (False, True):
                     previous = SOLVERS[name](graph, 4, "smallest", previous, nonzero=nonzero)
                     previous = SOLVERS[name](again, 4, "smallest", previous, nonzero=nonzero)
-    for module in (cell_grid, ordering, factorization, tracking):
+    kernels = (active_rows, factorization, rayleigh_ritz, search, shifts, tracking)
+    for module in (cell_grid, ordering, *kernels):
         for name, kernel in vars(module).items():
             assert len(getattr(kernel, "signatures", ())) <= 1, name
-    assert len(tracking.track.signatures) == 1  # type: ignore[attr-defined]
+    assert len(tracking._track.signatures) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -364,7 +372,7 @@ def test_the_printed_update_is_wrong_and_says_so() -> None:
 @pytest.mark.parametrize("part", [False, True], ids=["whole", "part"])
 def test_factorisation_counts_and_solves(part: bool) -> None:
     from graphrqi.spectrum.certified import factorization as f
-    from graphrqi.spectrum.certified.tracking import analyse
+    from graphrqi.spectrum.certified.analysis import analyse
 
     rng = np.random.default_rng(6)
     for graph in graph_sequence("crossing", "accumulated", 70, 5, skip=10):
@@ -372,22 +380,23 @@ def test_factorisation_counts_and_solves(part: bool) -> None:
         analysis = analyse(graph, rows if part else None)
         d = analysis.order.size
         matrix = graph.laplacian.toarray()[np.ix_(analysis.order, analysis.order)]
-        lanes = np.zeros((5, 8))
-        lanes[f.SHIFT] = rng.random(8) * 12.0
+        batch = np.zeros((5, 8))
+        batch[f.SHIFT] = rng.random(8) * 12.0
         x = rng.normal(size=(d, 8))
         solution = x.copy()
-        room = np.empty((analysis.rows.size, 8)), np.empty((d, 8)), np.empty((d, 8))
-        f.factor_and_solve(*analysis[1:8], lanes, 1e-15, True, 1, *room, solution)
+        factor = np.empty((analysis.pattern.rows.size, 8))
+        memory = f.FactorMemory(factor, np.empty((d, 8)), np.empty((d, 8)))
+        f.factor_and_solve(analysis.pattern, batch, 1e-15, True, 1, memory, solution)
         values = np.linalg.eigvalsh(matrix)
-        for q, shift in enumerate(lanes[f.SHIFT]):
-            assert lanes[f.ABOVE, q] == (values > shift).sum()
+        for q, shift in enumerate(batch[f.SHIFT]):
+            assert batch[f.ABOVE, q] == (values > shift).sum()
             residual = (matrix - shift * np.eye(d)) @ solution[:, q] - x[:, q]
-            size = np.linalg.norm(solution[:, q]) * lanes[f.GROWTH, q]
+            size = np.linalg.norm(solution[:, q]) * batch[f.GROWTH, q]
             assert np.linalg.norm(residual) < 1e-12 * max(size, 1.0)
-        again, before = x.copy(), lanes.copy()
-        f.factor_and_solve(*analysis[1:8], lanes, 1e-15, False, 1, *room, again)
+        again, before = x.copy(), batch.copy()
+        f.factor_and_solve(analysis.pattern, batch, 1e-15, False, 1, memory, again)
         assert np.allclose(again, solution, rtol=1e-10)
-        assert (lanes == before).all()
+        assert (batch == before).all()
 
 
 @pytest.mark.parametrize("name", SOLVERS)

@@ -12,7 +12,7 @@ References:
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +37,50 @@ Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
 Ids: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
+PatternArrays: TypeAlias = tuple[Ints, Ints, Ints, Ints, Ints, Floats, Floats]
 
 GOLDEN = -0x61C8864680B583EB
 """2^64 over the golden ratio, less 2^64: its multiples look random (Knuth, The Art of Computer
 Programming 3, section 6.4)."""
 UNCHANGED = 1e-9
-"""How much a row's number may differ and the row count as the same (our choice; rounding makes
-1e-14)."""
-SHIFT, ABOVE, GROWTH = 0, 1, 2  # rows of `lanes`
+"""Rows whose products with the same noise differ by less count as equal (rounding makes 1e-14)."""
+SHIFT, ABOVE, GROWTH = 0, 1, 2  # rows of a batch of eight shifts
+
+
+class Pattern(NamedTuple):
+    """A symmetric matrix in the pattern of its factor, rows and columns in elimination order.
+
+    Attributes:
+        starts: (d + 1,) column starts of the factor.
+        rows: (f,) its rows, ascending in each column.
+        row_starts: (d + 1,) its row starts.
+        columns: (f,) its columns, by row.
+        positions: (f,) where those entries are in the columns.
+        entries: (f,) the matrix's entries, 0 where the factor fills in.
+        diagonal: (d,) its diagonal.
+    """
+
+    starts: Ints
+    rows: Ints
+    row_starts: Ints
+    columns: Ints
+    positions: Ints
+    entries: Floats
+    diagonal: Floats
+
+
+class FactorMemory(NamedTuple):
+    """Memory that a factorisation writes on.
+
+    Attributes:
+        factor: (f, 8) the factor times its pivots.
+        pivots: (d, 8) the inverse pivots.
+        column: (d, 8) a dense column.
+    """
+
+    factor: Floats
+    pivots: Floats
+    column: Floats
 
 
 @compiled
@@ -56,7 +92,7 @@ def factor_pattern(
     sign: float,
     order: Ints,
     earlier: Floats,
-) -> tuple[Ints, Ints, Ints, Ints, Ints, Floats, Floats, Ints, int, float, float, Floats, Bools]:
+) -> tuple[PatternArrays, Ints, int, float, float, Floats, Bools]:
     """Pattern of the factor, with the matrix's entries in it.
 
     Args:
@@ -66,16 +102,13 @@ def factor_pattern(
         values: its values.
         sign: 1 or -1, which the entries in the pattern are multiplied with.
         order: (d,) row at each place; rows it does not name, and their columns, are left out.
-        earlier: (n,) numbers that tell each row of an earlier matrix, infinite for a new row.
+        earlier: (n,) the product of an earlier matrix with noise, infinite for a new row.
 
     Returns:
-        (d + 1,) column starts and (f,) rows of the factor (places, ascending in each column);
-        (d + 1,) row starts, (f,) columns by row and (f,) where those entries are in the columns;
-        (f,) entries of the matrix (0 where it fills in) and (d,) its diagonal; (d,) connected
-        component of each place and how many there are; the number of multiplications a
-        factorisation takes; the largest entry of the diagonal, at least 1; and in the rows named,
-        (n,) the matrix times noise that depends on the ids only, which tells a row, and (n,)
-        whether it is not as it was.
+        What makes a `Pattern`; (d,) connected component of each place and how many there are; the
+        number of multiplications a factorisation takes; the largest entry of the diagonal, at
+        least 1; and, in the rows named, (n,) the product of the matrix with noise that depends on
+        the ids only and (n,) whether it differs from the earlier one.
     """
     d, n = order.size, ids.size
     place, noise = np.empty(n, np.int32), np.empty(n, np.float64)
@@ -97,9 +130,9 @@ def factor_pattern(
     largest = 1.0
     for k in range(d):
         r = order[k]
-        told = 0.0
+        total = 0.0
         for p in range(indptr[r], indptr[r + 1]):
-            told += values[p] * noise[indices[p]]
+            total += values[p] * noise[indices[p]]
             i = place[indices[p]]
             t = low_ends[i]
             low[t], low_values[t] = k, sign * values[p]
@@ -107,7 +140,7 @@ def factor_pattern(
             if i == k:
                 diagonal[k] = sign * values[p]
                 largest = max(largest, values[p])
-        product[r], changed[r] = told, abs(told - earlier[r]) > UNCHANGED
+        product[r], changed[r] = total, abs(total - earlier[r]) > UNCHANGED
     # The columns of every row of the factor, along the elimination tree.
     parent, mark = np.empty(d, np.int32), np.empty(d, np.int32)
     starts, row_starts = np.zeros(d + 1, np.int32), np.empty(d + 1, np.int32)
@@ -138,11 +171,11 @@ def factor_pattern(
         work += 0.5 * starts[k + 1] * (starts[k + 1] + 3.0)
         starts[k + 1] += starts[k]
     rows, entries = np.empty(filled, np.int32), np.zeros(filled, np.float64)
-    spots, free = np.empty(filled, np.int32), starts.copy()
+    positions, free = np.empty(filled, np.int32), starts.copy()
     for k in range(d):
         for p in range(row_starts[k], row_starts[k + 1]):
             j = columns[p]
-            spots[p] = free[j]
+            positions[p] = free[j]
             rows[free[j]] = k
             free[j] += 1
         for p in range(low_starts[k], low_ends[k]):
@@ -151,28 +184,18 @@ def factor_pattern(
     for k in range(d - 1, -1, -1):  # components: the trees of the elimination forest
         label[k] = count if parent[k] < 0 else label[parent[k]]
         count += parent[k] < 0
-    return (
-        starts, rows, row_starts, columns, spots, entries, diagonal, label, count, work,
-        largest, product, changed,
-    )  # fmt: skip
+    pattern = (starts, rows, row_starts, columns, positions, entries, diagonal)
+    return pattern, label, count, work, largest, product, changed
 
 
 @compiled
 def factor_and_solve(
-    starts: Ints,
-    rows: Ints,
-    row_starts: Ints,
-    columns: Ints,
-    spots: Ints,
-    entries: Floats,
-    diagonal: Floats,
-    lanes: Floats,
+    pattern: Pattern,
+    batch: Floats,
     tiny: float,
     factorise: bool,
     solves: int,
-    factor: Floats,
-    pivots: Floats,
-    column: Floats,
+    memory: FactorMemory,
     x: Floats,
 ) -> None:
     """Factorise M - s I for eight shifts s and solve one system with each.
@@ -180,26 +203,21 @@ def factor_and_solve(
     Column by column: what the earlier columns subtract from one is gathered in a dense column.
 
     Args:
-        starts: (d + 1,) column starts of the factor.
-        rows: (f,) its rows.
-        row_starts: (d + 1,) its row starts.
-        columns: (f,) its columns, by row.
-        spots: (f,) where those entries are in the columns.
-        entries: (f,) the matrix's entries.
-        diagonal: (d,) its diagonal.
-        lanes: the shifts in row SHIFT; ABOVE is overwritten by the number of eigenvalues above
-            each, GROWTH by the largest pivot: times 2.2e-16, the size of the error.
+        pattern: M.
+        batch: (3 or more, 8) the shifts in row SHIFT; ABOVE is overwritten by the number of
+            eigenvalues above each, GROWTH by the largest pivot: times 2.2e-16, the size of the
+            error.
         tiny: size of the smallest pivot allowed.
-        factorise: whether to; if not, ``factor`` and ``pivots`` are those of an earlier call with
-            the same shifts, and ``lanes`` stays as it is.
+        factorise: whether to; if not, ``memory`` is that of an earlier call with the same shifts,
+            and ``batch`` stays as it is.
         solves: how often each inverse is applied; 0 only counts.
-        factor: (f, 8) room for the factor times its pivots.
-        pivots: (d, 8) room for the inverse pivots.
-        column: (d, 8) room for a dense column.
+        memory: overwritten.
         x: (d, 8) right-hand sides in elimination order; the solutions afterwards.
     """
+    starts, rows, row_starts, columns, positions, entries, diagonal = pattern
+    factor, pivots, column = memory
     d = diagonal.size
-    shift = load(lanes, SHIFT)
+    shift = load(batch, SHIFT)
     number, size = spread(0.0), spread(0.0)
     for i in range(d if factorise else 0):
         for m in range(starts[i], starts[i + 1]):
@@ -207,7 +225,7 @@ def factor_and_solve(
         b = minus(spread(diagonal[i]), shift)
         xi = load(x, i)
         for p in range(row_starts[i], row_starts[i + 1]):
-            j, m = columns[p], spots[p]
+            j, m = columns[p], positions[p]
             w = load(factor, m)
             ratio = times(w, load(pivots, j))
             b = less(b, w, ratio)
@@ -230,8 +248,8 @@ def factor_and_solve(
         if solves > 0:
             store(x, i, times(xi, r))
     if factorise:
-        store(lanes, ABOVE, number)
-        store(lanes, GROWTH, size)
+        store(batch, ABOVE, number)
+        store(batch, GROWTH, size)
     # Two sums side by side: each addition waits for the one before it.
     for again in range(solves):
         if again or not factorise:
@@ -240,11 +258,11 @@ def factor_and_solve(
                 p, end = row_starts[i], row_starts[i + 1]
                 half = spread(0.0)
                 while p + 1 < end:
-                    xi = less(xi, load(factor, spots[p]), load(x, columns[p]))
-                    half = less(half, load(factor, spots[p + 1]), load(x, columns[p + 1]))
+                    xi = less(xi, load(factor, positions[p]), load(x, columns[p]))
+                    half = less(half, load(factor, positions[p + 1]), load(x, columns[p + 1]))
                     p += 2
                 if p < end:
-                    xi = less(xi, load(factor, spots[p]), load(x, columns[p]))
+                    xi = less(xi, load(factor, positions[p]), load(x, columns[p]))
                 store(x, i, times(plus(xi, 1.0, half), load(pivots, i)))
         for j in range(d - 1, -1, -1):
             sum_j = half = spread(0.0)

@@ -39,21 +39,21 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum.certified import active_rows, analysis, tracking
+from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
+from graphrqi.spectrum.certified.search import Goal
 from graphrqi.spectrum.contract import Pairs, answer, check_arguments
 from graphrqi.spectrum.full import pairs_by_component
 from graphrqi.spectrum.rivals import arpack
 from graphrqi.spectrum.spectrum import End, Floats, Spectrum
 from graphrqi.spectrum.subspaces import (
     carry_rows,
-    components,
     dense_pairs,
-    laplacian_scale,
     null_space,
     pick,
 )
@@ -68,37 +68,32 @@ MAX_SWEEPS_COLD = 150
 """Factorisations before falling back (our choice)."""
 DENSE_UP_TO = 3000
 """Vehicles up to which the fallback is dense: 9e6 doubles (our choice)."""
-MAX_WORK = 1e9
-"""Multiplications of a factorisation above which none is tried (our choice: a few seconds)."""
-LIVELY_FROM = 600
+ACTIVE_FROM = 600
 """Vertices from which the part where the vectors are is treated first (measured)."""
 STALE = 1.15
 """Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
-WITHOUT_NULL_SPACE, WITH_NULL_SPACE = 0.1, 0.9
-"""An answer at the smallest end leaves the null space out, or holds a vector of it, if the cosine
-between the two is below or above these (our choice: rounding and residuals move it by 1e-4 where
-eigenvalues are not themselves of the order of the tolerance)."""
 EXTRA = 8
 """Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Carried:
     """What the next step starts from.
 
     Attributes:
         vectors: (d, m) all eigenvectors found, m >= k, without the null space.
         order: (d,) elimination order to use again, or None to find a new one.
         fill: entries of the factor to one of the matrix when that order was found.
-        product: (d,) a number per row of the Laplacian, see `tracking.Analysis`, if known.
-        room: (r, 8) memory that a factor fitted into; its numbers mean nothing.
+        product: (d,) the Laplacian times noise, see `analysis.Analysis`, infinite for a new row;
+            None if not known.
+        workspace: (r, 8) memory that a factor fitted into; its numbers mean nothing.
     """
 
     vectors: Floats
     order: NDArray[np.int32] | None = None
     fill: float = 0.0
     product: Floats | None = None
-    room: Floats | None = None
+    workspace: Floats | None = None
 
 
 def solve(
@@ -141,7 +136,7 @@ def solve(
         values, vectors = dense_pairs(graph, null_space(graph) if nonzero else None)
         chosen = pick(values, num_pairs, end)
         kept = vectors[:, chosen]
-        return answer(graph, Pairs(values[chosen], kept, True, "", Found(kept)), end, tol)
+        return answer(graph, Pairs(values[chosen], kept, True, "", Carried(kept)), end, tol)
     if DENSE_SHARE * num_pairs >= d:
         return _dense(graph, num_pairs, end, tol, nonzero, "")
     warm = previous if previous is not None and previous.end == end else None
@@ -164,40 +159,36 @@ def _track(
     nonzero: bool,
 ) -> Spectrum | None:
     """Analyse a Laplacian, track its pairs, and put the answer together; None if given up."""
-    from graphrqi.spectrum.certified import tracking
-
     d = graph.ids.size
     start = _start(graph, previous)
     smallest = end == "smallest"
-    analysis = tracking.analyse(graph, start.order, -1.0 if smallest else 1.0, start.product)
+    matrix = analysis.analyse(graph, start.order, -1.0 if smallest else 1.0, start.product)
     zeros, k = 0, num_pairs
     if smallest and not nonzero:
-        zeros = min(analysis.components, num_pairs)
+        zeros = min(matrix.components, num_pairs)
         k = num_pairs - zeros
     elif smallest or nonzero:
-        k = min(k, d - analysis.components)
-    if DENSE_SHARE * k >= d - analysis.components:
+        k = min(k, d - matrix.components)
+    if DENSE_SHARE * k >= d - matrix.components:
         return _dense(graph, num_pairs, end, tol, nonzero, "")
-    if analysis.work > MAX_WORK:
+    if matrix.work > MAX_WORK:
         return None
     if k == 0:
-        null, carried = null_space(graph)[:, :zeros], Found(np.empty((d, 0)))
+        null, carried = null_space(graph)[:, :zeros], Carried(np.empty((d, 0)))
         return answer(graph, Pairs(np.zeros(zeros), null, True, "", carried), end, tol)
-    fill = (analysis.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
+    fill = (matrix.pattern.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
     first_fill = fill if start.order is None else start.fill
-    order = analysis.order if fill <= STALE * first_fill else None
-    scale = analysis.scale
+    scale = matrix.scale
     low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
     if smallest:
         low, high = -high, 0.0
-    warm = start.vectors
-    room = tracking.room_for(analysis, start.room)
-    if not smallest and d >= LIVELY_FROM and warm.shape[1] >= k:
-        warm = tracking.track_lively(graph, analysis, warm, k, tol, EXTRA, room)
-    certified, pairs, found, departure = tracking.track(
-        *analysis.pattern, smallest, warm, analysis.changed, k, scale, tol, low, high,
-        MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS, EXTRA, room,
-    )  # fmt: skip
+    sweeps = MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS
+    goal = Goal(int(k), EXTRA, smallest, scale, float(tol), low, high, sweeps)
+    vectors = start.vectors
+    workspace = analysis.workspace_for(matrix, start.workspace)
+    if not smallest and d >= ACTIVE_FROM and vectors.shape[1] >= k:
+        vectors = active_rows.track_active(graph, matrix, goal, vectors, workspace)
+    certified, pairs, found, departure = tracking.track(matrix, goal, vectors, workspace)
     if not certified:
         return None
     values, residuals = pairs[0, :k].copy(), pairs[1, :k].copy()
@@ -214,109 +205,18 @@ def _track(
         values = np.concatenate([np.zeros(zeros), values])
         residuals = np.concatenate([np.zeros(zeros), residuals])
         vectors = np.hstack([null_space(graph)[:, :zeros], vectors])
-    carried = Found(found, order, first_fill, analysis.product, room)
+    order = matrix.order if fill <= STALE * first_fill else None
+    carried = Carried(found, order, first_fill, matrix.product, workspace)
     return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
 
 
-def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
-    """Count eigenvalues, and say whether a solver's answer is complete.
-
-    Args:
-        spectrum: k pairs from any solver, the null space left out or not.
-        tol: residual up to which pairs count as converged, relative to max(1, lambda_max).
-
-    Returns:
-        The same pairs, certified if they are converged, orthonormal, and a count of the
-        eigenvalues just beyond the last one finds no more than they are. Where more eigenvalues
-        equal the last one, a count just before it will do. A rounding error in the count that
-        could matter leaves the answer uncertified, and so do vectors of which it cannot be told
-        whether they are to hold the null space.
-    """
-    from graphrqi.spectrum.certified import factorization, tracking
-
-    graph = spectrum.graph
-    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
-    measured = answer(graph, Pairs(values, vectors, True, spectrum.note), spectrum.end, tol)
-    k, d = values.size, graph.ids.size
-    if not measured.certified or k == 0:
-        return measured
-    scale = laplacian_scale(graph)
-    analysis = tracking.analyse(graph)
-    if analysis.work > MAX_WORK:
-        return replace(measured, certified=False)
-    away = -1.0 if spectrum.end == "largest" else 1.0
-    floor = 1e-13 * scale
-    last = values.min() if spectrum.end == "largest" else values.max()
-    delta = min(tol * scale, max(floor, 1e-2 * abs(last)))
-    steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
-    lanes = np.empty((5, 8))
-    lanes[factorization.SHIFT] = last + away * steps
-    factorization.factor_and_solve(
-        *analysis[1:8], lanes, 1e-15 * scale, True, 0, np.empty((analysis.rows.size, 8)),
-        np.empty((d, 8)), np.empty((d, 8)), np.zeros((d, 8)),
-    )  # fmt: skip
-    zeros = 0
-    if spectrum.end == "smallest":
-        cosine = _null_space_cosine(graph, vectors)
-        if WITHOUT_NULL_SPACE < cosine < WITH_NULL_SPACE:
-            return replace(measured, certified=False)
-        zeros = analysis.components if cosine <= WITHOUT_NULL_SPACE else 0
-    complete = False
-    for s, n, g in lanes[: factorization.GROWTH + 1].T:
-        error = 4.0 * 2.2e-16 * g
-        if (np.abs(values - s) <= error + measured.residuals).any():
-            continue
-        if spectrum.end == "largest":
-            same = int((values > s).sum()) == int(n)
-            beyond = s + error <= last + delta
-        else:
-            same = int((values < s).sum()) == d - int(n) - zeros
-            beyond = s - error >= last - delta
-        complete = complete or (same and bool(beyond))
-    pairs = Pairs(values, vectors, complete, spectrum.note, spectrum.carried)
-    return answer(graph, pairs, spectrum.end, tol)
-
-
-def _null_space_cosine(graph: TrafficGraph, vectors: Floats) -> float:
-    """Cosine of the least angle between the null space and a span: 1 if they share a vector.
-
-    Args:
-        graph: d vehicles.
-        vectors: (d, k) orthonormal columns.
-
-    Returns:
-        The largest singular value of N^T V, N the indicators of the components.
-    """
-    label = components(graph)
-    along = np.stack([np.bincount(label, weights=column) for column in vectors.T])
-    return float(np.linalg.norm(along / np.sqrt(np.bincount(label)), 2))
-
-
-class _Start(NamedTuple):
-    """What the tracker starts from.
-
-    Attributes:
-        vectors: (d, m) earlier vectors, by row of the new graph; m may be 0.
-        product: (d,) its numbers per row, infinite for a new one; None if not known.
-        order: (d,) its elimination order, None if it will not do,
-        fill: and its fill.
-        room: memory for a factor, if there is any.
-    """
-
-    vectors: Floats
-    product: Floats | None
-    order: NDArray[np.int32] | None
-    fill: float
-    room: Floats | None
-
-
-def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
-    d = graph.ids.size
+def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
+    """What is known of this graph from the earlier answer; vectors by row of this graph."""
     if previous is None:
-        return _Start(np.empty((d, 0)), None, None, 0.0, None)
+        return Carried(np.empty((graph.ids.size, 0)))
     found = previous.carried
-    if not isinstance(found, Found):
-        found = Found(previous.eigenvectors)
+    if not isinstance(found, Carried):
+        found = Carried(previous.eigenvectors)
     vectors, product, order = found.vectors, found.product, found.order
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
         vectors, order = carry_rows(previous, graph, vectors), None
@@ -324,7 +224,7 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> _Start:
             product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
     if not vectors.flags.writeable:  # for another type the kernel would be compiled anew
         vectors = vectors.copy()
-    return _Start(vectors, product, order, found.fill, found.room)
+    return Carried(vectors, order, found.fill, product, found.workspace)
 
 
 def _dense(
@@ -337,7 +237,7 @@ def _dense(
     if end == "largest":
         values, vectors = values[::-1], vectors[:, ::-1]
     values, vectors = values[:num_pairs].copy(), vectors[:, :num_pairs].copy()
-    return answer(graph, Pairs(values, vectors, True, note, Found(vectors)), end, tol)
+    return answer(graph, Pairs(values, vectors, True, note, Carried(vectors)), end, tol)
 
 
 def _fall_back(
@@ -346,5 +246,5 @@ def _fall_back(
     if graph.ids.size <= DENSE_UP_TO:
         return _dense(graph, num_pairs, end, tol, nonzero, "fell back on a dense solution")
     found = arpack.solve(graph, num_pairs, end, None, tol, nonzero)
-    carried = Found(found.eigenvectors)
+    carried = Carried(found.eigenvectors)
     return certify(replace(found, note="fell back on ARPACK", carried=carried), tol)

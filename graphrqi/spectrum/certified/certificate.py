@@ -1,0 +1,99 @@
+"""The certificate: a count of the eigenvalues says whether an answer of any solver is complete.
+
+References:
+    Parlett (1998), The Symmetric Eigenvalue Problem, section 3.3 (Sylvester's law of inertia).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from graphrqi.graph import TrafficGraph
+from graphrqi.spectrum.contract import Pairs, answer
+from graphrqi.spectrum.spectrum import Floats, Spectrum
+from graphrqi.spectrum.subspaces import components, laplacian_scale
+
+MAX_WORK = 1e9
+"""Multiplications of a factorisation above which none is tried (our choice: a few seconds)."""
+WITHOUT_NULL_SPACE, WITH_NULL_SPACE = 0.1, 0.9
+"""An answer at the smallest end leaves the null space out, or holds a vector of it, if the cosine
+between the two is below or above these (our choice: rounding and residuals move it by 1e-4 where
+eigenvalues are not themselves of the order of the tolerance)."""
+
+
+def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
+    """Count eigenvalues, and say whether a solver's answer is complete.
+
+    Args:
+        spectrum: k pairs from any solver, the null space left out or not.
+        tol: residual up to which pairs count as converged, relative to max(1, lambda_max).
+
+    Returns:
+        The same pairs, certified if they are converged, orthonormal, and a count of the
+        eigenvalues just beyond the last one finds no more than they are. Where more eigenvalues
+        equal the last one, a count just before it will do. A rounding error in the count that
+        could matter leaves the answer uncertified, and so do vectors of which it cannot be told
+        whether they are to hold the null space.
+    """
+    from graphrqi.spectrum.certified import factorization
+    from graphrqi.spectrum.certified.analysis import analyse
+
+    graph = spectrum.graph
+    values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
+    measured = answer(graph, Pairs(values, vectors, True, spectrum.note), spectrum.end, tol)
+    k, d = values.size, graph.ids.size
+    if not measured.certified or k == 0:
+        return measured
+    scale = laplacian_scale(graph)
+    matrix = analyse(graph)
+    if matrix.work > MAX_WORK:
+        return replace(measured, certified=False)
+    away = -1.0 if spectrum.end == "largest" else 1.0
+    floor = 1e-13 * scale
+    last = values.min() if spectrum.end == "largest" else values.max()
+    delta = min(tol * scale, max(floor, 1e-2 * abs(last)))
+    steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
+    batch = np.empty((5, 8))
+    batch[factorization.SHIFT] = last + away * steps
+    factor = np.empty((matrix.pattern.rows.size, 8))
+    memory = factorization.FactorMemory(factor, np.empty((d, 8)), np.empty((d, 8)))
+    factorization.factor_and_solve(
+        matrix.pattern, batch, 1e-15 * scale, True, 0, memory, np.zeros((d, 8))
+    )
+    zeros = 0
+    if spectrum.end == "smallest":
+        cosine = _null_space_cosine(graph, vectors)
+        if WITHOUT_NULL_SPACE < cosine < WITH_NULL_SPACE:
+            return replace(measured, certified=False)
+        zeros = matrix.components if cosine <= WITHOUT_NULL_SPACE else 0
+    complete = False
+    for s, n, g in batch[: factorization.GROWTH + 1].T:
+        error = 4.0 * 2.2e-16 * g
+        if (np.abs(values - s) <= error + measured.residuals).any():
+            continue
+        if spectrum.end == "largest":
+            same = int((values > s).sum()) == int(n)
+            beyond = s + error <= last + delta
+        else:
+            same = int((values < s).sum()) == d - int(n) - zeros
+            beyond = s - error >= last - delta
+        complete = complete or (same and bool(beyond))
+    pairs = Pairs(values, vectors, complete, spectrum.note, spectrum.carried)
+    return answer(graph, pairs, spectrum.end, tol)
+
+
+def _null_space_cosine(graph: TrafficGraph, vectors: Floats) -> float:
+    """Cosine of the least angle between the null space and a span: 1 if they share a vector.
+
+    Args:
+        graph: d vehicles.
+        vectors: (d, k) orthonormal columns.
+
+    Returns:
+        The largest singular value of N^T V, N the indicators of the components.
+    """
+    label = components(graph)
+    along = np.stack([np.bincount(label, weights=column) for column in vectors.T])
+    return float(np.linalg.norm(along / np.sqrt(np.bincount(label)), 2))
