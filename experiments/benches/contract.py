@@ -50,8 +50,8 @@ class Bench(Generic[S]):
     full: S
     quick: S
     measure: Callable[[S], Iterable[Sequence[Row]]]
-    table: Callable[[Sequence[Row]], list[Row]] | None = None
-    plot: Callable[[Sequence[Row], Path], None] | None = None
+    table: Callable[[Sequence[Any]], Sequence[Row]] | None = None
+    plot: Callable[[Sequence[Any], Path], None] | None = None
     needs: str = ""
 
     def run(

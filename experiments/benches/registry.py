@@ -13,7 +13,7 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
     "bench",
     "graphrqi.benches",
     {
-        "spectrum": "experiments.benches.spectrum:BENCH",
+        "spectrum": "experiments.benches.spectrum.bench:BENCH",
         "behaviors": "experiments.benches.behaviors:BENCH",
         "highway": "experiments.benches.highway:BENCH",
         "generate": "experiments.benches.generate:BENCH",

@@ -15,12 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors.errors import InputError
-from experiments.benches.spectrum import (
-    errors_against_lapack,
-    graph_sequence,
-    run_spectrum_study,
-    traffic_positions,
-)
+from experiments.benches.spectrum.sequences import graph_sequence, traffic_positions
+from experiments.benches.spectrum.study import errors_against_lapack, study_rows
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum, certify, full_spectrum, topology
 from graphrqi.spectrum.rivals import exact
@@ -108,7 +104,7 @@ def test_graphs_large_enough_for_a_part_to_be_treated_first(layout: str, kind: s
 
 
 def test_two_thousand_hostile_graphs() -> None:
-    rows = {row["metric"]: row["value"] for row in run_spectrum_study(2000, largest=400, seed=11)}
+    rows = {row["metric"]: row["value"] for row in study_rows(2000, largest=400, seed=11)}
     assert rows["wrong_answers"] == 0
     assert rows["uncertified"] == 0
     assert rows["fallbacks"] <= 20
@@ -161,7 +157,7 @@ def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
 import numpy as np
-from experiments.benches.spectrum import graph_sequence
+from experiments.benches.spectrum.sequences import graph_sequence
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 

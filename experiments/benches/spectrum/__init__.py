@@ -1,0 +1,1 @@
+"""The spectrum bench: the paper's runtime table, measured."""
