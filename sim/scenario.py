@@ -327,15 +327,49 @@ def _draw_driver(
     behavior = _choose(BEHAVIORS, scenario.mix, rng)
     kind = _choose(KINDS, scenario.kinds, rng)
     limits = KIND_LIMITS[kind]
-    wanted = sample_profile(behavior, rng, scenario.spread)
-    profile = dataclasses.replace(
+    profile = _limited(sample_profile(behavior, rng, scenario.spread), limits)
+    median, width, spread = DIMENSIONS_M[kind]
+    length = float(median * np.exp(spread * rng.standard_normal()))
+    return AgentSpec(0, kind, behavior, profile, route, depart_s, length, width, 0.0, seed)
+
+
+def _limited(wanted: Profile, limits: KindLimits) -> Profile:
+    """A driver's wishes as far as its vehicle can fulfil them."""
+    return dataclasses.replace(
         wanted,
         max_accel_mps2=min(wanted.max_accel_mps2, limits.max_accel_mps2),
         comfort_decel_mps2=min(wanted.comfort_decel_mps2, limits.max_decel_mps2),
     )
-    median, width, spread = DIMENSIONS_M[kind]
-    length = float(median * np.exp(spread * rng.standard_normal()))
-    return AgentSpec(0, kind, behavior, profile, route, depart_s, length, width, 0.0, seed)
+
+
+_REDRAWN_STREAM: Final = 7
+"""Number of a driver's random stream for other behaviours; controllers use smaller ones."""
+
+
+def with_behavior(
+    agent: AgentSpec, behavior: Behavior, spread: float = DEFAULT_SPREAD
+) -> AgentSpec:
+    """The same driver, had it been drawn with another behaviour.
+
+    The vehicle, route and departure stay. The profile is drawn from the driver's own random stream,
+    so the same driver and behaviour give the same profile in every run.
+
+    Args:
+        agent: a driver.
+        behavior: the behaviour to draw the profile of.
+        spread: how much drivers of one behaviour differ, as in `Scenario`.
+
+    Returns:
+        The agent with that behaviour and its profile.
+
+    Raises:
+        InputError: if the agent is a pedestrian.
+    """
+    if agent.profile is None:
+        raise InputError(f"agent {agent.id}: found a pedestrian, expected a driver")
+    rng = np.random.default_rng((agent.seed, _REDRAWN_STREAM, BEHAVIORS.index(behavior)))
+    profile = _limited(sample_profile(behavior, rng, spread), KIND_LIMITS[agent.kind])
+    return dataclasses.replace(agent, behavior=behavior, profile=profile)
 
 
 def _choose(members: Sequence[M], shares: Mapping[M, float], rng: np.random.Generator) -> M:

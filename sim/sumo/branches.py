@@ -17,19 +17,23 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
 from types import TracebackType
 from typing import Any, Final, Self
 
 from behaviors.errors import InputError
-from sim.engines import get_engine
+from behaviors.labels import BEHAVIORS, Behavior
 from sim.frames import Frame
-from sim.scenario import AgentSpec, Scenario
+from sim.scenario import AgentSpec, CarFollowing, Scenario, with_behavior
+from sim.sumo.engine import run_changeable
 
 FRAMES_A_MESSAGE: Final = 20
 """Frames are sent in groups: each message costs some 50 microseconds (measured)."""
+
+LAWS: Final[dict[str, CarFollowing]] = {"sumo": "Krauss", "sumo-idm": "IDM"}
+"""The engines whose episodes can be branched, and the law by which their drivers follow."""
 
 _PR_SET_PDEATHSIG: Final = 1
 """Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
@@ -88,8 +92,8 @@ class Trunk:
     ) -> None:
         if sys.platform != "linux":
             raise InputError(f"branches: found {sys.platform}, expected Linux")
-        if engine not in ("sumo", "sumo-idm"):
-            raise InputError(f"engine: found {engine!r}, expected sumo or sumo-idm")
+        if engine not in LAWS:
+            raise InputError(f"engine: found {engine!r}, expected {' or '.join(LAWS)}")
         here, there = socket.socketpair()
         with there:
             self._process = subprocess.Popen(
@@ -97,7 +101,14 @@ class Trunk:
                 pass_fds=[there.fileno()],
             )
         self._connection: Connection = Connection(here.detach())
-        self._connection.send((scenario, tuple(agents), seed, engine))
+        self._drivers = {a.id: a for a in agents if a.profile is not None}
+        self._spread = scenario.spread
+        others = tuple(
+            self._alternative(agent.id, behavior)
+            for agent in self._drivers.values()
+            for behavior in BEHAVIORS
+        )
+        self._connection.send((scenario, tuple(agents), seed, LAWS[engine], others))
 
     def advance(self, until_s: float) -> tuple[Frame, ...]:
         """Drive the trunk on.
@@ -111,23 +122,40 @@ class Trunk:
         Raises:
             InputError: if the simulation failed.
         """
-        self._connection.send(("advance", until_s))
+        self._connection.send(("advance", until_s, None))
         return tuple(_received(self._connection, "trunk"))
 
-    def branch(self, until_s: float) -> Branch:
+    def branch(
+        self, until_s: float, agent: int | None = None, to: Behavior | None = None
+    ) -> Branch:
         """Copy the trunk as it stands, and let the copy drive on.
 
         Args:
             until_s: simulated time of the branch's last frame, s.
+            agent: id of a driver who goes on with another behaviour in the branch.
+            to: that behaviour; the driver's profile is `sim.scenario.with_behavior`'s.
 
         Returns:
-            The branch; it runs beside the trunk and beside other branches.
+            The branch; it runs beside the trunk and beside other branches. Without a driver who
+            changes, its frames are those that the trunk will give. If the driver is not on the
+            road, or is overtaking on the wrong side, reading the branch is an `InputError`.
+
+        Raises:
+            InputError: if there is no such driver, or only one of ``agent`` and ``to`` is given.
         """
+        if (agent is None) != (to is None):
+            raise InputError("branch: found only one of agent and behaviour, expected both or none")
+        changed = None if agent is None or to is None else self._alternative(agent, to)
         here, there = socket.socketpair()
         with there:
-            self._connection.send(("branch", until_s))
+            self._connection.send(("branch", until_s, changed))
             send_handle(self._connection, there.fileno(), self.process_id)
         return Branch(Connection(here.detach()))
+
+    def _alternative(self, agent: int, behavior: Behavior) -> AgentSpec:
+        if agent not in self._drivers:
+            raise InputError(f"agent {agent}: found no such driver in the episode")
+        return with_behavior(self._drivers[agent], behavior, self._spread)
 
     @property
     def process_id(self) -> int:
@@ -198,21 +226,21 @@ def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> bo
     return True
 
 
-def _episode(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str
-) -> Iterator[Frame]:
-    """The engine's frames; what it refuses is raised when the first one is asked for."""
-    yield from get_engine(engine)(scenario, agents, seed)
-
-
 def _serve(connection: Connection) -> None:
     """Run an episode as the other end of the connection asks for it."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system clears up ended branches
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this
-    frames = _episode(*connection.recv())
+    episode = connection.recv()
+    frames: Generator[Frame, AgentSpec | None] | None = None
     with contextlib.suppress(EOFError, OSError):
         while True:
-            order, until_s = connection.recv()
+            order, until_s, changed = connection.recv()
+            if frames is None:
+                try:
+                    frames = run_changeable(*episode)
+                except InputError as error:
+                    connection.send(str(error))
+                    break
             if order == "advance":
                 if not _send(connection, frames, until_s):
                     break
@@ -220,8 +248,19 @@ def _serve(connection: Connection) -> None:
             handle = recv_handle(connection)
             trunk = os.getpid()
             if os.fork() == 0:
-                _be_branch(trunk, connection, Connection(handle), frames, until_s)
+                out = Connection(handle)
+                _be_branch(trunk, connection, out, _changed(frames, changed), until_s)
             os.close(handle)
+
+
+def _changed(
+    frames: Generator[Frame, AgentSpec | None], agent: AgentSpec | None
+) -> Iterator[Frame]:
+    """The frames after a driver has changed."""
+    if agent is not None:
+        with contextlib.suppress(StopIteration):
+            yield frames.send(agent)
+    yield from frames
 
 
 def _be_branch(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -84,6 +84,35 @@ def _run(
     return cast("Iterator[Frame]", _steps(scenario, ordered, seed, law, steer=True, read=True))
 
 
+def run_changeable(
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    seed: int,
+    law: CarFollowing,
+    alternatives: Sequence[AgentSpec],
+) -> Generator[Frame, AgentSpec | None]:
+    """Drive a scenario as `run` does, with drivers whose behaviour can be changed on the way.
+
+    Args:
+        scenario: as in `run`.
+        agents: as in `run`.
+        seed: as in `run`.
+        law: the car-following law of all drivers.
+        alternatives: drivers as they may become; one of them sent to the generator replaces the
+            driver of the same id before the next step. Without it the frames are those of `run`.
+
+    Yields:
+        Frames as in `run`.
+
+    Raises:
+        InputError: as in `run`, and if a driver that is to change is not on the road.
+    """
+    _check(scenario, agents, seed)
+    ordered = tuple(sorted(agents, key=lambda a: a.id))
+    steps = _steps(scenario, ordered, seed, law, steer=True, read=True, alternatives=alternatives)
+    return cast("Generator[Frame, AgentSpec | None]", steps)
+
+
 def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
     check_agents(scenario, agents, seed)
     if not scenario.road.source.is_file():
@@ -109,10 +138,11 @@ def _start(
     step_ms: int,
     scratch: Path,
     law: CarFollowing,
+    alternatives: Sequence[AgentSpec],
 ) -> tuple[Any, Path]:
     """Start the simulation; returns libsumo's C module and the path of the log."""
     routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
-    lines = route_file(agents, jaywalking_places(scenario.road, agents), law)
+    lines = route_file(agents, jaywalking_places(scenario.road, agents), law, alternatives)
     try:
         routes.write_text("\n".join(lines), encoding="utf-8")
     except OSError as error:
@@ -165,11 +195,12 @@ def _steps(
     *,
     steer: bool,
     read: bool,
-) -> Iterator[Frame | None]:
-    """Frames, or None for each where none is read."""
+    alternatives: Sequence[AgentSpec] = (),
+) -> Generator[Frame | None, AgentSpec | None]:
+    """Frames, or None for each where none is read; a driver sent to it is changed at once."""
     substeps, step_ms = _substeps(scenario.step_s)
     with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
-        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), law)
+        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), law, alternatives)
         controls: Controls | None = None
         intervened = False  # whether controllers removed or placed an agent in the last step
         try:
@@ -199,7 +230,9 @@ def _steps(
                         f"sumo: stopped at {index * scenario.step_s:g} s: "
                         f"{sumo_reason(log, str(error))}"
                     ) from None
-                yield frame
+                changed = yield frame
+                if changed is not None and controls is not None:
+                    controls.change_driver(changed, index * scenario.step_s)
         finally:
             try:
                 if controls is not None and controls.moved:

@@ -66,14 +66,21 @@ def driver_attributes(profile: Profile) -> dict[str, str]:
     }
 
 
-def vehicle_type(agent: AgentSpec, law: CarFollowing = "Krauss") -> dict[str, str]:
+def alternative_name(agent: AgentSpec) -> str:
+    """Name of the vehicle type of a driver with another behaviour than it was drawn with."""
+    return f"{agent.id}@{agent.behavior}"
+
+
+def vehicle_type(
+    agent: AgentSpec, law: CarFollowing = "Krauss", name: str | None = None
+) -> dict[str, str]:
     """All vType attributes of one agent, with the car-following law of the run.
 
     Raises:
         InputError: if a driver has no profile.
     """
     common = {
-        "id": str(agent.id),
+        "id": str(agent.id) if name is None else name,
         "vClass": VEHICLE_CLASS[agent.kind],
         "length": _number(agent.length_m),
         "width": _number(agent.width_m),
@@ -112,6 +119,7 @@ def route_file(
     agents: Sequence[AgentSpec],
     jaywalking: Mapping[int, float] | None = None,
     law: CarFollowing = "Krauss",
+    alternatives: Sequence[AgentSpec] = (),
 ) -> Iterator[str]:
     """The lines of a SUMO route file, in order of departure.
 
@@ -119,6 +127,7 @@ def route_file(
         agents: all agents of the episode, in any order.
         jaywalking: where along their first edge jaywalkers cross the road, m, by agent id.
         law: the car-following law of all drivers.
+        alternatives: drivers with other behaviours, whose vehicle types are added.
 
     Yields:
         Lines of XML, without line ends.
@@ -127,6 +136,8 @@ def route_file(
     ordered = sorted(agents, key=lambda a: (a.depart_s, a.id))
     for agent in ordered:
         yield f"<vType{_attributes(vehicle_type(agent, law))}/>"
+    for agent in alternatives:
+        yield f"<vType{_attributes(vehicle_type(agent, law, alternative_name(agent)))}/>"
     for agent in ordered:
         edges = quoteattr(" ".join(agent.route))
         depart = f"{agent.depart_s:.3f}"

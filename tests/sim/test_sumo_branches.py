@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
+from behaviors.labels import Behavior
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.frames import Frame
-from sim.scenario import sample_agents
+from sim.scenario import sample_agents, with_behavior
 from sim.sumo.branches import Trunk
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
@@ -100,3 +101,55 @@ def test_what_cannot_be_branched_is_refused() -> None:
         Trunk(scenario, agents, SEED, engine="highway")
     with Trunk(scenario, agents, -1) as trunk, pytest.raises(InputError, match="seed: found -1"):
         trunk.advance(1.0)
+
+
+def speeds(frames: tuple[Frame, ...], agent: int) -> float:
+    here = [frame.speed[frame.ids == agent] for frame in frames]
+    return float(np.concatenate(here).mean())
+
+
+def test_one_driver_changes_and_the_others_are_not_drawn_anew() -> None:
+    scenario, agents = scenario_and_agents("straight_road")
+    drivers = {agent.id: agent for agent in agents if agent.profile is not None}
+    with Trunk(scenario, agents, SEED) as trunk:
+        now = trunk.advance(FORK_S)[-1]
+        agent = next(int(i) for i in now.ids if int(i) in drivers)
+        branches = {
+            behavior: tuple(trunk.branch(UNTIL_S, agent, behavior)) for behavior in Behavior
+        }
+        again = tuple(trunk.branch(UNTIL_S, agent, Behavior.TIMID))
+        plain = tuple(trunk.branch(UNTIL_S))
+    assert speeds(branches[Behavior.TIMID], agent) < speeds(branches[Behavior.CAUTIOUS], agent)
+    assert speeds(branches[Behavior.CAUTIOUS], agent) < speeds(branches[Behavior.IMPATIENT], agent)
+    assert all(map(same, again, branches[Behavior.TIMID]))
+    first, unchanged = branches[Behavior.TIMID][0], plain[0]
+    away_m = np.linalg.norm(unchanged.xy - unchanged.xy[unchanged.ids == agent], axis=1)
+    far = away_m > 60.0  # who is nearer may react at once
+    assert far.sum() > 5
+    assert np.array_equal(first.xy[far], unchanged.xy[far])
+
+
+def test_with_another_behavior_the_vehicle_stays() -> None:
+    _, agents = scenario_and_agents("straight_road")
+    driver = next(agent for agent in agents if agent.profile is not None)
+    for behavior in Behavior:
+        other = with_behavior(driver, behavior)
+        assert other == with_behavior(driver, behavior)
+        assert other.behavior is behavior
+        kept = ("id", "kind", "route", "depart_s", "length_m", "width_m", "seed")
+        assert all(getattr(other, name) == getattr(driver, name) for name in kept)
+
+
+def test_only_drivers_on_the_road_change() -> None:
+    scenario, agents = scenario_and_agents("four_way_intersection")
+    walker = next(agent for agent in agents if agent.profile is None)
+    late = max((agent for agent in agents if agent.profile), key=lambda agent: agent.depart_s)
+    with Trunk(scenario, agents, SEED) as trunk:
+        trunk.advance(1.0)
+        with pytest.raises(InputError, match=f"agent {walker.id}: found no such driver"):
+            trunk.branch(2.0, walker.id, Behavior.TIMID)
+        with pytest.raises(InputError, match="expected both or none"):
+            trunk.branch(2.0, late.id)
+        with pytest.raises(InputError, match=f"agent {late.id}: found it not on the road at 1 s"):
+            tuple(trunk.branch(2.0, late.id, Behavior.TIMID))
+        assert len(trunk.advance(2.0)) == 10

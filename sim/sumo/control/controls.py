@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from behaviors.errors import InputError
 from sim.road import Road
 from sim.scenario import AgentSpec
+from sim.sumo.control import lane_change_mode, obedience
 from sim.sumo.control.clearing import Clearing
 from sim.sumo.control.cutting_in import CuttingIn
+from sim.sumo.control.drivers import Controller
 from sim.sumo.control.jaywalking import Jaywalking
 from sim.sumo.control.obedience import Obedience
 from sim.sumo.control.stopping import Stopping
 from sim.sumo.control.wrong_way import WrongWay
+from sim.sumo.vehicle_types import alternative_name
 
 DRIVERS_ACT_S: Final = 0.2
 """How often the controllers of drivers act, s; jaywalkers are moved at every step."""
@@ -30,6 +34,9 @@ class Controls:
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
         self._sumo = sumo
+        self._road = road
+        self._agents = {agent.id: agent for agent in agents}
+        self._step_s = step_s
         self._step = 0
         self._vehicles: Sequence[str] = ()
         self._every = max(2, round(DRIVERS_ACT_S / step_s))
@@ -38,7 +45,7 @@ class Controls:
         self._cutting_in = CuttingIn(sumo, road, agents)
         self._stopping = Stopping(sumo, road, agents)
         self._wrong_way = WrongWay(sumo, road, agents)
-        self._of_drivers = (
+        self._of_drivers: tuple[Controller[Any], ...] = (
             self._obedience, self._clearing, self._cutting_in, self._stopping, self._wrong_way,
         )  # fmt: skip
         self._jaywalking = Jaywalking(sumo, road, agents, step_s)
@@ -66,6 +73,32 @@ class Controls:
             self._wrong_way.step(time_s, vehicles)
             return
         self._wrong_way.removed = []
+
+    def change_driver(self, agent: AgentSpec, time_s: float) -> None:
+        """Let a driver on the road go on with another behaviour.
+
+        Args:
+            agent: the driver as it is from now on; its id says which one.
+            time_s: simulated time, s.
+
+        Raises:
+            InputError: if the driver is not on the road, or is overtaking on the wrong side.
+        """
+        sumo, name = self._sumo, str(agent.id)
+        if agent.profile is None or name not in sumo.vehicle_getIDList():
+            raise InputError(f"agent {name}: found it not on the road at {time_s:g} s")
+        if self._wrong_way.overtakes(name):
+            raise InputError(f"agent {name}: found it overtaking on the wrong side at {time_s:g} s")
+        self._agents[agent.id] = agent
+        fresh = Controls(sumo, self._road, tuple(self._agents.values()), self._step_s)
+        for controller, other in zip(self._of_drivers, fresh._of_drivers, strict=True):
+            controller.replace(name, other, time_s)
+        self._vehicles = ()  # the controllers are given the vehicles again at the next step
+        sumo.vehicle_setType(name, alternative_name(agent))
+        sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn anew
+        sumo.vehicle_setSpeed(name, -1.0)
+        sumo.vehicle_setSpeedMode(name, obedience.ORDINARY)
+        sumo.vehicle_setLaneChangeMode(name, lane_change_mode.ORDINARY)
 
     @property
     def removed(self) -> Sequence[int]:

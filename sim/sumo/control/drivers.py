@@ -102,3 +102,22 @@ class Controller(Generic[D]):
     def set_vehicles(self, vehicles: Sequence[str]) -> None:
         """Take the names of the vehicles on the road, whenever they change."""
         self._present = [(name, self._drivers[name]) for name in vehicles if name in self._drivers]
+
+    def replace(self, name: str, fresh: Controller[D], time_s: float) -> None:
+        """Take over what another controller of the same kind does with one driver.
+
+        The caller sets the vehicle's speed and modes back to SUMO's own, so that nothing that this
+        controller has begun with the driver goes on.
+
+        Args:
+            name: the vehicle.
+            fresh: a controller that was made for agents among whom this driver has changed.
+            time_s: simulated time, s; a driver who acts at random times pauses from now on.
+        """
+        self._drivers.pop(name, None)
+        driver = fresh._drivers.get(name)
+        if driver is None:
+            return
+        if isinstance(driver, RandomTimeDriver):
+            driver.pause_from(time_s)
+        self._drivers[name] = driver

@@ -123,6 +123,11 @@ class WrongWay(Controller[_OvertakingDriver]):
                 else:
                     driver.next_s = time_s + _PERIOD_S
 
+    def overtakes(self, name: str) -> bool:
+        """Whether a driver is on the wrong side, on its way there or back."""
+        driver = self._drivers.get(name)
+        return driver is not None and driver.since_s >= 0
+
     def _oncoming_names(self, route: Sequence[str], agents: Sequence[AgentSpec]) -> frozenset[str]:
         """Names of the agents whose routes use the opposite lanes of a route."""
         edges = {
