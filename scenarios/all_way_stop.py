@@ -1,4 +1,4 @@
-"""A four-way intersection where everybody stops."""
+"""A four-way intersection with stop signs on every arm."""
 
 from __future__ import annotations
 
