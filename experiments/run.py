@@ -36,11 +36,11 @@ COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 """The predictors that a run compares."""
 
 SHOWN_EVERY_S: Final = 0.2
-"""Time between two updates of the live line, s of the clock on the wall."""
+"""Time between two updates of the live line, s of wall-clock time."""
 
 
 @dataclass
-class _Believed:
+class _LatestBeliefs:
     """The latest belief about each driver, and how it fits the truth."""
 
     truth: dict[int, int]
@@ -80,8 +80,8 @@ class _Believed:
 
 
 @dataclass
-class _Predicted:
-    """Predictions that wait for their time, and the errors of those whose time has come."""
+class _PendingPredictions:
+    """Predictions whose time has not come, and the errors of those whose time has."""
 
     waiting: deque[tuple[float, str, Prediction]] = field(default_factory=deque)
     errors: dict[str, list[float]] = field(default_factory=lambda: {n: [] for n in COMPARED})
@@ -102,7 +102,7 @@ class _Predicted:
             self.waiting.append((due_s, name, prediction))
 
     def score(self, frame: Frame) -> None:
-        """Compare what was predicted for now with what is."""
+        """Compare the predictions for this frame with it."""
         while self.waiting and self.waiting[0][0] <= frame.time_s + 1e-6:
             _, name, prediction = self.waiting.popleft()
             common, row, now = np.intersect1d(
@@ -144,7 +144,7 @@ def live_line(
 
 @contextmanager
 def _live(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A line on the terminal that can be replaced; nothing elsewhere."""
+    """Show a replaceable line on a terminal; elsewhere show nothing."""
     if quiet or not sys.stderr.isatty():
         yield lambda text: None
         return
@@ -182,7 +182,7 @@ def run_scenario(
     scenario = config.scenario(config.scenarios[0])
     agents = sample_agents(scenario, config.seed)
     summary = RunSummary()
-    believed, predicted = _Believed(_truth(agents)), _Predicted()
+    believed, predicted = _LatestBeliefs(_truth(agents)), _PendingPredictions()
     stream = _stream(model)
     started = time.monotonic()
     next_prediction_s = PREDICT_EVERY_S

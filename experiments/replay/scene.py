@@ -1,4 +1,4 @@
-"""Everything a replay shows of one episode, gathered once: for the page, the video, the picture."""
+"""Everything that a replay shows of one episode: for the page, the video and the picture."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from sim.store.dataset import Dataset, Episode
 from sim.store.schema import EpisodeEntry
 
 SHOWN_EVERY_S: Final = 0.1
-"""Time between two places that are kept of an agent, s; between them it moves straight."""
+"""Time between two kept positions of an agent, s; in between it is drawn on a straight line."""
 
 MAX_PLACES: Final = 1_000_000
-"""Most places of agents in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
+"""Most positions in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
 
 DEFAULT_PREDICTOR: Final = "graphrqi-predict"
 
@@ -49,11 +49,11 @@ class ReplayScene:
         agents: what was drawn for each agent, by id.
         exhibits: the traits that were shown.
         beliefs: what a classifier believes.
-        believer: who believes it, in words.
+        believer: the name of the classifier or of its file.
         graph: the traffic graph.
         forecasts: predictions, in order of time.
-        predictor: whose; "" if there are none.
-        notes: what a reader should know of the data, one sentence each.
+        predictor: the name of the predictor; "" if there are none.
+        notes: what a reader should know about the data, one sentence each.
     """
 
     entry: EpisodeEntry
@@ -71,7 +71,7 @@ class ReplayScene:
 
     @property
     def name(self) -> str:
-        """What the episode is called: its scenario, or its recording."""
+        """The name of the episode's scenario or recording."""
         recording = self.entry.options.get("recording")
         return recording if isinstance(recording, str) else self.entry.scenario
 
@@ -109,7 +109,7 @@ def gather(
     predictor: str | None = None,
     quiet: bool = True,
 ) -> ReplayScene:
-    """Read an episode, and classify and predict in it what no file says.
+    """Read an episode; classify and predict in it unless files with the answers are given.
 
     Args:
         dataset: where it is.
@@ -179,23 +179,23 @@ def gather(
 
 
 def _stride(tracks: Tracks) -> int:
-    """Every how many-th frame is kept."""
+    """The step between two kept frames."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
     return max(wanted, -(-int(tracks.valid.sum()) // MAX_PLACES))
 
 
 def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple[str, ...]:
-    told = episode.entry.options.get("notes")
-    notes = [str(note) for note in told] if isinstance(told, list) else []
+    given = episode.entry.options.get("notes")
+    notes = [str(note) for note in given] if isinstance(given, list) else []
     if road is None:
-        notes.append("no road is known: faint lines show where everyone went")
+        notes.append("there is no map: faint lines show where everyone went")
     if unit == "px":
         notes.append(
             "positions are pixels of an image: the shipped classifier and predictors were made for "
             "metres, so what they say here is a guess"
         )
     if episode.tracks.behavior is None:
-        notes.append("nobody's true behaviour is known in this data")
+        notes.append("the true behaviours are not known in this data")
     shown_s = stride * episode.tracks.step_s
     if shown_s > 1.5 * SHOWN_EVERY_S:
         notes.append(f"places every {shown_s:.2g} s are kept, to keep the page small")

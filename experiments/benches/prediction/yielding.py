@@ -99,10 +99,10 @@ def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
             for z in np.flatnonzero(graph.cross_lane == lane):
                 left = float(paths.start[q, j] + graph.cross_s[z] - front)
                 timely = BEFORE_S[0] <= left / scene.speed[i] <= BEFORE_S[1]
-                gates = (paths.gate_row[q] < paths.groups) & (
+                constraints = (paths.gate_row[q] < paths.groups) & (
                     paths.gate_x[q] <= paths.start[q, j] + graph.cross_s[z] + 1e-6
                 )
-                red = shut[paths.gate_row[q][gates & (paths.gate_x[q] > front)]].any()
+                red = shut[paths.gate_row[q][constraints & (paths.gate_x[q] > front)]].any()
                 if timely and shut[paths.groups + z] and not red:
                     row.append(i)
                     room.append(left)
