@@ -11,11 +11,11 @@ from typing import Any, Final
 
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.console.tables import print_table
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.report.page import printed_tables, write_report
 from experiments.report.run_file import Metrics, RunFile, Score, installed, read_run, write_run
+from experiments.report.tables import Table
 from experiments.rows import write_json
 from experiments.scoring.prediction import metrics_tree, predict_dataset
 from experiments.training.classifier import train_model
@@ -144,17 +144,24 @@ def findings(metrics: Metrics) -> list[str]:
     return said
 
 
+def _print(title: str, table: Table) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    shown = RichTable("", *table.columns, title=title, title_justify="left")
+    for name, cells in table.rows:
+        shown.add_row(name, *(f"{c.value} {c.interval}".strip() for c in cells))
+    console = Console(highlight=False)
+    Console(highlight=False, width=max(console.width, 150)).print(shown)
+
+
 def main() -> None:
     """Run the demo into ``runs/demo`` and print its tables."""
     out = Path("runs/demo")
     metrics = run_demo(out)
     page = write_report(out)
     for title, table in printed_tables(metrics):
-        lines = [
-            [name, *(f"{c.value} {c.interval}".strip() for c in cells)]
-            for name, cells in table.rows
-        ]
-        print_table(["", *table.columns], lines, f"{title}: {table.title}")
+        _print(f"{title}: {table.title}", table)
     for finding in read_run(out)[0].findings:
         print(f"- {finding}")
     print(f"\n{page}")

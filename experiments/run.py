@@ -36,11 +36,11 @@ COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 """The predictors that a run compares."""
 
 SHOWN_EVERY_S: Final = 0.2
-"""Time between two updates of the live line, s of wall-clock time."""
+"""Time between two updates of the live line, s of the clock on the wall."""
 
 
 @dataclass
-class _LatestBeliefs:
+class _Believed:
     """The latest belief about each driver, and how it fits the truth."""
 
     truth: dict[int, int]
@@ -80,8 +80,8 @@ class _LatestBeliefs:
 
 
 @dataclass
-class _PendingPredictions:
-    """Predictions whose time has not come, and the errors of those whose time has."""
+class _Predicted:
+    """Predictions that wait for their time, and the errors of those whose time has come."""
 
     waiting: deque[tuple[float, str, Prediction]] = field(default_factory=deque)
     errors: dict[str, list[float]] = field(default_factory=lambda: {n: [] for n in COMPARED})
@@ -102,7 +102,7 @@ class _PendingPredictions:
             self.waiting.append((due_s, name, prediction))
 
     def score(self, frame: Frame) -> None:
-        """Compare the predictions for this frame with it."""
+        """Compare what was predicted for now with what is."""
         while self.waiting and self.waiting[0][0] <= frame.time_s + 1e-6:
             _, name, prediction = self.waiting.popleft()
             common, row, now = np.intersect1d(
@@ -144,7 +144,7 @@ def live_line(
 
 @contextmanager
 def _live(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show a replaceable line on a terminal; elsewhere show nothing."""
+    """A line on the terminal that can be replaced; nothing elsewhere."""
     if quiet or not sys.stderr.isatty():
         yield lambda text: None
         return
@@ -182,7 +182,7 @@ def run_scenario(
     scenario = config.scenario(config.scenarios[0])
     agents = sample_agents(scenario, config.seed)
     summary = RunSummary()
-    believed, predicted = _LatestBeliefs(_truth(agents)), _PendingPredictions()
+    believed, predicted = _Believed(_truth(agents)), _Predicted()
     stream = _stream(model)
     started = time.monotonic()
     next_prediction_s = PREDICT_EVERY_S

@@ -1,4 +1,4 @@
-"""A four-way intersection with stop signs on every arm."""
+"""A four-way intersection where everybody stops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A four-way intersection without signals or signs, where vehicles from the right go first."""
+"""A four-way intersection where who comes from the right goes first."""
 
 from __future__ import annotations
 

@@ -67,6 +67,23 @@ def inner(function: F) -> F:
     return _compiled(function, no_cpython_wrapper=True, **_LEFT_OUT)
 
 
+def inlined(function: F) -> F:
+    """Make ``function`` a part of each kernel that calls it, under that kernel's options.
+
+    For functions that take many arrays: a call would count the references to each of them, which
+    takes longer than a short function does.
+
+    Args:
+        function: a function in numba's subset of Python.
+
+    Returns:
+        The same function; not to be called from Python.
+    """
+    kernel = njit(inline="always")(function)
+    _FOLDERS[kernel] = _folders(function)
+    return cast(F, kernel)
+
+
 def reordered(function: F) -> F:
     """Compile ``function`` as `compiled` does, but let sums and products be reordered.
 

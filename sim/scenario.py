@@ -71,15 +71,15 @@ class AgentSpec:
 
     Attributes:
         id: unique within the episode.
-        kind: what kind of road-agent it is.
+        kind: what it is.
         behavior: its driver's true behaviour; None for pedestrians.
-        profile: its driver's parameters; None for pedestrians.
+        profile: its driver's own numbers; None for pedestrians.
         route: edge ids from first to last.
         depart_s: when it wants to enter, s.
         length_m: m.
         width_m: m.
-        speed_mps: walking speed of a pedestrian, m/s; 0 for vehicles.
-        seed: seed of the agent's own random decisions.
+        speed_mps: walking speed of a pedestrian, m/s; 0 for those that drive.
+        seed: seed of the agent's own chance decisions.
         jaywalks: whether a pedestrian crosses anywhere and on red.
     """
 
@@ -213,7 +213,7 @@ classes, cars rounded to a European median; the spreads are our choice)."""
 
 @dataclass(frozen=True, slots=True)
 class KindLimits:
-    """The limits of a kind of vehicle; a driver's profile is cut to them.
+    """What a kind of vehicle can do, whoever drives it.
 
     Attributes:
         max_speed_mps: m/s.

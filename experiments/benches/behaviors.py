@@ -1,7 +1,7 @@
 """Do drivers behave as they are labelled? Every behaviour against the paper's traits, in numbers.
 
-Episodes are simulated, the trait detectors run over them, and their findings are counted driver by
-driver; intervals come from a bootstrap over drivers.
+Episodes are driven, watched with the trait detectors, and counted driver by driver; the intervals
+come from drawing drivers anew (bootstrap).
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from sim.frames import Event, EventKind, Tracks
 from sim.scenario import sample_agents
 
 FREE_HEADWAY_S: Final = 6.0
-"""A driver with this much headway or more has a free road, s (our choice)."""
+"""A road is free for who has this much headway or more (our choice)."""
 
 STEADY_MPS2: Final = 0.3
-"""A driver that accelerates or brakes more has not reached its chosen speed, m/s2 (our choice)."""
+"""Who accelerates or brakes more is not yet at the speed chosen (our choice)."""
 
 LONGEST_STAND_S: Final = 180.0
-"""A driver that stands longer never starts again, s."""
+"""Standing longer is standing for good."""
 
 CLEARING_S: Final = 300.0
-"""Episodes go on for this long after the demand ends, s; every vehicle should have left by then.
-Pedestrians may still walk, because half a straight road takes them longer."""
+"""So long after the demand ends every vehicle should have left; episodes are driven on for it.
+Pedestrians may still walk: half a straight road takes them longer."""
 
 RESAMPLES: Final = 1000
 
@@ -216,9 +216,9 @@ def count(
 
 
 def _free(seen: DetectorInputs) -> NDArray[np.bool_]:
-    """(m,) whether an agent drives at its chosen speed, with nothing near ahead."""
+    """(m,) whether an agent drives at the speed chosen, with nobody and nothing near ahead."""
     before = np.roll(seen.speed, 1)
-    before[seen.row_index.begins] = 0.0  # an agent that has just entered may be accelerating
+    before[seen.row_index.begins] = 0.0  # who has just come is not known to drive evenly
     change = np.abs(seen.speed - before) / seen.step_s
     near = seen.gap < FREE_HEADWAY_S * np.maximum(seen.speed, FOLLOWING_MPS)
     near |= seen.stop_distance < 60.0

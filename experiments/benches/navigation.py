@@ -1,9 +1,9 @@
-"""Does it help a driver to know how others drive? A planned vehicle among the six behaviours.
+"""Does knowing who drives how help to drive? A planned vehicle among the six behaviours.
 
 In every episode the same planner (`graphrqi.predict.planner`) drives the ego vehicle of a gymnasium
-environment through the same traffic three times: once it assumes that everybody is an average
-driver, once it is given the classifier's beliefs, and once the true behaviours. Near misses are
-counted in the recorded episode, not in the plan.
+environment among the same traffic three times: taking everybody for the average driver, by the
+classifier's beliefs, and by the true behaviours. Near misses are counted afterwards, in what was
+driven, not in what was planned.
 """
 
 from __future__ import annotations
@@ -36,43 +36,43 @@ ENVIRONMENTS: Final[dict[str, str]] = {
     "straight_road": "graphrqi/StraightRoad-v0",
     "four_way_intersection": "graphrqi/FourWayIntersection-v0",
 }
-"""The environments by scenario."""
+"""Where it is driven."""
 
 ARMS: Final = ("blind", "classified", "true")
-"""What the planner is given about others: nothing, the classifier's beliefs, or the truth."""
+"""What the planner is told of the others: nothing, the classifier's beliefs, or the truth."""
 
 SETTING: Final[dict[str, Any]] = {"flow": "dense", "duration_s": 90.0}
 """How the environments are configured (our choice: in light traffic nothing happens)."""
 
 NEAR_MISS_S: Final = 1.5
-"""Time to collision with the leader or of the follower that counts as a near miss, s."""
+"""Time to collision below which somebody ahead or behind counts as a near miss, s."""
 
 APART_S: Final = 1.0
-"""Near misses less than this apart count once, s (our choice)."""
+"""Near misses less than this apart are one, s (our choice)."""
 
 LOOK_AHEAD_M, LOOK_AHEAD_S = 8.0, 1.2
-"""Pure pursuit (Coulter 1992) steers towards the point of the centre line this far ahead (our
-choice: a lane change takes some 3 s)."""
+"""The steering looks at the centre line this far ahead (Coulter 1992's pure pursuit; our choice
+of lengths: a lane change takes some 3 s)."""
 
 MOST_ACCEL_MPS2: Final = 8.0
 """The ego vehicle's accelerator and brake reach this, m/s2."""
 
 EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
-"""Deceleration, reaction time and gap of the emergency brake (our choice: as hard as dry asphalt
-allows, so that the plan and not the brake avoids near misses)."""
+"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (our
+choice: as hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
 
 METRICS: Final = (
     "near_misses", "near_misses_ahead", "near_misses_behind", "env_near_misses", "collisions",
     "red_runs", "mean_speed_mps", "arrived", "time_to_goal_s", "label_accuracy",
 )  # fmt: skip
-"""What is measured in an episode."""
+"""What is measured of an episode."""
 
 
-class EpisodeRecorder:
-    """Records every frame of an environment, and classifies the drivers if it has a model.
+class Watcher:
+    """Sees every frame of an environment, and remembers and, if asked to, classifies what it saw.
 
-    Environments call it as their classifier. It answers with uniform beliefs, because the planner
-    takes its beliefs from the stream when it plans.
+    Environments call it as their classifier; their observation of beliefs stays uniform, since the
+    planner asks the stream itself, when it plans.
 
     Args:
         model: the classifier; None: nobody is classified.
@@ -87,7 +87,7 @@ class EpisodeRecorder:
         self.buffer = FrameBuffer(HISTORY_STEPS)
         self.frames: list[Frame] = []
 
-    def __call__(self, frame: Frame) -> EpisodeRecorder:
+    def __call__(self, frame: Frame) -> Watcher:
         """Take the next frame; one from before the last begins a new episode."""
         if self.frames and frame.time_s <= self.frames[-1].time_s:
             self._begin()
@@ -103,9 +103,9 @@ class EpisodeRecorder:
 
 
 def steering(plan: Plan, xy: FloatArray, heading: float, speed: float, length: float) -> float:
-    """Angle of the front wheels that leads onto the plan's line, rad, positive to the left.
+    """The front wheels' angle that leads onto the plan's line, rad, positive to the left.
 
-    Pure pursuit: a circle through a point of the line ahead, for highway-env's bicycle model.
+    Pure pursuit: a circle through a point on the line ahead, driven by highway-env's bicycle.
     """
     reach = max(LOOK_AHEAD_M, LOOK_AHEAD_S * speed)
     away = np.hypot(*(plan.centre - xy).T)
@@ -148,16 +148,16 @@ def drive(
         changes: to the environment's configuration.
 
     Returns:
-        The `METRICS`; NaN where one is not defined.
+        The `METRICS`; NaN where there is none.
     """
     import gymnasium
 
     import scenarios  # noqa: F401  registers the environments
 
-    recorder = EpisodeRecorder(model if arm == "classified" else None)
+    watcher = Watcher(model if arm == "classified" else None)
     limits = {"type": "ContinuousAction", "acceleration_range": [-MOST_ACCEL_MPS2, MOST_ACCEL_MPS2]}
     config: dict[str, Any] = {
-        "seed": seed, "observation": "posterior", "classifier": recorder, "observed": 1,
+        "seed": seed, "observation": "posterior", "classifier": watcher, "observed": 1,
         "action": limits, "policy_frequency": 10, **SETTING, **(changes or {}),
     }  # fmt: skip
     env = gymnasium.make(ENVIRONMENTS[scenario], config=config, disable_env_checker=True)
@@ -167,7 +167,7 @@ def drive(
     truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
     ego_id = max((a.id for a in agents), default=-1) + 1
     road: Road = inner.scenario.road
-    begun = len(recorder.frames)
+    begun = len(watcher.frames)
     counts = {"env_near_misses": 0, "collisions": 0, "red_runs": 0}
     arrived = False
     right: list[float] = []
@@ -176,12 +176,12 @@ def drive(
     ended = cut = False
     time_s = 0.0
     while not (ended or cut):
-        frame = recorder.frames[-1]
+        frame = watcher.frames[-1]
         row = np.flatnonzero(frame.ids == ego_id)
         if time_s >= next_s - 1e-6 and row.size:
-            beliefs, hits = _beliefs(arm, recorder, frame, truth)
+            beliefs, hits = _beliefs(arm, watcher, frame, truth)
             right += hits
-            current = _planned(recorder.buffer.tracks(), road, ego_id, beliefs) or current
+            current = _look(watcher.buffer.tracks(), road, ego_id, beliefs) or current
             next_s = time_s + ACT_S
         action = np.zeros(2, dtype=np.float32)
         if current is not None and row.size:
@@ -200,7 +200,7 @@ def drive(
         counts["red_runs"] += info["red_runs"]
         arrived = info["arrived"]
     env.close()
-    driven = Tracks.from_frames(recorder.frames[begun:])
+    driven = Tracks.from_frames(watcher.frames[begun:])
     ahead, behind = near_misses(driven, road, ego_id)
     me = int(np.searchsorted(driven.ids, ego_id))
     return {
@@ -215,8 +215,8 @@ def drive(
     }
 
 
-def _planned(history: Tracks, road: Road, ego_id: int, beliefs: FloatArray) -> Plan | None:
-    """A plan from the history; None where the ego vehicle is on no lane."""
+def _look(history: Tracks, road: Road, ego_id: int, beliefs: FloatArray) -> Plan | None:
+    """Plan from what is seen; None where the ego vehicle is on no lane."""
     scene = make_scene(history, road)
     ego = int(np.searchsorted(scene.ids, ego_id))
     if not scene.on_path[ego]:
@@ -225,20 +225,20 @@ def _planned(history: Tracks, road: Road, ego_id: int, beliefs: FloatArray) -> P
 
 
 def _beliefs(
-    arm: str, recorder: EpisodeRecorder, frame: Frame, truth: Mapping[int, int]
+    arm: str, watcher: Watcher, frame: Frame, truth: Mapping[int, int]
 ) -> tuple[FloatArray, list[float]]:
-    """Beliefs about everybody in a frame, and for each known driver whether its label is right."""
+    """What the planner is told of everybody in a frame, and which of the labels are right."""
     n = frame.ids.size
     if arm == "blind":
         return np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS)), []
     if arm == "true":
-        certain = np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+        told = np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
         for i, agent in enumerate(frame.ids):
             if int(agent) in truth:
-                certain[i] = np.eye(len(BEHAVIORS))[truth[int(agent)]]
-        return certain, []
-    assert recorder.stream is not None
-    posterior = recorder.stream.posterior()
+                told[i] = np.eye(len(BEHAVIORS))[truth[int(agent)]]
+        return told, []
+    assert watcher.stream is not None
+    posterior = watcher.stream.posterior()
     hits = [
         float(code == truth[int(agent)])
         for agent, code in zip(posterior.ids, posterior.most_likely, strict=True)
@@ -248,12 +248,12 @@ def _beliefs(
 
 
 def near_misses(driven: Tracks, road: Road, ego_id: int) -> tuple[int, int]:
-    """How often the time to a collision fell below `NEAR_MISS_S`.
+    """How often somebody ahead or behind came nearer than `NEAR_MISS_S` to colliding.
 
     Args:
         driven: the episode.
-        road: where it happened.
-        ego_id: the vehicle whose near misses are counted.
+        road: where.
+        ego_id: whose near misses.
 
     Returns:
         Those with the leader and those with the follower.
@@ -271,7 +271,7 @@ def near_misses(driven: Tracks, road: Road, ego_id: int) -> tuple[int, int]:
 
 
 def _events(at: np.ndarray[Any, np.dtype[np.int64]], step_s: float) -> int:
-    """How many events the time indices make up; those closer than `APART_S` are one."""
+    """How many events make up these times' indices: those closer than `APART_S` are one."""
     return int(at.size > 0) + int((np.diff(at) > APART_S / step_s).sum())
 
 

@@ -1,14 +1,15 @@
-"""Labelled recordings of real traffic, scored so that held-out labels take part in no choice.
+"""The labelled recordings of real traffic: every choice made inside the training videos.
 
-TRAF is scored by leaving one video out. Labels come from the annotators' traits; conflicts are
-resolved by the ``lenient`` rule. For each held-out video the learner is chosen among `SETTINGS` by
-leaving out one of the *other* videos in turn. Features are standardised within each video, without
-its labels, so that pixels and cameras are not compared.
+TRAF is scored leaving one video out. Labels come from the annotators' traits, conflicts resolved
+the ``lenient`` way. For each held-out video the learner is chosen by leaving one of the *other*
+videos out, over the `SETTINGS`; the held-out labels take no part in anything. Features are
+standardised within each video (its labels are not needed for that), so neither pixels nor cameras
+are compared.
 
-Balanced accuracy, macro-F1 and the recalls score the class with the highest posterior divided by
-its share of the training data; weighted accuracy scores the most likely class, for which it is
-meant. The AUC compares agents of the same video only. Intervals come from a bootstrap over agents,
-because five videos are too few to resample.
+Balanced accuracy, macro-F1 and the recalls are of answers at even odds (posterior over the shares
+of the training classes); weighted accuracy is of the most likely class, for which it is meant. The
+AUC compares agents of the same video only. Intervals are by bootstrap over agents: five videos are
+too few to resample.
 """
 
 from __future__ import annotations
@@ -76,8 +77,8 @@ TASKS: Final[dict[int, tuple[int, ...]]] = {
 EVERY_FRAMES: Final = 3
 """Frames of video per step of an observer (our choice: 8 steps a second)."""
 
-READ_STEPS: Final = 5
-"""Steps between two readings of an observer's features (our choice)."""
+LOOK_STEPS: Final = 5
+"""Steps between looks at what an observer has gathered (our choice)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ class Video:
     defects: tuple[str, ...]
 
 
-# --- views: a method's features of a track's whole life ------------------------------------------
+# --- views: what a method sees of a track's whole life -------------------------------------------
 
 
 def _unit_free(tracks: Tracks) -> FloatArray:
@@ -105,7 +106,7 @@ def _unit_free(tracks: Tracks) -> FloatArray:
 
 
 def _identity(tracks: Tracks) -> FloatArray:
-    """Number, first and last time, which must say nothing about how someone drives."""
+    """Number, first and last time: what must tell nothing about how someone drives."""
     first = tracks.valid.argmax(axis=1)
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
     return np.stack([tracks.ids, first, last], axis=1).astype(np.float64)
@@ -116,7 +117,7 @@ def _nothing(tracks: Tracks) -> FloatArray:
 
 
 def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
-    """An observer's features of each agent when it was last read.
+    """What an observer knows of each agent when it is last looked at.
 
     Pixels are scaled so that an agent of median size is as long as a car: observers expect metres.
     """
@@ -127,7 +128,7 @@ def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
         rows = np.flatnonzero(tracks.valid[:, t])
         drives = np.ones(rows.size, dtype=bool)
         observer.update(tracks.time_s[t], tracks.ids[rows], tracks.xy[rows, t] * scale, drives)
-        if step % READ_STEPS == READ_STEPS - 1:
+        if step % LOOK_STEPS == LOOK_STEPS - 1:
             seen = observer.observation()
             at = np.searchsorted(tracks.ids, seen.ids)
             out[at] = observer.features(seen.seconds, seen.sums, seen.instant)
@@ -142,7 +143,7 @@ VIEWS: Final[dict[str, Callable[[Tracks], FloatArray]]] = {
     **{name: partial(_observed, METHODS[name].observer) for name in _OBSERVED},
     "unit-free": _unit_free,
 }
-"""Features by the name of the method that uses them; ``unit-free`` ones are made for recordings."""
+"""Features by name of the method whose they are; ``unit-free`` are made for such recordings."""
 
 
 # --- reading ------------------------------------------------------------------------------------

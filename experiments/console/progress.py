@@ -81,9 +81,9 @@ class Progress:
         if now - self._last_line >= LINE_EVERY_S or self._done == self._total:
             self._last_line = now
             words = self._words()
-            about = f" ({words})" if words else ""
+            told = f" ({words})" if words else ""
             of = f" of {self._total}" if self._total else ""
-            print(f"{self._what}: {self._done}{of}{about}", file=sys.stderr, flush=True)
+            print(f"{self._what}: {self._done}{of}{told}", file=sys.stderr, flush=True)
 
     def _words(self) -> str:
         """Agents, rate and time left."""

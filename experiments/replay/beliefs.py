@@ -22,11 +22,11 @@ from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray, IntArray, Tracks
 
 EVERY_S: Final = 0.5
-"""Time between two kept beliefs, s (our choice: evidence gathers over seconds)."""
+"""Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""
 
-MAX_BELIEFS: Final = 3_000_000
-"""Most beliefs that are kept; of longer recordings they are farther apart (our choice: a page of
-some megabytes)."""
+MAX_LOOKS: Final = 3_000_000
+"""Most agents times looks that are kept; of longer recordings there are fewer looks (our choice: a
+page of some megabytes)."""
 
 MAX_ROWS: Final = 10**8
 """Most rows of a labels file that are read (our choice)."""
@@ -34,12 +34,12 @@ MAX_ROWS: Final = 10**8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beliefs:
-    """Posteriors of every agent of an episode at regular times.
+    """Posteriors of every agent of an episode, now and then.
 
     Attributes:
         ids: (N,) agent ids, ascending.
         time_s: (S,) when, s, increasing.
-        probability: (N, S, 6) in the order of ``BEHAVIORS``; NaN where there is no belief.
+        probability: (N, S, 6) in the order of ``BEHAVIORS``; NaN where nothing is believed.
     """
 
     ids: IntArray
@@ -47,7 +47,7 @@ class Beliefs:
     probability: NDArray[np.float32]
 
     def at(self, time_s: float) -> Posterior:
-        """The latest posteriors at a time, of the agents that have one."""
+        """The latest beliefs at a time, of those about whom there are any."""
         column = int(np.searchsorted(self.time_s, time_s + 1e-6)) - 1
         if column < 0:
             return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
@@ -57,10 +57,10 @@ class Beliefs:
 
 
 def kept_steps(tracks: Tracks) -> IntArray:
-    """Indices of the frames at which beliefs and the graph are kept: every half second.
+    """Indices of the frames at which beliefs and the graph are looked at: every half a second.
 
     Args:
-        tracks: an episode; in one with very many agents for very long, they are farther apart.
+        tracks: an episode; of one with very many agents for very long, looks are farther apart.
 
     Returns:
         (S,) ascending; the first is 0.
@@ -68,7 +68,7 @@ def kept_steps(tracks: Tracks) -> IntArray:
     if not tracks.time_s.size:
         return np.empty(0, dtype=np.int64)
     wanted = tracks.ids.size * float(tracks.time_s[-1] - tracks.time_s[0]) / EVERY_S
-    return sampled(tracks, EVERY_S * max(1, math.ceil(wanted / MAX_BELIEFS)))
+    return sampled(tracks, EVERY_S * max(1, math.ceil(wanted / MAX_LOOKS)))
 
 
 def sampled(tracks: Tracks, every_s: float) -> IntArray:
@@ -89,11 +89,11 @@ def believe(tracks: Tracks, model: Model) -> Beliefs:
     """What a model believes, from positions only.
 
     Args:
-        tracks: an episode; its labels are not used.
+        tracks: an episode; its labels, if any, are not looked at.
         model: a trained model.
 
     Returns:
-        Its beliefs every half second.
+        Its beliefs every half a second.
     """
     steps = kept_steps(tracks)
     probability = _nothing(tracks, steps)
@@ -117,10 +117,10 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
         tracks: that episode.
 
     Returns:
-        The beliefs of the file at every half second.
+        The beliefs at every half a second of which the file says something.
 
     Raises:
-        InputError: if the file is not a labels file or has no row of this episode.
+        InputError: if the file is not a labels file or does not speak of this episode.
     """
     table = episode_rows(path, LABELS, episode, "labels")
     agent = agent_rows(path, table, episode, tracks)
@@ -129,21 +129,21 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     time_s = table["time_s"].to_numpy()
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
     here = np.abs(times[column] - time_s) < 1e-3
-    given = np.stack([table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS], axis=1)
-    if not np.isfinite(given).all() or (np.abs(given.sum(axis=1) - 1.0) > 1e-3).any():
+    told = np.stack([table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS], axis=1)
+    if not np.isfinite(told).all() or (np.abs(told.sum(axis=1) - 1.0) > 1e-3).any():
         raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
     probability = _nothing(tracks, steps)
-    probability[agent[here], column[here]] = given[here]
+    probability[agent[here], column[here]] = told[here]
     return Beliefs(tracks.ids, times, probability)
 
 
 def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.Table:
-    """The rows of one episode in a Parquet file.
+    """What a Parquet file says of one episode.
 
     Args:
         path: the file.
         schema: its columns, ``episode`` among them.
-        episode: its id.
+        episode: whose rows.
         what: what the rows are, for messages.
 
     Raises:
@@ -157,10 +157,10 @@ def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.T
 
 
 def agent_rows(path: Path, table: pa.Table, episode: str, tracks: Tracks) -> IntArray:
-    """(m,) the agent's row in the tracks for each row of a table, by the column ``agent``.
+    """(m,) which agent of an episode each row of a table speaks of, by the column ``agent``.
 
     Raises:
-        InputError: if it names an agent that the episode does not have.
+        InputError: if it names somebody whom the episode does not have.
     """
     names = pa.array(tracks.names, pa.string())
     row = pc.index_in(table["agent"], value_set=names)

@@ -21,7 +21,7 @@ from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 
 EVERY_S: Final = 1.0
-"""Time between two predictions, s (our choice: five horizons of 5 s overlap)."""
+"""Time between two predictions, s (our choice: a horizon of 5 s is looked at five times)."""
 
 LEAST_PROBABILITY: Final = 0.02
 """Futures less likely than this are not kept (our choice)."""
@@ -53,17 +53,17 @@ def forecast(
     predictor: str,
     horizon_s: float = 5.0,
 ) -> list[Forecast]:
-    """Predict every agent at regular times of an episode.
+    """Predict every agent again and again through an episode.
 
     Args:
-        tracks: the episode; each prediction is given only its past.
+        tracks: the episode; each prediction sees only its past.
         beliefs: about its drivers.
         road: where it happened; None if there is no map.
         predictor: a key of ``PREDICTORS``.
         horizon_s: how far ahead, s.
 
     Returns:
-        One entry per second in which any agent is present.
+        One entry per second in which anybody is there.
     """
     found = []
     for step in sampled(tracks, EVERY_S)[1:]:
@@ -78,7 +78,7 @@ def forecast(
 
 
 def _kept(time_s: float, rows: IntArray, prediction: Prediction) -> Forecast:
-    """The futures that are kept, those of one agent together, the likeliest first."""
+    """The futures worth keeping, those of one agent together, the likeliest first."""
     ahead = np.arange(1, round(prediction.time_s[-1] / SAMPLE_S) + 1) * SAMPLE_S
     at = np.clip(np.searchsorted(prediction.time_s, ahead - 1e-6), 0, prediction.time_s.size - 1)
     order = np.argsort(-prediction.probability, axis=1, kind="stable")
@@ -98,19 +98,19 @@ def _kept(time_s: float, rows: IntArray, prediction: Prediction) -> Forecast:
 def read_forecasts(
     path: Path, episode: str, tracks: Tracks, predictor: str | None = None
 ) -> tuple[str, list[Forecast]]:
-    """The predictions of one episode in a predictions file.
+    """What a predictions file says of one episode.
 
     Args:
         path: the Parquet file.
-        episode: its id.
+        episode: whose rows.
         tracks: that episode.
-        predictor: the name of the predictor; None for the first in the file.
+        predictor: whose predictions; None for the first in the file.
 
     Returns:
         The predictor's name and its predictions, in order of time.
 
     Raises:
-        InputError: if the file is not a predictions file or has no row of this episode.
+        InputError: if the file is not a predictions file or does not speak of this episode.
     """
     table = episode_rows(path, PREDICTIONS, episode, "predictions")
     whose = table["predictor"].cast(pa.string())

@@ -1,7 +1,7 @@
 """The traffic graph over the time of an episode: who is joined, and each agent's part in w = L u.
 
-w is the graph's Laplacian times the eigenvector u of its largest eigenvalue; the paper reads it as
-each vehicle's share in the leading eigenvector. The sign of u is arbitrary, so |w| is kept.
+w is the graph's Laplacian times the eigenvector u of its largest eigenvalue, the paper's figure of
+which vehicles the leading eigenvector is about. The sign of u means nothing; |w| is kept.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from sim.frames import FloatArray, IntArray, Tracks
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphHistory:
-    """A traffic graph over the time of an episode.
+    """A traffic graph, followed.
 
     Attributes:
-        time_s: (S,) the times at which it is kept, s.
-        w: (N, S) |w| of each agent; NaN where it is absent.
-        edges: (E, 4) of each edge: the two agents' rows, the first time index that has it and the
-            first that does not.
+        time_s: (S,) when it was looked at, s.
+        w: (N, S) |w| of each agent; NaN where it is not there.
+        edges: (E, 4) of each edge: the two agents' rows, the first look that found it and the
+            first that did not.
     """
 
     time_s: FloatArray
@@ -40,7 +40,7 @@ def graph_history(tracks: Tracks) -> GraphHistory:
         tracks: the episode.
 
     Returns:
-        The graph at every half second.
+        The graph as looked at every half a second.
     """
     steps = kept_steps(tracks)
     column = {int(step): i for i, step in enumerate(steps)}
@@ -55,20 +55,20 @@ def graph_history(tracks: Tracks) -> GraphHistory:
         graph = graph.observe(tracks.ids[rows], tracks.xy[rows, step])
         if step not in column:
             continue
-        at = column[step]
+        look = column[step]
         pairs = np.sort(np.searchsorted(tracks.ids, graph.edges), axis=1)
         keys = (pairs[:, 0] * many + pairs[:, 1]).tolist()
         now = set(keys)
         for key in [key for key in since if key not in now]:
-            edges.append((*divmod(key, many), since.pop(key), at))
+            edges.append((*divmod(key, many), since.pop(key), look))
         for key in keys:
-            since.setdefault(key, at)
+            since.setdefault(key, look)
         if not rows.size:
             continue
         previous = SOLVERS["graphrqi"](graph, num_pairs=1, end="largest", previous=previous)
         leading = np.asarray(previous.eigenvectors[:, 0])
         value = np.abs(np.asarray(graph.laplacian @ leading))
-        w[rows, at] = value[graph.rows_of(tracks.ids[rows])]
+        w[rows, look] = value[graph.rows_of(tracks.ids[rows])]
     edges += [(*divmod(key, many), begin, steps.size) for key, begin in since.items()]
     return GraphHistory(
         tracks.time_s[steps], w, np.array(sorted(edges), dtype=np.int64).reshape(-1, 4)

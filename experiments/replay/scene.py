@@ -1,4 +1,4 @@
-"""Everything that a replay shows of one episode: for the page, the video and the picture."""
+"""Everything a replay shows of one episode, gathered once: for the page, the video, the picture."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from sim.store.dataset import Dataset, Episode
 from sim.store.schema import EpisodeEntry
 
 SHOWN_EVERY_S: Final = 0.1
-"""Time between two kept positions of an agent, s; in between it is drawn on a straight line."""
+"""Time between two places that are kept of an agent, s; between them it moves straight."""
 
 MAX_PLACES: Final = 1_000_000
-"""Most positions in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
+"""Most places of agents in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
 
 DEFAULT_PREDICTOR: Final = "graphrqi-predict"
 
@@ -49,11 +49,11 @@ class ReplayScene:
         agents: what was drawn for each agent, by id.
         exhibits: the traits that were shown.
         beliefs: what a classifier believes.
-        believer: the name of the classifier or of its file.
+        believer: who believes it, in words.
         graph: the traffic graph.
         forecasts: predictions, in order of time.
-        predictor: the name of the predictor; "" if there are none.
-        notes: what a reader should know about the data, one sentence each.
+        predictor: whose; "" if there are none.
+        notes: what a reader should know of the data, one sentence each.
     """
 
     entry: EpisodeEntry
@@ -71,7 +71,7 @@ class ReplayScene:
 
     @property
     def name(self) -> str:
-        """The name of the episode's scenario or recording."""
+        """What the episode is called: its scenario, or its recording."""
         recording = self.entry.options.get("recording")
         return recording if isinstance(recording, str) else self.entry.scenario
 
@@ -109,7 +109,7 @@ def gather(
     predictor: str | None = None,
     quiet: bool = True,
 ) -> ReplayScene:
-    """Read an episode; classify and predict in it unless files with the answers are given.
+    """Read an episode, and classify and predict in it what no file says.
 
     Args:
         dataset: where it is.
@@ -179,23 +179,23 @@ def gather(
 
 
 def _stride(tracks: Tracks) -> int:
-    """The step between two kept frames."""
+    """Every how many-th frame is kept."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
     return max(wanted, -(-int(tracks.valid.sum()) // MAX_PLACES))
 
 
 def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple[str, ...]:
-    given = episode.entry.options.get("notes")
-    notes = [str(note) for note in given] if isinstance(given, list) else []
+    told = episode.entry.options.get("notes")
+    notes = [str(note) for note in told] if isinstance(told, list) else []
     if road is None:
-        notes.append("there is no map: faint lines show where everyone went")
+        notes.append("no road is known: faint lines show where everyone went")
     if unit == "px":
         notes.append(
             "positions are pixels of an image: the shipped classifier and predictors were made for "
             "metres, so what they say here is a guess"
         )
     if episode.tracks.behavior is None:
-        notes.append("the true behaviours are not known in this data")
+        notes.append("nobody's true behaviour is known in this data")
     shown_s = stride * episode.tracks.step_s
     if shown_s > 1.5 * SHOWN_EVERY_S:
         notes.append(f"places every {shown_s:.2g} s are kept, to keep the page small")

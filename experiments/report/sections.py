@@ -27,7 +27,7 @@ class Layout:
         across: keys that tell its columns apart.
         main: metrics shown at first; empty for all. The others wait behind a heading.
         made_by: the command that measures it.
-        explanation: what a reader has to know of all of it.
+        told: what a reader has to know of all of it.
     """
 
     title: str
@@ -36,7 +36,7 @@ class Layout:
     across: tuple[str, ...]
     main: tuple[str, ...]
     made_by: str
-    explanation: str
+    told: str
 
 
 OTHER: Final = Layout("Other figures", (), (), ("metric",), (), "", "")
@@ -105,7 +105,7 @@ class Section:
     Attributes:
         bench: what measured it.
         title: heading.
-        explanation: what a reader has to know.
+        told: what a reader has to know.
         made_by: the command that measures it.
         tables: those to see at once.
         more: those behind a heading.
@@ -114,7 +114,7 @@ class Section:
 
     bench: str
     title: str
-    explanation: str
+    told: str
     made_by: str
     tables: tuple[Table, ...]
     more: tuple[Table, ...]
@@ -135,7 +135,7 @@ def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
         tables, more = _tables(rows[bench], layout)
         charts = tuple(chart for chart in _charts(bench, rows[bench]) if chart)
         found.append(
-            Section(bench, layout.title, layout.explanation, layout.made_by, tables, more, charts)
+            Section(bench, layout.title, layout.told, layout.made_by, tables, more, charts)
         )
     return found
 

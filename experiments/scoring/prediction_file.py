@@ -1,7 +1,7 @@
 """Predictions on disk: one tidy Parquet file, a row per future and place.
 
-``mode`` numbers the futures of each predictor, agent and instant; a future's probability is
-repeated in each of its rows. Positions are given every half second.
+The futures of each predictor, agent and instant are told apart by ``mode``; a future's probability
+is repeated in each of its rows. Places are given every half second.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ PREDICTIONS: Final = pa.schema(
         pa.field("y_m", pa.float64()),
     ]
 )
-"""Columns of a predictions file. The agent is the source's own id, ``time_s`` the time of the
-prediction, ``ahead_s`` the time from then to the position."""
+"""Columns of a predictions file. The agent is the source's own id, ``time_s`` when it was
+predicted, ``ahead_s`` how much later it is to be there."""
 
 
 def predictions_table(
@@ -45,9 +45,9 @@ def predictions_table(
     Args:
         prediction: the futures of the agents of the history.
         history: what was predicted from; its last column is the present.
-        predictor: the name of the predictor.
+        predictor: whose futures they are.
         episode: its id.
-        horizon_s: positions farther ahead are left out, s.
+        horizon_s: no place farther ahead is kept, s.
 
     Returns:
         A table with the columns `PREDICTIONS`; agents, futures and times ascend.
@@ -72,8 +72,8 @@ def predictions_table(
     return pa.Table.from_arrays(columns, schema=PREDICTIONS)
 
 
-class TableSink(Protocol):
-    """Something that tables are written to."""
+class TakesTables(Protocol):
+    """What tables are written to."""
 
     def write_table(self, table: pa.Table) -> None:
         """Add a table's rows."""
@@ -81,7 +81,7 @@ class TableSink(Protocol):
 
 
 @contextmanager
-def predictions_file(path: Path) -> Iterator[TableSink]:
+def predictions_file(path: Path) -> Iterator[TakesTables]:
     """A new predictions file; it appears whole when the block ends, or not at all.
 
     Raises:

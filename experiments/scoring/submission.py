@@ -1,4 +1,4 @@
-"""Predictions in the format of Argoverse 2's forecasting challenge.
+"""Predictions in the form in which Argoverse 2's forecasting challenge takes them.
 
 One Parquet file: a row per scenario, track and future, with the future's probability and its 60
 places, 0.1 s apart, as two lists. Futures of a track come in order of falling probability.
@@ -29,7 +29,7 @@ from sim.store.dataset import open_dataset
 RATE_HZ: Final = 10
 
 STEPS: Final = 60
-"""Positions per future in a submission: 6 s at 10 Hz."""
+"""Places per future that the challenge wants: 6 s at 10 Hz."""
 
 MOST_MODES: Final = 6
 """Futures per track that the challenge scores."""
@@ -80,7 +80,7 @@ def write_submission(
 def submit_dataset(source: Path, predictor: str, model: str, path: Path) -> int:
     """Predict every recording of a dataset 5 s after its beginning and write a submission.
 
-    Every agent present then is predicted; the challenge picks those that it scores.
+    Everybody present then is predicted; the challenge picks those that it scores.
 
     Args:
         source: folder of a dataset; its episodes are 10 Hz.
@@ -95,7 +95,7 @@ def submit_dataset(source: Path, predictor: str, model: str, path: Path) -> int:
         InputError: if an episode is not 10 Hz, or the dataset or the model cannot be read.
     """
     dataset, trained = open_dataset(source), load_model(model)
-    predictions: dict[str, tuple[Sequence[str], Prediction]] = {}
+    told: dict[str, tuple[Sequence[str], Prediction]] = {}
     for entry in dataset.manifest.episodes:
         tracks = dataset.read(entry).tracks
         if tracks.time_s.size < 2:
@@ -112,8 +112,8 @@ def submit_dataset(source: Path, predictor: str, model: str, path: Path) -> int:
         history = tracks.window(stop, OBSERVED_STEPS)
         prediction = predict(history, posterior, dataset.road(entry), STEPS / RATE_HZ, predictor)
         name = str(entry.options.get("recording", entry.id))
-        predictions[name] = (history.names, prediction)
-    return write_submission(predictions, path)
+        told[name] = (history.names, prediction)
+    return write_submission(told, path)
 
 
 def _check(scenario: str, names: Sequence[str], prediction: Prediction) -> None:

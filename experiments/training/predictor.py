@@ -1,8 +1,9 @@
-"""Calibrates the driver parameters of the predictors and trains the learned predictors."""
+"""Makes what the predictors ship with: calibrated driver numbers and trained networks."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, cast
@@ -22,42 +23,35 @@ from experiments.scoring.prediction_errors import (
     instants,
 )
 from graphrqi.methods import load_model
-from graphrqi.predict.learned.anchors import (
-    KNOT_S,
-    KNOTS,
-    PredictorInputs,
-    known,
-    to_own_frame,
-    unlabelled,
-)
-from graphrqi.predict.learned.networks import FuturesModel, save_network
+from graphrqi.predict.learned.inputs import predictor_inputs, to_own_frame, unlabelled_inputs
 from graphrqi.predict.map_free.predictor import map_free_inputs
+from graphrqi.predict.networks.futures import KNOT_S, KNOTS, Futures, PredictorInputs
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table, table_to_json
 from graphrqi.predict.rollout.following import shuffled_posterior
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene
 from graphrqi.predict.training.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
-from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray
 from sim.store.atomic import write_whole
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
 CALIBRATE_EVERY_S: Final = 6.0
-"""Time between scenes used for calibration, s."""
+"""Time between scenes used for calibration, s (our choice)."""
 
 EXAMPLES_EVERY_S: Final = 1.5
-"""Time between the instants that networks are trained on, s."""
+"""Time between instants that networks are trained on, s (our choice)."""
 
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
-"""Shares of the instants of an epoch at which all posteriors are uniform, and at which drivers get
-each other's posteriors; chosen on episodes that are used for nothing else."""
+"""Shares of instants at which, in an epoch, nobody is believed to be anything, and everybody what
+another driver is believed to be (our choice on episodes of a set apart)."""
 
 ALONE_SHARE: Final = 0.3
-"""Share of the training instants at which the map-free network gets no neighbours."""
+"""Share of training instants in which the network without a map sees no neighbours (ours)."""
 
 
 def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:
-    """Scenes of one episode with their true futures, for calibration."""
+    """Scenes of one episode with what happened next, for calibration and training."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     if road is None or tracks.behavior is None:
@@ -68,18 +62,15 @@ def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         scene = make_scene(history, road, horizon_s)
         truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, scene.time_s)
-        counts = _counts(history, truth, tracks.step_s)
+        counts = (
+            (history.kind != PEDESTRIAN)
+            & np.isfinite(truth).all(axis=(1, 2))
+            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
+        )
         if counts.any():
             behavior = cast("CodeArray", history.behavior).astype(np.int64)
             found.append(Sample(scene, truth, counts, behavior))
     return found
-
-
-def _counts(history: Tracks, truth: FloatArray, step_s: float) -> BoolArray:
-    """(n,) drivers with a whole future (n, T, 2) that were observed for long enough."""
-    observed_s = history.valid.sum(axis=1) * step_s
-    whole = np.isfinite(truth).all(axis=(1, 2))
-    return np.asarray((history.kind != PEDESTRIAN) & whole & (observed_s > LEAST_SEEN_S - 1e-6))
 
 
 def calibrate_drivers(
@@ -91,18 +82,18 @@ def calibrate_drivers(
     seed: int = 0,
     quiet: bool = False,
 ) -> DriverTable:
-    """Calibrate the driver parameters on a dataset's training episodes and save them.
+    """Calibrate the car-following numbers on a dataset's training episodes and save them.
 
     Args:
         source: a dataset.
-        out: the file to write; it gets a card of data, split and scores.
+        out: the file to write, with a card of data, split and scores.
         every_s: time between the scenes of an episode, s.
         iterations: perturbations tried.
         seed: of the search.
         quiet: whether to show no progress.
 
     Returns:
-        The driver parameters.
+        The numbers.
 
     Raises:
         InputError: if there is no training episode, or one without road or labels.
@@ -141,16 +132,16 @@ def calibrate_drivers(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BeliefVariants:
-    """The same examples with the classifier's posteriors, with uniform and with exchanged ones.
+class Told:
+    """The same examples with what the classifier believes, with no beliefs, and with others'.
 
-    Every epoch draws among them, so that a network learns how reliable posteriors are.
+    Drawn anew for every epoch, so that a network learns how far to trust beliefs.
 
     Attributes:
         believed: with the classifier's own posteriors.
-        unknown: with uniform posteriors.
-        shuffled: with posteriors of other drivers.
-        instant: (m,) number of the instant of each example, from 0 on.
+        unknown: with none.
+        shuffled: with those of other drivers.
+        instant: (m,) at which instant each was taken, from 0 on.
     """
 
     believed: Examples
@@ -159,8 +150,8 @@ class BeliefVariants:
     instant: IntArray
 
     @classmethod
-    def join(cls, parts: list[BeliefVariants]) -> BeliefVariants:
-        """The examples of several episodes."""
+    def join(cls, parts: list[Told]) -> Told:
+        """One after the other."""
         ends = np.cumsum([part.instant.max() + 1 for part in parts])
         return cls(
             Examples.join([part.believed for part in parts]),
@@ -172,45 +163,24 @@ class BeliefVariants:
         )
 
     def draw(self, seed: int, epoch: int) -> Examples:
-        """One of the three variants for each instant, with the shares above."""
+        """One of the three for each instant, by the shares above."""
         chance = np.random.default_rng((seed, epoch)).random(int(self.instant.max()) + 1)
         chance = chance[self.instant]
         unknown = chance < UNKNOWN_SHARE
         shuffled = ~unknown & (chance < UNKNOWN_SHARE + SHUFFLED_SHARE)
-        inputs, bases = self.believed.inputs.copy(), self.believed.bases.copy()
+        inputs, bases = self.believed.features.copy(), self.believed.anchors.copy()
         for rows, other in ((unknown, self.unknown), (shuffled, self.shuffled)):
-            inputs[rows], bases[rows] = other.inputs[rows], other.bases[rows]
+            inputs[rows], bases[rows] = other.features[rows], other.anchors[rows]
         return Examples(inputs, bases, self.believed.truth)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainingExamples:
-    """Examples for each kind of learned predictor, of the same drivers and instants.
-
-    Attributes:
-        labelled: with posteriors.
-        unlabelled: without posteriors.
-        map_free: without posteriors and road.
-    """
-
-    labelled: BeliefVariants
-    unlabelled: Examples
-    map_free: Examples
-
-    @classmethod
-    def join(cls, parts: list[TrainingExamples]) -> TrainingExamples:
-        """The examples of several episodes."""
-        return cls(
-            BeliefVariants.join([part.labelled for part in parts]),
-            Examples.join([part.unlabelled for part in parts]),
-            Examples.join([part.map_free for part in parts]),
-        )
 
 
 def examples_of(
     folder: Path, entry: EpisodeEntry, model: str, every_s: float, seed: int
-) -> TrainingExamples:
-    """Training examples of one episode, with the posteriors of a classifier."""
+) -> tuple[Told, Examples, Examples]:
+    """What learned predictors are trained on, from one episode: with labels, without, without map.
+
+    Beliefs are the classifier's own.
+    """
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     if road is None:
@@ -218,39 +188,43 @@ def examples_of(
     rng = np.random.default_rng((seed, entry.seed))
     table = default_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
-    variants: list[list[Examples]] = [[], [], []]
-    without_labels, without_map = [], []
+    told: list[list[Examples]] = [[], [], []]
+    label_free, mapless = [], []
     for stop, posterior in beliefs(tracks, load_model(model), stops).items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         scene = make_scene(history, road, LEARNED_S)
         rows = np.searchsorted(tracks.ids, history.ids)
         sample = np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
         truth = future(tracks, rows, stop, sample)
-        counts = _counts(history, truth, tracks.step_s)
+        counts = (
+            (history.kind != PEDESTRIAN)
+            & np.isfinite(truth).all(axis=(1, 2))
+            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
+        )
         if not counts.any():
             continue
         probability = posterior.of(history.ids)
         unknown = np.full_like(probability, 1.0 / probability.shape[1])
         own = to_own_frame(scene, truth)
         others = shuffled_posterior(scene, posterior).probability
-        for found, belief in zip(variants, (probability, unknown, others), strict=True):
-            found.append(_examples(known(scene, belief, table), own, counts))
-        without_labels.append(_examples(unlabelled(scene), own, counts))
+        for found, belief in zip(told, (probability, unknown, others), strict=True):
+            found.append(_examples(predictor_inputs(scene, belief, table), own, counts))
+        label_free.append(_examples(unlabelled_inputs(scene), own, counts))
         sees = bool(rng.random() >= ALONE_SHARE)
-        without_map.append(_examples(map_free_inputs(history, sees), own, counts))
-    instant = np.repeat(np.arange(len(variants[0])), [len(one.inputs) for one in variants[0]])
-    believed, uniform, shuffled = (Examples.join(found) for found in variants)
-    return TrainingExamples(
-        BeliefVariants(believed, uniform, shuffled, instant),
-        Examples.join(without_labels),
-        Examples.join(without_map),
+        mapless.append(_examples(map_free_inputs(history, sees), own, counts))
+    instant = np.repeat(np.arange(len(told[0])), [len(one.features) for one in told[0]])
+    believed, unknown_too, shuffled = (Examples.join(found) for found in told)
+    return (
+        Told(believed, unknown_too, shuffled, instant),
+        Examples.join(label_free),
+        Examples.join(mapless),
     )
 
 
 def _examples(data: PredictorInputs, truth: FloatArray, counts: BoolArray) -> Examples:
     return Examples(
-        data.inputs[counts].astype(np.float32),
-        data.bases[counts].astype(np.float32),
+        data.features[counts].astype(np.float32),
+        data.anchors[counts].astype(np.float32),
         truth[counts].astype(np.float32),
     )
 
@@ -268,16 +242,16 @@ def train_predictors(
 ) -> dict[str, float]:
     """Train the learned predictors on a dataset's training episodes and save them.
 
-    The classifier should not have been trained on these episodes: it is too certain about drivers
-    that it was trained on.
+    The classifier should not have been trained on these episodes: on those it knows too well who
+    drives how.
 
     Args:
         source: a dataset.
-        model: the classifier whose posteriors are used: the name of a shipped model or a folder.
+        model: the classifier whose beliefs are used: a shipped one's name or a folder.
         out: the folder to write into.
         every_s: time between the instants of an episode, s.
         epochs: passes over the training examples.
-        seed: of weights, order, and the draw of uniform or exchanged posteriors.
+        seed: of weights, order and which beliefs are left out or shuffled.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -289,64 +263,58 @@ def train_predictors(
     """
     dataset = open_dataset(source)
     load_model(model)
-    train = _observed(source, "train", model, every_s, seed, jobs, quiet)
-    validation = _observed(source, "validation", model, every_s, seed, jobs, quiet)
-    draw = functools.partial(train.labelled.draw, seed)
-    check = validation.labelled.draw(seed, 0)
-    with Progress("predictors: training epochs", 4 * epochs, quiet) as progress:
-
-        def on_epoch(epoch: int, ade_m: float) -> None:
-            progress.advance()
-
-        fit: dict[str, Any] = {"epochs": epochs, "seed": seed, "tell": on_epoch}
-        network = train_perceptron(draw, check, **fit)
-        lstm = train_lstm(train.unlabelled, validation.unlabelled, **fit)
-        mlp = train_perceptron(train.unlabelled, validation.unlabelled, **fit)
-        map_free = train_perceptron(train.map_free, validation.map_free, **fit)
-    scores = {
-        "graphrqi-predict": guess_ade_m(network, check),
-        "lstm": guess_ade_m(lstm, validation.unlabelled),
-        "mlp": guess_ade_m(mlp, validation.unlabelled),
-        "mapless": guess_ade_m(map_free, validation.map_free),
-    }
+    parts: dict[Split, tuple[Told, Examples, Examples]] = {}
+    splits: tuple[Split, ...] = ("train", "validation")
+    for split in splits:
+        entries = dataset.episodes(split)
+        if not entries:
+            raise InputError(f"{source}: found no {split} episode, expected at least 1")
+        arguments = [(source, entry, model, every_s, seed) for entry in entries]
+        found = []
+        with Progress(f"predictors: observing {split} episodes", len(entries), quiet) as progress:
+            for one in in_parallel(examples_of, arguments, jobs):
+                found.append(one)
+                progress.advance()
+        informed, label_free, mapless = (list(same) for same in zip(*found, strict=True))
+        parts[split] = Told.join(informed), Examples.join(label_free), Examples.join(mapless)
     card: dict[str, Any] = {
         "data": dict(dataset.manifest.configuration), "split": "train", "epochs": epochs,
-        "examples": len(train.unlabelled.inputs), "seed": seed,
+        "examples": len(parts["train"][1].features), "seed": seed,
     }  # fmt: skip
+    told, train_free, train_mapless = parts["train"]
+    told_too, check_free, check_mapless = parts["validation"]
+    train, check = functools.partial(told.draw, seed), told_too.draw(seed, 0)
+    with Progress("predictors: training epochs", 4 * epochs, quiet) as progress:
+
+        def advance(epoch: int, ade_m: float) -> None:
+            progress.advance()
+
+        network = train_perceptron(train, check, epochs=epochs, seed=seed, on_epoch=advance)
+        rival = train_lstm(train_free, check_free, epochs=epochs, seed=seed, on_epoch=advance)
+        plain = train_perceptron(train_free, check_free, epochs=epochs, seed=seed, on_epoch=advance)
+        blind = train_perceptron(
+            train_mapless, check_mapless, epochs=epochs, seed=seed, on_epoch=advance
+        )
+    scores = {
+        "graphrqi-predict": guess_ade_m(network, check),
+        "lstm": guess_ade_m(rival, check_free),
+        "mlp": guess_ade_m(plain, check_free),
+        "mapless": guess_ade_m(blind, check_mapless),
+    }
     out.mkdir(parents=True, exist_ok=True)
     for name, save in (
-        ("graphrqi-predict", functools.partial(save_network, network)),
-        ("lstm", lstm.save),
-        ("mlp", functools.partial(save_network, mlp)),
-        ("mapless", functools.partial(save_network, map_free)),
+        ("graphrqi-predict", network.save),
+        ("lstm", rival.save),
+        ("mlp", plain.save),
+        ("mapless", blind.save),
     ):
         save(out / f"{name}.safetensors", card | {"validation_ade_m": round(scores[name], 4)})
     return scores
 
 
-def _observed(
-    source: Path,
-    split: Split,
-    model: str,
-    every_s: float,
-    seed: int,
-    jobs: int | None,
-    quiet: bool,
-) -> TrainingExamples:
-    """The examples of all episodes of a split."""
-    entries = open_dataset(source).episodes(split)
-    if not entries:
-        raise InputError(f"{source}: found no {split} episode, expected at least 1")
-    arguments = [(source, entry, model, every_s, seed) for entry in entries]
-    found: list[TrainingExamples] = []
-    with Progress(f"predictors: observing {split} episodes", len(entries), quiet) as progress:
-        for one in in_parallel(examples_of, arguments, jobs):
-            found.append(one)
-            progress.advance()
-    return TrainingExamples.join(found)
-
-
-def guess_ade_m(network: FuturesModel, examples: Examples) -> float:
-    """Mean distance of a network's most likely futures from the true ones, m."""
-    data = PredictorInputs(examples.inputs.astype(np.float64), examples.bases.astype(np.float64))
+def guess_ade_m(network: Callable[[PredictorInputs], Futures], examples: Examples) -> float:
+    """Mean distance of a network's likeliest futures, m."""
+    data = PredictorInputs(
+        examples.features.astype(np.float64), examples.anchors.astype(np.float64)
+    )
     return float(np.linalg.norm(network(data).own[:, 0] - examples.truth, axis=-1).mean())

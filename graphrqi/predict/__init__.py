@@ -31,12 +31,12 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
         "behavior-mixture": "graphrqi.predict.rollout.mixture:behavior_mixture",
         "oracle": "graphrqi.predict.rollout.following:oracle",
         "shuffled": "graphrqi.predict.rollout.following:shuffled",
-        "lstm": "graphrqi.predict.learned.lstm:lstm",
-        "mlp": "graphrqi.predict.learned.networks:mlp",
-        "graphrqi-predict": "graphrqi.predict.learned.networks:graphrqi_predict",
-        "graphrqi-predict-unlabelled": "graphrqi.predict.learned.networks:unlabelled_predict",
-        "graphrqi-predict-oracle": "graphrqi.predict.learned.networks:oracle_predict",
-        "graphrqi-predict-shuffled": "graphrqi.predict.learned.networks:shuffled_predict",
+        "lstm": "graphrqi.predict.learned.predictors:lstm",
+        "mlp": "graphrqi.predict.learned.predictors:mlp",
+        "graphrqi-predict": "graphrqi.predict.learned.predictors:graphrqi_predict",
+        "graphrqi-predict-unlabelled": "graphrqi.predict.learned.predictors:unlabelled_predict",
+        "graphrqi-predict-oracle": "graphrqi.predict.learned.predictors:oracle_predict",
+        "graphrqi-predict-shuffled": "graphrqi.predict.learned.predictors:shuffled_predict",
     },
 )
 """Every predictor by name."""

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout.driver_parameters import DriverParameters, believed
+from graphrqi.predict.rollout.driver_parameters import DriverParameters, expected_parameters
 from graphrqi.predict.rollout.driver_table import DriverTable
-from graphrqi.predict.rollout.rollout import Rollout, beside, centre_ahead, places, roll
+from graphrqi.predict.rollout.rollout import Rollout, centre_ahead, on_lane_beside, positions, roll
 from graphrqi.predict.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -107,7 +107,7 @@ def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) ->
     Returns:
         The best manoeuvre's beginning.
     """
-    manners = believed(scene, probability, table)
+    drivers = expected_parameters(scene, probability, table)
     length = scene.history.length.copy()
     length[ego] += 2.0 * STOP_MARGIN_M
     scene = dataclasses.replace(scene, history=dataclasses.replace(scene.history, length=length))
@@ -117,7 +117,7 @@ def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) ->
         if moved is None:
             continue
         for wish, headway_s in WISHES:
-            driven = _driving(manners, ego, wish, headway_s)
+            driven = _driving(drivers, ego, wish, headway_s)
             rollout = roll(moved, driven, table.decay_s, planned=ego)
             worth = _worth(moved, rollout, ego, probability) - CHANGE_WEIGHT * abs(side)
             if worth > best:
@@ -125,7 +125,7 @@ def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) ->
     assert chosen is not None
     side, moved, rollout = chosen
     speed = float(max(scene.speed[ego], 0.0))
-    accel = (rollout.v[ego, round(ACT_S / STEP_S) - 1] - speed) / ACT_S
+    accel = (rollout.speed[ego, round(ACT_S / STEP_S) - 1] - speed) / ACT_S
     return Plan(float(accel), centre_ahead(moved, ego), side)
 
 
@@ -133,38 +133,40 @@ def _moved(scene: Scene, ego: int, side: int) -> Scene | None:
     """The scene with the planned vehicle on its way to a lane beside; None if there is none."""
     if side == 0:
         return scene
-    other, there = beside(scene, side, other_ways=False)
+    other, there = on_lane_beside(scene, side, other_ways=False)
     if not there[ego]:
         return None
     one = np.arange(scene.ids.size) == ego
     changed = {
         name: np.where(one, getattr(other, name), getattr(scene, name))
-        for name in ("lane", "path", "offset", "sideways")
+        for name in ("lane", "path", "offset", "lateral_speed")
     }
     return dataclasses.replace(scene, **changed)
 
 
 def _driving(
-    manners: DriverParameters, ego: int, wish: float, headway_s: float
+    drivers: DriverParameters, ego: int, wish: float, headway_s: float
 ) -> DriverParameters:
-    """The manners with the planned vehicle's own: it wants that speed and keeps its lane."""
-    following, changing = manners.following.copy(), manners.changing.copy()
+    """The drivers with the planned vehicle's own: it wants that speed and keeps its lane."""
+    following, changing = drivers.following.copy(), drivers.changing.copy()
     following[ego] = (max(wish, 1e-3), headway_s, *EGO_FOLLOWING)
     changing[ego, 1] = 1e9  # never
-    ignores = manners.ignores.copy()
+    ignores = drivers.ignores.copy()
     ignores[ego] = False
-    return dataclasses.replace(manners, following=following, changing=changing, ignores=ignores)
+    return dataclasses.replace(drivers, following=following, changing=changing, ignores=ignores)
 
 
 def _worth(scene: Scene, rollout: Rollout, ego: int, probability: FloatArray) -> float:
     """Way gone as a share of what the limit allows, less what the risk on it costs."""
-    limit = max(float(scene.seen.limit[ego]), 1.0) if np.isfinite(scene.seen.limit[ego]) else 10.0
-    progress = float(rollout.gone[ego, -1]) / (limit * scene.steps * STEP_S)
+    limit = (
+        max(float(scene.states.limit[ego]), 1.0) if np.isfinite(scene.states.limit[ego]) else 10.0
+    )
+    progress = float(rollout.travelled[ego, -1]) / (limit * scene.steps * STEP_S)
     near = np.hypot(*(scene.xy - scene.xy[ego]).T) < 100.0
     near[ego] = True
     rows = np.flatnonzero(near)
     me = int(np.searchsorted(rows, ego))
-    xy = places(scene, rollout)[rows, EVERY - 1 :: EVERY]
+    xy = positions(scene, rollout)[rows, EVERY - 1 :: EVERY]
     risk, overlap, surprise = risks(xy, scene, rows, me, probability[rows])
     span = EVERY * STEP_S
     cost = RISK_WEIGHT * risk + OVERLAP_WEIGHT * overlap + SURPRISE_WEIGHT * surprise

@@ -25,12 +25,6 @@ from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntA
 from sim.road import Road, lane_search
 from sim.road.lane_graph import LaneGraph, project
 
-LOOK_AHEAD_M: Final = 200.0
-"""Leaders, signals and crossings farther than this are not seen (our choice: 14 s at 14 m/s)."""
-
-MAX_LANES_AHEAD: Final = 8
-"""How many lanes onward are searched at most: junction paths are short (our choice)."""
-
 MIN_SPEED_MPS: Final = 0.1
 """Below this a headway in seconds means nothing; it is infinite (our choice)."""
 
@@ -176,22 +170,15 @@ def _observe(
     """
     graph = LaneGraph.of(road)
     m = speed.size
+    xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
     place = project(road, xy, heading)
-    xy_of_place, facing = graph.position(place.lane, place.s, place.offset)
-    lane_heading = np.pi - (np.pi - (heading - facing)) % (2 * np.pi)
-    inside = np.abs(place.offset) <= graph.width[place.lane] / 2 + 0.5  # half a metre: our choice
-    on_road = ~walking & inside & (np.hypot(*(xy - xy_of_place).T) < 5.0)
-    lane = np.where(on_road, place.lane, -1)
-    forward = np.where(on_road & (np.abs(lane_heading) < np.pi / 2), lane, -1)
-
-    leader, distance = lane_search.leaders(
-        by_time, begins, lane, forward, place.s, graph.length, graph.ahead, MAX_LANES_AHEAD,
-        LOOK_AHEAD_M,
+    view = lane_search.perceive(
+        xy, heading, length, ~walking, place.lane, place.s, place.offset, by_time, begins,
+        lane_search.LaneArrays.of(graph),
     )  # fmt: skip
+    on_road, leader, gap = view.lane >= 0, view.leader, view.gap
     has = leader >= 0
-    gap = np.full(m, np.inf)
     closing = np.zeros(m)
-    gap[has] = distance[has] - (length[has] + length[leader[has]]) / 2
     closing[has] = speed[has] - speed[leader[has]]
     headway = np.full(m, np.inf)
     np.divide(gap, speed, out=headway, where=has & (speed > MIN_SPEED_MPS))
@@ -199,11 +186,7 @@ def _observe(
     np.divide(np.maximum(gap, 0.0), closing, out=collision, where=has & (closing > 1e-6))
 
     signal = np.full(m, Signal.OFF.code, dtype=np.int8)
-    stop_distance, group, crossing, crossing_distance = lane_search.stops_ahead(
-        forward, place.s + length / 2, graph.length, graph.ahead, graph.internal, graph.signal,
-        graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, MAX_LANES_AHEAD,
-        LOOK_AHEAD_M,
-    )  # fmt: skip
+    group, crossing = view.signal_group, view.crossing
     lit = np.flatnonzero((group >= 0) & (group < signals.shape[0]))
     signal[lit] = signals[group[lit], instant[lit]]
 
@@ -214,21 +197,21 @@ def _observe(
     is_waiting[meets] = waiting[crossing[meets], instant[meets]]
     return Observables(
         on_road=on_road,
-        lane=lane,
+        lane=view.lane,
         s=np.where(on_road, place.s, np.nan),
         offset=np.where(on_road, place.offset, np.nan),
-        lane_heading=np.where(on_road, lane_heading, np.nan),
+        lane_heading=np.where(on_road, view.lane_heading, np.nan),
         limit=np.where(on_road, graph.limit[place.lane], np.nan),
         leader=leader,
         gap=gap,
         closing=closing,
         headway=headway,
         time_to_collision=collision,
-        follower=lane_search.followers(leader, gap),
-        stop_distance=stop_distance,
+        follower=view.follower,
+        stop_distance=view.stop_distance,
         signal=signal,
         crossing=crossing,
-        crossing_distance=crossing_distance,
+        crossing_distance=view.crossing_distance,
         crossing_occupied=is_occupied,
         crossing_waiting=is_waiting,
     )

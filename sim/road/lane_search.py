@@ -1,17 +1,95 @@
 """Searches along lanes, compiled: who is ahead or behind, which stop lines and crossings come.
 
-`sim.episode.observables` says what they mean; here they are loops over plain arrays.
+`sim.episode.observables` says what each observable means; here they are loops over plain arrays.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
+from numpy.typing import NDArray
+
+from sim.compiled import compiled, inner
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+LOOK_AHEAD_M = 200.0
+"""Leaders, signals and crossings farther than this are not seen (our choice: 14 s at 14 m/s)."""
+
+MAX_LANES_AHEAD = 8
+"""How many lanes onward are searched at most: junction paths are short (our choice)."""
+
+BESIDE_LANE_M = 0.5
+"""A vehicle whose centre is this far outside a lane still drives on it (our choice)."""
+
+OFF_END_M = 5.0
+"""A vehicle this far beyond a lane's end is not on the lane (our choice)."""
 
 
-@numba.njit(cache=True, error_model="numpy")
+class LaneArrays(NamedTuple):
+    """The columns of a `sim.road.lane_graph.LaneGraph` that the searches read; see there."""
+
+    length: FloatArray
+    width: FloatArray
+    internal: BoolArray
+    signal: IntArray
+    ahead: IntArray
+    behind: IntArray
+    left: IntArray
+    right: IntArray
+    cross_lane: IntArray
+    cross_id: IntArray
+    cross_s: FloatArray
+    cross_exit_s: FloatArray
+    segment_start: FloatArray
+    segment_direction: FloatArray
+    segment_heading: FloatArray
+    segment_at: FloatArray
+    segment_first: IntArray
+    segment_last: IntArray
+
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def of(graph: Any) -> LaneArrays:
+        """The columns of a `sim.road.lane_graph.LaneGraph`, gathered once."""
+        return LaneArrays(*(getattr(graph, name) for name in LaneArrays._fields))
+
+
+class LaneView(NamedTuple):
+    """What m rows of vehicles see along their lanes; distances are +inf and indices -1 for none.
+
+    Attributes:
+        lane: (m,) lane that the vehicle's centre is on.
+        segment: (m,) straight piece of centre line beside it.
+        missed: (m,) how far the vehicle is from its lane coordinates, as beyond a lane's end, m.
+        lane_heading: (m,) heading relative to the lane's, rad in (-pi, pi].
+        leader: (m,) row of the vehicle ahead.
+        gap: (m,) bumper to bumper to the leader, m.
+        follower: (m,) row of the nearest vehicle that has this one as its leader.
+        stop_distance: (m,) front bumper to the next junction entry, m; negative inside a junction.
+        signal_group: (m,) signal group that guards the entry.
+        crossing: (m,) the next crossing.
+        crossing_distance: (m,) front bumper to its near edge, m.
+    """
+
+    lane: IntArray
+    segment: IntArray
+    missed: FloatArray
+    lane_heading: FloatArray
+    leader: IntArray
+    gap: FloatArray
+    follower: IntArray
+    stop_distance: FloatArray
+    signal_group: IntArray
+    crossing: IntArray
+    crossing_distance: FloatArray
+
+
+@compiled
 def fit(
     xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any
 ) -> tuple[Any, Any, Any]:
@@ -54,7 +132,7 @@ def fit(
     return best, at, left
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def place(
     lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any, direction: Any
 ) -> tuple[Any, Any]:
@@ -86,7 +164,7 @@ def place(
     return xy, piece
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def along_at(line: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
     """`along` of one place (x, y)."""
     begin, nearest, found, left = 0.0, np.inf, 0.0, 0.0
@@ -109,7 +187,7 @@ def along_at(line: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
     return found, left, begin
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
     """Places in the coordinates of a line that goes on straight at both ends.
 
@@ -135,127 +213,97 @@ def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
     return u, left, total
 
 
-@numba.njit(cache=True, error_model="numpy")
-def nearest(
-    key: Any, at: Any, row: Any, lane_length: Any, onward: Any, instant: Any, lane: Any, s: Any,
-    forward: bool, most_lanes: int, look_ahead: float,
+@inner
+def _insert(rows: Any, lanes: Any, at: Any, count: int, row: Any, lane: Any, s: Any) -> None:
+    """Add a vehicle to the first ``count``, ordered by lane, then place, behind its equals."""
+    k = count  # vehicles are few, and mostly come in order
+    while k > 0 and (lanes[k - 1] > lane or (lanes[k - 1] == lane and at[k - 1] > s)):
+        rows[k], lanes[k], at[k] = rows[k - 1], lanes[k - 1], at[k - 1]
+        k -= 1
+    rows[k], lanes[k], at[k] = row, lane, s
+
+
+@compiled
+def next_vehicle(
+    lanes: Any, at: Any, count: int, lane: Any, s: Any, forward: bool, lane_length: Any,
+    onward: Any,
 ) -> tuple[Any, Any]:  # fmt: skip
-    """The first vehicle strictly ahead of (or behind) each place, along the lane and beyond.
+    """The first vehicle strictly ahead of (or behind) a place, along the lane and beyond.
 
     Args:
-        key: (m,) instant times number of lanes plus lane, of vehicles sorted by it and by ``at``.
-        at: (m,) their distance along the lane, m.
-        row: (m,) their row.
+        lanes: (m,) lane of each vehicle, in order of lane, then of place.
+        at: (m,) distance along it, m.
+        count: how many of them there are.
+        lane: where the search begins, -1: nowhere.
+        s: distance along the lane, m.
+        forward: whether to look ahead.
         lane_length: (L,) m.
         onward: (L,) the lane after (or before) each, -1: none.
-        instant: (q,) of each question.
-        lane: (q,) asked about, -1: none.
-        s: (q,) distance along it, m.
-        forward: whether to look ahead.
-        most_lanes: how many lanes are looked at.
-        look_ahead: m.
 
     Returns:
-        (q,) rows or -1, and (q,) distances between centres, m, or +inf.
+        Its place in the order or -1, and the distance between the centres, m, or +inf.
     """
-    lanes, m = lane_length.size, key.size
-    found, distance = np.full(lane.size, -1, np.int64), np.full(lane.size, np.inf)
-    for q in range(lane.size):
-        now, travelled, place = lane[q], 0.0, s[q]
-        for _ in range(most_lanes):
-            if now < 0 or travelled > look_ahead:
-                break
-            wanted = instant[q] * lanes + now
-            low, high = 0, m
-            while low < high:
-                middle = (low + high) // 2
-                before = key[middle] < wanted or (
-                    key[middle] == wanted
-                    and (at[middle] < place or (forward and at[middle] == place))
-                )
-                if before:
-                    low = middle + 1
-                else:
-                    high = middle
-            j = low if forward else low - 1
-            if 0 <= j < m and key[j] == wanted:
-                far = travelled + abs(at[j] - max(place, 0.0))
-                if far <= look_ahead:
-                    found[q], distance[q] = row[j], far
-                break
-            if forward:
-                travelled += lane_length[now] - max(place, 0.0)
-                now, place = onward[now], -1e-9  # whoever stands at the very start counts
+    now, travelled, place = lane, 0.0, s
+    for _ in range(MAX_LANES_AHEAD):
+        if now < 0 or travelled > LOOK_AHEAD_M:
+            break
+        low, high = 0, count
+        while low < high:
+            middle = (low + high) // 2
+            before = lanes[middle] < now or (
+                lanes[middle] == now and (at[middle] < place or (forward and at[middle] == place))
+            )
+            if before:
+                low = middle + 1
             else:
-                travelled += place
-                now = onward[now]
-                place = lane_length[now] if now >= 0 else 0.0
-    return found, distance
+                high = middle
+        j = low if forward else low - 1
+        if 0 <= j < count and lanes[j] == now:
+            far = travelled + abs(at[j] - max(place, 0.0))
+            if far <= LOOK_AHEAD_M:
+                return j, far
+            break
+        if forward:
+            travelled += lane_length[now] - max(place, 0.0)
+            now, place = onward[now], -1e-9  # a vehicle that stands at the very start counts
+        else:
+            travelled += place
+            now = onward[now]
+            place = lane_length[now] if now >= 0 else 0.0
+    return -1, np.inf
 
 
-@numba.njit(cache=True, error_model="numpy")
-def leaders(
-    by_time: Any, begins: Any, lane: Any, forward: Any, s: Any, lane_length: Any, onward: Any,
-    most_lanes: int, look_ahead: float,
-) -> tuple[Any, Any]:  # fmt: skip
-    """The vehicle ahead of each, instant by instant.
-
-    Args:
-        by_time: (m,) rows in order of time.
-        begins: (T + 1,) where in them those of each time begin, and m.
-        lane: (m,) lane of each row, -1: none.
-        forward: (m,) the same where the vehicle drives along it, -1 elsewhere.
-        s: (m,) distance along it, m.
-        lane_length: as in `nearest`.
-        onward: as in `nearest`.
-        most_lanes: as in `nearest`.
-        look_ahead: as in `nearest`.
-
-    Returns:
-        (m,) rows or -1, and (m,) distances between centres, m, or +inf.
-    """
+@inner
+def _leaders(
+    by_time: Any, begins: Any, lane: Any, forward: Any, s: Any, road: Any
+) -> tuple[Any, Any]:
+    """(m,) rows of the vehicles ahead or -1, and (m,) distances between centres, m, or +inf."""
     m = by_time.size
     found, distance = np.full(m, -1, np.int64), np.full(m, np.inf)
     most = 0
     for t in range(begins.size - 1):
         most = max(most, begins[t + 1] - begins[t])
-    row, key, at = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
-    asked, place, now = np.empty(most, np.int64), np.empty(most), np.zeros(most, np.int64)
+    rows, lanes, at = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    length, onward = road.length, road.ahead
     ahead = m >= 0  # not the literal True, for which the search would be compiled once more
     for t in range(begins.size - 1):
-        count, first = 0, begins[t]
-        here = begins[t + 1] - first
-        for j in range(here):
-            i = by_time[first + j]
-            asked[j], place[j] = forward[i], s[i]
-            if lane[i] < 0:
-                continue
-            k = count  # sorted in as they come: they are few, and mostly in order
-            while k > 0 and (key[k - 1] > lane[i] or (key[k - 1] == lane[i] and at[k - 1] > s[i])):
-                row[k], key[k], at[k] = row[k - 1], key[k - 1], at[k - 1]
-                k -= 1
-            row[k], key[k], at[k] = i, lane[i], s[i]
-            count += 1
-        who, far = nearest(
-            key[:count], at[:count], row[:count], lane_length, onward, now[:here], asked[:here],
-            place[:here], ahead, most_lanes, look_ahead,
-        )  # fmt: skip
-        for j in range(here):
-            found[by_time[first + j]], distance[by_time[first + j]] = who[j], far[j]
+        count = 0
+        for j in range(begins[t], begins[t + 1]):
+            i = by_time[j]
+            if lane[i] >= 0:
+                _insert(rows, lanes, at, count, i, lane[i], s[i])
+                count += 1
+        for q in range(begins[t], begins[t + 1]):
+            i = by_time[q]
+            j, far = next_vehicle(lanes, at, count, forward[i], s[i], ahead, length, onward)
+            if j >= 0:
+                found[i], distance[i] = rows[j], far
     return found, distance
 
 
-@numba.njit(cache=True, error_model="numpy")
-def followers(leader: Any, gap: Any) -> Any:
-    """Who is nearest behind each.
-
-    Args:
-        leader: (m,) row of the vehicle ahead, -1: none.
-        gap: (m,) to it, m.
-
-    Returns:
-        (m,) rows or -1; of several at the same distance the last.
-    """
+@inner
+def _followers(leader: Any, gap: Any) -> Any:
+    """(m,) who is nearest behind each, or -1; of several at the same distance the last."""
     follower = np.full(leader.size, -1, np.int64)
     for i in range(leader.size):
         ahead = leader[i]
@@ -264,39 +312,29 @@ def followers(leader: Any, gap: Any) -> Any:
     return follower
 
 
-@numba.njit(cache=True, error_model="numpy")
-def stops_ahead(
-    lane: Any, front: Any, lane_length: Any, ahead: Any, internal: Any, signal: Any,
-    cross_lane: Any, cross_id: Any, cross_s: Any, cross_exit_s: Any, most_lanes: int,
-    look_ahead: float,
-) -> tuple[Any, Any, Any, Any]:  # fmt: skip
-    """The next junction entry and the next crossing of each vehicle.
+@inner
+def _stops_ahead(lane: Any, front: Any, road: Any) -> tuple[Any, Any, Any, Any]:
+    """The next junction entry and the next crossing of vehicles.
 
     Args:
-        lane: (n,) -1: none.
-        front: (n,) distance of the front bumper along it, m.
-        lane_length: (L,) m.
-        ahead: (L,) the lane after each, -1: none.
-        internal: (L,) whether the lane crosses a junction.
-        signal: (L,) group that guards entering it, -1: none.
-        cross_lane: (Z,) lane of each place where a lane and a crossing meet.
-        cross_id: (Z,) the crossing.
-        cross_s: (Z,) distance along the lane of its near edge, m.
-        cross_exit_s: (Z,) and of its far edge, m.
-        most_lanes: how many lanes are looked at.
-        look_ahead: m.
+        lane: (m,) lane along which each drives, -1: none.
+        front: (m,) distance of the front bumper along it, m.
+        road: the `LaneArrays`.
 
     Returns:
-        (n,) each: distance to the junction entry, m, negative inside one, +inf if none; its signal
+        (m,) each: distance to the junction entry, m, negative inside one, +inf if none; its signal
         group or -1; the crossing or -1; distance to its near edge, m, or +inf.
     """
-    n = lane.size
-    stop, group = np.full(n, np.inf), np.full(n, -1, np.int64)
-    crossing, to_crossing = np.full(n, -1, np.int64), np.full(n, np.inf)
-    for i in range(n):
+    internal, signal, length, onward = road.internal, road.signal, road.length, road.ahead
+    cross_lane, cross_id = road.cross_lane, road.cross_id
+    cross_s, cross_exit_s = road.cross_s, road.cross_exit_s
+    m = lane.size
+    stop, group = np.full(m, np.inf), np.full(m, -1, np.int64)
+    crossing, to_crossing = np.full(m, -1, np.int64), np.full(m, np.inf)
+    for i in range(m):
         now, travelled = lane[i], -front[i]
-        for hop in range(most_lanes):
-            if now < 0 or travelled > look_ahead:
+        for hop in range(MAX_LANES_AHEAD):
+            if now < 0 or travelled > LOOK_AHEAD_M:
                 break
             if internal[now] and stop[i] == np.inf:
                 stop[i] = travelled
@@ -308,6 +346,100 @@ def stops_ahead(
                 to = travelled + cross_s[z]
                 if to < to_crossing[i]:
                     crossing[i], to_crossing[i] = cross_id[z], to
-            travelled += lane_length[now]
-            now = ahead[now]
+            travelled += length[now]
+            now = onward[now]
     return stop, group, crossing, to_crossing
+
+
+@compiled
+def perceive(
+    xy: Any, heading: Any, length: Any, drives: Any, lane: Any, s: Any, offset: Any, by_time: Any,
+    begins: Any, road: Any,
+) -> LaneView:  # fmt: skip
+    """Place vehicles on lanes; find their leaders and the stop lines and crossings ahead of them.
+
+    Args:
+        xy: (m, 2) centres, m.
+        heading: (m,) rad.
+        length: (m,) m.
+        drives: (m,) whether the row is a vehicle's; the others are on no lane.
+        lane: (m,) lane that fits best, as `Road.project` finds it.
+        s: (m,) distance along it, m.
+        offset: (m,) distance to its left, m.
+        by_time: (m,) the rows in order of time.
+        begins: (T + 1,) where in ``by_time`` those of each time begin, and m.
+        road: the `LaneArrays`.
+
+    Returns:
+        What each row sees.
+    """
+    first, last, at = road.segment_first, road.segment_last, road.segment_at
+    start, direction = road.segment_start, road.segment_direction
+    segment_heading, width = road.segment_heading, road.width
+    m = s.size
+    on_lane, forward = np.full(m, -1, np.int64), np.full(m, -1, np.int64)
+    segment, missed = np.empty(m, np.int64), np.empty(m)
+    lane_heading, front = np.empty(m), np.empty(m)
+    for i in range(m):
+        on = lane[i]
+        g = first[on]
+        while g < last[on] and at[g + 1] <= s[i]:
+            g += 1
+        ux, uy = direction[g, 0], direction[g, 1]
+        along = s[i] - at[g]
+        east = xy[i, 0] - (start[g, 0] + ux * along + offset[i] * -uy)
+        north = xy[i, 1] - (start[g, 1] + uy * along + offset[i] * ux)
+        turned = heading[i] - segment_heading[g]
+        segment[i], missed[i] = g, np.hypot(east, north)
+        lane_heading[i] = np.pi - (np.pi - turned) % (2 * np.pi)
+        front[i] = s[i] + length[i] / 2
+        beside = abs(offset[i]) <= width[on] / 2 + BESIDE_LANE_M
+        if drives[i] and beside and missed[i] < OFF_END_M:
+            on_lane[i] = on
+            if abs(lane_heading[i]) < np.pi / 2:
+                forward[i] = on
+    leader, distance = _leaders(by_time, begins, on_lane, forward, s, road)
+    gap = np.full(m, np.inf)
+    for i in range(m):
+        if leader[i] >= 0:
+            gap[i] = distance[i] - (length[i] + length[leader[i]]) / 2
+    stop, group, crossing, to_crossing = _stops_ahead(forward, front, road)
+    return LaneView(
+        on_lane, segment, missed, lane_heading, leader, gap, _followers(leader, gap), stop, group,
+        crossing, to_crossing,
+    )  # fmt: skip
+
+
+@compiled
+def adjacent_vehicles(lane: Any, s: Any, length: Any, road: Any) -> tuple[Any, Any]:
+    """Who is ahead and behind on the lanes beside, at one instant.
+
+    Args:
+        lane: (p,) lane that each vehicle is on, -1: none.
+        s: (p,) distance along it, m.
+        length: (p,) m.
+        road: the `LaneArrays`.
+
+    Returns:
+        (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
+        bumper to bumper, m, or +inf.
+    """
+    p, count = lane.size, 0
+    who, gap = np.full((p, 4), -1, np.int64), np.full((p, 4), np.inf)
+    rows, lanes, at = np.empty(p, np.int64), np.empty(p, np.int64), np.empty(p)
+    left, right, ahead, behind = road.left, road.right, road.ahead, road.behind
+    for i in range(p):
+        if lane[i] >= 0:
+            _insert(rows, lanes, at, count, i, lane[i], s[i])
+            count += 1
+    for i in range(p):
+        if lane[i] < 0:
+            continue
+        for k in range(4):
+            beside = left[lane[i]] if k < 2 else right[lane[i]]
+            forward = k % 2 == 0
+            onward = ahead if forward else behind
+            j, far = next_vehicle(lanes, at, count, beside, s[i], forward, road.length, onward)
+            if j >= 0:
+                who[i, k], gap[i, k] = rows[j], far - (length[i] + length[rows[j]]) / 2
+    return who, gap

@@ -15,7 +15,7 @@ from sim.frames import Tracks
 def test_the_timed_scene_has_everyone_on_a_path_and_leaders():
     scene = make_scene(busy_road(40), SCENARIOS["straight_road"]().road)
     assert scene.on_path.all()
-    assert (scene.seen.leader >= 0).sum() > 20
+    assert (scene.states.leader >= 0).sum() > 20
     assert np.isfinite(scene.accel).all()
 
 

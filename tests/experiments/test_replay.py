@@ -174,7 +174,7 @@ def test_recordings_without_a_road_say_so_and_pixels_stay_pixels(dataset, tmp_pa
     assert scene.name == "pixels"
     assert scene.forecasts
     said = " ".join(scene.notes)
-    assert "there is no map" in said
+    assert "no road is known" in said
     assert "pixels" in said
     write_page(scene, tmp_path / "page.html", "predicted")
     assert '"road":null' in (tmp_path / "page.html").read_text()

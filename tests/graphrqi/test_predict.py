@@ -13,7 +13,11 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, get_predictor, predict
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout.agreement import agreement
-from graphrqi.predict.rollout.driver_parameters import DriverParameters, believed, wary
+from graphrqi.predict.rollout.driver_parameters import (
+    DriverParameters,
+    expected_parameters,
+    with_caution,
+)
 from graphrqi.predict.rollout.driver_table import (
     DRIVER_FIELDS,
     DriverTable,
@@ -22,9 +26,9 @@ from graphrqi.predict.rollout.driver_table import (
     table_from_json,
     table_to_json,
 )
-from graphrqi.predict.rollout.rollout import places, roll
+from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.scene.scene import make_scene
-from graphrqi.predict.scene.stop_constraints import CLOSED, OPEN
+from graphrqi.predict.scene.stop_constraints import PROCEED, STOP
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 
@@ -84,9 +88,9 @@ def driver(scene, **numbers) -> DriverParameters:
     return DriverParameters(
         following=np.tile([{**average, **numbers}[f] for f in DRIVER_FIELDS], (n, 1)),
         changing=np.empty((0, 4)),
-        ignores=np.zeros((n, scene.closed.shape[0]), dtype=bool),
-        wary=np.zeros(n),
-        feared=np.zeros(n),
+        ignores=np.zeros((n, scene.stop_state.shape[0]), dtype=bool),
+        caution=np.zeros(n),
+        threat=np.zeros(n),
     )
 
 
@@ -148,16 +152,18 @@ def free_scene(road, speed=10.0, accel=0.0, lane="east_in_1", s=60.0):
 def test_free_driver_reaches_its_wished_speed(straight):
     scene = free_scene(straight)
     result = roll(scene, driver(scene, speed_factor=1.0, max_accel_mps2=2.0), decay_s=0.0)
-    assert result.v[0, 9] == pytest.approx(12.0)
-    assert result.v[0, -1] == pytest.approx(13.89)
-    assert np.diff(result.gone[0]) == pytest.approx((result.v[0, 1:] + result.v[0, :-1]) / 20)
+    assert result.speed[0, 9] == pytest.approx(12.0)
+    assert result.speed[0, -1] == pytest.approx(13.89)
+    assert np.diff(result.travelled[0]) == pytest.approx(
+        (result.speed[0, 1:] + result.speed[0, :-1]) / 20
+    )
 
 
 def test_residual_acceleration_fades(straight):
     scene = free_scene(straight, speed=5.0, accel=2.0)
-    manners = driver(scene, speed_factor=1.5, max_accel_mps2=1.0)
-    lasting = roll(scene, manners, decay_s=2.0)
-    gained = np.diff(lasting.v[0], prepend=5.0) / 0.1
+    drivers = driver(scene, speed_factor=1.5, max_accel_mps2=1.0)
+    lasting = roll(scene, drivers, decay_s=2.0)
+    gained = np.diff(lasting.speed[0], prepend=5.0) / 0.1
     assert gained == pytest.approx(1.0 + np.exp(-np.arange(50) * 0.1 / 2.0))
 
 
@@ -168,11 +174,11 @@ def test_followers_stop_behind_a_standing_vehicle_in_the_order_of_their_gaps(str
     scene = dataclasses.replace(scene, accel=np.zeros(2))
     gaps = []
     for min_gap in (1.0, 3.0):
-        manners = driver(scene, min_gap_m=min_gap, max_accel_mps2=2.0)
-        manners.following[0, 3] = 1e-6  # the leader stays
-        result = roll(scene, manners, decay_s=0.0)
+        drivers = driver(scene, min_gap_m=min_gap, max_accel_mps2=2.0)
+        drivers.following[0, 3] = 1e-6  # the leader stays
+        result = roll(scene, drivers, decay_s=0.0)
         gaps.append(result.s[0, -1] - result.s[1, -1] - 4.5)
-        assert result.v[1, -1] < 0.1
+        assert result.speed[1, -1] < 0.1
     assert gaps == pytest.approx([1.0, 3.0], abs=0.3)
 
 
@@ -183,17 +189,17 @@ def test_longer_headway_keeps_a_longer_gap(straight):
     scene = make_scene(past, straight, horizon_s=10.0)
     final = []
     for headway in (0.5, 2.5):
-        manners = driver(scene, time_headway_s=headway)
-        manners.following[0, 0] = 10.0 / 13.89
-        result = roll(dataclasses.replace(scene, accel=np.zeros(2)), manners, decay_s=0.0)
+        drivers = driver(scene, time_headway_s=headway)
+        drivers.following[0, 0] = 10.0 / 13.89
+        result = roll(dataclasses.replace(scene, accel=np.zeros(2)), drivers, decay_s=0.0)
         final.append(result.s[0, -1] - result.s[1, -1])
     assert final[1] > final[0] + 10.0
 
 
-def changing(manners: DriverParameters, politeness=0.0, threshold_mps2=1.0) -> DriverParameters:
+def changing(drivers: DriverParameters, politeness=0.0, threshold_mps2=1.0) -> DriverParameters:
     """The same drivers, who change lanes by these numbers."""
     row = [politeness, threshold_mps2, 4.0, 1.0]
-    return dataclasses.replace(manners, changing=np.tile(row, (len(manners.following), 1)))
+    return dataclasses.replace(drivers, changing=np.tile(row, (len(drivers.following), 1)))
 
 
 def behind_a_slow_leader(road, beside=()):
@@ -211,8 +217,8 @@ def lane_names(road, result, row):
 def test_passes_a_slow_leader_if_it_is_worth_it(straight):
     scene = behind_a_slow_leader(straight)
     stays, eager = driver(scene), changing(driver(scene))
-    for manners in (stays, eager):
-        manners.following[0, 0] = 4.0 / 13.89
+    for drivers in (stays, eager):
+        drivers.following[0, 0] = 4.0 / 13.89
     patient = roll(scene, stays, decay_s=0.0)
     passing = roll(scene, eager, decay_s=0.0)
     lazy = roll(scene, changing(stays, threshold_mps2=50.0), decay_s=0.0)
@@ -221,8 +227,8 @@ def test_passes_a_slow_leader_if_it_is_worth_it(straight):
     changed = lane_names(straight, passing, 1)
     assert changed[0] == "east_in_1"
     assert changed[-1] in ("east_in_0", "east_in_2")
-    assert passing.gone[1, -1] > patient.gone[1, -1] + 10.0
-    side = places(scene, passing)[1, :, 1]
+    assert passing.travelled[1, -1] > patient.travelled[1, -1] + 10.0
+    side = positions(scene, passing)[1, :, 1]
     assert abs(side[-1] - side[0]) == pytest.approx(3.2, abs=0.6)
     assert np.abs(np.diff(side)).max() < 0.15  # gradually, not at once
 
@@ -230,9 +236,9 @@ def test_passes_a_slow_leader_if_it_is_worth_it(straight):
 def test_nobody_changes_into_a_neighbour(straight):
     both_sides = [(lane, 60.0, 12.0) for lane in ("east_in_0", "east_in_2")]
     scene = behind_a_slow_leader(straight, both_sides)
-    manners = changing(driver(scene, speed_factor=12.0 / 13.89))
-    manners.following[0, 0] = 4.0 / 13.89
-    first = roll(scene, manners, decay_s=0.0, steps=25)
+    drivers = changing(driver(scene, speed_factor=12.0 / 13.89))
+    drivers.following[0, 0] = 4.0 / 13.89
+    first = roll(scene, drivers, decay_s=0.0, steps=25)
     assert set(lane_names(straight, first, 1)) == {"east_in_1"}
 
 
@@ -240,9 +246,9 @@ def test_polite_drivers_mind_whom_they_make_brake(straight):
     scene = behind_a_slow_leader(straight, [("east_in_2", 38.0, 13.5), ("east_in_0", 38.0, 13.5)])
     ends = {}
     for politeness in (0.0, 5.0):
-        manners = changing(driver(scene), politeness=politeness)
-        manners.following[0, 0] = 4.0 / 13.89
-        result = roll(scene, manners, decay_s=0.0, steps=30)
+        drivers = changing(driver(scene), politeness=politeness)
+        drivers.following[0, 0] = 4.0 / 13.89
+        result = roll(scene, drivers, decay_s=0.0, steps=30)
         ends[politeness] = lane_names(straight, result, 1)[-1]
     assert ends[0.0] != "east_in_1"
     assert ends[5.0] == "east_in_1"
@@ -257,10 +263,10 @@ def test_conservative_drivers_keep_away_from_the_aggressive(straight):
     gaps = {}
     for leader in (Behavior.THREATENING, Behavior.TIMID):
         sure = np.eye(len(BEHAVIORS))[[leader.code, Behavior.CAREFUL.code]]
-        manners = believed(scene, sure, table)
-        manners.following[0] = manners.following[1]  # the leader drives alike in both
-        manners.following[0, 0] = 10.0 / 13.89
-        for kind, each in (("plain", manners), ("wary", wary(manners, sure))):
+        drivers = expected_parameters(scene, sure, table)
+        drivers.following[0] = drivers.following[1]  # the leader drives alike in both
+        drivers.following[0, 0] = 10.0 / 13.89
+        for kind, each in (("plain", drivers), ("wary", with_caution(drivers, sure))):
             result = roll(scene, each, decay_s=0.0)
             gaps[leader, kind] = result.s[0, -1] - result.s[1, -1]
     assert gaps[Behavior.THREATENING, "plain"] == pytest.approx(gaps[Behavior.TIMID, "plain"])
@@ -276,23 +282,25 @@ def test_stops_at_red_and_goes_at_green(four_way):
     place, heading = on_lane(four_way, "west_in_2", length - 40.0)
     scene = make_scene(history([place], [heading], [12.0]), four_way, horizon_s=8.0)
     ends = {}
-    for state in (CLOSED, OPEN):
-        closed = scene.closed.copy()
+    for state in (STOP, PROCEED):
+        closed = scene.stop_state.copy()
         closed[group] = state
-        ends[state] = roll(dataclasses.replace(scene, closed=closed), driver(scene), decay_s=0.0)
-    assert ends[CLOSED].v[0, -1] < 0.5
-    assert ends[CLOSED].gone[0, -1] <= 40.0 - 2.25 + 1e-6
-    assert ends[OPEN].gone[0, -1] > 50.0
+        ends[state] = roll(
+            dataclasses.replace(scene, stop_state=closed), driver(scene), decay_s=0.0
+        )
+    assert ends[STOP].speed[0, -1] < 0.5
+    assert ends[STOP].travelled[0, -1] <= 40.0 - 2.25 + 1e-6
+    assert ends[PROCEED].travelled[0, -1] > 50.0
 
 
 def test_who_cannot_stop_any_more_goes_through(four_way):
     length = next(x.length_m for x in four_way.lanes if x.id == "west_in_2")
     place, heading = on_lane(four_way, "west_in_2", length - 6.0)
     scene = make_scene(history([place], [heading], [13.0]), four_way)
-    closed = np.zeros_like(scene.closed)
-    closed[: len(four_way.signal_groups)] = CLOSED
-    result = roll(dataclasses.replace(scene, closed=closed), driver(scene), decay_s=0.0)
-    assert result.gone[0, -1] > 26.0
+    closed = np.zeros_like(scene.stop_state)
+    closed[: len(four_way.signal_groups)] = STOP
+    result = roll(dataclasses.replace(scene, stop_state=closed), driver(scene), decay_s=0.0)
+    assert result.travelled[0, -1] > 26.0
 
 
 def test_waits_for_a_pedestrian_and_reckless_does_not(straight):
@@ -337,7 +345,7 @@ def test_blind_does_not_listen(straight):
 def test_places_follow_the_lane_and_return_to_its_centre(straight):
     place, heading = on_lane(straight, "east_in_2", 60.0, offset=0.5)
     scene = make_scene(history([place], [heading], [10.0]), straight)
-    xy = places(scene, roll(scene, driver(scene), decay_s=0.0))
+    xy = positions(scene, roll(scene, driver(scene), decay_s=0.0))
     centre, _ = on_lane(straight, "east_in_2", 0.0)
     assert xy[0, 0, 1] - centre[1] == pytest.approx(0.5, abs=0.06)
     assert xy[0, -1, 1] - centre[1] == pytest.approx(0.0, abs=0.05)
@@ -357,17 +365,17 @@ def test_signals_follow_their_programme(four_way):
             )
         )  # fmt: skip
     scene = make_scene(Tracks.from_frames(frames), four_way)
-    gate = {0: CLOSED, 1: 1, 2: OPEN, 3: OPEN}
+    gate = {0: STOP, 1: 1, 2: PROCEED, 3: PROCEED}
     for j, group in enumerate(plan.groups):
-        assert scene.closed[group, 0] == gate[plan.states[0][j]]
-        assert scene.closed[group, -1] == gate[plan.state_at(change_s + 2.9)[j]]
+        assert scene.stop_state[group, 0] == gate[plan.states[0][j]]
+        assert scene.stop_state[group, -1] == gate[plan.state_at(change_s + 2.9)[j]]
 
 
 def test_signals_off_their_programme_are_held(four_way):
     red = np.full(len(four_way.signal_groups), Signal.RED.code)
     scene = make_scene(history([[0.0, 0.0]], [0.0], [1.0], signals=red), four_way)
     groups = len(four_way.signal_groups)
-    assert (scene.closed[:groups] == CLOSED).all()
+    assert (scene.stop_state[:groups] == STOP).all()
 
 
 def test_wrong_input_is_refused_by_name(straight):

@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from graphrqi.predict.learned.anchors import BASES, KNOT_S, KNOTS, PredictorInputs
 from graphrqi.predict.learned.lstm import load_lstm
-from graphrqi.predict.learned.networks import (
+from graphrqi.predict.metrics import covered, log_density, overlap
+from graphrqi.predict.networks.futures import (
+    ANCHORS,
+    KNOT_S,
+    KNOTS,
     MODES,
     PER_MODE,
+    PredictorInputs,
     _spline,
     decode,
-    load_network,
-    save_network,
 )
-from graphrqi.predict.metrics import covered, log_density, overlap
+from graphrqi.predict.networks.perceptron import load_perceptron
 from graphrqi.predict.training import fit
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
 
@@ -27,18 +29,18 @@ INPUTS = 72
 
 
 def made_up(count: int, seed: int) -> Examples:
-    """Drivers that go one of the first two bases' way, as their first input says."""
+    """Drivers that go one of the first two anchors' way, as their first input says."""
     rng = np.random.default_rng(seed)
     inputs = np.zeros((count, INPUTS), dtype=np.float32)
     inputs[:, 0] = rng.standard_normal(count)
     speed = rng.uniform(5, 15, count)
     time_s = np.arange(1, KNOTS + 1) * KNOT_S
     straight = np.stack([speed[:, None] * time_s, np.zeros((count, KNOTS))], axis=-1)
-    bases = np.repeat(straight[:, None], len(BASES), axis=1)
-    bases[:, 1, :, 1] += time_s
+    anchors = np.repeat(straight[:, None], ANCHORS, axis=1)
+    anchors[:, 1, :, 1] += time_s
     left = inputs[:, 0] > 0
-    truth = np.where(left[:, None, None], bases[:, 1], bases[:, 0])
-    return Examples(inputs, bases.astype(np.float32), truth.astype(np.float32))
+    truth = np.where(left[:, None, None], anchors[:, 1], anchors[:, 0])
+    return Examples(inputs, anchors.astype(np.float32), truth.astype(np.float32))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,8 +58,10 @@ def perceptron(small_and_quick):
     return train_perceptron(made_up(2048, 0), made_up(300, 1), epochs=10)
 
 
-def known(examples: Examples) -> PredictorInputs:
-    return PredictorInputs(examples.inputs.astype(np.float64), examples.bases.astype(np.float64))
+def inputs_of(examples: Examples) -> PredictorInputs:
+    return PredictorInputs(
+        examples.features.astype(np.float64), examples.anchors.astype(np.float64)
+    )
 
 
 def ade(futures, examples: Examples) -> float:
@@ -66,15 +70,15 @@ def ade(futures, examples: Examples) -> float:
 
 def test_perceptron_learns_which_way_drivers_go(perceptron):
     test = made_up(500, 2)
-    untold = float(np.linalg.norm(test.bases[:, 0] - test.truth, axis=-1).mean())
-    assert ade(perceptron(known(test)), test) < 0.5 * untold
+    untold = float(np.linalg.norm(test.anchors[:, 0] - test.truth, axis=-1).mean())
+    assert ade(perceptron(inputs_of(test)), test) < 0.5 * untold
 
 
 def test_lstm_learns_which_way_drivers_go():
     test = made_up(500, 2)
     network = train_lstm(made_up(2048, 0), made_up(300, 1), epochs=4)
-    untold = float(np.linalg.norm(test.bases[:, 0] - test.truth, axis=-1).mean())
-    assert ade(network(known(test)), test) < 0.5 * untold
+    untold = float(np.linalg.norm(test.anchors[:, 0] - test.truth, axis=-1).mean())
+    assert ade(network(inputs_of(test)), test) < 0.5 * untold
 
 
 def test_training_twice_gives_the_same_network():
@@ -84,9 +88,9 @@ def test_training_twice_gives_the_same_network():
 
 def test_networks_survive_their_files(perceptron, tmp_path):
     path = tmp_path / "network.safetensors"
-    save_network(perceptron, path, {"split": "train"})
-    again = load_network(path)
-    test = known(made_up(50, 3))
+    perceptron.save(path, {"split": "train"})
+    again = load_perceptron(path)
+    test = inputs_of(made_up(50, 3))
     assert np.allclose(again(test).own, perceptron(test).own, atol=1e-3)
     rival = train_lstm(made_up(256, 0), made_up(100, 1), epochs=1)
     rival.save(tmp_path / "lstm.safetensors", {})
@@ -95,7 +99,7 @@ def test_networks_survive_their_files(perceptron, tmp_path):
     )
 
 
-@pytest.mark.parametrize("load", [load_network, load_lstm])
+@pytest.mark.parametrize("load", [load_perceptron, load_lstm])
 def test_broken_network_files_are_refused(load, tmp_path):
     with pytest.raises(InputError, match="found no file"):
         load(tmp_path / "missing")
@@ -109,7 +113,7 @@ def test_newer_network_files_are_refused(perceptron, tmp_path):
 
     path = tmp_path / "newer"
     save_file({"mean": np.zeros(1)}, path, {"about": json.dumps({"schema_version": 99})})
-    for load in (load_network, load_lstm):
+    for load in (load_perceptron, load_lstm):
         with pytest.raises(InputError, match="schema_version: found 99, expected 1"):
             load(path)
 
@@ -117,7 +121,7 @@ def test_newer_network_files_are_refused(perceptron, tmp_path):
 def test_decoded_futures_are_distributions_with_the_first_the_likeliest():
     rng = np.random.default_rng(0)
     raw = rng.standard_normal((40, MODES * PER_MODE))
-    futures = decode(raw, rng.standard_normal((40, len(BASES), KNOTS, 2)), 1.0)
+    futures = decode(raw, rng.standard_normal((40, ANCHORS, KNOTS, 2)), 1.0)
     assert futures.probability.sum(axis=1) == pytest.approx(1.0)
     assert (futures.probability.argmax(axis=1) == 0).all()
     assert (futures.spread > 0).all()
@@ -162,6 +166,6 @@ def test_rotated_boxes_overlap_only_where_they_do():
 
 
 def test_spread_scale_widens_the_sets(perceptron):
-    test = known(made_up(50, 4))
+    test = inputs_of(made_up(50, 4))
     wider = dataclasses.replace(perceptron, spread_scale=perceptron.spread_scale * 3)
     assert (wider(test).spread >= perceptron(test).spread).all()

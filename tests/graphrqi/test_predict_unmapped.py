@@ -11,7 +11,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from graphrqi.predict.map_free.motion import inferred_leaders, plausible, smooth
-from graphrqi.predict.map_free.predictor import map_free_inputs, trusted_way
+from graphrqi.predict.map_free.predictor import map_free_inputs, trusted_model
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Tracks
 
@@ -103,16 +103,16 @@ def jumping(seconds=5.0) -> Tracks:
 
 def test_a_past_that_only_steady_motion_explains_is_predicted_by_it():
     tracks = jumping()
-    assert trusted_way(tracks, believable=False) == "steady"
+    assert trusted_model(tracks, believable=False) == "steady"
     assert ends(tracks)[:, 0] == pytest.approx([100.0, 100.0])
 
 
 def test_a_short_past_is_not_tried():
-    assert trusted_way(recording([0.0], [12.0]), believable=True) == "own past"
+    assert trusted_model(recording([0.0], [12.0]), believable=True) == "own past"
     frame = next(iter(recording([0.0], [12.0]).frames()))
     alone = Tracks.from_frames([frame])
-    assert trusted_way(alone, believable=True) == "own past"
-    assert trusted_way(alone, believable=False) == "steady"
+    assert trusted_model(alone, believable=True) == "own past"
+    assert trusted_model(alone, believable=False) == "steady"
 
 
 def test_shaken_tracks_are_taken_to_go_on_as_they_do():
@@ -120,7 +120,7 @@ def test_shaken_tracks_are_taken_to_go_on_as_they_do():
     assert smooth(tracks)
     shaken = replace(tracks, heading=tracks.heading + 0.1 * (np.arange(31) % 2))
     assert not smooth(shaken)
-    assert trusted_way(shaken, believable=True) == "steady"
+    assert trusted_model(shaken, believable=True) == "steady"
     slow = replace(shaken, speed=np.minimum(shaken.speed, 1.0))
     assert smooth(slow)
 
@@ -132,10 +132,10 @@ def test_parked_vehicles_tell_nothing_of_clocks():
 
 def test_the_network_sees_no_neighbours_where_gaps_are_implausible():
     tracks = recording([0.0, 25.0], [12.0, 5.0])
-    seen, alone = (map_free_inputs(tracks, believable).inputs for believable in (True, False))
+    seen, alone = (map_free_inputs(tracks, believable).features for believable in (True, False))
     follower = recording([0.0], [12.0])
     assert not np.allclose(seen[0], alone[0])
-    assert np.allclose(alone[0], map_free_inputs(follower, believable=False).inputs[0])
+    assert np.allclose(alone[0], map_free_inputs(follower, believable=False).features[0])
 
 
 @pytest.fixture(scope="module")

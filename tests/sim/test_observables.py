@@ -12,7 +12,7 @@ from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 from sim.road import Connection, Crossing, Lane, Road
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-from sim.road.lane_search import along, nearest
+from sim.road.lane_search import along, next_vehicle
 
 
 def lane(name, points, edge=None, index=0, limit=10.0, internal=False, walking=False):
@@ -182,20 +182,12 @@ def test_leader_search_equals_brute_force():
 
 
 def test_lanes_are_searched_backward_too():
-    length, none = np.array([100.0, 50.0]), np.array([0])
-    at, row = np.array([20.0, 60.0, 10.0]), np.array([7, 8, 9])
-    found = [
-        nearest(
-            np.array([0, 0, 1]), at, row, length, np.array([-1, 0]), none, np.array([lane]),
-            np.array([s]), False, 8, 200.0,
-        )
+    length, before = np.array([100.0, 50.0]), np.array([-1, 0])
+    lanes, at = np.array([0, 0, 1]), np.array([20.0, 60.0, 10.0])
+    assert [
+        next_vehicle(lanes, at, 3, lane, s, False, length, before)
         for lane, s in ((0, 60.0), (1, 10.0), (0, 20.0))
-    ]  # fmt: skip
-    assert [(int(who[0]), float(far[0])) for who, far in found] == [
-        (7, 40.0),
-        (8, 50.0),
-        (-1, np.inf),
-    ]
+    ] == [(0, 40.0), (1, 50.0), (-1, np.inf)]
 
 
 def test_nobody_is_seen_on_an_empty_road(junction):

@@ -30,13 +30,13 @@ from sim.store.dataset import Dataset
 from sim.store.schema import Split
 
 CEILING_DRIVERS: Final = 600
-"""Most training drivers of the ceiling (our choice, about one scenario of the bench's own data).
-With more drivers it gets better, so that ceilings of datasets of other sizes could not be
-compared."""
+"""Training drivers that the ceiling learns from at most (our choice, about those of one scenario in
+the bench's own data): the more it sees, the nearer it comes to where draws are cut off, so ceilings
+of datasets of other sizes could not be compared."""
 
 
 def random_rows(recordings: Recordings, methods: Sequence[str]) -> list[Row]:
-    """Learn half of all windows and score the other half, of the same drivers: a leak, measured."""
+    """Half of all windows learned and the other half scored, drivers and all: a leak, measured."""
     rows: list[Row] = []
     for method in (*methods, "leak-probe"):
         samples = recordings.scored("majority" if method == "leak-probe" else method)
@@ -63,10 +63,10 @@ def _who_and_when(samples: Samples) -> Samples:
 
 
 def leak_probe(recordings: Recordings) -> list[Row]:
-    """A forest that is given agent numbers and times: on all windows, and on each driver's first.
+    """A forest that sees who and when: on everyone's windows, and on each driver's first.
 
-    A number and a time together reveal how long a driver has been present, and slow drivers stay
-    longer. When its first window ends, every driver has been present for the same time.
+    A number and a time together tell how long a driver has been in sight, and slow ones stay
+    longer. When its first window ends, each has been in sight for as long.
     """
     parts = [
         dataclasses.replace(
@@ -104,8 +104,8 @@ def _drivers(dataset: Dataset, split: Split) -> tuple[FloatArray, NDArray[np.int
 def ceiling(recordings: Recordings) -> list[Row]:
     """A forest on the numbers that drivers were made from: nobody can do much better.
 
-    These are desired speed, headway, gap, acceleration and braking. Rates and probabilities are
-    left out: they reveal the class at once and show in hardly any window.
+    Desired speed, headway, gap, acceleration and braking; not the rates and probabilities, which
+    tell the class at once and show in hardly any window.
     """
     numbers, codes, _ = _drivers(recordings.dataset, "train")
     chosen = np.random.default_rng(0).permutation(codes.size)[:CEILING_DRIVERS]

@@ -29,7 +29,7 @@ from graphrqi.predict import get_predictor
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.rollout.driver_table import YIELDS
 from graphrqi.predict.scene.scene import LEARNED_S, Scene, make_scene
-from graphrqi.predict.scene.stop_constraints import OPEN
+from graphrqi.predict.scene.stop_constraints import PROCEED
 from sim.frames import EventKind, FloatArray, IntArray, Tracks
 from sim.road import Road
 
@@ -88,8 +88,8 @@ def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
     graph, paths = scene.graph, scene.paths
     zones = graph.cross_lane.size
     row, room = [], []
-    soon = scene.closed[:, : round(BEFORE_S[1] / STEP_S) + 1]
-    shut = (soon != OPEN).any(axis=1)
+    soon = scene.stop_state[:, : round(BEFORE_S[1] / STEP_S) + 1]
+    shut = (soon != PROCEED).any(axis=1)
     for i in np.flatnonzero(scene.on_path & (scene.speed > LEAST_SPEED_MPS)):
         q = scene.path[i]
         front = scene.s[i] + scene.history.length[i] / 2
@@ -99,10 +99,10 @@ def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
             for z in np.flatnonzero(graph.cross_lane == lane):
                 left = float(paths.start[q, j] + graph.cross_s[z] - front)
                 timely = BEFORE_S[0] <= left / scene.speed[i] <= BEFORE_S[1]
-                constraints = (paths.gate_row[q] < paths.groups) & (
-                    paths.gate_x[q] <= paths.start[q, j] + graph.cross_s[z] + 1e-6
+                gates = (paths.stop_row[q] < paths.groups) & (
+                    paths.stop_x[q] <= paths.start[q, j] + graph.cross_s[z] + 1e-6
                 )
-                red = shut[paths.gate_row[q][constraints & (paths.gate_x[q] > front)]].any()
+                red = shut[paths.stop_row[q][gates & (paths.stop_x[q] > front)]].any()
                 if timely and shut[paths.groups + z] and not red:
                     row.append(i)
                     room.append(left)

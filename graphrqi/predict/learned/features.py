@@ -1,38 +1,46 @@
-"""What the learned predictors know of each driver, as numbers.
+"""What the learned predictors are given about each driver, as numbers.
 
-The same sources as the rollouts use: the driver's own past, its lane and limit, leaders and
+The sources are those of the rollouts: the driver's own past, its lane and limit, leaders and
 followers on its lane and beside it, signals, crossings and yielding places ahead. Whatever depends
-on who drives how (beliefs, rollouts with their numbers) is kept apart, so that a predictor can do
+on behaviours (beliefs, rollouts with their parameters) is kept apart, so that a predictor can do
 without it.
 """
 
 from __future__ import annotations
 
-from typing import Final
+import math
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.learned import features_kernel
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.scene.paths import limits
+from graphrqi.predict.scene.paths import PathColumns, limits
 from graphrqi.predict.scene.scene import Scene
+from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
+from sim.compiled import compiled, inlined
 from sim.road.lane_graph import DIRECTIONS
+from sim.road.lane_search import LaneArrays
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+FAR_M = 100.0
+"""Distances are cut off here and divided by it (our choice)."""
 
 PAST_S: Final = tuple(0.5 * i for i in range(1, 10))
-"""How long ago the own past is looked at, s."""
+"""Ages of the moments of the own past that are described, s."""
 
 AHEAD_S: Final = (0.0, 1.0, 2.0, 3.0, 5.0)
-"""When the gates ahead are looked at, s."""
+"""Times at which the states of the stop constraints ahead are described, s."""
 
-GATES: Final = 3
-"""How many gates ahead are looked at."""
+STOPS: Final = 3
+"""Stop constraints ahead that are described."""
 
 NEIGHBORS: Final = 7
-"""How many neighbours are looked at: leader, its leader, follower, and those ahead and behind on
-the left and on the right."""
+"""Neighbours that are described: leader, its leader, follower, and those ahead and behind on the
+left and on the right."""
 
 PER_NEIGHBOR: Final = 4
 """Numbers per neighbour: present, nearness, relative speed and acceleration."""
@@ -42,37 +50,185 @@ STATE: Final = 13
 
 PAST: Final = slice(STATE, STATE + 3 * len(PAST_S))
 AROUND: Final = slice(PAST.stop, PAST.stop + NEIGHBORS * PER_NEIGHBOR)
-"""Where the own past and the neighbours stand among the features."""
+"""Places of the own past and of the neighbours among the features."""
 
-FEATURES: Final = AROUND.stop + GATES * (1 + 2 * len(AHEAD_S)) + 2 + len(DIRECTIONS)
-"""How many there are."""
+FEATURES: Final = AROUND.stop + STOPS * (1 + 2 * len(AHEAD_S)) + 2 + len(DIRECTIONS)
+"""Number of features."""
+
+
+PAST_END, AROUND_END = PAST.stop, AROUND.stop
+
+
+class _Past(NamedTuple):
+    """The arrays of a history, and the columns of it that are described, -1: before it begins."""
+
+    valid: BoolArray
+    speed: FloatArray
+    heading: FloatArray
+    length: FloatArray
+    columns: IntArray
+
+
+class _Drivers(NamedTuple):
+    """The columns of a `Scene` that are described; see there."""
+
+    path: IntArray
+    on_path: BoolArray
+    lane: IntArray
+    s: FloatArray
+    offset: FloatArray
+    lateral_speed: FloatArray
+    accel: FloatArray
 
 
 def features(scene: Scene) -> FloatArray:
-    """(n, FEATURES) everything that can be known of each driver without knowing how it drives.
+    """(n, FEATURES) everything that is known of each driver but its behaviour.
 
-    In this order: speed, acceleration, limit, place on the lane, lanes beside, wishes seen so far;
-    at each time of `PAST_S` whether it was seen, speed then less now, turned since; the neighbours;
-    nearness and states to come of the next gates on the path; nearness and size of the next lower
-    limit, and which way the path turns.
+    In this order: speed, acceleration, limit, place on the lane, lanes beside, wished speeds seen
+    so far; at each time of `PAST_S` whether it was seen, speed then less now, turned since; the
+    neighbours; nearness and coming states of the next stop constraints on the path; nearness and
+    size of the next lower limit, and which way the path turns.
     """
-    history, seen, paths, graph = scene.history, scene.seen, scene.paths, scene.graph
+    history, graph = scene.history, scene.graph
     when = history.time_s[-1] - np.array(PAST_S)
-    past = np.searchsorted(history.time_s, when - 1e-6)
-    past[history.time_s[0] > when + 1e-6] = -1
+    columns = np.searchsorted(history.time_s, when - 1e-6)
+    columns[history.time_s[0] > when + 1e-6] = -1
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
-    valid, speed, heading = (
-        np.ascontiguousarray(x) for x in (history.valid, history.speed, history.heading)
-    )
-    length = history.length.copy()  # what is read-only only sometimes is compiled for twice
+    past = _Past(
+        np.ascontiguousarray(history.valid), np.ascontiguousarray(history.speed),
+        np.ascontiguousarray(history.heading), history.length.copy(), columns,
+    )  # fmt: skip
+    drivers = _Drivers(*(getattr(scene, name) for name in _Drivers._fields))
     out = np.zeros((scene.ids.size, FEATURES))
-    features_kernel.describe(
-        valid, speed, heading, length,
-        past, scene.on_path,
-        scene.lane, scene.s, scene.offset, scene.sideways, scene.accel, seen.free_factor,
-        seen.least_factor, seen.place, seen.leader, seen.gap, seen.follower, seen.beside,
-        seen.beside_gap, scene.path, scene.closed, shown, GATES, paths.gate_x, paths.gate_row,
-        paths.limit, paths.start, paths.turn, limits(graph), graph.length, graph.internal,
-        graph.left, graph.right, out,
+    _describe(
+        past, drivers, scene.states, scene.stop_state, shown, PathColumns.of(scene.paths),
+        limits(graph), LaneArrays.of(graph), out,
     )  # fmt: skip
     return out
+
+
+@inlined
+def _describe_own_states(
+    past: Any, drivers: Any, states: Any, limits: Any, road: Any, out: Any
+) -> None:
+    speed, length, on_path, lane, s = (
+        past.speed,
+        past.length,
+        drivers.on_path,
+        drivers.lane,
+        drivers.s,
+    )
+    offset, lateral_speed, accel = drivers.offset, drivers.lateral_speed, drivers.accel
+    free, least, on_lane = states.free_factor, states.least_factor, states.on_lane
+    left, right, internal, lane_length = road.left, road.right, road.internal, road.length
+    for i in range(lane.size):
+        on, v = max(lane[i], 0), speed[i, -1]
+        limit = limits[on] if on_path[i] else 0.0
+        out[i, 0], out[i, 1], out[i, 2] = v / 10.0, accel[i] / 3.0, limit / 20.0
+        out[i, 3], out[i, 4] = v / max(limit, 1.0), offset[i] / 3.0
+        out[i, 5], out[i, 6] = lateral_speed[i], length[i] / 10.0
+        if on_path[i]:
+            out[i, 7], out[i, 8], out[i, 9] = 1.0, left[on] >= 0, right[on] >= 0
+        if math.isfinite(free[i]):
+            out[i, 10] = free[i]
+        out[i, 11] = least[i]
+        if on_lane[i] < 0 or not internal[on]:
+            out[i, 12] = min(max(lane_length[on] - s[i], 0.0), FAR_M) / FAR_M
+
+
+@inlined
+def _describe_past(past: Any, out: Any) -> None:
+    valid, speed, heading, columns = past.valid, past.speed, past.heading, past.columns
+    for i in range(speed.shape[0]):
+        c = STATE
+        for k in range(columns.size):
+            t = columns[k]
+            if t >= 0 and valid[i, t]:
+                out[i, c] = 1.0
+                out[i, c + 1] = (speed[i, t] - speed[i, -1]) / 5.0
+                out[i, c + 2] = math.sin(heading[i, -1] - heading[i, t])
+            c += 3
+
+
+@inlined
+def _describe_neighbors(past: Any, accel: Any, states: Any, out: Any) -> None:
+    speed, length = past.speed, past.length
+    leader, gap, follower = states.leader, states.gap, states.follower
+    adjacent, adjacent_gap = states.adjacent, states.adjacent_gap
+    who, far = np.empty(NEIGHBORS, np.int64), np.empty(NEIGHBORS)
+    for i in range(leader.size):
+        who[0], far[0] = leader[i], gap[i]
+        who[1] = who[2] = -1
+        if leader[i] >= 0 and leader[leader[i]] >= 0:
+            who[1] = leader[leader[i]]
+            far[1] = gap[i] + gap[leader[i]] + length[leader[i]]
+        if follower[i] >= 0:
+            who[2], far[2] = follower[i], gap[follower[i]]
+        for k in range(4):
+            who[3 + k], far[3 + k] = adjacent[i, k], adjacent_gap[i, k]
+        c = PAST_END
+        for k in range(NEIGHBORS):
+            other = who[k]
+            if other >= 0:
+                out[i, c], out[i, c + 1] = 1.0, 1.0 - min(max(far[k], -5.0), FAR_M) / FAR_M
+                out[i, c + 2] = (speed[other, -1] - speed[i, -1]) / 10.0
+                out[i, c + 3] = accel[other] / 3.0
+            c += PER_NEIGHBOR
+
+
+@inlined
+def _describe_paths(
+    past: Any, drivers: Any, stop_state: Any, shown: Any, paths: Any, out: Any
+) -> None:
+    """The next stop constraints, the next lower limit, and which way the path turns."""
+    on_path, path_of, s, length = drivers.on_path, drivers.path, drivers.s, past.length
+    stop_x, stop_row, turn = paths.stop_x, paths.stop_row, paths.turn
+    start, limit = paths.start, paths.limit
+    for i in range(s.size):
+        if not on_path[i]:
+            continue
+        path, front, found, c = path_of[i], s[i] + length[i] / 2, 0, AROUND_END
+        for g in range(stop_x.shape[1]):
+            room = stop_x[path, g] - front
+            if room <= -1.0:
+                continue
+            if room >= FAR_M or found == STOPS:
+                break
+            out[i, c + found] = 1.0 - max(room, 0.0) / FAR_M
+            for a in range(shown.size):
+                state = stop_state[stop_row[path, g], shown[a]]
+                first = c + STOPS * (1 + 2 * a) + found
+                out[i, first] = state == STOP
+                out[i, first + STOPS] = state == STOP_IF_COMFORTABLE
+            found += 1
+        c += STOPS * (1 + 2 * shown.size)
+        for k in range(start.shape[1]):
+            if limit[path, k] < limit[path, 0] - 0.1 and math.isfinite(start[path, k]):
+                out[i, c] = 1.0 - min(max(start[path, k] - s[i], 0.0), FAR_M) / FAR_M
+                out[i, c + 1] = limit[path, k] / 20.0
+                break
+        out[i, c + 2 + turn[path]] = 1.0
+
+
+@compiled
+def _describe(
+    past: Any, drivers: Any, states: Any, stop_state: Any, shown: Any, paths: Any, limits: Any,
+    road: Any, out: Any,
+) -> None:  # fmt: skip
+    """Write the features of every agent.
+
+    Args:
+        past: the `_Past`.
+        drivers: the `_Drivers`.
+        states: the `graphrqi.predict.scene.agent_states.AgentStates`.
+        stop_state: (R, steps + 1) states of the stop constraints.
+        shown: (A,) columns of them that are described.
+        paths: the `graphrqi.predict.scene.paths.PathColumns`.
+        limits: (L,) speed limits, m/s.
+        road: the `sim.road.lane_search.LaneArrays`.
+        out: (n, F) receives them; must be zero before.
+    """
+    _describe_own_states(past, drivers, states, limits, road, out)
+    _describe_past(past, out)
+    _describe_neighbors(past, drivers.accel, states, out)
+    _describe_paths(past, drivers, stop_state, shown, paths, out)

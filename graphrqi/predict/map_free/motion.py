@@ -1,10 +1,9 @@
-"""What the drivers' own past foretells of a recording that comes without a map.
+"""Motion extrapolated from each driver's own past, for a recording that comes without a map.
 
-Lanes are inferred from the traffic: the leader is whoever drives ahead in the same direction
-within a lane's half width of one's own line. Everyone's acceleration fades, and who follows
-someone takes on its speed. Where the recording's gaps are implausible (vehicles that overlap, as in
-recordings whose tracks are shifted in time) leaders are not trusted and each driver's own past is
-all that is used.
+Leaders are inferred from the traffic: the leader of a vehicle is the next one ahead that drives in
+the same direction, within half a lane's width of the vehicle's own line. Accelerations fade, and
+followers take on their leader's speed. Where the recording's gaps are implausible (vehicles that
+overlap, as in recordings whose tracks are shifted in time) leaders are not used.
 """
 
 from __future__ import annotations
@@ -32,36 +31,38 @@ FOLLOW_S: Final = 2.0
 """Time in which a follower takes on 1 - 1/e of its leader's speed (our choice, likewise)."""
 
 HALF_LANE_M: Final = 1.5
-"""Who is this close to one's own line is in one's lane (half of a 3 m lane)."""
+"""A vehicle this close to one's own line is in one's lane (half of a 3 m lane)."""
 
 AHEAD_M, AHEAD_S = 100.0, 6.0
-"""Leaders count up to this far and, fading, this long ahead (our choice, likewise)."""
+"""Leaders count up to this distance and, with falling weight, this headway (our choice,
+likewise)."""
 
 MOST_OVERLAPS: Final = 0.01
-"""Share of followers that may overlap their leader before gaps count as implausible (ours)."""
+"""Share of followers that may overlap their leader before gaps count as implausible (our
+choice)."""
 
 STANDING_MPS: Final = 0.5
-"""Slower than this one stands (our choice)."""
+"""Vehicles slower than this stand (our choice)."""
 
 MOST_TURN: Final = 0.6
-"""Nobody turns faster, rad/s (our choice: 12 m radius at 7 m/s)."""
+"""Fastest turn of a vehicle, rad/s (our choice: 12 m radius at 7 m/s)."""
 
 MOVING_MPS: Final = 2.0
-"""Turns are looked at from this speed on (our choice: slower, headings are noise)."""
+"""Least speed at which turns are judged (our choice: at lower speed headings are noise)."""
 
 MOST_JUMPS: Final = 0.1
-"""Share of moves that may turn faster before tracks count as shaken (our choice on simulated and
+"""Share of moves that may turn faster before tracks count as noisy (our choice on simulated and
 training recordings)."""
 
 FAN_MPS2: Final = (0.0, -1.0, 1.0, -2.5, 2.0, -4.0)
-"""What each future's acceleration adds to the likeliest one's."""
+"""Acceleration that each future adds to the likeliest one's."""
 
 FAN_PROBABILITY: Final = (0.4, 0.18, 0.18, 0.1, 0.08, 0.06)
-"""How likely each is (our choice)."""
+"""Probability of each (our choice)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class MapFreeMotion:
     """How n agents move, and behind whom.
 
     Attributes:
@@ -79,8 +80,8 @@ class Motion:
     fade_s: float
 
     @classmethod
-    def of(cls, history: Tracks, believable: bool) -> Motion:
-        """The present's; leaders count only where gaps are believable."""
+    def of(cls, history: Tracks, believable: bool) -> MapFreeMotion:
+        """The present motion of a history; leaders count only where its gaps are believable."""
         speed, accel = _fitted(history)
         walks = history.kind == PEDESTRIAN
         leader, gap = inferred_leaders(history)
@@ -93,13 +94,13 @@ class Motion:
             fade_s=FADE_S if believable else FADE_ALONE_S,
         )
 
-    def steady(self) -> Motion:
-        """The same speeds, kept."""
+    def steady(self) -> MapFreeMotion:
+        """The same speeds, without acceleration or leaders."""
         alone = np.full(self.leader.size, -1)
         return replace(self, accel=np.zeros_like(self.accel), leader=alone)
 
 
-def fan(history: Tracks, motion: Motion, steps: int) -> Prediction:
+def fan(history: Tracks, motion: MapFreeMotion, steps: int) -> Prediction:
     """Six futures straight on, the likeliest first, the others slower and faster.
 
     Args:
@@ -113,17 +114,26 @@ def fan(history: Tracks, motion: Motion, steps: int) -> Prediction:
     time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
     drives = (history.kind != PEDESTRIAN).astype(np.float64)
     ahead = np.stack([travelled(motion, time_s, extra * drives) for extra in FAN_MPS2], axis=1)
-    facing = np.stack([np.cos(history.heading[:, -1]), np.sin(history.heading[:, -1])], axis=1)
+    return along_heading(history, ahead, time_s, np.tile(FAN_PROBABILITY, (history.ids.size, 1)))
+
+
+def along_heading(
+    history: Tracks, ahead: FloatArray, time_s: FloatArray, probability: FloatArray
+) -> Prediction:
+    """Distances (n, K, H) travelled straight on, m, as a prediction."""
+    heading = history.heading[:, -1]
+    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     xy = history.xy[:, None, None, -1] + ahead[..., None] * facing[:, None, None]
-    probability = np.tile(FAN_PROBABILITY, (history.ids.size, 1))
     return Prediction(history.ids, time_s, xy, probability)
 
 
-def travelled(motion: Motion, time_s: FloatArray, extra: FloatArray | float = 0.0) -> FloatArray:
-    """(n, H) way gone at each time, m.
+def travelled(
+    motion: MapFreeMotion, time_s: FloatArray, extra: FloatArray | float = 0.0
+) -> FloatArray:
+    """(n, H) distance travelled at each time, m.
 
-    Everyone's acceleration, and what is added to it, fades; who follows somebody gradually takes
-    on its speed. Nobody reverses.
+    Accelerations, the extra one included, fade; followers gradually take on their leader's speed.
+    Nobody reverses.
     """
     speed, leader = motion.speed, motion.leader
     follows = leader >= 0
@@ -160,7 +170,7 @@ def _fitted(history: Tracks) -> tuple[FloatArray, FloatArray]:
 
 
 def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, FloatArray]:
-    """Who drives ahead in whose line, without a map.
+    """The leader of each vehicle, without a map.
 
     Args:
         history: tracks.
@@ -190,9 +200,9 @@ def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, Float
 
 
 def plausible(history: Tracks) -> bool:
-    """Whether hardly any follower overlaps its leader, over the last seconds seen.
+    """Whether hardly any follower overlaps its leader, over the history.
 
-    Pairs that both stand are left out: parked cars tell nothing of clocks.
+    Pairs that both stand are left out: parked cars do not show whether tracks are shifted in time.
     """
     overlaps = followers = 0
     for column in range(history.time_s.size - 1, -1, -10):
@@ -205,7 +215,7 @@ def plausible(history: Tracks) -> bool:
 
 
 def smooth(history: Tracks) -> bool:
-    """Whether hardly anybody turns faster than vehicles can, as shaken tracks do."""
+    """Whether hardly any track turns faster than vehicles can, as noisy tracks do."""
     step_s = np.diff(history.time_s)
     turned = np.abs((np.diff(history.heading, axis=1) + np.pi) % (2 * np.pi) - np.pi)
     drives = (history.kind != PEDESTRIAN)[:, None]

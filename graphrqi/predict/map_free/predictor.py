@@ -1,18 +1,16 @@
-"""Prediction without a map: three ways, of which one is chosen by what the recording is like.
+"""Prediction without a map: the recording decides which of three models is used.
 
-Everyone's steady motion, its own fading acceleration behind an inferred leader
+The models are steady motion, each driver's own fading acceleration behind an inferred leader
 (`graphrqi.predict.map_free.motion`), and a network that corrects these. Recordings differ: some
-are noisy, some are shifted in time, some show traffic that no simulator knows. Where tracks are
-shaken, everyone is taken to keep its speed. Else the ways are tried on the history itself,
+are noisy, some are shifted in time, some show traffic that no simulator knows. On noisy tracks
+everyone is assumed to keep its speed. Otherwise the models are tried on the history itself,
 `TRIED_S` ahead: the network is used unless it did clearly worse than steady motion; where vehicles
-overlap, whatever is used has to have done clearly better.
+overlap, a model has to have done clearly better to be used.
 """
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
-from importlib import resources
 from typing import Final
 
 import numpy as np
@@ -20,9 +18,17 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.predict.constant import inertial_distance
-from graphrqi.predict.learned.anchors import KNOT_S, KNOTS, PredictorInputs
-from graphrqi.predict.learned.networks import Perceptron, load_network, spread_out
-from graphrqi.predict.map_free.motion import MOST_TURN, Motion, fan, plausible, smooth, travelled
+from graphrqi.predict.map_free.motion import (
+    MOST_TURN,
+    MapFreeMotion,
+    along_heading,
+    fan,
+    plausible,
+    smooth,
+    travelled,
+)
+from graphrqi.predict.networks.futures import TIME_S, PredictorInputs, spread_out
+from graphrqi.predict.networks.perceptron import shipped_perceptron
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.scene.scene import LEARNED_S
 from sim.frames import PEDESTRIAN, Tracks
@@ -30,43 +36,40 @@ from sim.frames import PEDESTRIAN, Tracks
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-WEIGHTS: Final = "mapless.safetensors"
-"""The trained network that ships beside this module."""
-
 TRIED_S: Final = 2.5
-"""Each way is tried over this much of the past, s (half of what a stream remembers)."""
+"""Span of the past over which each model is tried, s (half of what a stream remembers)."""
 
 AGAIN_S: Final = 1.0
-"""How much earlier each way is tried once more, s (our choice)."""
+"""How much earlier each model is tried once more, s (our choice)."""
 
 LEAST_TRIED: Final = 4
-"""Tried on fewer agents than this, a way counts as untried (our choice)."""
+"""Agents on which a model must have been tried for the result to count (our choice)."""
 
 CLEARLY: Final = 0.9
-"""Clearly better is a squared error below this times the other's (our choice) ..."""
+"""Clearly better means a squared error below this times the other's (our choice)."""
 
 SURE: Final = 1.64
-"""... and, where it is not trusted from the outset, the mean difference is so many standard errors
-from none (one side of 95 %)."""
+"""Standard errors by which a model must beat steady motion where gaps are implausible (one side of
+95 %)."""
 
 PAST_S: Final = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
-"""At which times ago the own past is looked at, s."""
+"""Ages of the moments of the own past that are described, s."""
 
 FAR_M: Final = 100.0
-"""Nobody farther counts, m."""
+"""Distances are cut off here and divided by it (our choice)."""
 
 BRAKING_MPS2: Final = 2.0
-"""How much harder than now one of the network's bases brakes (our choice)."""
+"""Extra braking of one of the network's anchor trajectories (our choice)."""
 
 
 def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Prediction:
-    """What a predictor foresees without a map.
+    """Predict without a map.
 
     Args:
         history: tracks whose last column is the present.
         horizon_s: how far ahead, s.
-        predictor: ``constant-velocity`` keeps its meaning; every other one becomes the way that the
-            past seen speaks for.
+        predictor: ``constant-velocity`` keeps its meaning; every other one becomes the model that
+            did best on the past.
 
     Returns:
         Futures of the agents present now.
@@ -83,25 +86,15 @@ def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Predi
         ahead = present.speed[:, -1][:, None] * time_s
         return along_heading(present, ahead[:, None], time_s, np.ones((present.ids.size, 1)))
     believable = plausible(present)
-    way = trusted_way(present, believable)
-    if way == "learned":
+    model = trusted_model(present, believable)
+    if model == "learned":
         return learned(present, believable, max(steps, round(LEARNED_S / STEP_S))).until(horizon_s)
-    motion = Motion.of(present, believable)
-    return fan(present, motion if way == "own past" else motion.steady(), steps)
+    motion = MapFreeMotion.of(present, believable)
+    return fan(present, motion if model == "own past" else motion.steady(), steps)
 
 
-def along_heading(
-    history: Tracks, ahead: FloatArray, time_s: FloatArray, probability: FloatArray
-) -> Prediction:
-    """Ways (n, K, H) straight on, m, as a prediction."""
-    heading = history.heading[:, -1]
-    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    xy = history.xy[:, None, None, -1] + ahead[..., None] * facing[:, None, None]
-    return Prediction(history.ids, time_s, xy, probability)
-
-
-def trusted_way(history: Tracks, believable: bool) -> str:
-    """``learned``, ``own past`` or ``steady``: what the recording and its past speak for."""
+def trusted_model(history: Tracks, believable: bool) -> str:
+    """``learned``, ``own past`` or ``steady``: the model that suits a recording."""
     if not smooth(history):
         return "steady"
     error = _tried(history, believable)
@@ -122,7 +115,7 @@ def trusted_way(history: Tracks, believable: bool) -> str:
 
 
 def _tried(history: Tracks, believable: bool) -> dict[str, FloatArray]:
-    """Squared errors of each way, m2, over every agent's moves to the present and a second ago."""
+    """Squared errors of each model, m2, over the agents' moves to the present and a second ago."""
     found: dict[str, list[FloatArray]] = {"steady": [], "own past": [], "learned": []}
     step = round(TRIED_S / STEP_S)
     for again_s in (0.0, AGAIN_S):
@@ -136,35 +129,26 @@ def _tried(history: Tracks, believable: bool) -> dict[str, FloatArray]:
         counts = (earlier.kind != PEDESTRIAN) & (earlier.valid.sum(axis=1) > 1)
         counts &= history.valid[row, at]
         truth = history.xy[row[counts], at]
-        motion = Motion.of(earlier, believable)
-        for name, told in (
+        motion = MapFreeMotion.of(earlier, believable)
+        for name, predicted in (
             ("steady", fan(earlier, motion.steady(), step)),
             ("own past", fan(earlier, motion, step)),
             ("learned", learned(earlier, believable, step)),
         ):
-            found[name].append(((told.best[counts, step - 1] - truth) ** 2).sum(axis=1))
+            found[name].append(((predicted.best[counts, step - 1] - truth) ** 2).sum(axis=1))
     return {name: np.concatenate(parts or [np.empty(0)]) for name, parts in found.items()}
-
-
-@functools.cache
-def shipped() -> Perceptron:
-    """The network that ships in the package."""
-    with resources.as_file(
-        resources.files("graphrqi.predict").joinpath("weights", WEIGHTS)
-    ) as path:
-        return load_network(path)
 
 
 def learned(history: Tracks, believable: bool, steps: int) -> Prediction:
     """The shipped network's futures, every 0.1 s; nobody reverses."""
-    futures = shipped()(map_free_inputs(history, believable))
+    futures = shipped_perceptron("mapless.safetensors")(map_free_inputs(history, believable))
     own = futures.own.copy()
     own[..., 0] = np.maximum.accumulate(np.maximum(own[..., 0], 0.0), axis=2)
     return spread_out(history, replace(futures, own=own), steps)
 
 
 def map_free_inputs(history: Tracks, believable: bool) -> PredictorInputs:
-    """Inputs and bases of a predictor without a map.
+    """Inputs of a predictor without a map.
 
     Args:
         history: tracks whose last column is the present, everyone seen there.
@@ -173,7 +157,7 @@ def map_free_inputs(history: Tracks, believable: bool) -> PredictorInputs:
     Returns:
         The inputs of every agent; those of pedestrians mean nothing.
     """
-    motion = Motion.of(history, believable)
+    motion = MapFreeMotion.of(history, believable)
     speed, accel = motion.speed, motion.accel
     n = speed.size
     leader, gap = motion.leader, motion.gap
@@ -185,7 +169,7 @@ def map_free_inputs(history: Tracks, believable: bool) -> PredictorInputs:
     second = np.where(leader >= 0, leader[leader], -1)
     beyond = gap + gap[leader] + history.length[leader] if n else gap
     fastest = np.where(history.valid, history.speed, 0.0).max(axis=1, initial=0.0)
-    inputs = [
+    features = [
         speed / 10.0, accel / 3.0, history.length / 10.0, fastest / 15.0, 5.0 * _turning(history),
         np.full(n, float(believable)),
     ]  # fmt: skip
@@ -194,7 +178,7 @@ def map_free_inputs(history: Tracks, believable: bool) -> PredictorInputs:
         long_enough = history.time_s[0] <= history.time_s[-1] - ago + 1e-6
         there = history.valid[:, column] & long_enough
         turned = np.sin(history.heading[:, -1] - history.heading[:, column])
-        inputs += [
+        features += [
             there.astype(np.float64),
             np.where(there, history.speed[:, column] - speed, 0.0) / 5.0,
             np.where(there, turned, 0.0),
@@ -202,14 +186,14 @@ def map_free_inputs(history: Tracks, believable: bool) -> PredictorInputs:
     for who, far in ((leader, gap), (follower, behind), (second, beyond)):
         here = who >= 0
         headway = np.where(here, far, 0.0) / np.maximum(speed, 2.0) / 5.0
-        inputs += [
+        features += [
             here.astype(np.float64),
             np.where(here, 1.0 - np.clip(far, -5.0, FAR_M) / FAR_M, 0.0),
             np.where(here, speed[who] - speed, 0.0) / 10.0 if n else speed,
             np.where(here, accel[who], 0.0) / 3.0 if n else speed,
             np.clip(headway, 0.0, 2.0),
         ]
-    return PredictorInputs(np.stack(inputs, axis=1), _bases(history, motion))
+    return PredictorInputs(np.stack(features, axis=1), _anchors(history, motion))
 
 
 def _turning(history: Tracks) -> FloatArray:
@@ -221,9 +205,9 @@ def _turning(history: Tracks) -> FloatArray:
     return np.where(known, np.clip(np.arcsin(sine) / span, -MOST_TURN, MOST_TURN), 0.0)
 
 
-def _bases(history: Tracks, motion: Motion) -> FloatArray:
+def _anchors(history: Tracks, motion: MapFreeMotion) -> FloatArray:
     """(n, 5, KNOTS, 2) own past straight on and turning on, steady, inertia, braking, m."""
-    time_s = np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
+    time_s = TIME_S
     own = travelled(motion, time_s)
     speed, accel = motion.speed[:, None], motion.accel[:, None]
     inertia = inertial_distance(speed, accel, time_s[None])

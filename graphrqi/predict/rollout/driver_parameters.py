@@ -1,25 +1,26 @@
-"""How each driver of a scene is taken to drive in a rollout, given who it is believed to be."""
+"""How each driver of a scene drives in a rollout, given the beliefs about its behaviour."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Style
-from graphrqi.predict.rollout import driver_parameters_kernel
 from graphrqi.predict.rollout.driver_table import RUNS_RED, YIELDS, DriverTable
 from graphrqi.predict.scene.scene import Scene
+from sim.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 FREE_WEIGHT: Final = 0.1
-"""Weight of what a driver's behaviour says of its wished speed against seeing it drive freely (our
-choice: within a behaviour wishes differ by 15 %, a driver's own by little)."""
+"""Weight of the behaviour's wished speed against the speed at which the driver was seen driving
+freely (our choice: within a behaviour wishes differ by 15 %, a driver's own by little)."""
 
 AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS], dtype=np.float64)
 """(6,) 1 for the aggressive behaviours."""
@@ -30,83 +31,112 @@ class DriverParameters:
     """How n drivers drive.
 
     Attributes:
-        following: (n, 5) car-following numbers, columns as ``drivers.DRIVER_FIELDS``.
-        changing: (n, 4) lane-changing numbers, columns as ``drivers.CHANGING_FIELDS``; (0, 4):
-            nobody changes lanes.
-        ignores: (n, R) whether each ignores each gate of the scene.
-        wary: (n,) how far each keeps away from those who are feared, 0 to 1.
-        feared: (n,) how far each is kept away from, 0 to 1.
+        following: (n, 5) car-following parameters, columns as ``driver_table.DRIVER_FIELDS``.
+        changing: (n, 4) lane-changing parameters, columns as ``driver_table.CHANGING_FIELDS``;
+            (0, 4): nobody changes lanes.
+        ignores: (n, R) whether each ignores each stop constraint of the scene.
+        caution: (n,) how far each keeps away from threatening drivers, 0 to 1.
+        threat: (n,) how far cautious drivers keep away from each, 0 to 1.
     """
 
     following: FloatArray
     changing: FloatArray
     ignores: BoolArray
-    wary: FloatArray
-    feared: FloatArray
+    caution: FloatArray
+    threat: FloatArray
 
 
-def believed(scene: Scene, probability: FloatArray, table: DriverTable) -> DriverParameters:
-    """The manners expected under (n, 6) beliefs about who drives how."""
-    following = personal(scene, table.expected(probability)[None])[0]
+def expected_parameters(
+    scene: Scene, probability: FloatArray, table: DriverTable
+) -> DriverParameters:
+    """The parameters expected under (n, 6) beliefs about the drivers' behaviours."""
+    following = _personal(scene, table.expected(probability)[None])[0]
     return DriverParameters(
         following=following,
         changing=table.changing(probability),
-        ignores=ignored_gates(scene, probability),
-        wary=np.zeros(len(following)),
-        feared=np.zeros(len(following)),
+        ignores=_ignored(scene, probability @ RUNS_RED, probability @ YIELDS),
+        caution=np.zeros(len(following)),
+        threat=np.zeros(len(following)),
     )
 
 
-def wary(manners: DriverParameters, probability: FloatArray) -> DriverParameters:
+def with_caution(parameters: DriverParameters, probability: FloatArray) -> DriverParameters:
     """The same, but conservative drivers keep away from neighbours believed to be aggressive.
 
     They keep a longer headway behind them (twice as long at full certainty) and prefer lanes
     without them (worth 1 m/s2 at full certainty).
     """
     aggressive = probability @ AGGRESSIVE
-    return dataclasses.replace(manners, wary=1.0 - aggressive, feared=aggressive)
+    return dataclasses.replace(parameters, caution=1.0 - aggressive, threat=aggressive)
 
 
-def if_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
-    """(6, n, 5) how everyone would follow if it were of each behaviour; (6, n, R) gates ignored."""
+def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
+    """Everyone's parameters if it were of each behaviour.
+
+    Returns:
+        (6, n, 5) car-following parameters and (6, n, R) stop constraints ignored.
+    """
     each = (len(BEHAVIORS), scene.ids.size)
     runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))
-    return personal(scene, table.behavior[:, None]), gates_ignored(scene, runs, yields)
+    return _personal(scene, table.behavior[:, None]), _ignored(scene, runs, yields)
 
 
-def average(scene: Scene, table: DriverTable) -> DriverParameters:
-    """Everyone drives as the average driver does."""
+def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
+    """Everyone drives as the average driver does, and ignores nothing."""
     n = scene.ids.size
     unknown = np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
     return DriverParameters(
-        following=personal(scene, table.average[None, None])[0],
+        following=_personal(scene, table.average[None, None])[0],
         changing=table.changing(unknown),
-        ignores=np.zeros((n, scene.closed.shape[0]), dtype=np.bool_),
-        wary=np.zeros(n),
-        feared=np.zeros(n),
+        ignores=np.zeros((n, scene.stop_state.shape[0]), dtype=np.bool_),
+        caution=np.zeros(n),
+        threat=np.zeros(n),
     )
 
 
-def ignored_gates(scene: Scene, probability: FloatArray) -> BoolArray:
-    """(n, R) gates that drivers more likely run than respect, under (n, 6) beliefs."""
-    return gates_ignored(scene, probability @ RUNS_RED, probability @ YIELDS)
+def _ignored(scene: Scene, runs_red: FloatArray, yields: FloatArray) -> BoolArray:
+    """(..., n, R) stop constraints that drivers ignore rather than respect.
 
-
-def gates_ignored(scene: Scene, runs_red: FloatArray, yields: FloatArray) -> BoolArray:
-    """(..., n, R) gates ignored by who runs red lights and yields with chances (..., n)."""
+    Args:
+        scene: the present.
+        runs_red: (..., n) probability that each runs red lights.
+        yields: (..., n) probability that each yields to pedestrians.
+    """
     groups = scene.paths.groups
     crossings = groups + scene.graph.cross_lane.size
-    ignores = np.zeros((*runs_red.shape, scene.closed.shape[0]), dtype=np.bool_)
+    ignores = np.zeros((*runs_red.shape, scene.stop_state.shape[0]), dtype=np.bool_)
     ignores[..., :groups] = (runs_red > 0.5)[..., None]
     ignores[..., groups:crossings] = (yields < 0.5)[..., None]
     return ignores
 
 
-def personal(scene: Scene, following: FloatArray) -> FloatArray:
-    """Numbers (M, n or 1, 5), each of n drivers' wished speed corrected by what it has driven."""
-    seen = scene.seen
-    return np.asarray(
-        driver_parameters_kernel.personal(
-            following, seen.free_factor, seen.least_factor, FREE_WEIGHT
-        )
-    )
+def _personal(scene: Scene, following: FloatArray) -> FloatArray:
+    """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving."""
+    states = scene.states
+    return np.asarray(_corrected(following, states.free_factor, states.least_factor))
+
+
+@compiled
+def _corrected(following: Any, free_factor: Any, least_factor: Any) -> Any:
+    """(M, n, F) parameters with corrected wished speeds.
+
+    Args:
+        following: (M, n, F), or (M, 1, F) if the same for all; the first is the wished speed over
+            the limit.
+        free_factor: (n,) speed over limit driven freely; NaN if never.
+        least_factor: (n,) largest speed over limit.
+    """
+    ways, given, fields = following.shape
+    n = free_factor.size
+    out = np.empty((ways, n, fields))
+    for m in range(ways):
+        for i in range(n):
+            of = i if given == n else 0
+            for f in range(fields):
+                out[m, i, f] = following[m, of, f]
+            if not math.isnan(free_factor[i]):
+                shown = math.log(max(free_factor[i], 0.1))
+                wished = math.log(following[m, of, 0])
+                out[m, i, 0] = math.exp((FREE_WEIGHT * wished + shown) / (1.0 + FREE_WEIGHT))
+            out[m, i, 0] = max(out[m, i, 0], least_factor[i])
+    return out

@@ -9,14 +9,20 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.rollout.driver_parameters import DriverParameters, average, believed, wary
+from graphrqi.predict.rollout.driver_parameters import (
+    DriverParameters,
+    average_parameters,
+    expected_parameters,
+    with_caution,
+)
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table
-from graphrqi.predict.rollout.rollout import places, roll
+from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.rollout.route import on_likely_paths
 from graphrqi.predict.scene.scene import Scene
 from sim.frames import PEDESTRIAN
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 def blind(scene: Scene, posterior: Posterior) -> Prediction:
@@ -41,24 +47,24 @@ def wary_following(scene: Scene, posterior: Posterior) -> Prediction:
 
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
     """`blind` with the given numbers."""
-    return _driven(scene, average(scene, table), table.average_decay_s)
+    return _driven(scene, average_parameters(scene, table), table.average_decay_s)
 
 
 def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
     """`aware` with the given numbers and (n, 6) beliefs."""
-    return _driven(scene, believed(scene, probability, table), table.decay_s)
+    return _driven(scene, expected_parameters(scene, probability, table), table.decay_s)
 
 
 def wary_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
     """`wary_following` with the given numbers and (n, 6) beliefs."""
-    manners = wary(believed(scene, probability, table), probability)
-    return _driven(scene, manners, table.decay_s)
+    drivers = with_caution(expected_parameters(scene, probability, table), probability)
+    return _driven(scene, drivers, table.decay_s)
 
 
-def _driven(scene: Scene, manners: DriverParameters, decay_s: float) -> Prediction:
+def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Prediction:
     """Everyone driven on along its most likely way."""
-    routed = on_likely_paths(scene, manners)
-    return scene.predicted(places(routed, roll(routed, manners, decay_s)))
+    routed = on_likely_paths(scene, drivers)
+    return scene.predicted(positions(routed, roll(routed, drivers, decay_s)))
 
 
 def oracle(scene: Scene, posterior: Posterior) -> Prediction:
@@ -71,7 +77,7 @@ def oracle(scene: Scene, posterior: Posterior) -> Prediction:
 
 
 def true_behavior(scene: Scene) -> FloatArray:
-    """(n, 6) beliefs of one who knows the true behaviours; uniform for those that have none.
+    """(n, 6) certain beliefs in the true behaviours; uniform for agents that have none.
 
     Raises:
         InputError: if the history carries no labels.
@@ -79,7 +85,11 @@ def true_behavior(scene: Scene) -> FloatArray:
     behavior = scene.history.behavior
     if behavior is None:
         raise InputError("oracle: found a history without behaviours, expected labelled tracks")
-    code = behavior.astype(np.int64)
+    return certain(behavior.astype(np.int64))
+
+
+def certain(code: IntArray) -> FloatArray:
+    """(n, 6) certain beliefs in behaviours (n,); uniform where the code is -1, unknown."""
     sure = np.full((code.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
     sure[code >= 0] = np.eye(len(BEHAVIORS))[code[code >= 0]]
     return sure

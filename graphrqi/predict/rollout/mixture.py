@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.rollout.driver_parameters import believed
+from graphrqi.predict.rollout.driver_parameters import expected_parameters
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table
-from graphrqi.predict.rollout.rollout import places, roll
+from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.rollout.route import ACCELERATION_SD, on_likely_paths
 from graphrqi.predict.scene.scene import Scene
 
@@ -33,7 +33,7 @@ def behavior_mixture(scene: Scene, posterior: Posterior) -> Prediction:
 
 def mixture_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
     """`behavior_mixture` with (n, 6) beliefs and driver numbers."""
-    expected = believed(scene, probability, table)
+    expected = expected_parameters(scene, probability, table)
     routed = on_likely_paths(scene, expected)
     others = roll(routed, expected, table.decay_s)
     n = scene.ids.size
@@ -42,9 +42,9 @@ def mixture_with(scene: Scene, probability: FloatArray, table: DriverTable) -> P
     for behavior in BEHAVIORS:
         sure = np.zeros((n, len(BEHAVIORS)))
         sure[:, behavior.code] = 1.0
-        manners = believed(scene, sure, table)
-        rollout = roll(routed, manners, table.decay_s, others)
-        futures[:, behavior.code] = places(routed, rollout)
+        drivers = expected_parameters(scene, sure, table)
+        rollout = roll(routed, drivers, table.decay_s, others)
+        futures[:, behavior.code] = positions(routed, rollout)
         miss = (scene.accel - rollout.asked) / ACCELERATION_SD
         told = np.minimum(0.5 * miss**2, LARGEST_EVIDENCE)
         weight[:, behavior.code] -= np.where(scene.on_path, told, 0.0)

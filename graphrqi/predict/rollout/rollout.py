@@ -1,70 +1,56 @@
-"""Drives a whole scene on: scene and manners in, places out."""
+"""Drives a whole scene on: a scene and driver parameters in, positions out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout import kernel
+from graphrqi.predict.rollout import car_following, lane_positions
+from graphrqi.predict.rollout.car_following import LaneChanges, Others, Start, Steps, Ways
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
+from graphrqi.predict.scene.paths import PathColumns
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_NO_LANES = np.empty((0, 0), dtype=np.int64)
 _NO_NUMBERS = np.empty((0, 0))
+_MOVE_TOGETHER = Others(np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
+_KEEP_LANES = np.empty((0, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rollout:
-    """One future of every driver on a path; rows of others stand still and mean nothing.
+    """One future of every driver on a path, or M; rows of others stand still and mean nothing.
 
     Attributes:
-        lane: (n, H) lane of each at each step.
-        s: (n, H) distance along it, m.
-        side: (n, H) distance to the left of its centre line, m.
-        v: (n, H) speed, m/s.
-        gone: (n, H) way gone since the present, m.
-        asked: (n,) acceleration that the law asks for at present, m/s2.
+        lane: (..., n, H) lane of each at each step.
+        s: (..., n, H) distance along it, m.
+        offset: (..., n, H) distance to the left of its centre line, m.
+        speed: (..., n, H) m/s.
+        travelled: (..., n, H) distance since the present, m.
+        asked: (..., n) acceleration that the law asks for at present, m/s2.
         step_s: time between steps, s.
     """
 
     lane: IntArray
     s: FloatArray
-    side: FloatArray
-    v: FloatArray
-    gone: FloatArray
+    offset: FloatArray
+    speed: FloatArray
+    travelled: FloatArray
     asked: FloatArray
     step_s: float = STEP_S
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Alternatives:
-    """M futures of every driver on a path, each alone among the others; see `Rollout`.
-
-    Attributes:
-        lane: (M, n, H).
-        s: (M, n, H) m.
-        side: (M, n, H) m.
-        gone: (M, n, H) m.
-        asked: (M, n) m/s2.
-    """
-
-    lane: IntArray
-    s: FloatArray
-    side: FloatArray
-    gone: FloatArray
-    asked: FloatArray
-
-
 def roll(
     scene: Scene,
-    manners: DriverParameters,
+    drivers: DriverParameters,
     decay_s: float = 2.0,
     others: Rollout | None = None,
     steps: int | None = None,
@@ -75,112 +61,135 @@ def roll(
 
     Args:
         scene: the present.
-        manners: how each drives.
-        decay_s: time in which what a driver does beyond the model falls to 1/e, s; 0: at once.
-        others: where everyone else is taken to be, at the same steps; by default all move
+        drivers: how each drives.
+        decay_s: time in which the residual acceleration falls to 1/e, s; 0: at once.
+        others: where everyone else is assumed to be, at the same steps; by default all move
             together.
         steps: how many; by default up to the scene's horizon.
         step_s: time between them, s.
-        planned: the row of one who drives by its manners alone, whatever it does at present.
+        planned: row of a vehicle whose present acceleration is left out of account.
 
     Returns:
         The drivers' future.
     """
-    paths, graph = scene.paths, scene.graph
-    half_length = np.ascontiguousarray(scene.history.length) / 2
-    speed = np.maximum(scene.speed, 0.0)
-    pace = np.maximum(np.abs(scene.sideways), RETURN_MPS)
-    given = (_NO_LANES, _NO_NUMBERS, _NO_NUMBERS)
-    if others is not None:
-        given = (others.lane, others.s, others.v)
-
     accel = scene.accel
     if planned is not None:
-        accel = np.where(np.arange(accel.size) == planned, -2.0 * kernel.UNSEEN, accel)
-    lane, s, side, v, gone, asked = kernel.roll(
-        scene.path, scene.s, speed, accel, half_length, manners.following, manners.changing,
-        manners.wary, manners.feared, scene.offset, pace, scene.on_path, manners.ignores,
-        scene.closed, paths.lane, paths.start, paths.limit, paths.turn, paths.gate_x,
-        paths.gate_row, paths.beside, paths.apart, paths.way, graph.length, step_s,
-        step_s / STEP_S, steps or round(scene.steps * STEP_S / step_s), decay_s, *given,
+        one = np.arange(accel.size) == planned
+        accel = np.where(one, car_following.UNKNOWN_ACCELERATION, accel)
+    ways = Ways(
+        scene.path[None], scene.offset[None], _return_speed(scene.lateral_speed)[None],
+        drivers.following[None], drivers.ignores[None],
     )  # fmt: skip
-    return Rollout(lane, s, side, v, gone, asked, step_s)
+    count = steps or round(scene.steps * STEP_S / step_s)
+    changes = LaneChanges(drivers.changing, drivers.caution, drivers.threat)
+    lane, s, offset, speed, travelled, asked = (
+        column[0] for column in _roll(scene, accel, ways, changes, decay_s, others, count, step_s)
+    )
+    return Rollout(lane, s, offset, speed, travelled, asked, step_s)
 
 
 def roll_each(
     scene: Scene,
-    path: IntArray,
-    offset: FloatArray,
-    sideways: FloatArray,
+    ways: Sequence[Scene],
     following: FloatArray,
     ignores: BoolArray,
     decay_s: float,
     others: Rollout,
-) -> Alternatives:
+) -> Rollout:
     """Drive everyone on in M ways, each driver alone among the others; nobody changes lanes.
 
     Args:
         scene: the present.
-        path: (M, n) path of each driver, like the next two instead of the scene's.
-        offset: (M, n) distance to the left of the lane's centre, m.
-        sideways: (M, n) speed to the left, m/s.
+        ways: M scenes that differ from it in paths, offsets and lateral speeds only.
         following: (M, n, 5) how each drives, as in `DriverParameters`.
         ignores: (M, n, R) likewise.
         decay_s: as to `roll`.
-        others: where everyone else is taken to be; the steps are its.
+        others: where everyone else is assumed to be; the steps are its.
 
     Returns:
-        The drivers' futures.
+        The drivers' futures, (M, n, H).
     """
-    paths, graph, steps = scene.paths, scene.graph, others.s.shape[1]
-    return Alternatives(
-        *kernel.roll_each(
-            path, scene.s, np.maximum(scene.speed, 0.0), scene.accel,
-            np.ascontiguousarray(scene.history.length) / 2, following, offset,
-            np.maximum(np.abs(sideways), RETURN_MPS), scene.on_path, ignores, scene.closed,
-            paths.lane, paths.start, paths.limit, paths.turn, paths.gate_x, paths.gate_row,
-            paths.beside, paths.apart, paths.way, graph.length, others.step_s,
-            others.step_s / STEP_S, steps, decay_s, others.lane, others.s, others.v,
-        )
-    )  # fmt: skip
+    path, offset, lateral_speed = (
+        np.stack([getattr(way, name) for way in ways])
+        for name in ("path", "offset", "lateral_speed")
+    )
+    tables = Ways(path, offset, _return_speed(lateral_speed), following, ignores)
+    calm = np.zeros(scene.ids.size)
+    changes = LaneChanges(_KEEP_LANES, calm, calm)
+    count, step_s = others.s.shape[1], others.step_s
+    lane, s, offset, speed, travelled, asked = _roll(
+        scene, scene.accel, tables, changes, decay_s, others, count, step_s
+    )
+    return Rollout(lane, s, offset, speed, travelled, asked, step_s)
 
 
-def places(scene: Scene, rollout: Rollout) -> FloatArray:
-    """(n, H, 2) places of a rollout, m; agents on no path go straight on."""
+def _roll(
+    scene: Scene,
+    accel: FloatArray,
+    ways: Ways,
+    changes: LaneChanges,
+    decay_s: float,
+    others: Rollout | None,
+    count: int,
+    step_s: float,
+) -> Any:
+    """The columns of a `Rollout` of M ways."""
+    half_length = np.ascontiguousarray(scene.history.length) / 2
+    start = Start(scene.s, np.maximum(scene.speed, 0.0), accel, half_length, scene.on_path)
+    given = _MOVE_TOGETHER if others is None else Others(others.lane, others.s, others.speed)
+    steps = Steps(count, step_s, step_s / STEP_S, decay_s)
+    return car_following.roll(
+        start,
+        ways,
+        changes,
+        scene.stop_state,
+        PathColumns.of(scene.paths),
+        scene.graph.length,
+        given,
+        steps,
+    )
+
+
+def _return_speed(lateral_speed: FloatArray) -> FloatArray:
+    return np.maximum(np.abs(lateral_speed), RETURN_MPS)
+
+
+def positions(scene: Scene, rollout: Rollout) -> FloatArray:
+    """(n, H, 2) positions of a rollout, m; agents on no path go straight on."""
     on = scene.on_path
-    out = _on_lanes(scene, rollout.lane, rollout.s, rollout.side)
+    out = _on_lanes(scene, rollout.lane, rollout.s, rollout.offset)
     if not on.all():
         time_s = np.arange(1, out.shape[1] + 1) * rollout.step_s
         out[~on] = scene.straight_on(~on, time_s)
     return np.asarray(out)
 
 
-def _on_lanes(scene: Scene, lane: IntArray, s: FloatArray, side: FloatArray) -> FloatArray:
+def _on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) -> FloatArray:
     graph = scene.graph
     return np.asarray(
-        kernel.place(
-            lane, s, side, graph.segment_start, graph.segment_direction, graph.segment_at,
+        lane_positions.positions(
+            lane, s, offset, graph.segment_start, graph.segment_direction, graph.segment_at,
             graph.segment_first, graph.segment_last,
         )
     )  # fmt: skip
 
 
-def from_own_seat(
-    scene: Scene, lane: IntArray, s: FloatArray, side: FloatArray, every: int, step_s: float
+def in_own_frame(
+    scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray, every: int, step_s: float
 ) -> FloatArray:
-    """(n, J, 2) every so many of a rollout's places ahead and to the left of each driver, m.
+    """(n, J, 2) a rollout's positions in the drivers' frames, ahead and to the left, m.
 
     Args:
         scene: the present.
         lane: (n, H) lanes.
         s: (n, H) distances along them, m.
-        side: (n, H) distances to the left of their centres, m.
-        every: steps from one place told to the next.
+        offset: (n, H) distances to the left of their centres, m.
+        every: steps from one position returned to the next.
         step_s: time between steps, s.
     """
     return np.asarray(
-        kernel.from_own_seat(
-            _on_lanes(scene, lane, s, side), scene.xy, scene.heading, scene.speed, scene.on_path,
+        lane_positions.in_own_frame(
+            _on_lanes(scene, lane, s, offset), scene.xy, scene.heading, scene.speed, scene.on_path,
             every, step_s,
         )
     )  # fmt: skip
@@ -188,14 +197,15 @@ def from_own_seat(
 
 def steady(scene: Scene) -> Rollout:
     """Everyone along its path at its present speed, returning to its lane's centre."""
-    paths = scene.paths
-    gone = scene.speed[:, None] * scene.time_s[None]
-    lane, s = kernel.along_path(scene.path, scene.s[:, None] + gone, paths.lane, paths.start)
+    travelled = scene.speed[:, None] * scene.time_s[None]
+    lane, s = lane_positions.along_path(
+        scene.path, scene.s[:, None] + travelled, scene.paths.lane, scene.paths.start
+    )
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
-    return Rollout(lane, s, scene.offsets(), speed, gone, np.zeros(scene.ids.size))
+    return Rollout(lane, s, scene.offsets(), speed, travelled, np.zeros(scene.ids.size))
 
 
-def beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:
+def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:
     """Everyone on its way to the lane beside, where there is one.
 
     Args:
@@ -206,12 +216,11 @@ def beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, Boo
     Returns:
         The scene, and (n,) who has such a lane; the others are left where they are.
     """
-    table, which = scene.paths, 0 if side > 0 else 1
-    lane, path, offset, sideways, there = kernel.beside(
-        which, other_ways, scene.lane, scene.path, scene.on_path, scene.offset, scene.sideways,
-        table.beside, table.apart, table.way, table.turn,
+    lane, path, offset, lateral_speed, there = lane_positions.lane_beside(
+        0 if side > 0 else 1, other_ways, scene.lane, scene.path, scene.on_path, scene.offset,
+        scene.lateral_speed, PathColumns.of(scene.paths),
     )  # fmt: skip
-    moving = scene.but(lane=lane, path=path, offset=offset, sideways=sideways)
+    moving = scene.but(lane=lane, path=path, offset=offset, lateral_speed=lateral_speed)
     return moving, there
 
 
@@ -219,5 +228,5 @@ def centre_ahead(scene: Scene, row: int) -> FloatArray:
     """(H, 2) the centre line of one driver's path from here on, every metre for 60 m."""
     paths = scene.paths
     x = scene.s[row] + np.arange(60.0)[None]
-    lane, s = kernel.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)
+    lane, s = lane_positions.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)
     return np.asarray(_on_lanes(scene, lane, s, np.zeros_like(s))[0])

@@ -32,7 +32,7 @@ def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:
     """(n, C) paths that each driver may take, and (n, C) which of those entries are real."""
     paths = scene.paths
     lane = np.maximum(scene.lane, 0)
-    count = np.where(scene.on_path, paths.count[lane], 1)
+    count = np.where(scene.on_path, paths.options[lane], 1)
     most = int(count.max(initial=1))
     step = np.arange(most)
     real = step[None] < count[:, None]
@@ -40,12 +40,12 @@ def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:
     return first[:, None] + np.where(real, step[None], 0), real
 
 
-def path_probability(scene: Scene, manners: DriverParameters) -> tuple[IntArray, FloatArray]:
+def path_probability(scene: Scene, drivers: DriverParameters) -> tuple[IntArray, FloatArray]:
     """How likely each driver takes each way on.
 
     Args:
         scene: the present.
-        manners: how each driver drives.
+        drivers: how each driver drives.
 
     Returns:
         (n, C) paths and (n, C) their probabilities; rows sum to 1.
@@ -55,7 +55,7 @@ def path_probability(scene: Scene, manners: DriverParameters) -> tuple[IntArray,
     weight = np.where(real, np.log(paths.probability[choice]), -np.inf)
     if choice.shape[1] > 1:
         for c in range(choice.shape[1]):
-            first = roll(scene.with_path(choice[:, c]), manners, steps=1)
+            first = roll(scene.with_path(choice[:, c]), drivers, steps=1)
             miss = 0.5 * ((scene.accel - first.asked) / ACCELERATION_SD) ** 2
             weight[:, c] -= np.minimum(miss, LARGEST_EVIDENCE)
     weight -= weight.max(axis=1, keepdims=True)
@@ -63,7 +63,7 @@ def path_probability(scene: Scene, manners: DriverParameters) -> tuple[IntArray,
     return choice, np.asarray(likely / likely.sum(axis=1, keepdims=True))
 
 
-def on_likely_paths(scene: Scene, manners: DriverParameters) -> Scene:
+def on_likely_paths(scene: Scene, drivers: DriverParameters) -> Scene:
     """The scene with everyone on the way that it most likely takes."""
-    choice, probability = path_probability(scene, manners)
+    choice, probability = path_probability(scene, drivers)
     return scene.with_path(choice[np.arange(len(choice)), probability.argmax(axis=1)])

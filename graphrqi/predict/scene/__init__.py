@@ -1,1 +1,1 @@
-"""The present as a predictor needs it: who drives where, and what may stop them."""
+"""The present as a predictor needs it: who drives where, and where they may have to stop."""

@@ -1,12 +1,12 @@
-"""Every way on from every lane, with the places on it where one may have to stop."""
+"""Every path that leads on from every lane, with the stop constraints along it."""
 
 from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,29 +19,29 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 REACH_M: Final = 150.0
-"""Paths go on at least this far beyond the lane they begin on (our choice: 5 s at 30 m/s)."""
+"""Paths continue at least this far beyond their first lane (our choice: 5 s at 30 m/s)."""
 
 MOST_LANES: Final = 10
 """Lanes per path at most (our choice)."""
 
 MOST_PATHS: Final = 200
-"""Paths per lane at most, those that go straight on first (our choice: a maze has any number)."""
+"""Paths per lane at most, straight ones first (our choice: a maze has any number)."""
 
 PRIOR: Final = (0.5, 0.2, 0.25, 0.05)
-"""How likely one goes straight, right, left or back where all are open (our choice; a third to a
+"""Probability of going straight, right, left or back where all are open (our choice; a third to a
 half of urban junction traffic turns)."""
 
 UNKNOWN_LIMIT_MPS: Final = 50.0 / 3.6
-"""What wishes are reckoned by where no limit is known (our choice: the usual one in towns)."""
+"""Speed limit assumed where none is known (our choice: the usual one in towns)."""
 
 STOP_LINE_REACH_M: Final = 8.0
-"""A crossing this close behind a stop line is waited for at the line (our choice: the depth of a
+"""Vehicles wait at the stop line for a crossing this close behind it (our choice: the depth of a
 crosswalk and its set-back)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathTable:
-    """All paths of a road; lanes and gates padded at the end.
+    """All paths of a road; lanes and stop constraints are padded at the end.
 
     Attributes:
         lane: (Q, P) lanes in order, -1 after the end.
@@ -49,20 +49,20 @@ class PathTable:
         limit: (Q, P) speed limit, m/s.
         probability: (Q,) of taking this path from its first lane.
         turn: (Q,) code into ``lane_graph.DIRECTIONS`` of the first turn on it, 0 if none.
-        gate_x: (Q, G) places where one may have to stop, m; +inf after the last.
-        gate_row: (Q, G) rows of the scene's table of closed gates: signal groups first, then the
-            places where lanes and crossings meet, then yielding entries.
+        stop_x: (Q, G) distances of the stop constraints along it, m; +inf after the last.
+        stop_row: (Q, G) their rows among the scene's ``stop_state``: signal groups first, then the
+            places where lanes and crossings meet, then yielding places.
         first: (L,) first path of each lane.
-        count: (L,) how many paths each lane has.
+        options: (L,) how many paths each lane has.
         groups: number of signal groups.
-        yield_entry: (Y,) whether each yielding place is where a junction is entered: there one
-            slows down until one can see.
-        foe_gate: (F,) yielding place that each conflict belongs to.
-        foe_lane: (F,) lane of those who have priority there.
-        foe_s: (F,) distance along that lane at which the ways cross, m.
+        yield_entry: (Y,) whether each yielding place is where a junction is entered: drivers slow
+            down there until they can see.
+        foe_place: (F,) yielding place that each conflict belongs to.
+        foe_lane: (F,) lane of the vehicles that have priority there.
+        foe_s: (F,) distance along that lane at which the two movements cross, m.
         beside: (2, L) lanes to the left and to the right of each, -1: none.
-        apart: (2, L) how far apart the two centres are, m.
-        way: (L, D) likeliest path from each lane that turns each way, -1: none.
+        lane_spacing: (2, L) distance between the two centre lines, m.
+        by_turn: (L, D) likeliest path from each lane that turns each way, -1: none.
         likeliest: (L,) likeliest path from each lane, 0 where there is none.
     """
 
@@ -71,18 +71,18 @@ class PathTable:
     limit: FloatArray
     probability: FloatArray
     turn: IntArray
-    gate_x: FloatArray
-    gate_row: IntArray
+    stop_x: FloatArray
+    stop_row: IntArray
     first: IntArray
-    count: IntArray
+    options: IntArray
     groups: int
     yield_entry: BoolArray
-    foe_gate: IntArray
+    foe_place: IntArray
     foe_lane: IntArray
     foe_s: FloatArray
     beside: IntArray
-    apart: FloatArray
-    way: IntArray
+    lane_spacing: FloatArray
+    by_turn: IntArray
     likeliest: IntArray
 
     @staticmethod
@@ -92,9 +92,29 @@ class PathTable:
         return _build(road)
 
 
+class PathColumns(NamedTuple):
+    """The columns of a `PathTable` that compiled functions read, as one argument; see there."""
+
+    lane: IntArray
+    start: FloatArray
+    limit: FloatArray
+    turn: IntArray
+    stop_x: FloatArray
+    stop_row: IntArray
+    beside: IntArray
+    lane_spacing: FloatArray
+    by_turn: IntArray
+
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def of(paths: PathTable) -> PathColumns:
+        """The columns of a table, gathered once."""
+        return PathColumns(*(getattr(paths, name) for name in PathColumns._fields))
+
+
 @functools.lru_cache(maxsize=32)
 def limits(graph: LaneGraph) -> FloatArray:
-    """(L,) speed limits that wishes are reckoned by, m/s."""
+    """(L,) speed limits, m/s; `UNKNOWN_LIMIT_MPS` where none is known."""
     return np.where(np.isnan(graph.limit), UNKNOWN_LIMIT_MPS, graph.limit)
 
 
@@ -112,74 +132,88 @@ def _build(road: Road) -> PathTable:
     graph = LaneGraph.of(road)
     groups = len(road.signal_groups)
     lanes = graph.length.size
-    first, count = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
-    rows: list[list[int]] = []
+    first, options = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+    chains: list[list[int]] = []
     for lane in range(lanes):
-        first[lane] = len(rows)
+        first[lane] = len(chains)
         if graph.drivable[lane]:
-            rows += itertools.islice(_continue(graph, [lane], 0.0), MOST_PATHS)
-        count[lane] = len(rows) - first[lane]
+            chains += itertools.islice(_continue(graph, [lane], 0.0), MOST_PATHS)
+        options[lane] = len(chains) - first[lane]
     yield_lane, yield_entry, foes = _yielding(road, graph)
     yield_row = {lane: groups + graph.cross_lane.size + y for y, lane in enumerate(yield_lane)}
-    most = max((len(r) for r in rows), default=1)
-    lane_table = np.full((len(rows), most), -1)
-    start = np.full((len(rows), most), np.inf)
-    limit_of, limit = limits(graph), np.zeros((len(rows), most))
-    probability, turn = np.ones(len(rows)), np.zeros(len(rows), np.int64)
-    gates: list[list[tuple[float, int]]] = []
-    for q, chain in enumerate(rows):
-        lane_table[q, : len(chain)] = chain
-        begin = np.concatenate([[0.0], np.cumsum(graph.length[chain])[:-1]])
-        start[q, : len(chain)] = begin
-        limit[q, : len(chain)] = limit_of[chain]
-        mine: list[tuple[float, int]] = []
-        for j, lane in enumerate(chain):
-            if j > 0:
-                open_ways = graph.successors[chain[j - 1]]
-                weights = [PRIOR[graph.direction[w]] for w in open_ways[open_ways >= 0]]
-                probability[q] *= PRIOR[graph.direction[lane]] / sum(weights)
-                if turn[q] == 0:
-                    turn[q] = graph.direction[lane]
-                if graph.signal[lane] >= 0:
-                    mine.append((float(begin[j]), int(graph.signal[lane])))
-            if j > 0 and lane in yield_row:
-                mine.append((float(begin[j]), yield_row[lane]))
-            for z in np.flatnonzero(graph.cross_lane == lane):
-                near = float(graph.cross_s[z])
-                at_line = j > 0 and graph.internal[lane] and near <= STOP_LINE_REACH_M
-                mine.append((float(begin[j]) + (0.0 if at_line else near), groups + int(z)))
-        gates.append(sorted(mine))
-    width = max((len(g) for g in gates), default=0) or 1
-    gate_x, gate_row = np.full((len(rows), width), np.inf), np.zeros((len(rows), width), np.int64)
-    for q, some in enumerate(gates):
-        for g, (at, row) in enumerate(some):
-            gate_x[q, g], gate_row[q, g] = at, row
+    begins = [np.concatenate([[0.0], np.cumsum(graph.length[chain])[:-1]]) for chain in chains]
+    stops = [
+        _stop_constraints(graph, chain, begin, groups, yield_row)
+        for chain, begin in zip(chains, begins, strict=True)
+    ]
+    ways = [_way(graph, chain) for chain in chains]
+    probability = np.array([p for p, _ in ways], dtype=np.float64)
+    turn = np.array([t for _, t in ways], dtype=np.int64)
     beside = np.stack([graph.left, graph.right])
-    way, likeliest = np.full((lanes, len(DIRECTIONS)), -1), np.zeros(lanes, np.int64)
+    by_turn, likeliest = np.full((lanes, len(DIRECTIONS)), -1), np.zeros(lanes, np.int64)
     order = np.argsort(probability, kind="stable")  # the likeliest is written last
-    origin = np.repeat(np.arange(lanes), count)[order]
-    way[origin, turn[order]] = order
+    origin = np.repeat(np.arange(lanes), options)[order]
+    by_turn[origin, turn[order]] = order
     likeliest[origin] = order
+    limit = limits(graph)
     return PathTable(
-        lane=lane_table,
-        start=start,
-        limit=limit,
+        lane=_padded(chains, -1, np.int64),
+        start=_padded(begins, np.inf, np.float64),
+        limit=_padded([limit[chain] for chain in chains], 0.0, np.float64),
         probability=probability,
         turn=turn,
-        gate_x=gate_x,
-        gate_row=gate_row,
+        stop_x=_padded([[x for x, _ in some] for some in stops], np.inf, np.float64),
+        stop_row=_padded([[row for _, row in some] for some in stops], 0, np.int64),
         first=first,
-        count=count,
+        options=options,
         groups=groups,
         yield_entry=np.array(yield_entry, dtype=np.bool_),
-        foe_gate=np.array([f[0] for f in foes], dtype=np.int64),
+        foe_place=np.array([f[0] for f in foes], dtype=np.int64),
         foe_lane=np.array([f[1] for f in foes], dtype=np.int64),
         foe_s=np.array([f[2] for f in foes], dtype=np.float64),
         beside=beside,
-        apart=(graph.width[None] + graph.width[np.maximum(beside, 0)]) / 2,
-        way=way,
+        lane_spacing=(graph.width[None] + graph.width[np.maximum(beside, 0)]) / 2,
+        by_turn=by_turn,
         likeliest=likeliest,
     )
+
+
+def _padded(
+    rows: Sequence[Sequence[float] | NDArray[Any]], fill: float, dtype: Any
+) -> NDArray[Any]:
+    """(Q, longest, at least 1) rows of different lengths, filled up at the end."""
+    out = np.full((len(rows), max((len(row) for row in rows), default=0) or 1), fill, dtype)
+    for q, row in enumerate(rows):
+        out[q, : len(row)] = row
+    return out
+
+
+def _way(graph: LaneGraph, chain: list[int]) -> tuple[float, int]:
+    """Probability of a path from its first lane, and the code of its first turn."""
+    probability, turn = 1.0, 0
+    for before, lane in itertools.pairwise(chain):
+        options = graph.successors[before]
+        weights = [PRIOR[graph.direction[w]] for w in options[options >= 0]]
+        probability *= PRIOR[graph.direction[lane]] / sum(weights)
+        turn = turn or int(graph.direction[lane])
+    return probability, turn
+
+
+def _stop_constraints(
+    graph: LaneGraph, chain: list[int], begin: FloatArray, groups: int, yield_row: dict[int, int]
+) -> list[tuple[float, int]]:
+    """Distance along a path and row of each of its stop constraints, in order."""
+    found: list[tuple[float, int]] = []
+    for j, lane in enumerate(chain):
+        if j > 0 and graph.signal[lane] >= 0:
+            found.append((float(begin[j]), int(graph.signal[lane])))
+        if j > 0 and lane in yield_row:
+            found.append((float(begin[j]), yield_row[lane]))
+        for z in np.flatnonzero(graph.cross_lane == lane):
+            near = float(graph.cross_s[z])
+            at_line = j > 0 and graph.internal[lane] and near <= STOP_LINE_REACH_M
+            found.append((float(begin[j]) + (0.0 if at_line else near), groups + int(z)))
+    return sorted(found)
 
 
 def _yielding(
@@ -187,8 +221,8 @@ def _yielding(
 ) -> tuple[list[int], list[bool], list[tuple[int, int, float]]]:
     """Lanes on which others have priority, whether each is a junction entry, and the conflicts.
 
-    At signals those who turn yield; elsewhere the road says who does. A way has priority over a
-    yielding one if it does not yield itself, or if it turns right where the other turns left.
+    At signals turning vehicles yield; elsewhere the road says who does. A movement has priority
+    over a yielding one if it does not yield itself, or turns right where the other turns left.
     """
     index = road.lane_index
     ways: dict[int, tuple[int, int, int, bool]] = {}  # lane: from, to, direction, yields

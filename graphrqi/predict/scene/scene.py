@@ -1,4 +1,4 @@
-"""The present as a predictor needs it: drivers on their paths, gates and pedestrians foreseen.
+"""The present as a predictor needs it: drivers on their paths, and where they must stop.
 
 A `Scene` is made once per instant and shared by all predictors, so that they differ only in what
 they do with it.
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.scene.agent_states import AgentStates, agent_states
 from graphrqi.predict.scene.paths import PathTable
-from graphrqi.predict.scene.sight import Sight, look
-from graphrqi.predict.scene.stop_constraints import gates_to_come
+from graphrqi.predict.scene.stop_constraints import stop_states
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
@@ -30,18 +30,18 @@ LEARNED_S: Final = 5.0
 """Horizon that the learned predictors are made for, s."""
 
 LONGEST_S: Final = 30.0
-"""Longest horizon answered, s (our choice: beyond it nothing is known)."""
+"""Longest horizon answered, s (our choice: farther ahead no predictor is better than a guess)."""
 
 RETURN_MPS: Final = 0.5
-"""Speed at which a driver off its lane's centre returns to it at least (our choice)."""
+"""Least lateral speed at which a driver returns to its lane's centre (our choice)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One instant, ready to be driven on; rows are the agents of the history.
+    """One instant, ready to be predicted; rows are the agents of the history.
 
     Attributes:
-        history: what was seen; its last column is the present.
+        history: past tracks; the last column is the present.
         road: where.
         graph: its lanes.
         paths: its paths.
@@ -50,11 +50,11 @@ class Scene:
         lane: (n,) lane of each, -1 off the road.
         s: (n,) distance along it, m.
         offset: (n,) distance to the left of its centre line, m.
-        sideways: (n,) speed to the left, m/s.
+        lateral_speed: (n,) speed to the left, m/s.
         accel: (n,) present acceleration, m/s2.
         path: (n,) most likely path of each agent, row of the road's `PathTable`.
-        closed: (R, steps + 1) state of every gate at each step to come.
-        seen: what the history shows of each agent.
+        stop_state: (R, steps + 1) state of every stop constraint now and at each coming step.
+        states: the agents' states, with their leaders and neighbours.
     """
 
     history: Tracks
@@ -66,11 +66,11 @@ class Scene:
     lane: IntArray
     s: FloatArray
     offset: FloatArray
-    sideways: FloatArray
+    lateral_speed: FloatArray
     accel: FloatArray
     path: IntArray
-    closed: NDArray[np.int8]
-    seen: Sight
+    stop_state: NDArray[np.int8]
+    states: AgentStates
 
     @property
     def ids(self) -> IntArray:
@@ -99,8 +99,8 @@ class Scene:
 
     def offsets(self) -> FloatArray:
         """(n, H) distance to the left of the lane: drivers move to its centre and stay, m."""
-        pace = np.maximum(np.abs(self.sideways), RETURN_MPS)
-        left = np.maximum(np.abs(self.offset)[:, None] - pace[:, None] * self.time_s[None], 0.0)
+        speed = np.maximum(np.abs(self.lateral_speed), RETURN_MPS)
+        left = np.maximum(np.abs(self.offset)[:, None] - speed[:, None] * self.time_s[None], 0.0)
         return np.asarray(np.sign(self.offset)[:, None] * left)
 
     def straight_on(
@@ -109,8 +109,8 @@ class Scene:
         """(n, H, 2) everyone, or some, at constant velocity, at the predicted or other times, m."""
         heading = self.heading[who]
         facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        travelled = self.speed[who, None] * (self.time_s if time_s is None else time_s)
-        return np.asarray(self.xy[who, None] + travelled[..., None] * facing[:, None])
+        distance = self.speed[who, None] * (self.time_s if time_s is None else time_s)
+        return np.asarray(self.xy[who, None] + distance[..., None] * facing[:, None])
 
     def predicted(self, xy: FloatArray, probability: FloatArray | None = None) -> Prediction:
         """A `Prediction` of these agents; ``xy`` (n, H, 2) for one future or (n, K, H, 2)."""
@@ -120,9 +120,9 @@ class Scene:
         return Prediction(self.ids, self.time_s, futures, probability)
 
     def but(self, **changed: IntArray | FloatArray) -> Scene:
-        """The same scene with other paths, lanes, offsets or speeds sideways.
+        """The same scene with other paths, lanes, offsets or lateral speeds.
 
-        Unlike `dataclasses.replace` it keeps what was already worked out of the history.
+        Unlike `dataclasses.replace` it keeps the cached properties.
         """
         other = object.__new__(Scene)
         other.__dict__.update(self.__dict__, **changed)
@@ -130,13 +130,13 @@ class Scene:
 
     def with_path(self, path: IntArray) -> Scene:
         """The same scene with other paths taken."""
-        return self.but(path=path)
+        return self.but(path=np.ascontiguousarray(path))
 
 
 def check_horizon(horizon_s: float) -> None:
     """Refuse a horizon that is shorter than a step or longer than `LONGEST_S`."""
-    known = isinstance(horizon_s, (int, float, np.number))
-    if not known or not STEP_S <= horizon_s <= LONGEST_S:
+    number = isinstance(horizon_s, (int, float, np.number))
+    if not number or not STEP_S <= horizon_s <= LONGEST_S:
         raise InputError(
             f"horizon_s: found {horizon_s!r}, expected seconds from {STEP_S} to {LONGEST_S:g}"
         )
@@ -164,12 +164,12 @@ def check_history(history: Tracks) -> None:
 
 
 def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
-    """Read the present from a history.
+    """The scene at the end of a history.
 
     Args:
         history: tracks whose last column is the present; agents seen there are kept.
         road: where it happens.
-        horizon_s: how far ahead to look, s.
+        horizon_s: how far ahead it is to be predicted, s.
 
     Returns:
         The scene of the agents present now.
@@ -184,23 +184,22 @@ def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
         history = history.window(history.time_s.size, history.time_s.size)
     steps = round(horizon_s / STEP_S)
     graph, paths = LaneGraph.of(road), PathTable.of(road)
-    seen = look(history, road)
-    lane = seen.lane
-    on_path = lane >= 0
-    path = np.where(on_path, paths.likeliest[np.maximum(lane, 0)], 0)
+    states = agent_states(history, road)
+    lane = states.lane
+    path = np.where(lane >= 0, paths.likeliest[np.maximum(lane, 0)], 0)
     return Scene(
         history=history,
         road=road,
         graph=graph,
         paths=paths,
         steps=steps,
-        on_path=on_path,
+        on_path=lane >= 0,
         lane=lane,
-        s=seen.s,
-        offset=seen.offset,
-        sideways=seen.sideways,
-        accel=seen.accel,
+        s=states.s,
+        offset=states.offset,
+        lateral_speed=states.lateral_speed,
+        accel=states.accel,
         path=path,
-        closed=gates_to_come(history, road, graph, paths, lane, seen.s, path, steps),
-        seen=seen,
+        stop_state=stop_states(history, road, paths, lane, states.s, path, steps),
+        states=states,
     )

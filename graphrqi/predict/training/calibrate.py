@@ -1,8 +1,8 @@
-"""Finds the numbers with which the car-following law predicts best on training episodes.
+"""Finds the driver parameters with which the car-following law predicts best on training episodes.
 
-A (1+1) evolution strategy with the one-fifth rule, run for all behaviours at once: every
-behaviour's numbers are perturbed together, all drivers are driven on jointly, and each behaviour
-keeps its new numbers if its own drivers' error fell. Behaviours act on each other only through
+A (1+1) evolution strategy with the one-fifth rule runs for all behaviours at once: the parameters
+of all behaviours are perturbed together, all drivers are driven on jointly, and each behaviour
+keeps its new parameters if its own drivers' error fell. Behaviours act on each other only through
 leaders, so that this is nearly one search per behaviour for the price of one.
 
 References:
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from graphrqi.predict.rollout.driver_table import DRIVER_FIELDS, DriverTable, initial_table
-from graphrqi.predict.rollout.following import aware_with, blind_with
+from graphrqi.predict.rollout.following import aware_with, blind_with, certain
 from graphrqi.predict.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -76,7 +76,7 @@ def by_behavior(samples: Sequence[Sample], table: DriverTable) -> FloatArray:
     """(6,) mean displacement of each behaviour's drivers when their behaviour is known, m."""
     total, count = np.zeros(len(BEHAVIORS)), np.zeros(len(BEHAVIORS))
     for sample in samples:
-        error = displacement(sample, aware_with(sample.scene, known(sample), table).best)
+        error = displacement(sample, aware_with(sample.scene, certain(sample.behavior), table).best)
         kept = sample.counts & (sample.behavior >= 0)
         total += np.bincount(sample.behavior[kept], error[kept], len(BEHAVIORS))
         count += np.bincount(sample.behavior[kept], minlength=len(BEHAVIORS))
@@ -87,14 +87,6 @@ def without_behavior(samples: Sequence[Sample], table: DriverTable) -> float:
     """Mean displacement of all drivers by the average driver's numbers, m."""
     errors = [displacement(s, blind_with(s.scene, table).best)[s.counts] for s in samples]
     return float(np.concatenate(errors).mean())
-
-
-def known(sample: Sample) -> FloatArray:
-    """(n, 6) beliefs of one who knows the true behaviours; uniform where there is none."""
-    out = np.full((sample.behavior.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
-    labelled = sample.behavior >= 0
-    out[labelled] = np.eye(len(BEHAVIORS))[sample.behavior[labelled]]
-    return out
 
 
 def calibrate(

@@ -1,9 +1,9 @@
 """Trains the learned predictors with torch.
 
-The single best guess is trained on its mean distance (so that it is a median, not a mean, of what
-may happen), the other futures winner-takes-all, the scores to name the nearest future, and the
-spreads on the likelihood of what happened under the nearest one. The epoch that does best on
-validation episodes is kept; there the spreads are also scaled to cover what they promise.
+The single best guess is trained on its mean distance (so that it is a median, not a mean, of the
+possible trajectories), the other futures winner-takes-all, the scores to name the nearest future,
+and the spreads on the likelihood of the true trajectory under the nearest one. The epoch that does
+best on validation episodes is kept; there the spreads are also scaled to their nominal coverage.
 """
 
 from __future__ import annotations
@@ -17,10 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.predict.learned.anchors import BASES, KNOT_S, KNOTS, PredictorInputs
-from graphrqi.predict.learned.lstm import Lstm, make_module
-from graphrqi.predict.learned.networks import MODES, PER_MODE, Futures, Perceptron
+from graphrqi.predict.learned.lstm import TrajectoryLstm, make_module
 from graphrqi.predict.metrics import covered
+from graphrqi.predict.networks.futures import (
+    ANCHORS,
+    KNOT_S,
+    KNOTS,
+    MODES,
+    PER_MODE,
+    Futures,
+    PredictorInputs,
+    decode,
+)
+from graphrqi.predict.networks.perceptron import Perceptron
+from graphrqi.predict.networks.perceptron import standardized as standardized_features
 
 if TYPE_CHECKING:
     import torch
@@ -47,16 +57,16 @@ SCORE_WEIGHT, SPREAD_WEIGHT = 0.2, 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examples:
-    """What is known of drivers and what they did.
+    """Inputs of drivers, and where they went.
 
     Attributes:
-        inputs: (m, F) float32.
-        bases: (m, B, KNOTS, 2) float32, m.
+        features: (m, F) float32.
+        anchors: (m, ANCHORS, KNOTS, 2) float32, m.
         truth: (m, KNOTS, 2) float32, where they went, in their own frame, m.
     """
 
-    inputs: NDArray[np.float32]
-    bases: NDArray[np.float32]
+    features: NDArray[np.float32]
+    anchors: NDArray[np.float32]
     truth: NDArray[np.float32]
 
     @classmethod
@@ -65,22 +75,24 @@ class Examples:
         if not parts:
             raise InputError("examples: found none, expected at least one episode")
         return cls(
-            np.concatenate([p.inputs for p in parts]),
-            np.concatenate([p.bases for p in parts]),
+            np.concatenate([p.features for p in parts]),
+            np.concatenate([p.anchors for p in parts]),
             np.concatenate([p.truth for p in parts]),
         )
 
 
-def displacement_loss(raw: torch.Tensor, bases: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
-    """The loss of a batch: (m, K PER_MODE) outputs, (m, B, KNOTS, 2), (m, KNOTS, 2)."""
+def displacement_loss(
+    raw: torch.Tensor, anchors: torch.Tensor, truth: torch.Tensor
+) -> torch.Tensor:
+    """The loss of a batch: (m, K PER_MODE) outputs, (m, ANCHORS, KNOTS, 2), (m, KNOTS, 2)."""
     import torch
 
-    n, b = raw.shape[0], len(BASES)
+    n, b = raw.shape[0], ANCHORS
     each = raw.view(n, MODES, PER_MODE)
     time_s = torch.arange(1, KNOTS + 1) * KNOT_S
     weight = torch.softmax(each[..., :b], dim=-1)
     residual = each[..., b : b + 2 * KNOTS].reshape(n, MODES, KNOTS, 2) * time_s[:, None]
-    own = torch.einsum("nkb,nbtc->nktc", weight, bases) + residual
+    own = torch.einsum("nkb,nbtc->nktc", weight, anchors) + residual
     gap = torch.sqrt(((own - truth[:, None]) ** 2).sum(-1) + 1e-4)
     mean_gap = gap.mean(-1)
     guess = mean_gap[:, 0].mean()
@@ -102,17 +114,17 @@ def fit(
     validation: Examples,
     epochs: int,
     seed: int,
-    tell: Callable[[int, float], None],
+    on_epoch: Callable[[int, float], None],
 ) -> float:
-    """Fit a module that maps inputs to outputs, keeping the epoch best on validation.
+    """Fit a module that maps features to outputs, keeping the epoch best on validation.
 
     Args:
-        module: called with standardised inputs (m, F).
-        draw: the training episodes' examples for an epoch; as many every time.
-        validation: of others.
+        module: called with standardised features (m, F).
+        draw: gives the training examples of an epoch; as many every time.
+        validation: examples of other episodes.
         epochs: passes over the training examples.
         seed: of the order.
-        tell: called with each epoch and its validation ADE, m.
+        on_epoch: called with each epoch and its validation ADE, m.
 
     Returns:
         The best validation ADE, m; the module holds that epoch's weights.
@@ -121,7 +133,7 @@ def fit(
 
     optimizer = torch.optim.AdamW(module.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     training = draw(0)
-    steps = max(1, len(training.inputs) // BATCH) * epochs
+    steps = max(1, len(training.features) // BATCH) * epochs
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, max_lr=LEARNING_RATE, total_steps=steps + 1, pct_start=0.1
     )
@@ -130,19 +142,19 @@ def fit(
     for epoch in range(epochs):
         module.train()
         training = draw(epoch) if epoch else training
-        inputs, bases = torch.from_numpy(training.inputs), torch.from_numpy(training.bases)
+        features, anchors = torch.from_numpy(training.features), torch.from_numpy(training.anchors)
         truth = torch.from_numpy(training.truth)
-        order = torch.randperm(len(inputs), generator=generator)
+        order = torch.randperm(len(features), generator=generator)
         whole = max(1, len(order) // BATCH) * BATCH
         for batch in torch.split(order[:whole], BATCH):
-            loss = displacement_loss(module(inputs[batch]), bases[batch], truth[batch])
+            loss = displacement_loss(module(features[batch]), anchors[batch], truth[batch])
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(module.parameters(), 5.0)
             optimizer.step()
             schedule.step()
         ade = validation_ade(module, validation)
-        tell(epoch, ade)
+        on_epoch(epoch, ade)
         if ade < best:
             best, kept = ade, {k: v.clone() for k, v in module.state_dict().items()}
     module.load_state_dict(kept)
@@ -153,26 +165,23 @@ def validation_ade(module: torch.nn.Module, examples: Examples) -> float:
     """Mean distance of the best guess, m."""
     import torch
 
-    from graphrqi.predict.learned.networks import decode
-
     module.eval()
     with torch.no_grad():
-        raw = module(torch.from_numpy(examples.inputs)).numpy().astype(np.float64)
-    own = decode(raw, examples.bases.astype(np.float64), 1.0).own[:, 0]
+        raw = module(torch.from_numpy(examples.features)).numpy().astype(np.float64)
+    own = decode(raw, examples.anchors.astype(np.float64), 1.0).own[:, 0]
     return float(np.linalg.norm(own - examples.truth, axis=-1).mean())
 
 
-def standardization(inputs: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
-    """(F,) means and (F,) standard deviations; constant inputs are left as they are."""
-    mean = inputs.mean(axis=0, dtype=np.float64)
-    scale = inputs.std(axis=0, dtype=np.float64)
+def standardization(features: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+    """(F,) means and (F,) standard deviations; constant features are left as they are."""
+    mean = features.mean(axis=0, dtype=np.float64)
+    scale = features.std(axis=0, dtype=np.float64)
     return mean, np.where(scale > 1e-4, scale, 1.0)
 
 
 def standardized(examples: Examples, mean: FloatArray, scale: FloatArray) -> Examples:
-    """The same examples with standardised inputs, clipped as at inference."""
-    inputs = np.clip((examples.inputs - mean) / scale, -8.0, 8.0).astype(np.float32)
-    return replace(examples, inputs=inputs)
+    """The same examples with standardised features, clipped as at inference."""
+    return replace(examples, features=standardized_features(examples.features, mean, scale))
 
 
 def train_perceptron(
@@ -181,16 +190,16 @@ def train_perceptron(
     *,
     epochs: int = 30,
     seed: int = 0,
-    tell: Callable[[int, float], None] = lambda epoch, ade: None,
+    on_epoch: Callable[[int, float], None] = lambda epoch, ade: None,
 ) -> Perceptron:
-    """Train the network of `graphrqi.predict.learned.networks`.
+    """Train the network of `graphrqi.predict.networks.perceptron`.
 
     Args:
-        training: of training episodes; or what draws them anew for each epoch.
-        validation: of others, to choose the epoch and to scale the spreads.
+        training: examples of training episodes, or a function that draws them for each epoch.
+        validation: examples of other episodes, to choose the epoch and to scale the spreads.
         epochs: passes over the training examples.
         seed: of weights and order.
-        tell: called with each epoch and its validation ADE, m.
+        on_epoch: called with each epoch and its validation ADE, m.
 
     Returns:
         The trained network.
@@ -199,7 +208,7 @@ def train_perceptron(
 
     torch.manual_seed(seed)
     draw = training if callable(training) else lambda epoch: training
-    mean, scale = standardization(draw(0).inputs)
+    mean, scale = standardization(draw(0).features)
     sizes = (mean.size, *HIDDEN, MODES * PER_MODE)
     layers: list[torch.nn.Module] = []
     for i, (inside, outside) in enumerate(itertools.pairwise(sizes)):
@@ -208,7 +217,7 @@ def train_perceptron(
         if i < len(sizes) - 2:
             layers.append(torch.nn.SiLU())
         else:
-            with torch.no_grad():  # begin as the likeliest rollout
+            with torch.no_grad():  # start as the likeliest rollout
                 linear.weight.mul_(0.05)
                 linear.bias.zero_()
                 linear.bias.view(MODES, PER_MODE)[:, 0] = 2.0
@@ -219,7 +228,7 @@ def train_perceptron(
         standardized(validation, mean, scale),
         epochs,
         seed,
-        tell,
+        on_epoch,
     )
     linears = [m for m in module if isinstance(m, torch.nn.Linear)]
     network = Perceptron(
@@ -230,7 +239,7 @@ def train_perceptron(
         1.0,
     )
     futures = network(
-        PredictorInputs(validation.inputs.astype(np.float64), validation.bases.astype(float))
+        PredictorInputs(validation.features.astype(np.float64), validation.anchors.astype(float))
     )
     return replace(network, spread_scale=right_spread(futures, validation.truth))
 
@@ -241,24 +250,24 @@ def train_lstm(
     *,
     epochs: int = 30,
     seed: int = 0,
-    tell: Callable[[int, float], None] = lambda epoch, ade: None,
-) -> Lstm:
+    on_epoch: Callable[[int, float], None] = lambda epoch, ade: None,
+) -> TrajectoryLstm:
     """Train the network of `graphrqi.predict.learned.lstm`; see `train_perceptron`."""
     import torch
 
     torch.manual_seed(seed)
-    mean, scale = standardization(training.inputs)
+    mean, scale = standardization(training.features)
     train = standardized(training, mean, scale)
-    module = make_module(training.inputs.shape[1])
+    module = make_module(training.features.shape[1])
     fit(
         module, lambda epoch: train, standardized(validation, mean, scale),
-        epochs, seed, tell,
+        epochs, seed, on_epoch,
     )  # fmt: skip
-    network = Lstm(module, mean, scale, 1.0)
+    network = TrajectoryLstm(module, mean, scale, 1.0)
     futures = network(
-        PredictorInputs(validation.inputs.astype(np.float64), validation.bases.astype(float))
+        PredictorInputs(validation.features.astype(np.float64), validation.anchors.astype(float))
     )
-    return Lstm(module, mean, scale, right_spread(futures, validation.truth))
+    return TrajectoryLstm(module, mean, scale, right_spread(futures, validation.truth))
 
 
 def right_spread(futures: Futures, truth: NDArray[np.float32]) -> float:

@@ -1,0 +1,85 @@
+"""The learned predictors, each with the network that ships in the package.
+
+`graphrqi_predict` is the default: a perceptron corrects rollouts of what each driver is believed to
+be. It was trained on the classifier's own posteriors, wrong ones included, with a share of uniform
+and of shuffled ones: trained on true labels it would trust labels that are often wrong.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+
+from behaviors.labels import BEHAVIORS
+from graphrqi.posterior import Posterior
+from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
+from graphrqi.predict.learned.lstm import shipped_lstm
+from graphrqi.predict.map_free.predictor import predict_unmapped
+from graphrqi.predict.networks.futures import spread_out
+from graphrqi.predict.networks.perceptron import shipped_perceptron
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.rollout.driver_table import default_table
+from graphrqi.predict.rollout.following import shuffled_posterior, true_behavior
+from graphrqi.predict.scene.scene import Scene
+
+Predictor = Callable[[Scene, Posterior], Prediction]
+
+
+def where_limits_are_known(predictor: Predictor) -> Predictor:
+    """A learned predictor that falls back to the map-free one where speed limits are unknown.
+
+    A road without limits is a recording's map, which lacks lights and priority too. The networks
+    were trained where all of these are known, and would predict that a vehicle waiting at a light,
+    or parked, is about to drive off.
+    """
+
+    @functools.wraps(predictor)
+    def predict(scene: Scene, posterior: Posterior) -> Prediction:
+        if np.isnan(scene.graph.limit[scene.graph.drivable]).any():
+            return predict_unmapped(scene.history, scene.steps * STEP_S, "graphrqi-predict")
+        return predictor(scene, posterior)
+
+    return predict
+
+
+@where_limits_are_known
+def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """Rollouts of the believed behaviours, corrected by a network: the best predictor here."""
+    inputs = predictor_inputs(scene, posterior.of(scene.ids), default_table())
+    network = shipped_perceptron("graphrqi-predict.safetensors")
+    return spread_out(scene.history, network(inputs), scene.steps)
+
+
+@where_limits_are_known
+def mlp(scene: Scene, posterior: Posterior) -> Prediction:
+    """A perceptron with the inputs, data and budget of the label-free ``lstm``, for comparison."""
+    network = shipped_perceptron("mlp.safetensors")
+    return spread_out(scene.history, network(unlabelled_inputs(scene)), scene.steps)
+
+
+@where_limits_are_known
+def lstm(scene: Scene, posterior: Posterior) -> Prediction:
+    """A recurrent network that is given neither beliefs nor a driver model."""
+    return spread_out(scene.history, shipped_lstm()(unlabelled_inputs(scene)), scene.steps)
+
+
+def unlabelled_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """`graphrqi_predict` without beliefs about anybody: the baseline for the labels' worth."""
+    nothing = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+    return graphrqi_predict(scene, nothing)
+
+
+def oracle_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """`graphrqi_predict` given every driver's true behaviour.
+
+    Raises:
+        InputError: if the history carries no labels.
+    """
+    return graphrqi_predict(scene, Posterior(scene.ids, true_behavior(scene)))
+
+
+def shuffled_predict(scene: Scene, posterior: Posterior) -> Prediction:
+    """`graphrqi_predict` given other drivers' behaviours: how far wrong labels mislead it."""
+    return graphrqi_predict(scene, shuffled_posterior(scene, posterior))

@@ -1,0 +1,151 @@
+"""A perceptron that gives futures, and the files of trained networks.
+
+The first future is the single best guess, trained on its mean distance; the others are trained
+winner-takes-all to cover what else may happen. The network runs in numpy; torch is needed for
+training only.
+
+References:
+    Guzman-Rivera et al. (2012), "Multiple choice learning", NeurIPS (winner takes all).
+    Rupprecht et al. (2017), "Learning in an uncertain world", ICCV (its relaxed form).
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.predict.networks.futures import Futures, PredictorInputs, decode
+
+FloatArray = NDArray[np.float64]
+
+SCHEMA_VERSION: Final = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perceptron:
+    """A trained network.
+
+    Attributes:
+        mean: (F,) of the training features.
+        scale: (F,) their standard deviations.
+        weights: one (in, out) float32 matrix per layer.
+        biases: one (out,) float32 vector per layer.
+        spread_scale: see `graphrqi.predict.networks.futures.decode`.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+    spread_scale: float
+
+    def __call__(self, data: PredictorInputs) -> Futures:
+        """The futures of every row."""
+        hidden = standardized(data.features, self.mean, self.scale)
+        last = len(self.weights) - 1
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = hidden @ weight
+            hidden += bias
+            if i < last:
+                hidden /= _one_and_exp(-hidden)  # SiLU
+        return decode(hidden, data.anchors, self.spread_scale)
+
+    def save(self, path: Path, card: dict[str, Any]) -> None:
+        """Write the network with its card (data, split, scores) in the file's metadata."""
+        from safetensors.numpy import save_file
+
+        arrays: dict[str, NDArray[np.floating]] = {"mean": self.mean, "scale": self.scale}
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
+        arrays = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
+        save_file(arrays, path, about(self.spread_scale, card))
+
+
+def standardized(
+    features: NDArray[Any], mean: FloatArray, scale: FloatArray
+) -> NDArray[np.float32]:
+    """(n, F) features as a network takes them; outliers are clipped."""
+    return np.clip((features - mean) / scale, -8.0, 8.0).astype(np.float32)
+
+
+def _one_and_exp(x: NDArray[np.float32]) -> NDArray[np.float32]:
+    """1 + exp(x), written over x; beyond 80 the exponential would overflow."""
+    np.minimum(x, np.float32(80.0), out=x)
+    np.exp(x, out=x)
+    x += np.float32(1.0)
+    return x
+
+
+def about(spread_scale: float, card: dict[str, Any]) -> dict[str, str]:
+    """The metadata of a network's file."""
+    content = {"schema_version": SCHEMA_VERSION, "spread_scale": spread_scale, "card": card}
+    return {"about": json.dumps(content, sort_keys=True)}
+
+
+def read_network(path: Path, framework: str) -> tuple[dict[str, Any], float]:
+    """The arrays and the spread scale in a network's file.
+
+    Args:
+        path: the file.
+        framework: ``np`` or ``pt``: whose arrays are wanted.
+
+    Raises:
+        InputError: if the file is missing, broken or newer than this version reads.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework) as file:
+            content = json.loads((file.metadata() or {})["about"])
+            if content["schema_version"] != SCHEMA_VERSION:
+                raise InputError(
+                    f"{path}: schema_version: found {content['schema_version']}, "
+                    f"expected {SCHEMA_VERSION}"
+                )
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return arrays, float(content["spread_scale"])
+    except FileNotFoundError:
+        raise InputError(f"{path}: found no file, expected a trained predictor") from None
+    except (SafetensorError, KeyError, json.JSONDecodeError) as error:
+        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+
+
+def load_perceptron(path: Path) -> Perceptron:
+    """Read a perceptron.
+
+    Raises:
+        InputError: if the file is missing, broken, of another network or newer than this version
+            reads.
+    """
+    arrays, spread_scale = read_network(path, "np")
+    layers = sum(name.startswith("weight_") for name in arrays)
+    try:
+        return Perceptron(
+            arrays["mean"].astype(np.float64),
+            arrays["scale"].astype(np.float64),
+            tuple(arrays[f"weight_{i}"] for i in range(layers)),
+            tuple(arrays[f"bias_{i}"] for i in range(layers)),
+            spread_scale,
+        )
+    except KeyError as error:
+        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+
+
+def weights_file(name: str) -> Any:
+    """A context that gives the path of a file of weights that ships in the package."""
+    return resources.as_file(resources.files("graphrqi.predict").joinpath("weights", name))
+
+
+@functools.cache
+def shipped_perceptron(name: str) -> Perceptron:
+    """A perceptron that ships in the package, by the name of its file."""
+    with weights_file(name) as path:
+        return load_perceptron(path)
