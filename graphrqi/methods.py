@@ -71,7 +71,7 @@ METHODS: Final[Registry[Method]] = Registry(
     {
         "majority": Method(
             "majority",
-            "the most frequent class of the training data, whatever is seen",
+            "the most frequent class of the training data, without features",
             NullObserver,
             "majority",
         ),

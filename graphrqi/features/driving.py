@@ -119,46 +119,31 @@ class Quantity:
     values: Callable[[_Moment], tuple[FloatArray, BoolArray]]
 
 
+# fmt: off
 QUANTITIES: Final[tuple[Quantity, ...]] = (
     Quantity("speed", _SPEED_MPS, lambda m: (m.v, m.always)),
     Quantity("free speed", _SPEED_MPS, lambda m: (m.v, m.free)),
     Quantity("speed over neighbours", _DIFFERENCE_MPS, lambda m: (m.speed_signal[:, 0], m.always)),
-    Quantity(
-        "speed over wider neighbours", _DIFFERENCE_MPS, lambda m: (m.speed_signal[:, 1], m.always)
-    ),
+    Quantity("speed over wider neighbours", _DIFFERENCE_MPS, lambda m: (
+        m.speed_signal[:, 1], m.always)),
     Quantity("acceleration", _ACCEL_MPS2, lambda m: (m.a, m.v > 0.5)),
     Quantity("acceleration when free", _ACCEL_MPS2, lambda m: (m.a, m.clear & m.moving)),
     Quantity("acceleration while following", _ACCEL_MPS2, lambda m: (m.a, m.following)),
-    Quantity(
-        "pull-away", _POSITIVE_MPS2, lambda m: (m.a, m.pulling & (m.clear | (m.closing < 0.0)))
-    ),
+    Quantity("pull-away", _POSITIVE_MPS2, lambda m: (
+        m.a, m.pulling & (m.clear | (m.closing < 0.0)))),
     Quantity("braking", _POSITIVE_MPS2, lambda m: (-m.a, m.a < -0.3)),
     Quantity("headway while following", _HEADWAY_S, lambda m: (m.headway, m.following)),
     Quantity("headway", _HEADWAY_S, lambda m: (m.headway, m.has_leader & m.moving)),
     Quantity("steady headway", _HEADWAY_S, lambda m: (m.headway, m.steady)),
-    Quantity(
-        "standstill gap",
-        _STANDSTILL_M,
-        lambda m: (m.gap, m.has_leader & (m.v < 0.3) & (m.leader_speed < 0.3)),
-    ),
+    Quantity("standstill gap", _STANDSTILL_M, lambda m: (
+        m.gap, m.has_leader & (m.v < 0.3) & (m.leader_speed < 0.3))),
     Quantity("leader's speed before starting", _SLOW_MPS, lambda m: (m.leader_speed, m.starting)),
     Quantity("closing", _DIFFERENCE_MPS, lambda m: (m.closing, m.following)),
-    Quantity(
-        "inverse time to collision",
-        _INVERSE_TTC,
-        lambda m: (
-            np.maximum(m.closing, 0.0) / np.maximum(m.gap, 0.3),
-            m.has_leader & (m.closing > 0.2),
-        ),
-    ),
-    Quantity(
-        "rear headway",
-        _HEADWAY_S,
-        lambda m: (
-            m.around.rear_gap / np.maximum(m.around.rear_speed, 0.1),
-            (m.around.follower >= 0) & m.moving,
-        ),
-    ),
+    Quantity("inverse time to collision", _INVERSE_TTC, lambda m: (
+        np.maximum(m.closing, 0.0) / np.maximum(m.gap, 0.3), m.has_leader & (m.closing > 0.2))),
+    Quantity("rear headway", _HEADWAY_S, lambda m: (
+        m.around.rear_gap / np.maximum(m.around.rear_speed, 0.1),
+        (m.around.follower >= 0) & m.moving)),
     Quantity("sideways", _SIDEWAYS_M, lambda m: (m.side, m.moving)),
     Quantity("sideways over neighbours", _SIDEWAYS_M, lambda m: (m.side_signal, m.moving)),
     Quantity("beside", (0.0, 1.0, 2.0, 4.0), lambda m: (m.around.beside, m.moving)),
@@ -168,65 +153,38 @@ QUANTITIES: Final[tuple[Quantity, ...]] = (
     Quantity("speed over pace", _RELATIVE, lambda m: (m.relative, m.always)),
     Quantity("speed while turning", _SPEED_MPS, lambda m: (m.v, (m.side > 0.8) & (m.v > 1.0))),
     Quantity("braking when free", _POSITIVE_MPS2, lambda m: (-m.a, m.clear & (m.a < -0.3))),
-    Quantity(
-        "waiting first", (0.0, 1.0), lambda m: (np.zeros(m.v.size), ~m.has_leader & (m.v < 0.3))
-    ),
+    Quantity("waiting first", (0.0, 1.0), lambda m: (
+        np.zeros(m.v.size), ~m.has_leader & (m.v < 0.3))),
     Quantity("pull-away when free", _POSITIVE_MPS2, lambda m: (m.a, m.pulling & m.clear)),
     Quantity("pull-away when slow", _POSITIVE_MPS2, lambda m: (m.a, (m.a > 0.2) & (m.v < 3.5))),
-    Quantity(
-        "pull-away when fast",
-        _POSITIVE_MPS2,
-        lambda m: (m.a, (m.a > 0.2) & (m.v >= 7.5) & (m.clear | (m.closing < 0.0))),
-    ),
+    Quantity("pull-away when fast", _POSITIVE_MPS2, lambda m: (
+        m.a, (m.a > 0.2) & (m.v >= 7.5) & (m.clear | (m.closing < 0.0)))),
     Quantity("time to standing, free", _STANDING_S, lambda m: (m.standing_s, m.stopping & m.clear)),
-    Quantity(
-        "time to standing, slow", _STANDING_S, lambda m: (m.standing_s, m.halting & (m.v < 6.0))
-    ),
-    Quantity(
-        "time to standing, fast", _STANDING_S, lambda m: (m.standing_s, m.halting & (m.v >= 6.0))
-    ),
+    Quantity("time to standing, slow", _STANDING_S, lambda m: (
+        m.standing_s, m.halting & (m.v < 6.0))),
+    Quantity("time to standing, fast", _STANDING_S, lambda m: (
+        m.standing_s, m.halting & (m.v >= 6.0))),
     Quantity("gap before starting", _GAP_M, lambda m: (m.gap, m.starting)),
-    Quantity(
-        "gap while starting",
-        _GAP_M,
-        lambda m: (
-            m.gap,
-            m.has_leader & (m.v > 0.3) & (m.v < 2.5) & (m.a > 0.3) & (m.closing < 0.0),
-        ),
-    ),
-    Quantity(
-        "gap while creeping",
-        _GAP_M,
-        lambda m: (m.gap, m.has_leader & (m.v > 0.15) & (m.v < 1.5) & (m.leader_speed < 0.3)),
-    ),
+    Quantity("gap while starting", _GAP_M, lambda m: (
+        m.gap, m.has_leader & (m.v > 0.3) & (m.v < 2.5) & (m.a > 0.3) & (m.closing < 0.0))),
+    Quantity("gap while creeping", _GAP_M, lambda m: (
+        m.gap, m.has_leader & (m.v > 0.15) & (m.v < 1.5) & (m.leader_speed < 0.3))),
     Quantity("law's headway, close", _LAW_S, lambda m: (m.close, m.behind(m.close))),
     Quantity("law's headway, distant", _LAW_S, lambda m: (m.distant, m.behind(m.distant))),
-    Quantity(
-        "law's headway, held up", _LAW_S, lambda m: (m.middle, m.behind(m.middle) & (m.a < 1.0))
-    ),
-    Quantity(
-        "law's headway, closing",
-        _LAW_S,
-        lambda m: (m.middle, m.behind(m.middle) & (m.closing > 1.0)),
-    ),
-    Quantity(
-        "law's headway, opening",
-        _LAW_S,
-        lambda m: (m.middle, m.behind(m.middle) & (m.closing < -0.5)),
-    ),
+    Quantity("law's headway, held up", _LAW_S, lambda m: (
+        m.middle, m.behind(m.middle) & (m.a < 1.0))),
+    Quantity("law's headway, closing", _LAW_S, lambda m: (
+        m.middle, m.behind(m.middle) & (m.closing > 1.0))),
+    Quantity("law's headway, opening", _LAW_S, lambda m: (
+        m.middle, m.behind(m.middle) & (m.closing < -0.5))),
     Quantity("clear speed over pace", _RELATIVE, lambda m: (m.relative, m.clear & m.moving)),
-    Quantity(
-        "pulling speed over pace",
-        _RELATIVE,
-        lambda m: (m.relative, m.clear & (m.a > 0.3) & (m.v > 5.0)),
-    ),
+    Quantity("pulling speed over pace", _RELATIVE, lambda m: (
+        m.relative, m.clear & (m.a > 0.3) & (m.v > 5.0))),
     Quantity("acceleration near pace", _ACCEL_MPS2, lambda m: (m.a, m.clear & (m.relative > 0.8))),
-    Quantity(
-        "slowing near pace",
-        _ACCEL_MPS2,
-        lambda m: (m.a, m.clear & (m.relative > 0.8) & (m.a < 0.2)),
-    ),
+    Quantity("slowing near pace", _ACCEL_MPS2, lambda m: (
+        m.a, m.clear & (m.relative > 0.8) & (m.a < 0.2))),
 )
+# fmt: on
 """Everything whose distribution the driving observer measures, in the order of the features."""
 
 BLOCKS: Final = tuple(Block(quantity.name, quantity.nodes) for quantity in QUANTITIES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -282,3 +283,10 @@ def test_posterior_without_pandas_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match="pandas: found none"):
         Posterior(ids=[1], probability=np.eye(6)[:1]).to_pandas()
+
+
+def test_importing_the_stream_loads_nothing_heavy():
+    heavy = ("numba", "torch", "sklearn", "pandas", "pyarrow")
+    code = f"import graphrqi.stream, sys; print([m for m in {heavy!r} if m in sys.modules])"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
