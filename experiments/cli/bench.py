@@ -72,7 +72,8 @@ def bench_command(bench: Bench[Any]) -> Any:
     if bench.plot is not None:
         annotations["plot"] = Plot
 
-    def command(quick: bool, json: Path | None, plot: Path | None = None, **given: object) -> None:
+    def command(quick: bool, json: Path | None, **given: Any) -> None:
+        plot = None if bench.plot is None else given.pop("plot")
         settings = bench.quick if quick else bench.full
         chosen = {
             name: _parsed(name, value, types[name]) if isinstance(value, str) else value

@@ -119,6 +119,19 @@ def evaluate_episode(
     return EpisodePrediction(errors, futures, length_s)
 
 
+def _check_request(predictors: Sequence[str], horizon_s: float) -> None:
+    samples = horizon_s / SAMPLE_S
+    if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
+        raise InputError(
+            f"horizon_s: found {horizon_s}, expected {SAMPLE_S} s or a multiple of it up to "
+            f"{LONGEST_S:g} s"
+        )
+    if not predictors:
+        raise InputError("predictors: found none, expected at least one name")
+    for name in predictors:
+        get_predictor(name)
+
+
 def predict_dataset(
     source: Path,
     predictors: Sequence[str],
@@ -151,16 +164,7 @@ def predict_dataset(
         InputError: if the dataset, the model or a predictor's name is wrong.
         NothingToScore: if every episode is too short, or nobody is seen for long enough in any.
     """
-    samples = horizon_s / SAMPLE_S
-    if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
-        raise InputError(
-            f"horizon_s: found {horizon_s}, expected {SAMPLE_S} s or a multiple of it up to "
-            f"{LONGEST_S:g} s"
-        )
-    if not predictors:
-        raise InputError("predictors: found none, expected at least one name")
-    for name in predictors:
-        get_predictor(name)
+    _check_request(predictors, horizon_s)
     load_model(model)
     horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
     dataset = open_dataset(source)

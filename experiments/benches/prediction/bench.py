@@ -111,7 +111,7 @@ class Settings:
         agents: vehicles in the scene whose rollout is timed.
         repeats: how often it is rolled out.
         jobs: processes; None for one per core.
-        picture: where to draw a driver predicted to yield and one predicted not to; None: nowhere.
+        plot: where to draw a driver predicted to yield and one predicted not to; None: nowhere.
     """
 
     episodes: int = option(10, "Episodes per scenario.")
@@ -121,7 +121,7 @@ class Settings:
     agents: int = 100
     repeats: int = 40
     jobs: int | None = option(None, "Processes [default: one per core].")
-    picture: Path | None = option(
+    plot: Path | None = option(
         None, "Draw a driver predicted to let somebody cross, and one not.", "FILE"
     )
 
@@ -157,8 +157,8 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
             rows += score_chances([one.chances for one in found], scenario, "unseen")
             cases += [case for one in found for case in one.chances.cases]
             yield rows
-    if settings.picture is not None and cases:
-        draw_cases(clearest(cases), settings.picture)
+    if settings.plot is not None and cases:
+        draw_cases(clearest(cases), settings.plot)
     yield [rollout_time(settings.agents, settings.repeats)]
 
 
