@@ -134,7 +134,7 @@ class TrafficEnv(EgoEnv):
     ``duration_s``.
 
     ``info``: time_s, speed (m/s), crashed, arrived, collisions, near_misses, red_runs, rewards, and
-    events: tuples (what, agent, other or -1, rule) of everybody's events in the step. Ids are those
+    events: tuples (what, agent, other or -1, rule) of all events in the step. Ids are those
     of the drawn agents; the ego vehicle's is one more than the greatest.
 
     Images: lanes, crossings, stop lines in the colour of their signal, pedestrians, vehicles in the
@@ -260,7 +260,7 @@ class TrafficEnv(EgoEnv):
         return max(found, key=lambda one: one[1])
 
     def _advance(self) -> None:
-        """Move everybody for one simulation step."""
+        """Move all agents for one simulation step."""
         road = self.road
         self._demand.enter()
         road.act()
