@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
+from behaviors.driver_models import krauss_safe_speed
 from behaviors.errors import InputError
 from sim.frames import AgentKind
 from sim.highway import driving
@@ -104,10 +105,8 @@ class Demand:
                 headway = driver[driving.TIME_HEADWAY]
                 room = gap - driver[driving.MIN_GAP]
                 if driving.idm(driver, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
-                    twice = 2.0 * ENTRY_BRAKING_MPS2
-                    reach = headway * ENTRY_BRAKING_MPS2
-                    slows = math.sqrt(max(reach**2 + twice * room + ahead**2, 0.0)) - reach
-                    speed = min(wanted, max(ahead, slows))
+                    safe = krauss_safe_speed(room, ahead, headway, ENTRY_BRAKING_MPS2)
+                    speed = min(wanted, max(ahead, safe))
                 if room < headway * speed:
                     continue
             if best is None or gap > best[0]:
