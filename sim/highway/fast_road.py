@@ -1,13 +1,12 @@
 """highway-env's `Road`, quicker, with the same results to the bit.
 
-Two searches take most of the stock road's time: everybody's neighbours and every pair's collision,
-each a Python loop over all pairs. Here lane coordinates of all vehicles are computed once per
-lane and step with numpy and searched by bisection, and only pairs whose circles come near each
-other are handed to highway-env's own collision check. Wherever rounding could matter (two values
-within a nanometre) the stock search decides, so the outcome is the stock road's.
+The stock road spends most of its time in Python loops over all pairs: to find neighbours and to
+check for collisions. `FastRoad` computes the lane coordinates of all vehicles with numpy, once per
+lane and step, and searches them by bisection; it hands only pairs that come near each other to
+highway-env's own collision check. Where rounding could matter (two values within a nanometre) the
+stock search decides.
 
-Use it in place of `highway_env.road.road.Road`; vehicles must not be moved by hand between
-``act()`` of the road and its end.
+Use it in place of `highway_env.road.road.Road`. Vehicles must not be moved while ``act()`` runs.
 """
 
 from __future__ import annotations
@@ -30,49 +29,56 @@ from sim.highway.network import LaneIndex
 FloatArray = NDArray[np.float64]
 
 ROUNDING_M: Final = 1e-9
-"""Values nearer than this are compared by the stock code: far above rounding, far below traffic."""
+"""The stock code compares values nearer than this, m: far above rounding, far below distances in
+traffic."""
 
 CLEARANCE_M: Final = 1e-6
-"""Boxes farther apart than this, moving included, cannot collide in the stock check either."""
+"""Outlines that stay farther apart than this cannot collide in the stock check either, m."""
 
 MARGIN_M: Final = 1.0
-"""How far beyond a lane's edge one still is on it, in highway-env's neighbour search."""
+"""A vehicle this far beyond a lane's edge is still on it, in highway-env's neighbour search."""
 
 
 @dataclass(frozen=True, slots=True)
 class _OnLane:
-    """Who is on a lane, sorted: distances, the same as a list, and the vehicles."""
+    """The vehicles on a lane, by distance along it.
+
+    Attributes:
+        s: distances, ascending, m.
+        vehicles: in that order.
+        doubtful: whether rounding could decide who is on the lane, or the order.
+    """
 
     s: list[float]
-    who: list[RoadObject]
+    vehicles: list[RoadObject]
     doubtful: bool
 
 
 class FastRoad(Road):  # type: ignore[misc]
     """A road that finds neighbours and collisions quickly; arguments as of highway-env's."""
 
-    _who: list[RoadObject] | None = None
+    _vehicles: list[RoadObject] | None = None
     _positions: FloatArray
     _on_lane: dict[LaneIndex, _OnLane]
 
     def act(self) -> None:
-        """Let everybody decide; nobody moves meanwhile, so searches are shared."""
-        self._who = [
+        """Let everybody decide; nobody moves meanwhile, so that one sorting serves all searches."""
+        self._vehicles = [
             other for other in self.vehicles + self.objects if not isinstance(other, Landmark)
         ]
-        self._positions = np.array([other.position for other in self._who]).reshape(-1, 2)
+        self._positions = np.array([other.position for other in self._vehicles]).reshape(-1, 2)
         self._on_lane = {}
         try:
             super().act()
         finally:
-            self._who = None
+            self._vehicles = None
 
     def neighbour_vehicles(
         self, vehicle: Vehicle, lane_index: LaneIndex | None = None
     ) -> tuple[Vehicle | None, Vehicle | None]:
         """The vehicles ahead and behind on a lane, as highway-env defines them."""
         lane_index = lane_index or vehicle.lane_index
-        if self._who is None or not lane_index or self.neighbour_vehicles_connected_lanes:
+        if self._vehicles is None or not lane_index or self.neighbour_vehicles_connected_lanes:
             return super().neighbour_vehicles(vehicle, lane_index)  # type: ignore[no-any-return]
         lane = self.network.get_lane(lane_index)
         if not isinstance(lane, StraightLane) or type(lane) is not StraightLane:
@@ -83,17 +89,17 @@ class FastRoad(Road):  # type: ignore[misc]
         s = lane.local_coordinates(vehicle.position)[0]
         low = bisect.bisect_left(found.s, s - ROUNDING_M)
         high = bisect.bisect_right(found.s, s + ROUNDING_M)
-        within = [other for other in found.who[low:high] if other is not vehicle]
+        within = [other for other in found.vehicles[low:high] if other is not vehicle]
         if found.doubtful or within:
             return super().neighbour_vehicles(vehicle, lane_index)  # type: ignore[no-any-return]
-        front = found.who[high] if high < len(found.who) else None
-        rear = found.who[low - 1] if low > 0 else None
+        front = found.vehicles[high] if high < len(found.vehicles) else None
+        rear = found.vehicles[low - 1] if low > 0 else None
         return front, rear
 
     def _sort(self, lane: StraightLane) -> _OnLane:
         """Everybody on a straight lane, by distance along it."""
-        assert self._who is not None
-        if not self._who:
+        assert self._vehicles is not None
+        if not self._vehicles:
             return _OnLane([], [], False)
         delta = self._positions - lane.start
         s = delta[:, 0] * lane.direction[0] + delta[:, 1] * lane.direction[1]
@@ -108,7 +114,9 @@ class FastRoad(Road):  # type: ignore[misc]
         on = np.flatnonzero((beyond <= 0) & (before >= 0) & (after < 0))
         on = on[np.argsort(s[on], kind="stable")]
         close = np.diff(s[on]) < ROUNDING_M
-        return _OnLane(s[on].tolist(), [self._who[i] for i in on], bool(edge.any() or close.any()))
+        return _OnLane(
+            s[on].tolist(), [self._vehicles[i] for i in on], bool(edge.any() or close.any())
+        )
 
     def step(self, dt: float) -> None:
         """Move everybody, then check the pairs that come near each other for collisions.

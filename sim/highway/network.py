@@ -1,16 +1,17 @@
-"""Turns a `Road` into highway-env's `RoadNetwork`, and keeps what the network cannot say.
+"""Turns a `Road` into highway-env's `RoadNetwork`, with the facts that it has no place for.
 
-Edges that follow one another lane by lane with nothing else joining or leaving become one
-stretch; every way across a junction becomes one lane from the end of a stretch to the start of
-another. highway-env counts lanes from the left, `Road` from the right.
+Edges that follow one another lane by lane, where no other edge joins or leaves, become one stretch.
+Every connection across a junction becomes one lane, a junction path, from the end of a stretch to
+the start of another. highway-env counts lanes from the left, `Road` from the right.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
@@ -29,7 +30,7 @@ SAMPLE_M: Final = 0.5
 """Junction paths are compared at points this far apart to find where they conflict."""
 
 CONFLICT_M: Final = 2.2
-"""Paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
+"""Junction paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
 
 OPPOSITE_M: Final = 1.2
 """An opposite lane is a neighbour if its centre line is within this many lane widths."""
@@ -78,15 +79,15 @@ class Conflict:
 
 @dataclass(frozen=True, slots=True)
 class LaneInfo:
-    """What highway-env does not keep about a lane.
+    """The facts about a lane that highway-env has no place for.
 
     Attributes:
         connector: whether it crosses a junction.
         signal: signal group that guards its entry, -1 if none.
-        must_yield: whether others have priority over those who enter it.
+        must_yield: whether other vehicles have priority over those that enter it.
         must_stop: whether there is a stop sign before it.
         strips: where it runs over crossings, in order.
-        conflicts: other junction paths in its way, in order of their beginning.
+        conflicts: with other junction paths, in order of their beginning.
     """
 
     connector: bool = False
@@ -104,7 +105,7 @@ class HighwayNetwork:
     Attributes:
         road: where it came from.
         net: the highway-env network.
-        info: what else is known of each lane.
+        info: further facts about each lane.
         lanes: every lane by its index (the same objects as in ``net``).
         stretch_of: the stretch, as (from, to), of each edge of ``road``.
         onward: the junction path from a lane to each next stretch.
@@ -167,7 +168,7 @@ class HighwayNetwork:
 
 
 def _without_rings(follows: dict[str, str]) -> dict[str, str]:
-    """What edges go on as, opened once where they go round and round."""
+    """The edge that each edge continues as, with every ring opened at one edge."""
     opened = dict(follows)
     for edge in follows:
         at = edge
@@ -207,12 +208,62 @@ def build_network(road: Road) -> HighwayNetwork:
         (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
         key=lambda c: -by_id[c.from_lane].index,
     )
-    follows = _without_rings(_continuations(driving, connections, by_id))
-
     net = RoadNetwork()
-    places: dict[str, list[tuple[LaneIndex, float]]] = {}
-    stretch_of: dict[str, tuple[str, str]] = {}
-    edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = {}
+    follows = _without_rings(_continuations(driving, connections, by_id))
+    placed = _add_stretches(net, driving, connections, follows, by_id)
+    joins = [
+        c for c in connections if follows.get(by_id[c.from_lane].edge) != by_id[c.to_lane].edge
+    ]
+    paths, onward, exit_of = _add_junction_paths(net, joins, by_id, placed.lanes)
+    geometry: dict[LaneIndex, AbstractLane] = dict(net.lanes_dict())
+    strips = _strips(road, placed.lanes)
+    conflicts = _conflicts({i: geometry[i] for i in exit_of}, onward)
+    info = {
+        index: dataclasses.replace(
+            paths.get(index, LaneInfo()),
+            strips=tuple(sorted(strips.get(index, ()), key=lambda s: s.near_s)),
+            conflicts=tuple(sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)),
+        )
+        for index in geometry
+    }
+    wrong_side = _add_wrong_side_lanes(net, geometry, info, set(placed.stretch_of.values()))
+    return HighwayNetwork(
+        road=road,
+        net=net,
+        info=info,
+        lanes=geometry,
+        stretch_of=placed.stretch_of,
+        onward=onward,
+        exit_of=exit_of,
+        wrong_side=wrong_side,
+        edge_at=placed.edge_at,
+    )
+
+
+class _Placed(NamedTuple):
+    """Where the lanes and edges of a `Road` lie in highway-env's network.
+
+    Attributes:
+        lanes: the lanes of the network that run over each lane of the road, by its id, with the
+            distance at which they begin to, m.
+        stretch_of: see `HighwayNetwork`.
+        edge_at: see `HighwayNetwork`.
+    """
+
+    lanes: dict[str, list[tuple[LaneIndex, float]]]
+    stretch_of: dict[str, tuple[str, str]]
+    edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]]
+
+
+def _add_stretches(
+    net: RoadNetwork,
+    driving: dict[str, list[Lane]],
+    connections: list[Connection],
+    follows: dict[str, str],
+    by_id: dict[str, Lane],
+) -> _Placed:
+    """Add the lanes of every chain of edges that follow one another."""
+    placed = _Placed({}, {}, {})
     begun = set(follows.values())
     for edge in driving:
         if edge in begun:
@@ -233,7 +284,7 @@ def build_network(road: Road) -> HighwayNetwork:
                 pieces += [by_id[via] for via in link.via]
                 pieces.append(by_id[link.to_lane])
             for piece in pieces:
-                places.setdefault(piece.id, []).append(((*key, k), at))
+                placed.lanes.setdefault(piece.id, []).append(((*key, k), at))
                 if k == 0 and not piece.internal:
                     starts.append((piece.edge, at))
                 at += piece.length_m
@@ -242,29 +293,40 @@ def build_network(road: Road) -> HighwayNetwork:
             last = k == len(driving[edge]) - 1
             right = LineType.CONTINUOUS_LINE if last else LineType.NONE
             net.add_lane(*key, make_lane(points, lane.width_m, (left, right), lane.speed_limit_mps))
-        edge_at[key] = tuple(starts)
+        placed.edge_at[key] = tuple(starts)
         for one in chain:
-            stretch_of[one] = key
+            placed.stretch_of[one] = key
+    return placed
 
+
+def _add_junction_paths(
+    net: RoadNetwork,
+    connections: list[Connection],
+    by_id: dict[str, Lane],
+    places: dict[str, list[tuple[LaneIndex, float]]],
+) -> tuple[
+    dict[LaneIndex, LaneInfo], dict[tuple[LaneIndex, tuple[str, str]], LaneIndex],
+    dict[LaneIndex, LaneIndex],
+]:  # fmt: skip
+    """Add a lane for every connection; returns their info, ``onward`` and ``exit_of``."""
     info: dict[LaneIndex, LaneInfo] = {}
     onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex] = {}
     exit_of: dict[LaneIndex, LaneIndex] = {}
     for link in connections:
-        begin, end = by_id[link.from_lane].edge, by_id[link.to_lane].edge
-        if follows.get(begin) == end or link.from_lane not in places:
+        if link.from_lane not in places:
             continue
-        from_index, to_index = places[link.from_lane][0][0], places[link.to_lane][0][0]
+        begin, end = by_id[link.from_lane], by_id[link.to_lane]
+        from_index, to_index = places[begin.id][0][0], places[end.id][0][0]
         inner = [by_id[via] for via in link.via]
         points = (
             np.concatenate([_points(piece) for piece in inner])
             if inner
-            else np.stack([_points(by_id[link.from_lane])[-1], _points(by_id[link.to_lane])[0]])
+            else np.stack([_points(begin)[-1], _points(end)[0]])
         )
         key = (from_index[1], to_index[0])
         index = (*key, len(net.graph.get(key[0], {}).get(key[1], [])))
-        limit = min((p.speed_limit_mps for p in inner), default=by_id[link.to_lane].speed_limit_mps)
-        width = by_id[link.from_lane].width_m
-        net.add_lane(*key, make_lane(points, width, (LineType.NONE, LineType.NONE), limit))
+        limit = min((p.speed_limit_mps for p in inner), default=end.speed_limit_mps)
+        net.add_lane(*key, make_lane(points, begin.width_m, (LineType.NONE, LineType.NONE), limit))
         at = 0.0
         for piece in inner:
             places.setdefault(piece.id, []).append((index, at))
@@ -277,31 +339,7 @@ def build_network(road: Road) -> HighwayNetwork:
             must_yield=link.must_yield,
             must_stop=link.must_stop,
         )
-    geometry: dict[LaneIndex, AbstractLane] = dict(net.lanes_dict())
-    strips = _strips(road, places)
-    conflicts = _conflicts({i: geometry[i] for i in exit_of}, onward)
-    for index in geometry:
-        kept = info.get(index, LaneInfo())
-        info[index] = LaneInfo(
-            connector=kept.connector,
-            signal=kept.signal,
-            must_yield=kept.must_yield,
-            must_stop=kept.must_stop,
-            strips=tuple(sorted(strips.get(index, ()), key=lambda s: s.near_s)),
-            conflicts=tuple(sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)),
-        )
-    wrong_side = _add_wrong_side_lanes(net, geometry, info, set(stretch_of.values()))
-    return HighwayNetwork(
-        road=road,
-        net=net,
-        info=info,
-        lanes=geometry,
-        stretch_of=stretch_of,
-        onward=onward,
-        exit_of=exit_of,
-        wrong_side=wrong_side,
-        edge_at=edge_at,
-    )
+    return info, onward, exit_of
 
 
 def _points(lane: Lane) -> FloatArray:

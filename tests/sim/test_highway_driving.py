@@ -91,7 +91,5 @@ def test_impatient_drivers_do_not_take_a_lane_that_soon_ends_behind_a_leader():
     ]
     assert np.isfinite(found).tolist() == [True, False]
     # worth while all the same if the new leader is faster by 0.15 m/s2 times 7 s = 1.05 m/s
-    faster = incentive(
-        Leader(34.0, 8.9), new_leader=Leader(60.0, 10.0), lane_change_patience_s=7.0
-    )
+    faster = incentive(Leader(34.0, 8.9), new_leader=Leader(60.0, 10.0), lane_change_patience_s=7.0)
     assert np.isfinite(faster)
