@@ -39,7 +39,7 @@ def _sees(folder: str) -> bool:
 
 
 def code() -> str:
-    """Fingerprint of this machine's code: an edited copy of the same version makes other data."""
+    """Hash of this machine's code, because an edited copy of the same version makes other data."""
     digest = hashlib.sha256()
     for package in (behaviors, sim, scenarios, graphrqi, experiments):
         folder = Path(package.__path__[0])
@@ -50,9 +50,9 @@ def code() -> str:
 
 
 def _answers(client: Client, ask: Callable[..., Any], *arguments: object) -> dict[str, Any]:
-    """What every worker answers, but for those that die while they are asked."""
+    """Every worker's answer; workers that die while they are asked are left out."""
     found = client.run(ask, *arguments, on_error="return")
-    return {worker: said for worker, said in found.items() if not isinstance(said, OSError)}
+    return {worker: one for worker, one in found.items() if not isinstance(one, OSError)}
 
 
 @contextmanager
@@ -129,7 +129,7 @@ def make_on_cluster(
     failed: list[str] = []
 
     def gather(futures: dict[Any, Task], last: bool) -> list[Task]:
-        """Take what comes; returns the tasks whose worker died, unless this was their last try."""
+        """Take finished episodes; return tasks whose worker died, unless it was their last try."""
         from distributed import KilledWorker
 
         suspects: list[Task] = []
@@ -152,8 +152,8 @@ def make_on_cluster(
         return suspects
 
     with _connected(address, folder, tasks[0].config.engine) as client:
-        # Dask tries an episode again when its worker dies. Who was only waiting on a worker that
-        # others kept killing is tried once more, alone.
+        # Dask tries an episode again when its worker dies. An episode that only waited on a worker
+        # that others killed is tried once more, alone.
         suspects = gather({client.submit(make, folder, t, pure=False): t for t in tasks}, False)
         for task in suspects:
             gather({client.submit(make, folder, task, pure=False): task}, True)

@@ -1,4 +1,4 @@
-"""What sensors and trackers do to recordings: noise, lost frames, mistaken identities, cut tracks.
+"""Errors of sensors and trackers: noise, lost frames, mistaken identities, cut tracks.
 
 Each takes tracks, a level and a generator, and returns other tracks; labels stay with the ids.
 """

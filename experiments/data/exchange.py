@@ -1,4 +1,4 @@
-"""Brings recordings of other formats in, and writes datasets out in them."""
+"""Imports recordings of other formats as datasets, and exports datasets to other formats."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_o
 from sim.store.writing import made_with, write_recording
 
 LEFT_OUT_NAMED: Final = 5
-"""So many files that are left out are named (our choice)."""
+"""Most left-out files that are named (our choice: they fit one line)."""
 
 
 def import_recordings(
@@ -40,7 +40,7 @@ def import_recordings(
     Args:
         source: a file, or a folder with files of one format.
         out: folder of the dataset, new or empty.
-        name: a key of ``sim.formats.FORMATS``; None to tell it from the content.
+        name: a key of ``sim.formats.FORMATS``; None to recognise it from the content.
         net: the SUMO net or Argoverse 2 map that the recordings were made on; None for what comes
             with each, if anything does.
         split: which part of the data everything belongs to; None to split by index.
@@ -86,11 +86,11 @@ def import_recordings(
 
 @contextmanager
 def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -> Iterator[Path]:
-    """A dataset as it is, or recordings as a dataset that lasts while the block does.
+    """A dataset as it is, or recordings as a temporary dataset that the block's end removes.
 
     Args:
         source: a dataset's folder, a file, or a folder of files.
-        name: format of the recordings; None to tell it from the content.
+        name: format of the recordings; None to recognise it from the content.
         net: as in `import_recordings`.
 
     Yields:
@@ -145,8 +145,8 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
                 left_out.append(reason)
             shown.advance(entry.agents, entry.agent_steps)
     if left_out:
-        told = f"{len(left_out)} of {len(episodes)} episodes left out, first {left_out[0]}"
+        summary = f"{len(left_out)} of {len(episodes)} episodes left out, first {left_out[0]}"
         if not written:
-            raise InputError(f"{dataset}: {told}")
-        print(f"{dataset}: {told}", file=sys.stderr)
+            raise InputError(f"{dataset}: {summary}")
+        print(f"{dataset}: {summary}", file=sys.stderr)
     return written

@@ -1,4 +1,4 @@
-"""The same function on many arguments, in worker processes, answers in order."""
+"""Calls a function on many arguments in worker processes; the answers come in order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 T = TypeVar("T")
 
 PARENT_CHECK_S: Final = 0.25
-"""How often a worker looks whether its parent is still there, s (our choice)."""
+"""How often a worker checks that its parent still runs, s (our choice: it costs nothing)."""
 
 
 def start_worker(parent: int) -> None:

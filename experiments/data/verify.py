@@ -1,4 +1,4 @@
-"""Looks whether a dataset is what its manifest says, and makes again what is not."""
+"""Compares a dataset with its manifest, and makes again the episodes that differ."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _FOLDERS: Final = ("episodes", "roads")
 folder."""
 
 ASIDE_PREFIX: Final = ".aside-"
-"""How the name of the folder begins in which a repair keeps what is in its way. Unlike what is
-partial, nobody removes it when a repair was killed."""
+"""Prefix of the folder into which a repair moves what is in its way. Unlike partial files, it stays
+if the repair is killed, so that nothing is lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ def find_flaws(dataset: Dataset) -> list[Flaw]:
 
 def _flaws_of(dataset: Dataset, entry: EpisodeEntry) -> Iterator[Flaw]:
     wrong = altered_files(dataset.path, entry)
-    if _told(dataset, entry) != entry:
+    if _own_entry(dataset, entry) != entry:
         wrong.append(_own(dataset, entry))
     for path in wrong:
         state: State = "altered" if path.exists() else "missing"
@@ -82,8 +82,8 @@ def _own(dataset: Dataset, entry: EpisodeEntry) -> Path:
     return dataset.path / "episodes" / entry.id / ENTRY
 
 
-def _told(dataset: Dataset, entry: EpisodeEntry) -> EpisodeEntry | None:
-    """What the episode's own file says of it; None if nothing that can be read."""
+def _own_entry(dataset: Dataset, entry: EpisodeEntry) -> EpisodeEntry | None:
+    """The entry in the episode's own file; None if it cannot be read."""
     own = _own(dataset, entry)
     try:
         return EpisodeEntry.model_validate_json(own.read_bytes()) if own.is_file() else None
@@ -149,13 +149,13 @@ def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> li
 
 
 def _obstacles(dataset: Dataset) -> Iterator[Path]:
-    """What generating again would stumble over, or take for an episode of this dataset."""
+    """Paths that would stop generation, or be mistaken for an episode of this dataset."""
     for entry in dataset.manifest.episodes:
         own = _own(dataset, entry)
         home = own.parent
         if home.is_symlink() or home.is_file():
             yield home
-        elif own.exists() and _told(dataset, entry) != entry:
+        elif own.exists() and _own_entry(dataset, entry) != entry:
             yield own
 
 
@@ -187,7 +187,7 @@ def _aside(folder: Path, paths: Sequence[Path]) -> Iterator[None]:
 
 @contextmanager
 def _as_it_was(folder: Path) -> Iterator[None]:
-    """Put manifest and data card back if the block fails: they tell what was to come out."""
+    """Put manifest and data card back if the block fails: they say how the dataset should be."""
     paths = [folder / MANIFEST, folder / DATA_CARD]
     before = {path: path.read_bytes() for path in paths if path.is_file()}
     try:

@@ -1,4 +1,4 @@
-"""The last frames of a running simulation, as `Tracks`: what a stream remembers."""
+"""The last frames of a running simulation as `Tracks`, for predictors and streams."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from behaviors.errors import InputError
 from sim.frames import KINDS, Event, Frame, Tracks
 
 _TABLES = ("_xy", "_heading", "_speed", "_valid")
-"""What is kept of agents by times."""
+"""Names of the tables of agents by times."""
 
 
 class FrameBuffer:
     """Keeps the last frames; memory does not grow with time.
 
-    What was seen stands in tables of agents by times, twice as wide as what is kept: a frame is
-    written into the next column, and only at the right end everything moves back to the left.
+    Tables of agents by times are twice as wide as needed. A frame is written into the next column;
+    only when the right end is reached do the kept columns move back to the left.
 
     Args:
         steps: how many frames to keep.
@@ -98,7 +98,7 @@ class FrameBuffer:
             raise InputError(f"frame.xy: found no finite place of agent {agent}, expected metres")
 
     def _move_back(self) -> None:
-        """Move the columns kept to the left end, and forget who is in none of them."""
+        """Move the kept columns to the left end, and drop agents that are in none of them."""
         kept = slice(self._end - self._steps + 1, self._end)
         some = self._valid[:, kept].any(axis=1)
         for name in _TABLES:
@@ -138,7 +138,7 @@ class FrameBuffer:
         return self._last
 
     def tracks(self) -> Tracks:
-        """What is remembered of the agents that are present now; the last column is the present."""
+        """Tracks of the agents that are present now; the last column is the present."""
         kept = slice(self._end - self._count, self._end)
         row = np.flatnonzero(self._valid[:, self._end - 1]) if self._count else np.empty(0, int)
         ids, fixed = self._ids[row], self._fixed[row]

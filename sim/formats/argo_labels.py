@@ -1,7 +1,7 @@
 """Labels of the GraphRQI paper's Argoverse sequences: ``id,code``.
 
-Codes 3 and 5 are careful and cautious, 4 timid; which of 0, 1 and 2 is which aggressive class the
-release does not tell, so those are kept as aggressive and no more.
+Codes 3, 4 and 5 are careful, timid and cautious. Codes 0, 1 and 2 are the aggressive classes, but
+the release does not say which is which, so such agents are known to be aggressive and no more.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from sim.formats.common.csv_columns import read_columns
 
 @dataclass(frozen=True, slots=True)
 class ArgoLabel:
-    """What is known of one agent.
+    """The label of one agent.
 
     Attributes:
         style: its parent class.
-        behavior: the class itself, or None where the code does not tell.
+        behavior: the class, or None where the code does not identify it.
     """
 
     style: Style
@@ -34,7 +34,7 @@ CODES: Final[dict[int, ArgoLabel]] = {
     4: ArgoLabel(Style.CONSERVATIVE, Behavior.TIMID),
     5: ArgoLabel(Style.CONSERVATIVE, Behavior.CAUTIOUS),
 }
-"""What each code says."""
+"""The label of each code."""
 
 
 def read_labels(path: Path) -> dict[str, ArgoLabel]:

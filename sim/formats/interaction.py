@@ -1,8 +1,8 @@
 """INTERACTION: ``vehicle_tracks_NNN.csv`` with ``pedestrian_tracks_NNN.csv`` beside it, 10 Hz.
 
 Box centres in metres, headings in radians, times in milliseconds. Pedestrians and bicycles have
-neither heading nor size. A file with a column ``case_id`` holds many short recordings, in which ids
-and times begin anew.
+neither heading nor size. A file with a column ``case_id`` holds many short recordings, each with
+ids and times of its own.
 
 References:
     Zhan et al. (2019), INTERACTION dataset, arXiv:1910.03088.

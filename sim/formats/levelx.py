@@ -1,4 +1,4 @@
-"""inD, rounD and highD: drone recordings as ``XX_tracks.csv`` with files of facts beside them.
+"""inD, rounD and highD: drone recordings as ``XX_tracks.csv`` with metadata files beside them.
 
 inD and rounD give box centres, y up, headings in DEGREES counter-clockwise. highD gives the
 UPPER-LEFT corner of each box in an image whose y points down, calls the vehicle's length ``width``
@@ -45,7 +45,7 @@ CLASSES: Final[dict[str, AgentKind]] = {
     "bicycle": AgentKind.BICYCLE,
     "pedestrian": AgentKind.PEDESTRIAN,
 }
-"""``class`` in the files of facts, in lower case."""
+"""``class`` in ``XX_tracksMeta.csv``, in lower case."""
 
 
 def _beside(path: Path, what: str) -> Path:
@@ -110,7 +110,7 @@ def read_ind(path: Path) -> Iterator[Recording]:
     )
     if "recordingid" in columns:
         recordings = pc.unique(columns.table.column("recordingid")).to_pylist()
-        if len(recordings) > 1:  # their frames and ids begin anew
+        if len(recordings) > 1:  # each recording counts frames and ids from its own start
             raise InputError(
                 f"{path}: column recordingid: found {recordings[0]} and {recordings[1]}, expected "
                 "one recording in a file"

@@ -45,11 +45,11 @@ CLASSES: Final[dict[int, AgentKind]] = {
 """``v_Class``."""
 
 BREAK_S: Final = 60.0
-"""Where nobody, or nobody of an id, is seen for longer than this, ids begin anew (our choice:
-vehicles are seen without a break, and periods of recording have 15 minutes)."""
+"""After a break longer than this, in all rows or in those of an id, the id is another vehicle (our
+choice: vehicles are seen without a break, and periods of recording have 15 minutes)."""
 
 MAX_PERIODS: Final = 1000
-"""Most times of recording at one place (our choice; NGSIM has up to three)."""
+"""Most periods of recording at one place (our choice; NGSIM has up to three)."""
 
 NUMBERS: Final = (
     "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
@@ -71,8 +71,8 @@ def read(path: Path) -> Iterator[Recording]:
         path: the CSV or the text file.
 
     Yields:
-        One recording for each location that the file names and each time without a long break
-        there; a time that has more than fits is cut.
+        One recording for each location and each period without a long break there; a period that
+        is too large for dense arrays is cut.
 
     Raises:
         InputError: if the file is broken; the message names file and column or line.
@@ -92,7 +92,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
-    """What was recorded at one place, a recording for each time without a long break."""
+    """The recordings of one place: one for each period without a long break."""
     time_ms, agent = columns.numbers("global_time"), columns.numbers("vehicle_id")
     order = np.argsort(time_ms, kind="stable")
     breaks = np.flatnonzero(np.diff(time_ms[order]) > BREAK_S * 1000.0) + 1
@@ -132,7 +132,7 @@ def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
 def _without_breaks(
     agent: NDArray[np.int64], names: tuple[str, ...], time_ms: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Agents and names, of whom comes again after a long break another one."""
+    """Agents and names, where an id that comes back after a long break is another agent."""
     order = np.lexsort((time_ms, agent))
     same = np.diff(agent[order], prepend=-1) == 0
     again = same & (np.diff(time_ms[order], prepend=np.inf) > BREAK_S * 1000.0)
@@ -176,7 +176,7 @@ def _recording(path: Path, name: str, columns: Columns) -> Recording:
         kind=kind_codes(kinds),
         rest_heading=math.pi / 2,
     )
-    # The motion of the front tells the heading, the heading where the centre is.
+    # the heading follows from the motion of the front, the centre from the heading
     tracks = assemble(path, front)
     forward = np.stack([np.cos(tracks.heading), np.sin(tracks.heading)], axis=2)
     centre = tracks.xy - 0.5 * tracks.length[:, None, None] * forward

@@ -296,7 +296,7 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
 
 
 def _kind_in(name: str) -> AgentKind:
-    """The kind that a type's name speaks of; a car if it speaks of none."""
+    """The kind whose word is in a type's name; a car if there is none."""
     lower = name.lower()
     return next((kind for kind in AgentKind if kind.value in lower), AgentKind.CAR)
 

@@ -2,8 +2,8 @@
 
 x and y are the top-left corner of a box in a 640 x 480 image with y down, seen by a camera that
 stands still. Neither the frame rate nor a scale is part of the format: positions stay in pixels,
-and the frame rate is assumed. An id now and then names two boxes in one frame; the box that
-continues the track keeps the name, the other gets its own.
+and the frame rate is assumed. Some ids name two boxes in one frame: the box that continues
+the track keeps the name, the other gets a name of its own.
 
 References:
     Chandra et al. (2019), TraPHic, CVPR.
@@ -88,7 +88,7 @@ def _frames(path: Path) -> Iterator[dict[int, list[_Box]]]:
 
 
 def _continue(own: list[list[_Box]], boxes: list[_Box]) -> None:
-    """Append each box to the nearest track of its id; what is left over begins a new one."""
+    """Append each box to the nearest track of its id; a box without a track begins a new one."""
     pairs = sorted(
         (math.dist(track[-1].centre, box.centre), i, j)
         for i, track in enumerate(own)

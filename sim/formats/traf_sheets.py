@@ -41,7 +41,7 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
     4: Trait.SLOWING,
     5: Trait.WAITING,
 }
-"""The sheets' codes; by the order of the paper's trait table where nothing else tells."""
+"""The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 MAX_XML_BYTES: Final = 2**24
 """Most bytes that a workbook may unpack to (our choice: 16 MiB; real ones have 60 kB)."""
@@ -71,7 +71,7 @@ class Sheet:
         video: the number of the sheet's name.
         traits: by agent id, in the annotator's order; annotated agents only.
         blank: ids of agents that are listed but not annotated.
-        contradictions: ids whose aggressive flag says other than the parent of their traits.
+        contradictions: ids whose aggressive flag contradicts their first trait.
     """
 
     annotator: str
@@ -208,7 +208,7 @@ def defects(tracks: Tracks, sheets: tuple[Sheet, ...], jump: float = 1.5) -> tup
     Args:
         tracks: of the video.
         sheets: of the same video.
-        jump: how many of its own box sides an agent must move over a gap to be told.
+        jump: an agent that moves over a gap by more than this many of its own sides is reported.
 
     Returns:
         Sentences on double ids, gaps, jumps, unlabelled agents, and contradictions.

@@ -1,4 +1,4 @@
-"""Reads a road from the file that it is kept in, whatever kind that is."""
+"""Reads a road from a SUMO net or an Argoverse 2 map."""
 
 from __future__ import annotations
 

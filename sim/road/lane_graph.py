@@ -1,8 +1,7 @@
 """The road as arrays: which lane follows which, what guards each entry, where paths cross.
 
-`Road` says what there is in words and tuples; a `LaneGraph` says the same in arrays indexed like
-``Road.lanes``, so that observables and predictors work on many agents at once. It is derived from
-the road alone and built once per road (`LaneGraph.of`).
+A `LaneGraph` holds what a `Road` holds, as arrays indexed like ``Road.lanes``, so that observables
+and predictors work on many agents at once. It is built once per road (`LaneGraph.of`).
 """
 
 from __future__ import annotations
@@ -10,20 +9,20 @@ from __future__ import annotations
 import functools
 import itertools
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.road import Connection, LanePosition, Road
+from sim.road import Connection, Lane, LanePosition, Road
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 DIRECTIONS: Final = ("straight", "right", "left", "turnaround")
-"""Ways on at the end of a lane, the first found of which is taken where nothing else is known; the
-order is the code order of ``LaneGraph.direction``."""
+"""Directions at the end of a lane, by preference where nothing else is known; their order is the
+code order of ``LaneGraph.direction``."""
 
 _PROJECT_CHUNK: Final = 2048
 """Points projected at once, so that memory stays small however long a recording is."""
@@ -44,7 +43,7 @@ class LaneGraph:
         successors: (L, S) lanes that can follow, in the order of `DIRECTIONS`.
         ahead: (L,) the successor taken where nothing else is known: ``successors[:, 0]``.
         behind: (L,) the lane that most directly leads here.
-        direction: (L,) code into `DIRECTIONS` of the way this lane begins; 0 on ordinary lanes.
+        direction: (L,) code into `DIRECTIONS` of the lane's connection; 0 outside junctions.
         signal: (L,) signal group that guards entering the lane.
         must_yield: (L,) whether others have priority over those who enter the lane.
         must_stop: (L,) whether there is a stop sign before the lane.
@@ -131,17 +130,36 @@ def project(road: Road, xy: FloatArray, heading: FloatArray) -> LanePosition:
 
 
 def _build(road: Road) -> LaneGraph:
-    lanes, index = road.lanes, road.lane_index
-    n = len(lanes)
-    drivable = np.array([not lane.walking for lane in lanes])
+    lanes = road.lanes
+    return LaneGraph(
+        length=np.array([_steps_of(lane)[1].sum() for lane in lanes]),
+        limit=np.array([lane.speed_limit_mps for lane in lanes]),
+        width=np.array([lane.width_m for lane in lanes]),
+        internal=np.array([lane.internal for lane in lanes]),
+        drivable=np.array([not lane.walking for lane in lanes]),
+        **_beside(road),
+        **_following(road),
+        **_crossed(road),
+        **_segments(road),
+    )
+
+
+def _beside(road: Road) -> dict[str, Any]:
+    """The lanes next to each lane."""
+    n = len(road.lanes)
     left, right = np.full(n, -1), np.full(n, -1)
-    by_place = {(lane.edge, lane.index): i for i, lane in enumerate(lanes) if not lane.walking}
-    for i, lane in enumerate(lanes):
+    by_place = {(lane.edge, lane.index): i for i, lane in enumerate(road.lanes) if not lane.walking}
+    for i, lane in enumerate(road.lanes):
         if not lane.walking and not lane.internal:
             left[i] = by_place.get((lane.edge, lane.index + 1), -1)
             right[i] = by_place.get((lane.edge, lane.index - 1), -1)
+    return {"left": left, "right": right}
 
-    following: list[list[tuple[int, int]]] = [[] for _ in lanes]
+
+def _following(road: Road) -> dict[str, Any]:
+    """The lanes after and before each lane, and what guards its entry."""
+    index, n = road.lane_index, len(road.lanes)
+    following: list[list[tuple[int, int]]] = [[] for _ in range(n)]
     direction = np.zeros(n, dtype=np.int64)
     signal = np.full(n, -1)
     must_yield, must_stop = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
@@ -169,61 +187,60 @@ def _build(road: Road) -> LaneGraph:
             successors[i, j] = then
             if code < rank[then]:
                 rank[then], behind[then] = code, i
+    return {
+        "successors": successors,
+        "ahead": successors[:, 0].copy(),
+        "behind": behind,
+        "direction": direction,
+        "signal": signal,
+        "must_yield": must_yield,
+        "must_stop": must_stop,
+    }
 
-    start, heading, at, first, last = [], [], [], np.zeros(n, np.int64), np.zeros(n, np.int64)
-    length = np.zeros(n)
-    count = 0
-    for i, lane in enumerate(lanes):
-        step = np.diff(lane.centerline, axis=0)
-        size = np.hypot(step[:, 0], step[:, 1])
-        keep = size > 1e-9
-        if not keep.any():  # a lane of no length: a stub keeps the arrays whole
-            step, size, keep = np.array([[1e-9, 0.0]]), np.array([1e-9]), np.array([True])
-        points = lane.centerline[: keep.size][keep]
-        size, step = size[keep], step[keep]
-        start.append(points)
-        heading.append(step / size[:, None])
-        at.append(np.cumsum(size) - size)
-        length[i] = size.sum()
-        first[i], last[i] = count, count + size.size - 1
-        count += size.size
 
+def _crossed(road: Road) -> dict[str, Any]:
+    """Where lanes meet crossings."""
     meets = [
         (i, c, *meet)
-        for i, lane in enumerate(lanes)
+        for i, lane in enumerate(road.lanes)
         if not lane.walking
         for c, crossing in enumerate(road.crossings)
         if (meet := _meet(lane.centerline, crossing.centerline, crossing.width_m)) is not None
     ]
-    directions = np.concatenate(heading)
     table = np.array(meets, dtype=np.float64).reshape(-1, 5)
-    return LaneGraph(
-        length=length,
-        limit=np.array([lane.speed_limit_mps for lane in lanes]),
-        width=np.array([lane.width_m for lane in lanes]),
-        internal=np.array([lane.internal for lane in lanes]),
-        drivable=drivable,
-        left=left,
-        right=right,
-        successors=successors,
-        ahead=successors[:, 0].copy(),
-        behind=behind,
-        direction=direction,
-        signal=signal,
-        must_yield=must_yield,
-        must_stop=must_stop,
-        cross_lane=table[:, 0].astype(np.int64),
-        cross_id=table[:, 1].astype(np.int64),
-        cross_s=table[:, 2],
-        cross_exit_s=table[:, 3],
-        cross_u=table[:, 4],
-        segment_start=np.concatenate(start),
-        segment_direction=directions,
-        segment_heading=np.arctan2(directions[:, 1], directions[:, 0]),
-        segment_at=np.concatenate(at),
-        segment_first=first,
-        segment_last=last,
-    )
+    return {
+        "cross_lane": table[:, 0].astype(np.int64),
+        "cross_id": table[:, 1].astype(np.int64),
+        "cross_s": table[:, 2],
+        "cross_exit_s": table[:, 3],
+        "cross_u": table[:, 4],
+    }
+
+
+def _steps_of(lane: Lane) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(P, 2) start, (P,) length and (P, 2) unit direction of each straight piece of a lane."""
+    step = np.diff(lane.centerline, axis=0)
+    size = np.hypot(step[:, 0], step[:, 1])
+    keep = size > 1e-9
+    if not keep.any():  # a lane of no length: a stub keeps the arrays whole
+        step, size, keep = np.array([[1e-9, 0.0]]), np.array([1e-9]), np.array([True])
+    step, size = step[keep], size[keep]
+    return lane.centerline[: keep.size][keep], size, step / size[:, None]
+
+
+def _segments(road: Road) -> dict[str, Any]:
+    """The straight pieces of all centre lines."""
+    pieces = [_steps_of(lane) for lane in road.lanes]
+    directions = np.concatenate([direction for _, _, direction in pieces])
+    end = np.cumsum([size.size for _, size, _ in pieces])
+    return {
+        "segment_start": np.concatenate([start for start, _, _ in pieces]),
+        "segment_direction": directions,
+        "segment_heading": np.arctan2(directions[:, 1], directions[:, 0]),
+        "segment_at": np.concatenate([np.cumsum(size) - size for _, size, _ in pieces]),
+        "segment_first": np.concatenate([[0], end[:-1]]).astype(np.int64),
+        "segment_last": (end - 1).astype(np.int64),
+    }
 
 
 def _direction_code(connection: Connection) -> int:

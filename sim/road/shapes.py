@@ -1,6 +1,6 @@
-"""What of a road can be drawn: surfaces, painted lines, zebra crossings, stop lines; as points.
+"""The shapes of a road that pictures draw: surfaces, painted lines, zebra crossings, stop lines.
 
-Every picture of a road (the replay page, videos, the highway viewer) draws these.
+The replay page, videos and the highway viewer draw these points.
 """
 
 from __future__ import annotations

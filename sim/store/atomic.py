@@ -25,7 +25,7 @@ def _partial(path: Path) -> Path:
 
 
 def _name(error: BaseException, path: Path) -> None:
-    """Say in an error which path it is about: a full disk's error does not."""
+    """Add the path to an error that has none, such as that of a full disk."""
     if isinstance(error, OSError) and error.filename is None:
         error.filename = str(path)
 
@@ -101,7 +101,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def _move_folder(partial: Path, path: Path) -> None:
-    """Put a folder in its place; whoever else writes the same place at the same time, it works."""
+    """Put a folder in its place, also while other processes write the same place."""
     while True:
         try:
             os.replace(partial, path)

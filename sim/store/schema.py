@@ -12,14 +12,14 @@
         frames.parquet              one row per time step
         signals.parquet             one row per change of a traffic light
         events.parquet              one row per event
-        traits.parquet              one row per trait that somebody showed
+        traits.parquet              one row per shown trait
 
-Positions are box centres, x east and y north in metres; headings are radians counter-clockwise
+Positions are agents' centres, x east and y north in metres; headings are radians counter-clockwise
 from +x in (-pi, pi]; speeds m/s along the heading; times s. Labels are words. The tables are plain
 Parquet and open as they are in pandas, polars, duckdb and pyarrow.
 
 Simulated steps are float32 rounded to multiples of ``POSITION_QUANTUM`` and ``HEADING_QUANTUM``,
-which is finer than anything an observer could measure and makes them small. Recordings brought in
+which is finer than any observer could measure and makes the files small. Recordings brought in
 from elsewhere are stored as float64, exactly.
 """
 
@@ -36,11 +36,12 @@ SCHEMA_VERSION: Final = 1
 """Raised whenever a reader of the old version could misread the new one."""
 
 POSITION_QUANTUM: Final = 2.0**-10
-"""Simulated positions, m, and speeds, m/s, are multiples of this: about a millimetre (our choice;
+"""Simulated positions, m, and speeds, m/s, are multiples of this: about a millimetre (our choice:
 cars are measured to centimetres at best)."""
 
 HEADING_QUANTUM: Final = 2.0**-13
-"""Simulated headings, rad, are multiples of this: 0.007 degrees (our choice)."""
+"""Simulated headings, rad, are multiples of this: 0.007 degrees (our choice: finer than any
+measurement)."""
 
 MAX_CELLS: Final = 10**8
 """Most agents times steps that one episode may have as dense arrays (our choice: 3 GB)."""
@@ -109,7 +110,7 @@ AGENTS: Final = pa.schema(
         pa.field("style", pa.string()),  # aggressive or conservative; null with behavior
         pa.field("length_m", pa.float64(), nullable=False),
         pa.field("width_m", pa.float64(), nullable=False),
-        pa.field("depart_s", pa.float64(), nullable=False),  # when it wants to enter
+        pa.field("depart_s", pa.float64(), nullable=False),  # when it is due to enter
         pa.field("route", pa.list_(pa.string()), nullable=False),  # edges, first to last
         pa.field("walking_speed_mps", pa.float64(), nullable=False),  # 0 for those that drive
         pa.field("seed", pa.int64(), nullable=False),  # of the agent's own chance decisions
@@ -136,25 +137,25 @@ EVENTS: Final = pa.schema(
     [
         pa.field("time_s", pa.float64(), nullable=False),
         pa.field("kind", pa.string(), nullable=False),
-        pa.field("agent", pa.int64(), nullable=False),  # who did it
+        pa.field("agent", pa.int64(), nullable=False),  # whose event it is
         pa.field("other", pa.int64()),  # the second party
-        pa.field("rule", pa.string(), nullable=False),  # why the agent is held to have caused it
+        pa.field("rule", pa.string(), nullable=False),  # the rule, or the cause
     ]
 )
 """Columns of ``events.parquet``: one row per event, in time order."""
 
 TRAITS_TABLE: Final = pa.schema(
     [
-        pa.field("agent", pa.int64(), nullable=False),  # who showed it
+        pa.field("agent", pa.int64(), nullable=False),  # the agent that showed it
         pa.field("trait", pa.string(), nullable=False),  # a row of the paper's trait table
         pa.field("begin_s", pa.float64(), nullable=False),
         pa.field("end_s", pa.float64(), nullable=False),
-        pa.field("value", pa.float64(), nullable=False),  # the number behind it
+        pa.field("value", pa.float64(), nullable=False),  # the detector's number
         pa.field("other", pa.int64()),  # the second party
     ]
 )
-"""Columns of ``traits.parquet``: what agents showed, found by `behaviors.traits`, in time order;
-the value's meaning and unit are told by the detector of the trait. Empty for recordings."""
+"""Columns of ``traits.parquet``: the shown traits, found by `behaviors.traits`, in time order.
+The detector gives meaning and unit of the value. Empty for recordings."""
 
 EPISODE_FILES: Final = (
     "steps.parquet",

@@ -1,4 +1,4 @@
-"""Named columns of a CSV file as arrays, with every way to be broken as one clear error."""
+"""Named columns of a CSV file as arrays; everything that can be wrong is one clear error."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ class Columns:
         return values
 
     def names(self, *columns: str) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-        """(m,) which agent each row is, and the agents' names, from columns that tell them apart.
+        """(m,) index of each row's agent, and the agents' names, from columns that identify them.
 
-        A further column is added to a name only where the first does not tell agents apart.
+        The values of further columns are added to a name only where the first is not unique.
 
         Raises:
             InputError: if there are more agents than fit.
@@ -191,7 +191,7 @@ def _parse(
     skip: int,
     delimiter: str,
 ) -> pa.Table:
-    # Columns that nobody asked for may have any name, even the same one twice.
+    # columns that are not read may have any name, even the same name twice
     names = [name if name in wanted else f"#{i}" for i, name in enumerate(header)]
     tables: list[pa.Table] = []
     rows = 0
@@ -215,7 +215,7 @@ def _parse(
                     raise InputError(f"{path}: found more than {MAX_ROWS} rows")
                 tables.append(pa.Table.from_batches([batch]))
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: {_told(error, names)}") from None
+        raise InputError(f"{path}: {_reason(error, names)}") from None
     if not tables:
         raise InputError(f"{path}: found no rows, expected at least one")
     table = pa.concat_tables(tables)
@@ -225,7 +225,7 @@ def _parse(
     return table
 
 
-def _told(error: Exception, names: Sequence[str]) -> str:
+def _reason(error: Exception, names: Sequence[str]) -> str:
     """Arrow's message in one line, with the column's name instead of its number."""
     text = " ".join(str(error).split())
 

@@ -1,10 +1,9 @@
-"""Positions seen from a moving vehicle, brought into one frame that stands still.
+"""Positions recorded from a moving vehicle, transformed into one frame that stands still.
 
-Between consecutive frames, most of what is seen stands (parked cars, say), so the rigid motion
-that fits most agents is the recording vehicle's own. It is found by alternating between a
-least-squares fit (Procrustes) and dropping the agents that do not follow it, and undone step by
-step; errors add up along the way, so distances between far-apart times are less certain than
-between near ones.
+Most agents stand between two consecutive frames (parked cars, say), so the rigid motion that fits
+most agents is the recording vehicle's own. A least-squares fit (Procrustes) alternates with
+dropping the agents that do not follow it. The motion is undone step by step, so errors add up:
+distances between far-apart times are less certain than between near ones.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from sim.frames import Tracks
 FloatArray = NDArray[np.float64]
 
 ROUNDS: Final = 10
-"""Fits per pair of frames (our choice: it settles after a few)."""
+"""Fits per pair of frames (our choice: the kept agents stop changing after a few)."""
 
 MIN_AGENTS: Final = 3
-"""Agents needed for a fit; with fewer the vehicle is taken to move as before (our choice)."""
+"""Agents needed for a fit; with fewer, the last motion is assumed to go on (our choice)."""
 
 
 def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:

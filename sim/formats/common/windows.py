@@ -1,4 +1,4 @@
-"""What forecasting formats have in common: short windows at 10 Hz, with labels beside them."""
+"""What forecasting formats share: short windows at 10 Hz, and labels in a file beside them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PERIOD_S: Final = 0.1
 """Time between two steps of the forecasting formats, s."""
 
 TOLERANCE_S: Final = 1e-3
-"""How far two steps may be from 0.1 s apart, s (our choice: what rounded clocks are off by)."""
+"""How far two steps may be from 0.1 s apart, s (our choice: the rounding of clocks)."""
 
 
 class NoWindowError(InputError):
@@ -27,7 +27,7 @@ class NoWindowError(InputError):
 def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
     """Consecutive windows that do not overlap, each of times 0.1 s apart.
 
-    Windows begin anew after a gap; what is left before a gap and at the end is dropped.
+    A new window begins after a gap; the incomplete windows before a gap and at the end are dropped.
 
     Args:
         tracks: an episode, its step a divisor of 0.1 s.
@@ -40,7 +40,7 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
         InputError: if the step is not a divisor of 0.1 s.
     """
     if tracks.time_s.size < 2:
-        return  # no window, and no step either
+        return  # too short for a window, and without a step
     stride = PERIOD_S / tracks.step_s
     if stride < 0.999 or abs(stride - round(stride)) > 1e-3:
         raise InputError(
@@ -54,7 +54,7 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
             seen = tracks.valid[:, window].any(axis=1)
             yield tracks.part(np.flatnonzero(seen), np.array(window))
             window = []
-        if following[column] < 0:  # a gap: begin anew at whatever comes next
+        if following[column] < 0:  # a gap: the next time begins a new window
             window = []
             column += 1
         else:
@@ -71,7 +71,7 @@ def _following(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def focal_agents(window: Tracks) -> list[int]:
-    """Rows of the vehicles seen all the time, those that travel farthest first."""
+    """Rows of the vehicles seen in every step, the one that travels farthest first."""
     rows = np.flatnonzero(window.valid.all(axis=1) & (window.kind != PEDESTRIAN))
     way = np.hypot(*np.moveaxis(window.xy[rows, -1] - window.xy[rows, 0], -1, 0))
     return [int(r) for r in rows[np.argsort(-way, kind="stable")]]
