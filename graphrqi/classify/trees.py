@@ -276,8 +276,7 @@ class QuickScorer:
 
     def total(self, features: FloatArray, sums: int) -> FloatArray:
         """(n, sums) as `Trees.total`."""
-        from graphrqi.classify.simd import WIDTH
-        from graphrqi.classify.tree_kernel import sum_of_first_leaves
+        from graphrqi.classify.tree_kernel import WIDTH, sum_of_first_leaves
 
         n, width = features.shape
         every = np.zeros((-(-n // WIDTH), WIDTH, width), dtype=np.float32)
