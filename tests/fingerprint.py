@@ -33,6 +33,13 @@ def command(*words: str | Path) -> None:
         runpy.run_module("experiments.cli", run_name="__main__")
 
 
+def of_rows(path: Path) -> str:
+    """Rows without the name of their bench."""
+    rows = json.loads(path.read_bytes())
+    figures = [{key: value for key, value in row.items() if key != "bench"} for row in rows]
+    return of_bytes((json.dumps(figures, indent=1) + "\n").encode())
+
+
 def of_bytes(data: bytes) -> str:
     """The first 16 digits of a SHA-256."""
     return hashlib.sha256(data).hexdigest()[:16]
@@ -101,7 +108,7 @@ def answers(folder: Path) -> Named:
     for name in names:
         command("predict", data, "--predictors", name, "--json", folder / "rows.json", "--quiet",
                 "--out", folder / "futures.parquet", "--jobs", "1")  # fmt: skip
-        yield f"predict/{name}/rows", of_bytes((folder / "rows.json").read_bytes())
+        yield f"predict/{name}/rows", of_rows(folder / "rows.json")
         yield f"predict/{name}/futures", of_bytes((folder / "futures.parquet").read_bytes())
     for form in ("sumo-fcd", "argoverse1", "argoverse2", "scenarionet"):
         command("export", data, "--format", form, "--out", folder / form)
@@ -111,7 +118,7 @@ def answers(folder: Path) -> Named:
             yield f"import/{form}", of_folder(folder / f"{form}-in")
     command("predict", folder / "argoverse1-in", "--json", folder / "rows.json", "--quiet",
             "--horizon-s", "3")  # fmt: skip
-    yield "predict/no-map", of_bytes((folder / "rows.json").read_bytes())
+    yield "predict/no-map", of_rows(folder / "rows.json")
     for method in ("graphrqi-plus", "graphrqi", "cheung", "dane", "svm", "forest", "lstm"):
         command("train", many, "--method", method, "--out", folder / method, "--quiet")
         weights = folder / method / "weights.safetensors"
