@@ -21,7 +21,7 @@ from graphrqi.features.kinematics import FORGET_S
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-TRUST_DRIVERS: Final = 60.0
+PRIOR_DRIVERS: Final = 60.0
 """Strength of a Dirichlet prior at the training shares, in drivers: after this many drivers the
 observed shares weigh as much as those of the training data. The paper has no such prior; its
 strength was chosen on validation episodes with equal and with unequal shares."""
@@ -57,7 +57,7 @@ class PriorShift:
     def __init__(self, trained: FloatArray) -> None:
         self._trained = np.where(trained > 0.0, trained, 1.0)
         self._shares = trained
-        self._counted = TRUST_DRIVERS * trained
+        self._counted = PRIOR_DRIVERS * trained
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._seen_s: FloatArray = np.empty(0)
         self._answers: FloatArray = np.empty((0, trained.size))

@@ -1,11 +1,11 @@
-"""The mix of a scene is found from answers alone, and nobody counts twice."""
+"""Prior shift: shares of classes are estimated from answers alone, and no driver counts twice."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from graphrqi.prior_shift import TRUST_DRIVERS, PriorShift
+from graphrqi.prior_shift import PRIOR_DRIVERS, PriorShift
 
 EQUAL = np.full(3, 1.0 / 3.0)
 
@@ -19,24 +19,24 @@ def drivers(n: int, mix: tuple[float, ...], seed: int) -> tuple[np.ndarray, np.n
     return codes, likelihood / likelihood.sum(axis=1, keepdims=True)
 
 
-def shares(mix: PriorShift) -> np.ndarray:
-    """What a driver is believed to be of whom nothing is known."""
-    return mix.corrected(EQUAL[None])[0]
+def shares(shift: PriorShift) -> np.ndarray:
+    """The answer for a driver about whom nothing is known: the estimated shares."""
+    return shift.corrected(EQUAL[None])[0]
 
 
 def test_an_odd_mix_is_found_and_answers_gain_by_it():
     codes, answers = drivers(4000, (0.8, 0.15, 0.05), 0)
-    mix = PriorShift(EQUAL)
-    mix.observe(0.0, np.arange(4000), answers)
-    np.testing.assert_allclose(shares(mix), (0.8, 0.15, 0.05), atol=0.03)
-    right = [(p.argmax(axis=1) == codes).mean() for p in (answers, mix.corrected(answers))]
+    shift = PriorShift(EQUAL)
+    shift.observe(0.0, np.arange(4000), answers)
+    np.testing.assert_allclose(shares(shift), (0.8, 0.15, 0.05), atol=0.03)
+    right = [(p.argmax(axis=1) == codes).mean() for p in (answers, shift.corrected(answers))]
     assert right[1] > right[0] + 0.05
 
 
 def test_few_drivers_change_little_and_the_usual_mix_nothing():
     few = PriorShift(EQUAL)
     few.observe(0.0, np.arange(3), drivers(3, (1.0, 0.0, 0.0), 1)[1])
-    assert np.abs(shares(few) - EQUAL).max() <= 3.0 / TRUST_DRIVERS
+    assert np.abs(shares(few) - EQUAL).max() <= 3.0 / PRIOR_DRIVERS
     usual = PriorShift(EQUAL)
     usual.observe(0.0, np.arange(3000), drivers(3000, tuple(EQUAL), 2)[1])
     np.testing.assert_allclose(shares(usual), EQUAL, atol=0.03)
@@ -56,9 +56,9 @@ def test_a_driver_counts_once_however_often_it_is_lost_and_after_it_left():
 
 
 def test_a_class_that_training_never_showed_stays_impossible():
-    mix = PriorShift(np.array([0.5, 0.5, 0.0]))
+    shift = PriorShift(np.array([0.5, 0.5, 0.0]))
     answers = np.array([[0.7, 0.3, 0.0], [0.4, 0.6, 0.0]])
-    mix.observe(0.0, np.arange(2), answers)
-    corrected = mix.corrected(answers)
+    shift.observe(0.0, np.arange(2), answers)
+    corrected = shift.corrected(answers)
     assert corrected[:, 2].tolist() == [0.0, 0.0]
     assert corrected.sum(axis=1) == pytest.approx([1.0, 1.0])
