@@ -1,37 +1,45 @@
-"""Where every agent may be over the next seconds, and how likely each way is."""
+"""Where every agent may be over the next seconds, and how likely each future is."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 
+if TYPE_CHECKING:
+    import pandas
+
 FloatArray = NDArray[np.float64]
 
 STEP_S: Final = 0.1
-"""Time between predicted places, s: the simulators' usual step."""
+"""Time between predicted positions, s: the simulators' usual step."""
+
+SHOWN: Final = 10
+"""Agents in the table that a notebook shows."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Prediction:
     """K possible futures of n agents at H coming times.
 
     Attributes:
         ids: (n,) agent ids, ascending.
         time_s: (H,) seconds from the present, increasing, all > 0.
-        xy: (n, K, H, 2) places of the boxes' centres, m.
+        xy: (n, K, H, 2) positions of the agents' centres, m.
         probability: (n, K) of each future; rows sum to 1.
         spread: (n, K, H) standard deviation of each coordinate about each future, m, or None
-            where a predictor says nothing of it.
+            where a predictor gives none.
 
     Examples:
         >>> one = Prediction([4], [1.0], np.zeros((1, 2, 1, 2)), [[0.3, 0.7]])
         >>> one.best.shape
         (1, 1, 2)
+        >>> one
+        Prediction(1 agent, 2 futures each, 1 time up to 1 s, without spread)
     """
 
     ids: NDArray[np.int64]
@@ -41,7 +49,7 @@ class Prediction:
     spread: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes, places and probabilities, and make the arrays read-only."""
+        """Check shapes, positions and probabilities, and make the arrays read-only."""
         ids, time_s = np.asarray(self.ids, np.int64), np.asarray(self.time_s, np.float64)
         xy, probability = np.asarray(self.xy, np.float64), np.asarray(self.probability, np.float64)
         n, h = ids.size, time_s.size
@@ -52,7 +60,7 @@ class Prediction:
                 f"Prediction.probability: found shape {probability.shape}, expected {xy.shape[:2]}"
             )
         if not np.isfinite(xy).all():
-            raise InputError("Prediction.xy: found places that are not finite, expected metres")
+            raise InputError("Prediction.xy: found positions that are not finite, expected metres")
         if n and not np.abs(probability.sum(axis=1) - 1.0).max() <= 1e-5:
             raise InputError("Prediction.probability: found rows that do not sum to 1, expected 1")
         if self.spread is not None:
@@ -91,3 +99,54 @@ class Prediction:
         return np.asarray(
             self.xy[np.arange(self.ids.size), self.probability.argmax(axis=1)], dtype=np.float64
         )
+
+    def __repr__(self) -> str:
+        """How many agents, futures and times there are, and the horizon."""
+        horizon = f" up to {self.time_s[-1]:g} s" if self.time_s.size else ""
+        agents, futures = _counted(self.ids.size, "agent"), _counted(self.modes, "future")
+        return (
+            f"Prediction({agents}, {futures} each, "
+            f"{_counted(self.time_s.size, 'time')}{horizon}, "
+            f"{'without' if self.spread is None else 'with'} spread)"
+        )
+
+    def _repr_html_(self) -> str:
+        """A table of the likeliest futures' ends, for notebooks; the first ten agents."""
+        rows = [
+            f"<tr><td>{agent}</td><td>{probability:.2f}</td><td>{x:.1f}</td><td>{y:.1f}</td></tr>"
+            for agent, probability, (x, y) in zip(
+                self.ids[:SHOWN],
+                self.probability[:SHOWN].max(axis=1, initial=0.0),
+                self.best[:SHOWN, -1] if self.time_s.size else (),
+                strict=False,
+            )
+        ]
+        head = "<tr><th>agent</th><th>probability</th><th>end x, m</th><th>end y, m</th></tr>"
+        return f"<p>{self!r}</p><table>{head}{''.join(rows)}</table>"
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """One row per agent, future and time: agent, future, probability, time_s, x, y, spread.
+
+        Raises:
+            InputError: if pandas is not installed.
+        """
+        try:
+            import pandas
+        except ModuleNotFoundError:
+            raise InputError("to_pandas: found no pandas, expected it to be installed") from None
+        n, k, h = self.xy.shape[:3]
+        columns = {
+            "agent": np.repeat(self.ids, k * h),
+            "future": np.tile(np.repeat(np.arange(k), h), n),
+            "probability": np.repeat(self.probability.ravel(), h),
+            "time_s": np.tile(self.time_s, n * k),
+            "x": self.xy[..., 0].ravel(),
+            "y": self.xy[..., 1].ravel(),
+        }
+        if self.spread is not None:
+            columns["spread"] = self.spread.ravel()
+        return pandas.DataFrame(columns)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
@@ -451,3 +452,40 @@ def test_beliefs_agree_with_what_drivers_are_seen_doing(straight):
     assert half[0, 1] == wrong[1, 0]
     unknown = np.full((2, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
     assert (agreement(scene, unknown, asked, table) == 0).all()
+
+
+def test_scenes_and_predictions_say_what_they_hold(straight):
+    place, heading = on_lane(straight, "east_in_1", 60.0)
+    past = history([place, [400.0, 400.0]], [heading, 0.0], [10.0, 5.0])
+    scene = repr(make_scene(past, straight))
+    assert "2 agents, 1 of them on a path, at 100 s" in scene
+    assert len(scene) < 400
+    found = predict(past, NOBODY, straight, predictor="graphrqi-predict")
+    assert repr(found) == "Prediction(2 agents, 6 futures each, 50 times up to 5 s, with spread)"
+    assert found._repr_html_().count("<tr>") == 3
+    assert Prediction([], [1.0], np.zeros((0, 1, 1, 2)), np.zeros((0, 1)))._repr_html_()
+
+
+def test_predictions_become_tables(straight):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    found = predict(history([[0.0, 0.0]], [0.0], [4.0]), NOBODY, straight, horizon_s=1.0)
+    table = found.to_pandas()
+    assert isinstance(table, pandas.DataFrame)
+    assert len(table) == found.modes * 10
+    last = table[(table["future"] == 2) & (table["time_s"] > 0.95)]
+    assert last[["x", "y"]].to_numpy()[0] == pytest.approx(found.xy[0, 2, -1])
+
+
+def test_tables_need_pandas(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="found no pandas"):
+        Prediction([1], [1.0], np.zeros((1, 1, 1, 2)), [[1.0]]).to_pandas()
+
+
+@pytest.mark.parametrize("name", ["lstm", "mlp", "graphrqi-predict"])
+def test_networks_go_on_after_their_last_knot(name, straight):
+    place, heading = on_lane(straight, "east_in_1", 60.0)
+    past = history([place], [heading], [10.0])
+    far, near = (predict(past, NOBODY, straight, h, name) for h in (8.0, 5.0))
+    assert far.xy.shape[2] == 80
+    assert far.until(5.0).xy == pytest.approx(near.xy)

@@ -36,7 +36,7 @@ RETURN_MPS: Final = 0.5
 """Least lateral speed at which a driver returns to its lane's centre (our choice)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """One instant, ready to be predicted; rows are the agents of the history.
 
@@ -71,6 +71,14 @@ class Scene:
     path: IntArray
     stop_state: NDArray[np.int8]
     states: AgentStates
+
+    def __repr__(self) -> str:
+        """How many agents there are, when and where."""
+        return (
+            f"Scene({self.ids.size} agents, {int(self.on_path.sum())} of them on a path, at "
+            f"{self.history.time_s[-1]:g} s on {self.road.name!r}, {self.steps} steps of "
+            f"{STEP_S:g} s to predict)"
+        )
 
     @property
     def ids(self) -> IntArray:
