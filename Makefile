@@ -1,17 +1,18 @@
-# make install  what running needs, into .venv
-# make demo   install what running needs into .venv, then the whole loop into runs/demo
-# make test   install what testing needs too, then every check
-# make docs   the documentation's pages into build/site
-# make study  every measured figure at full size into runs/study
-# make model  train the models that ship with the package again
-# make release  what is published: sdist, wheel, hash-pinned lock, bill of materials, licences -> dist/
+# make install  installs what running needs into .venv
+# make demo     installs that, then runs the whole loop at a small size into runs/demo
+# make test     installs what testing needs, too, then runs every check
+# make docs     builds the pages of the documentation into build/site
+# make study    measures every figure at full size into runs/study
+# make model    trains the models that ship with the package again
+# make release  builds what is published into dist: sdist, wheel, hash-pinned lock, bill of
+#               materials, licences
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-# Many small processes are faster than a few that fight over the cores.
+# Many processes with one thread each are faster than a few that compete for the cores.
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: install demo test docs study model release

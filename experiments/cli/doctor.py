@@ -64,6 +64,9 @@ REGISTRIES: Final[dict[str, str]] = {
 }
 """The registries, as "module:attribute", by what they hold."""
 
+DESCRIBED: Final = ("scenario", "method", "bench")
+"""Registries whose entries say what they are; those of the others are not imported to be listed."""
+
 
 def names_of(what: str) -> list[str]:
     """The registered names of one kind of thing.
@@ -84,7 +87,12 @@ def names_of(what: str) -> list[str]:
 def registered_names() -> list[Row]:
     """Every registered name: what it names, where it comes from, and one line on what it is."""
     return [
-        {"what": what, "name": name, "from": registry.origin(name), "about": _about(registry, name)}
+        {
+            "what": what,
+            "name": name,
+            "from": registry.origin(name),
+            "about": _about(registry, name) if what in DESCRIBED else "",
+        }
         for what in REGISTRIES
         for registry in (_registry(what),)
         for name in registry
