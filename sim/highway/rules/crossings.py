@@ -9,13 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from sim.frames import EventKind, Signal
 from sim.highway import driving
-from sim.highway.network import LaneIndex
-from sim.highway.rules.way_ahead import ENTERED_M, RANGE_M, WayAhead, can_stop, draw_once
+from sim.highway.rules.way_ahead import (
+    ENTERED_M,
+    RANGE_M,
+    StripAhead,
+    WayAhead,
+    can_stop,
+    draw_once,
+)
 from sim.highway.state import Arrival, RoadState
 from sim.highway.vehicle import DriverCommands
 from sim.highway.walkers import Crossover, Walker
@@ -58,25 +63,6 @@ Walkers: TypeAlias = dict[int, list[tuple[Walker, float]]]
 """The pedestrians on or near each crossing, and how far beyond its kerb they are, m."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Strip:
-    """A place ahead of a driver where a lane runs over a crossing.
-
-    Attributes:
-        lane: which.
-        crossing: which.
-        near: front bumper to the near edge of the crossing, m.
-        far: to the far edge, m.
-        u: distance along the crossing of the lane's centre line, m.
-    """
-
-    lane: LaneIndex
-    crossing: int
-    near: float
-    far: float
-    u: float
-
-
 def walkers_at_crossings(road: RoadState) -> Walkers:
     """The pedestrians on each crossing and those who reach its kerb soon."""
     found: Walkers = {}
@@ -88,18 +74,6 @@ def walkers_at_crossings(road: RoadState) -> Walkers:
         if beyond > 0.0 or -beyond <= KERB_SOON_S * walker.free_speed:
             found.setdefault(way.crossing, []).append((walker, beyond))
     return found
-
-
-def _strips_ahead(road: RoadState, way: WayAhead) -> list[_Strip]:
-    info = road.network_info.info
-    places = [(way.lane, -way.front)]
-    if way.path is not None and way.path != way.lane:
-        places.append((way.path, way.to_line))
-    return [
-        _Strip(lane, strip.crossing, strip.near_s + begin, strip.far_s + begin, strip.u)
-        for lane, begin in places
-        for strip in info[lane].strips
-    ]
 
 
 def find_arrivals(
@@ -118,7 +92,7 @@ def find_arrivals(
     vehicle = way.vehicle
     yields = commands.yields_to if commands is not None else frozenset()
     held = commands is not None and commands.held
-    for strip in _strips_ahead(road, way):
+    for strip in way.strips:
         if strip.near <= RANGE_M and strip.far + vehicle.LENGTH >= 0.0:
             place = strip.crossing, road.strip_number[strip.lane, strip.crossing]
             stood_s = road.stood_s(vehicle)
@@ -142,7 +116,7 @@ def yield_at_crossings(
     vehicle = way.vehicle
     half = strip_half(road.network_info.lanes[way.lane].width / 2)
     yields = set()
-    for strip in _strips_ahead(road, way):
+    for strip in way.strips:
         if strip.far + vehicle.LENGTH < 0.0:
             _record_encounter(road, way, strip.crossing)
             continue
@@ -165,7 +139,7 @@ def _record_encounter(road: RoadState, way: WayAhead, crossing: int) -> None:
 
 
 def _yields_to(
-    road: RoadState, way: WayAhead, strip: _Strip, half: float, walker: Walker, beyond: float
+    road: RoadState, way: WayAhead, strip: StripAhead, half: float, walker: Walker, beyond: float
 ) -> bool:
     """Whether a driver stops for a pedestrian who is ``beyond`` m past the kerb of a crossing."""
     vehicle, crossover = way.vehicle, walker.crossover

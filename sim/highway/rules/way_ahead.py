@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -18,6 +18,24 @@ ENTERED_M: Final = 0.5
 """A vehicle whose front is this far over the stop line has entered the junction."""
 
 
+class StripAhead(NamedTuple):
+    """A place ahead of a driver where a lane runs over a crossing.
+
+    Attributes:
+        lane: which.
+        crossing: which.
+        near: front bumper to the near edge of the crossing, m.
+        far: to the far edge, m.
+        u: distance along the crossing of the lane's centre line, m.
+    """
+
+    lane: LaneIndex
+    crossing: int
+    near: float
+    far: float
+    u: float
+
+
 @dataclass(slots=True)
 class WayAhead:
     """One vehicle on its way, in one step.
@@ -30,6 +48,7 @@ class WayAhead:
         path: the junction path it is on or comes to next; None if its lane leads to none.
         to_line: front bumper to the beginning of the path, or to the end of a lane without one, m;
             negative beyond it.
+        strips: where the lane and the path run over crossings.
     """
 
     vehicle: Vehicle
@@ -38,6 +57,7 @@ class WayAhead:
     front: float
     path: LaneIndex | None
     to_line: float
+    strips: list[StripAhead]
 
 
 def way_ahead(road: RoadState, vehicle: Vehicle) -> WayAhead:
@@ -45,11 +65,20 @@ def way_ahead(road: RoadState, vehicle: Vehicle) -> WayAhead:
     lane = vehicle.lane_index
     s, _ = road.place(vehicle, lane)
     front = s + vehicle.LENGTH / 2
-    if road.network_info.info[lane].connector:
+    info, strips = road.network_info.info, []
+    for strip in info[lane].strips:
+        near, far = strip.near_s - front, strip.far_s - front
+        strips.append(StripAhead(lane, strip.crossing, near, far, strip.u))
+    if info[lane].connector:
         vehicle.last_path = lane
-        return WayAhead(vehicle, lane, s, front, lane, -front)
+        return WayAhead(vehicle, lane, s, front, lane, -front, strips)
     path = road.onward_lane(vehicle, lane)
-    return WayAhead(vehicle, lane, s, front, path, road.network_info.lanes[lane].length - front)
+    to_line = road.network_info.lanes[lane].length - front
+    if path is not None:
+        for strip in info[path].strips:
+            near, far = strip.near_s + to_line, strip.far_s + to_line
+            strips.append(StripAhead(path, strip.crossing, near, far, strip.u))
+    return WayAhead(vehicle, lane, s, front, path, to_line, strips)
 
 
 def can_stop(speed: float, distance: float, decel: float) -> bool:
