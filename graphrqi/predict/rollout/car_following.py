@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors import driver_models
 from graphrqi.predict.rollout.lane_changing import (
     CHANGE_S,
     DECIDE_S,
@@ -32,7 +33,7 @@ from graphrqi.predict.rollout.lane_changing import (
     choose_lanes,
 )
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
-from sim.compiled import inlined, reordered
+from sim.compiled import inlined, reordered, shared
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -157,15 +158,13 @@ class _Motion(NamedTuple):
     side: IntArray
 
 
+_krauss = shared(driver_models.krauss_safe_speed, reordered=True)
+
+
 @reordered
 def safe_speed(gap: float, leader_speed: float, headway: float, decel: float) -> float:
-    """Krauss's safe speed, m/s."""
-    if gap <= 0.0:
-        return 0.0
-    reach = decel * headway
-    return max(
-        0.0, -reach + math.sqrt(reach * reach + leader_speed * leader_speed + 2 * decel * gap)
-    )
+    """Krauss's safe speed, m/s; nobody moves on once the gap at a standstill is used up."""
+    return _krauss(gap, leader_speed, headway, decel) if gap > 0.0 else 0.0
 
 
 @reordered

@@ -11,13 +11,13 @@ References:
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import inlined, reordered
+from behaviors import driver_models
+from sim.compiled import inlined, reordered, shared
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -75,18 +75,24 @@ class Ranking(NamedTuple):
     last: IntArray
 
 
+_free_acceleration = shared(driver_models.idm_free_acceleration, reordered=True)
+_desired_gap = shared(driver_models.idm_desired_gap, reordered=True)
+_interaction = shared(driver_models.idm_interaction, reordered=True)
+
+
 @reordered
 def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: Any, i: Any) -> Any:
+    """IDM's acceleration, m/s2, within what drivers see and how hard they brake."""
     accel = following[i, 3]
-    ratio = speed / max(wish, 0.1)
-    free = accel * (1.0 - ratio * ratio * ratio * ratio)
+    free = _free_acceleration(speed, wish, accel)
     if gap >= LOOK_AHEAD_M:
         return free
-    if gap <= 0.1:
+    if gap <= driver_models.LEAST_GAP_M:
         return -HARD_DECEL
-    braking = speed * (speed - leader_speed) / (2.0 * math.sqrt(accel * following[i, 4]))
-    wanted = following[i, 2] + max(0.0, speed * following[i, 1] + braking)
-    return max(free - accel * (wanted / gap) * (wanted / gap), -HARD_DECEL)
+    wanted = _desired_gap(
+        speed, leader_speed, following[i, 2], following[i, 1], accel, following[i, 4]
+    )
+    return max(free - accel * _interaction(gap, wanted), -HARD_DECEL)
 
 
 @reordered
