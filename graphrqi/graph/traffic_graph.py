@@ -9,7 +9,7 @@ L_t = blk(L_{t-1}, 1) + delta delta^T is no Laplacian, see docs/spectrum.md).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -89,7 +89,7 @@ class GraphChange:
     weights: NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrafficGraph:
     """An undirected weighted graph of vehicles, as its Laplacian D - A.
 
@@ -116,12 +116,38 @@ class TrafficGraph:
     values: NDArray[np.float64]
     rule: ObservationRule | None = None
     observations: int = 0
-    earlier: TrafficGraph | None = field(default=None, repr=False)
+    earlier: TrafficGraph | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
         for array in (self.ids, self.indptr, self.indices, self.values):
             array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        """How many vehicles and edges, and how observations extend the graph.
+
+        Examples:
+            >>> TrafficGraph.from_edges([4, 5, 6], [(4, 5), (5, 6)])
+            TrafficGraph(3 vehicles with ids 4 to 6, 2 edges)
+        """
+        d = self.ids.size
+        edges = (self.indices.size - d) // 2
+        parts = [f"{d} vehicle{'s' * (d != 1)}", f"{edges} edge{'s' * (edges != 1)}"]
+        if d:
+            parts[0] += f" with ids {self.ids.min()} to {self.ids.max()}"
+        if self.rule is not None:
+            parts.append(f"{self.rule.kind} over {self.observations} observations")
+        return f"TrafficGraph({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        """A table of the vehicles with the largest degrees, for notebooks."""
+        degree, shown = self.degree, 10
+        most = np.argsort(-degree, kind="stable")[:shown]
+        lines = "".join(f"<tr><td>{self.ids[i]}</td><td>{degree[i]:.4g}</td></tr>" for i in most)
+        if self.ids.size > shown:
+            lines += f"<tr><td colspan=2>and {self.ids.size - shown} more</td></tr>"
+        head = "<tr><th>vehicle</th><th>degree</th></tr>"
+        return f"<table><caption>{self!r}</caption>{head}{lines}</table>"
 
     @classmethod
     def from_edges(

@@ -259,3 +259,14 @@ def test_import_loads_nothing_heavy() -> None:
     )
     done = run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_graph_shows_itself() -> None:
+    graph = TrafficGraph.empty(neighbors=1)
+    assert repr(graph) == "TrafficGraph(0 vehicles, 0 edges, accumulated over 0 observations)"
+    xy = np.stack([np.arange(500.0), np.zeros(500)], axis=1)
+    graph = graph.observe(np.arange(500), xy).observe(np.arange(500), xy)
+    assert repr(graph).endswith("accumulated over 2 observations)")
+    assert "500 vehicles with ids 0 to 499, 499 edges" in repr(graph)
+    assert len(repr(graph)) < 400
+    assert graph._repr_html_().count("<tr>") == 12  # a head, ten vehicles, how many more

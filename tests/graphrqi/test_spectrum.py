@@ -13,10 +13,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from experiments.benches.spectrum.sequences import graph_sequence, traffic_positions
-from experiments.benches.spectrum.study import errors_against_lapack, study_rows
+from experiments.benches.spectrum.sequences import (
+    graph_sequence,
+    hostile_graphs,
+    traffic_positions,
+)
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum, certify, full_spectrum, topology
 from graphrqi.spectrum.rivals import exact
@@ -44,6 +48,34 @@ SHAPES = {
         [1.0 if i != 40 else 1e-9 for i in range(79)],
     ),
 }
+
+
+def errors_against_lapack(found: Spectrum, num_pairs: int, nonzero: bool) -> Any:
+    """Relative errors of eigenvalues and residuals, and departure from orthonormality.
+
+    The matrix is made anew from the graph's edges, and its zeros are counted in scipy.
+    """
+    graph = found.graph
+    d = graph.ids.size
+    row = {vehicle: i for i, vehicle in enumerate(graph.ids.tolist())}
+    matrix = np.zeros((d, d))
+    for (a, b), weight in zip(graph.edges.tolist(), graph.weights, strict=True):
+        ends = np.ix_([row[a], row[b]], [row[a], row[b]])
+        matrix[ends] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    values = np.linalg.eigvalsh(matrix) if d else np.zeros(0)
+    scale = max(1.0, values.max(initial=0.0))
+    zeros = connected_components(matrix, directed=False)[0] if nonzero and d else 0
+    values = values[zeros:]
+    values = (values[::-1] if found.end == "largest" else values)[:num_pairs]
+    vectors = found.eigenvectors
+    assert found.eigenvalues.shape == values.shape
+    assert vectors.shape == (d, values.size)
+    parts = (
+        (found.eigenvalues - values) / scale,
+        np.linalg.norm(matrix @ vectors - vectors * found.eigenvalues, axis=0) / scale,
+        vectors.T @ vectors - np.eye(values.size),
+    )
+    return np.array([np.abs(part).max(initial=0.0) for part in parts])
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -104,10 +136,15 @@ def test_graphs_large_enough_for_a_part_to_be_treated_first(layout: str, kind: s
 
 
 def test_two_thousand_hostile_graphs() -> None:
-    rows = {row["metric"]: row["value"] for row in study_rows(2000, largest=400, seed=11)}
-    assert rows["wrong_answers"] == 0
-    assert rows["uncertified"] == 0
-    assert rows["fallbacks"] <= 20
+    last: dict[str, Spectrum] = {}
+    fallbacks = 0
+    for graph, k, end, nonzero, warm in hostile_graphs(2000, largest=400, seed=11):
+        found = SOLVERS["graphrqi"](graph, k, end, last.get(end) if warm else None, 1e-8, nonzero)
+        last[end] = found
+        assert found.certified
+        assert (errors_against_lapack(found, k, nonzero) < [1e-8, 1e-8, 1e-9]).all()
+        fallbacks += found.note.startswith("fell back")
+    assert fallbacks <= 20
 
 
 @settings(max_examples=80, deadline=None)
@@ -420,3 +457,29 @@ def test_the_page_about_the_spectrum_is_true() -> None:
     result = doctest.testfile(str(page), module_relative=False)
     assert result.attempted >= 12
     assert result.failed == 0
+
+
+def test_a_spectrum_shows_itself() -> None:
+    graph = TrafficGraph.from_edges(range(3, 63), [(i, i + 1) for i in range(3, 62)])
+    found = SOLVERS["graphrqi"](graph, 20, "smallest")
+    for part in ("20 pairs at the smallest end", "60 vehicles with ids 3 to 62", "certified"):
+        assert part in repr(found)
+    long = replace(found, note="<b>" + 500 * "word ", certified=False)
+    assert len(repr(long)) < 400
+    assert "not certified" in repr(long)
+    assert long._repr_html_().count("<tr>") == 12  # a head, ten pairs, how many more
+    assert "<b>" not in long._repr_html_()
+    nothing = SOLVERS["eigh"](SHAPES["nothing"], 4)
+    assert repr(nothing) == "Spectrum(0 pairs at the largest end, 0 vehicles, certified)"
+    assert nothing._repr_html_().count("<tr>") == 1
+
+
+def test_a_spectrum_as_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = SOLVERS["eigh"](SHAPES["star"], 3)
+    table = found.to_pandas()
+    np.testing.assert_array_equal(table.to_numpy(), found.eigenvectors)
+    assert table.index.tolist() == found.ids.tolist()
+    assert table.columns.tolist() == found.eigenvalues.tolist()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pip install pandas"):
+        found.to_pandas()

@@ -65,10 +65,12 @@ def test_missed_pairs_counts_multiplicity() -> None:
     assert missed_pairs(right, less) == 2
 
 
-def test_plain_iterations_converge_cubically() -> None:
-    rows = {row["metric"]: row["value"] for row in convergence_rows("road", d=60)}
-    assert rows["residual_after_3"] < rows["residual_after_0"]
-    assert rows["order_of_convergence"] > 2.5  # 3 in the limit; quadratic would be 2
+@pytest.mark.parametrize("d", [60, 100])
+@pytest.mark.parametrize("layout", ["road", "crossing"])
+def test_plain_iterations_converge_cubically(layout: str, d: int) -> None:
+    rows = {row["metric"]: row["value"] for row in convergence_rows(layout, d)}
+    assert rows["residual_after_3"] < 1e-5 * rows["residual_after_0"]
+    assert 2.5 <= rows["order_of_convergence"] <= 3.5
 
 
 def test_positions_move_and_unknown_layouts_are_refused() -> None:

@@ -178,10 +178,15 @@ def choose_shifts(
         if not goal.deflate and here > 0 and bottom > goal.low:
             part = min(1.0, ZONE * missing / max(n_below - n, 1))
             bottom = top - part * (top - bottom)
-        unmet, used = use_candidates(search, used, missing, bottom, top, n_below > wanted)
-        if unmet > 0 and open_bottom == open_top:
-            open_top, open_bottom, middle = top, bottom, half
-        used = spread_shifts(search, used, min(unmet, 8 - used), bottom, top)
+        if missing <= 0:
+            continue
+        unmet, used = use_candidates(
+            record, batch, vector, used, missing, bottom, top, n_below > wanted
+        )
+        if unmet > 0:
+            if open_bottom == open_top:
+                open_top, open_bottom, middle = top, bottom, half
+            used = spread_shifts(record, batch, vector, used, min(unmet, 8 - used), bottom, top)
     solving = used
     last = kth_largest(record, wanted)
     if last > -math.inf:  # spare shifts: new starts after a change, counts below the k-th value
@@ -195,14 +200,14 @@ def choose_shifts(
                 if record[STATUS, b] == FOUND or record[USED, b] > 0:
                     highest = max(highest, record[RITZ, b])
             free = 8 - used if doubt > 0.0 else 7 - used  # a count below the k-th is worth one
-            used = solving = spread_shifts(search, used, free, last, highest)
+            used = solving = spread_shifts(record, batch, vector, used, free, last, highest)
         elif open_top > open_bottom:  # what is missing is sooner found from several places
             free = 8 - used if goal.deflate else 7 - used
-            used = solving = spread_shifts(search, used, free, open_bottom, open_top)
+            used = solving = spread_shifts(record, batch, vector, used, free, open_bottom, open_top)
             if not goal.deflate and used < 8:  # should it be far down: halve the interval at least
                 batch[SHIFT, used], vector[used] = middle, COUNT
                 used += 1
-        used = count_below(search, used, last, doubt, delta, goal)
+        used = count_below(batch, vector, used, last, doubt, delta, goal)
     if beyond > wanted:  # spare shifts divide the interval of the eigenvalues beyond
         for r in range(8 - used):
             batch[SHIFT, used], vector[used] = deep_bottom * math.exp(-1.0 - r), COUNT
@@ -216,12 +221,21 @@ def choose_shifts(
 
 @inner
 def use_candidates(
-    search: Search, used: int, missing: int, bottom: float, top: float, largest: bool
+    record: Floats,
+    batch: Floats,
+    vector: Ints,
+    used: int,
+    missing: int,
+    bottom: float,
+    top: float,
+    largest: bool,
 ) -> tuple[int, int]:
     """Use candidates inside an interval, each with a shift at its Ritz value while there is one.
 
     Args:
-        search: where the candidates are.
+        record: what is known of each vector.
+        batch: the shifts are written here,
+        vector: and their vectors here.
         used: shifts in use.
         missing: candidates wanted.
         bottom: lower end of the interval.
@@ -231,7 +245,6 @@ def use_candidates(
     Returns:
         How many are still missing, and the shifts in use now.
     """
-    record = search.record
     unmet = missing
     for _ in range(missing):
         best = -1
@@ -247,26 +260,26 @@ def use_candidates(
         record[USED, best] = 1
         unmet -= 1
         if used < 8:
-            search.batch[SHIFT, used], search.vector[used] = record[RITZ, best], best
+            batch[SHIFT, used], vector[used] = record[RITZ, best], best
             used += 1
     return unmet, used
 
 
 @inner
 def count_below(
-    search: Search, used: int, last: float, doubt: float, delta: float, goal: Goal
+    batch: Floats, vector: Ints, used: int, last: float, doubt: float, delta: float, goal: Goal
 ) -> int:
     """Use spare shifts to count just below the k-th value, and just above it; return those in use.
 
     Args:
-        search: its shifts.
+        batch: the shifts are written here,
+        vector: and that they have no vector here.
         used: how many are in use.
         last: the k-th value.
         doubt: how far it may be from the eigenvalue.
         delta: values this close count as equal.
         goal: what is searched for.
     """
-    batch, vector = search.batch, search.vector
     unit = min(goal.scale, 100.0 * abs(last)) if goal.deflate else goal.scale
     margin = max(doubt, 1e-4 * unit)
     while used < 8 and margin >= doubt and margin >= 1e-9 * unit:
@@ -280,19 +293,22 @@ def count_below(
 
 
 @inner
-def spread_shifts(search: Search, used: int, n: int, bottom: float, top: float) -> int:
+def spread_shifts(
+    record: Floats, batch: Floats, vector: Ints, used: int, n: int, bottom: float, top: float
+) -> int:
     """Spread shifts over an interval, geometrically where it ends at 0; return those in use.
 
     Each gets the best candidate that came from the interval before, or a new vector.
 
     Args:
-        search: what is known of each vector.
+        record: what is known of each vector.
+        batch: the shifts are written here,
+        vector: and their vectors here.
         used: how many shifts are in use.
         n: shifts wanted.
         bottom: lower end of the interval.
         top: upper end of the interval.
     """
-    record = search.record
     for r in range(n):
         shift = bottom + (top - bottom) * (n - r) / (n + 1.0)
         if top == 0.0:
@@ -301,7 +317,7 @@ def spread_shifts(search: Search, used: int, n: int, bottom: float, top: float) 
         if best < 0:
             break
         record[RITZ, best], record[RESIDUAL, best], record[USED, best] = shift, math.inf, 1.0
-        search.batch[SHIFT, used], search.vector[used] = shift, best
+        batch[SHIFT, used], vector[used] = shift, best
         used += 1
     return used
 
