@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
@@ -64,7 +65,7 @@ def errors_against_lapack(found: Spectrum, num_pairs: int, nonzero: bool) -> Any
         matrix[ends] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
     values = np.linalg.eigvalsh(matrix) if d else np.zeros(0)
     scale = max(1.0, values.max(initial=0.0))
-    zeros = connected_components(matrix, directed=False)[0] if nonzero and d else 0
+    zeros = connected_components(csr_array(matrix), directed=False)[0] if nonzero and d else 0
     values = values[zeros:]
     values = (values[::-1] if found.end == "largest" else values)[:num_pairs]
     vectors = found.eigenvectors
