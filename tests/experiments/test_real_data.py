@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from openpyxl import Workbook
+from sklearn.metrics import cohen_kappa_score
 
 from behaviors.errors import InputError
 from behaviors.labelling import style_of
@@ -26,7 +27,6 @@ from experiments.benches.real_data import (
     evaluate_traf,
     read_traf,
 )
-from experiments.scoring.annotators import cohen_kappa
 from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
 from sim.formats import argo, traf
 from sim.formats.argo_labels import read_labels
@@ -383,7 +383,7 @@ def test_traf_labels_are_as_many_as_known():
 def test_traf_annotators_agree_as_far_as_known():
     sheets = {s.annotator: s for s in sheets_of(Path(DATA) / "traf" / "annotations", 8)}
     both = sorted(set(sheets["c"].traits) & set(sheets["u"].traits))
-    kappa = cohen_kappa(
+    kappa = cohen_kappa_score(
         [style_of(sheets["c"].traits[i]) for i in both],
         [style_of(sheets["u"].traits[i]) for i in both],
     )
