@@ -232,7 +232,7 @@ def test_ways_through_a_maze_are_not_all_followed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="ways through junctions"):
         read_map(put(tmp_path, maze(30, internal=True)))
     paths = PathTable.of(road_of(tmp_path, maze(4, internal=False)))
-    assert paths.count.max() == MOST_PATHS
+    assert paths.options.max() == MOST_PATHS
 
 
 SAMPLE = json.dumps(hand_written()).encode()
