@@ -133,7 +133,10 @@ def count_episode(
 
 
 def count(
-    tracks: Tracks, seen: DetectorInputs, events: Sequence[Event], exhibits: Sequence[ShownTrait]
+    tracks: Tracks,
+    seen: DetectorInputs,
+    events: Sequence[Event],
+    traits_shown: Sequence[ShownTrait],
 ) -> DriverCounts:
     """Count what the labelled drivers of an episode did.
 
@@ -141,7 +144,7 @@ def count(
         tracks: with labels.
         seen: what the detectors looked at.
         events: from `sim.episode.incidents.incidents`.
-        exhibits: from `sim.episode.annotate.shown_traits`.
+        traits_shown: from `sim.episode.annotate.shown_traits`.
 
     Returns:
         The counts, one row per labelled driver.
@@ -166,9 +169,9 @@ def count(
     free = _free(seen)
     table["free_s"] = in_all(free) * seen.step_s
     table["over_limit_s"] = in_all(free & (seen.speed > seen.limit)) * seen.step_s
-    for exhibit in waits(seen):
-        table["waits"][exhibit.agent] += 1.0
-        table["wait_s"][exhibit.agent] += exhibit.value
+    for found in waits(seen):
+        table["waits"][found.agent] += 1.0
+        table["wait_s"][found.agent] += found.value
     stands = list(row_index.runs(seen.driving & (seen.speed < 0.1)))
     longest_s = max((run.stop - run.start for run in stands), default=0) * seen.step_s
     for run in stands:
@@ -190,15 +193,15 @@ def count(
         if event.kind in NOT_WAITED_FOR:
             table["waits"][i] += 1.0
     shown: dict[int, list[ShownTrait]] = {i: [] for i in row.values()}
-    for exhibit in exhibits:
-        i = row[exhibit.agent]
-        shown[i].append(exhibit)
-        if exhibit.trait is Trait.CUTTING_IN:
+    for found in traits_shown:
+        i = row[found.agent]
+        shown[i].append(found)
+        if found.trait is Trait.CUTTING_IN:
             table["cut_ins"][i] += 1.0
-        elif exhibit.trait is Trait.NOT_MOVING:
+        elif found.trait is Trait.NOT_MOVING:
             table["unprovoked_stops"][i] += 1.0
-        elif exhibit.trait is Trait.WRONG_DIRECTION:
-            table["wrong_way_m"][i] += exhibit.value
+        elif found.trait is Trait.WRONG_DIRECTION:
+            table["wrong_way_m"][i] += found.value
     for i, mine in shown.items():
         label = label_from_traits(mine)
         table["agrees"][i] = label is not None and label.code == labels[i]
@@ -207,7 +210,7 @@ def count(
     return DriverCounts(
         behavior=labels[keep].astype(np.int8),
         counts=np.stack([table[name] for name in COUNTS], axis=1)[keep],
-        jaywalks=sum(e.trait is Trait.JAYWALKING for e in exhibits),
+        jaywalks=sum(e.trait is Trait.JAYWALKING for e in traits_shown),
         walkers=int((~seen.drives).sum()),
         teleports=int((np.nan_to_num(jump) > 60.0 * seen.step_s).sum()),
         left_behind=int((tracks.valid[:, -1] & seen.drives).sum()),

@@ -68,7 +68,7 @@ METRICS: Final = (
 """What is measured of an episode."""
 
 
-class Watcher:
+class BeliefTracker:
     """Sees every frame of an environment, and remembers and, if asked to, classifies what it saw.
 
     Environments call it as their classifier; their observation of beliefs stays uniform, since the
@@ -87,7 +87,7 @@ class Watcher:
         self.buffer = FrameBuffer(HISTORY_STEPS)
         self.frames: list[Frame] = []
 
-    def __call__(self, frame: Frame) -> Watcher:
+    def __call__(self, frame: Frame) -> BeliefTracker:
         """Take the next frame; one from before the last begins a new episode."""
         if self.frames and frame.time_s <= self.frames[-1].time_s:
             self._begin()
@@ -154,10 +154,10 @@ def drive(
 
     import scenarios  # noqa: F401  registers the environments
 
-    watcher = Watcher(model if arm == "classified" else None)
+    tracker = BeliefTracker(model if arm == "classified" else None)
     limits = {"type": "ContinuousAction", "acceleration_range": [-MOST_ACCEL_MPS2, MOST_ACCEL_MPS2]}
     config: dict[str, Any] = {
-        "seed": seed, "observation": "posterior", "classifier": watcher, "observed": 1,
+        "seed": seed, "observation": "posterior", "classifier": tracker, "observed": 1,
         "action": limits, "policy_frequency": 10, **SETTING, **(changes or {}),
     }  # fmt: skip
     env = gymnasium.make(ENVIRONMENTS[scenario], config=config, disable_env_checker=True)
@@ -167,7 +167,7 @@ def drive(
     truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
     ego_id = max((a.id for a in agents), default=-1) + 1
     road: Road = inner.scenario.road
-    begun = len(watcher.frames)
+    begun = len(tracker.frames)
     counts = {"env_near_misses": 0, "collisions": 0, "red_runs": 0}
     arrived = False
     right: list[float] = []
@@ -176,12 +176,12 @@ def drive(
     ended = cut = False
     time_s = 0.0
     while not (ended or cut):
-        frame = watcher.frames[-1]
+        frame = tracker.frames[-1]
         row = np.flatnonzero(frame.ids == ego_id)
         if time_s >= next_s - 1e-6 and row.size:
-            beliefs, hits = _beliefs(arm, watcher, frame, truth)
+            beliefs, hits = _beliefs(arm, tracker, frame, truth)
             right += hits
-            current = _look(watcher.buffer.tracks(), road, ego_id, beliefs) or current
+            current = _planned(tracker.buffer.tracks(), road, ego_id, beliefs) or current
             next_s = time_s + ACT_S
         action = np.zeros(2, dtype=np.float32)
         if current is not None and row.size:
@@ -200,7 +200,7 @@ def drive(
         counts["red_runs"] += info["red_runs"]
         arrived = info["arrived"]
     env.close()
-    driven = Tracks.from_frames(watcher.frames[begun:])
+    driven = Tracks.from_frames(tracker.frames[begun:])
     ahead, behind = near_misses(driven, road, ego_id)
     me = int(np.searchsorted(driven.ids, ego_id))
     return {
@@ -215,7 +215,7 @@ def drive(
     }
 
 
-def _look(history: Tracks, road: Road, ego_id: int, beliefs: FloatArray) -> Plan | None:
+def _planned(history: Tracks, road: Road, ego_id: int, beliefs: FloatArray) -> Plan | None:
     """Plan from what is seen; None where the ego vehicle is on no lane."""
     scene = make_scene(history, road)
     ego = int(np.searchsorted(scene.ids, ego_id))
@@ -225,7 +225,7 @@ def _look(history: Tracks, road: Road, ego_id: int, beliefs: FloatArray) -> Plan
 
 
 def _beliefs(
-    arm: str, watcher: Watcher, frame: Frame, truth: Mapping[int, int]
+    arm: str, tracker: BeliefTracker, frame: Frame, truth: Mapping[int, int]
 ) -> tuple[FloatArray, list[float]]:
     """What the planner is told of everybody in a frame, and which of the labels are right."""
     n = frame.ids.size
@@ -237,8 +237,8 @@ def _beliefs(
             if int(agent) in truth:
                 told[i] = np.eye(len(BEHAVIORS))[truth[int(agent)]]
         return told, []
-    assert watcher.stream is not None
-    posterior = watcher.stream.posterior()
+    assert tracker.stream is not None
+    posterior = tracker.stream.posterior()
     hits = [
         float(code == truth[int(agent)])
         for agent, code in zip(posterior.ids, posterior.most_likely, strict=True)

@@ -24,7 +24,7 @@ class GraphHistory:
     Attributes:
         time_s: (S,) when it was looked at, s.
         w: (N, S) |w| of each agent; NaN where it is not there.
-        edges: (E, 4) of each edge: the two agents' rows, the first look that found it and the
+        edges: (E, 4) of each edge: the two agents' rows, the first sample that found it and the
             first that did not.
     """
 
@@ -55,20 +55,20 @@ def graph_history(tracks: Tracks) -> GraphHistory:
         graph = graph.observe(tracks.ids[rows], tracks.xy[rows, step])
         if step not in column:
             continue
-        look = column[step]
+        sample = column[step]
         pairs = np.sort(np.searchsorted(tracks.ids, graph.edges), axis=1)
         keys = (pairs[:, 0] * many + pairs[:, 1]).tolist()
         now = set(keys)
         for key in [key for key in since if key not in now]:
-            edges.append((*divmod(key, many), since.pop(key), look))
+            edges.append((*divmod(key, many), since.pop(key), sample))
         for key in keys:
-            since.setdefault(key, look)
+            since.setdefault(key, sample)
         if not rows.size:
             continue
         previous = SOLVERS["graphrqi"](graph, num_pairs=1, end="largest", previous=previous)
         leading = np.asarray(previous.eigenvectors[:, 0])
         value = np.abs(np.asarray(graph.laplacian @ leading))
-        w[rows, look] = value[graph.rows_of(tracks.ids[rows])]
+        w[rows, sample] = value[graph.rows_of(tracks.ids[rows])]
     edges += [(*divmod(key, many), begin, steps.size) for key, begin in since.items()]
     return GraphHistory(
         tracks.time_s[steps], w, np.array(sorted(edges), dtype=np.int64).reshape(-1, 4)

@@ -159,14 +159,14 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "traits": [
             {"name": trait.value, "behavior": behavior.code} for trait, behavior in TRAITS.items()
         ],
-        "exhibits": [
+        "shownTraits": [
             [
                 list(TRAITS).index(x.trait),
                 _row(tracks.ids, x.agent),
                 round(x.begin_s - begin_s, 2),
                 round(x.end_s - begin_s, 2),
             ]
-            for x in scene.exhibits
+            for x in scene.shown_traits
         ],
         "index": index,
         "packed": packed,
@@ -255,7 +255,7 @@ def _beliefs(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> None:
 
 
 def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """|w| as roots in 254ths of the largest, 255 for nobody; edges by look."""
+    """|w| as roots in 254ths of the largest, 255 for nobody; edges by sample."""
     w = scene.graph.w
     largest = np.nan_to_num(w).max(axis=0, initial=0.0)
     share = np.sqrt(np.nan_to_num(w) / np.maximum(largest, 1e-12)[None])

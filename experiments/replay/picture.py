@@ -252,8 +252,8 @@ class Painter:
         if self.mode == "speed":
             return [ramp_color(v / self.fastest) for v in speed]
         if self.mode == "w":
-            look = int(np.searchsorted(scene.graph.time_s, time_s + 1e-6)) - 1
-            w = scene.graph.w[:, max(look, 0)]
+            sample = int(np.searchsorted(scene.graph.time_s, time_s + 1e-6)) - 1
+            w = scene.graph.w[:, max(sample, 0)]
             largest = float(np.nan_to_num(w).max(initial=1e-12))
             return [
                 UNKNOWN_COLOR if np.isnan(v) else ramp_color(float(np.sqrt(v / largest)))
@@ -263,8 +263,8 @@ class Painter:
             behavior = scene.tracks.behavior
             codes = np.full(rows.size, -1) if behavior is None else behavior[rows]
             return [UNKNOWN_COLOR if c < 0 else COLORS[BEHAVIORS[c]] for c in codes]
-        look = int(np.searchsorted(scene.beliefs.time_s, time_s + 1e-6)) - 1
-        believed = scene.beliefs.probability[rows, max(look, 0)]
+        sample = int(np.searchsorted(scene.beliefs.time_s, time_s + 1e-6)) - 1
+        believed = scene.beliefs.probability[rows, max(sample, 0)]
         known = np.isfinite(believed).all(axis=1)
         likeliest = np.nan_to_num(believed)
         if self.mode == "confidence":
@@ -300,9 +300,9 @@ class Painter:
         xy: FloatArray, time_s: float,
     ) -> None:  # fmt: skip
         graph = self.scene.graph
-        look = int(np.searchsorted(graph.time_s, time_s + 1e-6)) - 1
+        sample = int(np.searchsorted(graph.time_s, time_s + 1e-6)) - 1
         place = dict(zip(rows.tolist(), panel.pixels(xy) - offset, strict=True))
-        live = graph.edges[(graph.edges[:, 2] <= look) & (graph.edges[:, 3] > look)]
+        live = graph.edges[(graph.edges[:, 2] <= sample) & (graph.edges[:, 3] > sample)]
         for a, b in live[:, :2].tolist():
             if a in place and b in place:
                 pen.line([tuple(place[a].tolist()), tuple(place[b].tolist())], EDGE, 1)

@@ -47,7 +47,7 @@ class ReplayScene:
         road: where it happened; None if not known.
         tracks: everyone, at the times that are shown.
         agents: what was drawn for each agent, by id.
-        exhibits: the traits that were shown.
+        shown_traits: the traits that were shown.
         beliefs: what a classifier believes.
         believer: who believes it, in words.
         graph: the traffic graph.
@@ -61,7 +61,7 @@ class ReplayScene:
     road: Road | None
     tracks: Tracks
     agents: dict[int, AgentSpec]
-    exhibits: tuple[ShownTrait, ...]
+    shown_traits: tuple[ShownTrait, ...]
     beliefs: Beliefs
     believer: str
     graph: GraphHistory
@@ -138,10 +138,10 @@ def gather(
         raise InputError(
             f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
-    exhibits = episode.shown_traits
+    shown_traits = episode.shown_traits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
         found = annotate(TrajectoryRows.of(tracks), road, recorded=True)
-        exhibits = found.shown_traits
+        shown_traits = found.shown_traits
         tracks = dataclasses.replace(tracks, events=found.events)
     forecasts: list[Forecast] = []
     shown = ""
@@ -168,7 +168,7 @@ def gather(
         road=road,
         tracks=tracks.part(np.arange(tracks.ids.size), slice(None, None, stride)),
         agents={spec.id: spec for spec in episode.agents},
-        exhibits=exhibits,
+        shown_traits=shown_traits,
         beliefs=beliefs,
         believer=believer,
         graph=graph,

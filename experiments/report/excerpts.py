@@ -240,7 +240,7 @@ def _traits(scene: ReplayScene, truth: NDArray[np.int8]) -> tuple[IntArray, IntA
     shown = np.zeros((len(BEHAVIORS), len(names)), dtype=np.int64)
     drivers = np.bincount(truth[truth >= 0], minlength=len(BEHAVIORS))
     for row in np.flatnonzero(truth >= 0):
-        mine = [x for x in scene.exhibits if x.agent == scene.tracks.ids[row]]
+        mine = [x for x in scene.shown_traits if x.agent == scene.tracks.ids[row]]
         for trait in characteristic_traits(mine):
             shown[truth[row], names.index(trait)] += 1
     return shown, drivers

@@ -109,5 +109,5 @@ def _summary(table: pa.Table, tracks: Tracks) -> dict[str, Any]:
         right = sum(BEHAVIORS[truth[name]].value == last[name] for name in known)
         count = Counter(int(truth[name]) for name in known)
         most = max(count.values(), default=0)
-        summary |= {"true_known": len(known), "right_at_last": right, "most_frequent": most}
+        summary |= {"true_known": len(known), "right_at_end": right, "most_frequent": most}
     return summary

@@ -97,7 +97,7 @@ def make_scene():
             road=road,
             tracks=tracks,
             agents=specs,
-            exhibits=(ShownTrait(Trait.CUTTING_IN, int(ids[0]), 3.0, 6.0, 1.0),),
+            shown_traits=(ShownTrait(Trait.CUTTING_IN, int(ids[0]), 3.0, 6.0, 1.0),),
             beliefs=Beliefs(ids, time_s[seen], probability),
             believer="a model",
             graph=graph_history(tracks),

@@ -186,7 +186,7 @@ def test_traits_and_events_of_a_recording_on_a_road_are_found(dataset, tmp_path)
         open_dataset(dataset), entry_of(dataset, "mapped"), model="none",
         labels=tmp_path / "labels.parquet", predictor="none",
     )  # fmt: skip
-    assert "uniform speed" in {exhibit.trait.value for exhibit in scene.exhibits}
+    assert "uniform speed" in {shown.trait.value for shown in scene.shown_traits}
     assert scene.forecasts == ()
 
 

@@ -113,7 +113,7 @@ function believed(index) {
 }
 
 function traitList(index) {
-  const shown = data.exhibits.filter((x) => x[1] === index);
+  const shown = data.shownTraits.filter((x) => x[1] === index);
   if (!shown.length) return [];
   const list = element("ul", { class: "list" });
   for (const [trait, , begin] of shown) list.append(jump(begin, data.traits[trait].name, data.behaviors[data.traits[trait].behavior].color));

@@ -7,7 +7,7 @@ function setUpTimeline() {
   const rows = [];
   if (data.events.length) rows.push({ label: "events", events: data.events });
   data.traits.forEach((trait, code) => {
-    const shown = data.exhibits.filter((x) => x[0] === code && x[1] >= 0);
+    const shown = data.shownTraits.filter((x) => x[0] === code && x[1] >= 0);
     if (shown.length) rows.push({ label: trait.name, color: data.behaviors[trait.behavior].color, shown, many: howMany(shown) });
   });
   timeline.rows = rows;
