@@ -17,27 +17,48 @@ References:
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors import driver_models
+from graphrqi.predict.rollout.columns import (
+    ACCEL,
+    AHEAD,
+    FIRST,
+    HALF_LENGTH,
+    LANE,
+    LAST,
+    LEADER,
+    OFFSET,
+    ON,
+    ON_PATH,
+    ORDER,
+    PATH,
+    RANK,
+    READY,
+    RESIDUAL,
+    RETURN_SPEED,
+    SIDE,
+    SPEED,
+    START_ACCEL,
+    START_S,
+    START_SPEED,
+    TRAVELLED,
+    WISH,
+    S,
+    V,
+    X,
+)  # fmt: skip
 from graphrqi.predict.rollout.lane_changing import (
     CHANGE_S,
     DECIDE_S,
     HARD_DECEL,
     LOOK_AHEAD_M,
-    Drivers,
-    Ranking,
     choose_lanes,
 )
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
 from sim.compiled import inlined, reordered, shared
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SIGHT_M = 4.5
 """Distance to a junction from which drivers see who comes, m (SUMO's default visibility distance at
@@ -47,117 +68,7 @@ UNKNOWN_ACCELERATION = -2e3
 """A present acceleration that is not known: the driver has no residual."""
 
 
-class Start(NamedTuple):
-    """n drivers at present.
-
-    Attributes:
-        s: (n,) distance along the first lane of their paths, m.
-        speed: (n,) m/s.
-        accel: (n,) m/s2; `UNKNOWN_ACCELERATION`: as modelled.
-        half_length: (n,) m.
-        on_path: (n,) whether the driver is on a path at all.
-    """
-
-    s: FloatArray
-    speed: FloatArray
-    accel: FloatArray
-    half_length: FloatArray
-    on_path: BoolArray
-
-
-class Ways(NamedTuple):
-    """M ways in which n drivers may drive.
-
-    Attributes:
-        path: (M, n) path of each driver, row of the `PathColumns`.
-        offset: (M, n) distance to the left of the lane's centre, m.
-        return_speed: (M, n) lateral speed at which each returns to it, m/s.
-        following: (M, n, 5) speed factor, time headway s, standstill gap m, acceleration and
-            deceleration m/s2.
-        ignores: (M, n, R) whether each ignores each stop constraint.
-    """
-
-    path: IntArray
-    offset: FloatArray
-    return_speed: FloatArray
-    following: FloatArray
-    ignores: BoolArray
-
-
-class LaneChanges(NamedTuple):
-    """How n drivers change lanes; see `graphrqi.predict.rollout.driver_parameters`."""
-
-    changing: FloatArray
-    caution: FloatArray
-    threat: FloatArray
-
-
-class Others(NamedTuple):
-    """Where other drivers are assumed to be; (0, 0) arrays: all move together.
-
-    Attributes:
-        lane: (n, steps) lanes.
-        s: (n, steps) distance along them, m.
-        speed: (n, steps) m/s.
-    """
-
-    lane: IntArray
-    s: FloatArray
-    speed: FloatArray
-
-
-class Steps(NamedTuple):
-    """How far to drive on.
-
-    Attributes:
-        number: how many steps.
-        step_s: time between them, s.
-        states: columns of the stop constraints' states per step.
-        decay_s: time in which the residual acceleration falls to 1/e, s; 0: at once.
-    """
-
-    number: int
-    step_s: float
-    states: float
-    decay_s: float
-
-
-class _Motion(NamedTuple):
-    """The n drivers at one step of one rollout; the arrays change from step to step.
-
-    Attributes:
-        path: (n,) path of each.
-        on: (n,) which lane of it.
-        x: (n,) distance along it, m.
-        speed: (n,) m/s.
-        offset: (n,) distance to the left of the lane's centre, m.
-        return_speed: (n,) m/s.
-        travelled: (n,) distance since the present, m.
-        residual: (n,) residual acceleration at present, m/s2.
-        ready: (n,) step from which each may change lanes.
-        wish: (n,) wished speed under the limits here and ahead, m/s.
-        leader: (n,) the leader, -1: none.
-        ahead: (n,) distance to its centre, m.
-        accel: (n,) acceleration that the law asks for, m/s2.
-        side: (n,) to which side each changes lanes now; see `choose_lanes`.
-    """
-
-    path: IntArray
-    on: IntArray
-    x: FloatArray
-    speed: FloatArray
-    offset: FloatArray
-    return_speed: FloatArray
-    travelled: FloatArray
-    residual: FloatArray
-    ready: IntArray
-    wish: FloatArray
-    leader: IntArray
-    ahead: FloatArray
-    accel: FloatArray
-    side: IntArray
-
-
+_braking_speed = shared(driver_models.braking_speed, reordered=True)
 _krauss = shared(driver_models.krauss_safe_speed, reordered=True)
 
 
@@ -169,159 +80,155 @@ def safe_speed(gap: float, leader_speed: float, headway: float, decel: float) ->
 
 @reordered
 def roll(
-    start: Any, ways: Any, changes: Any, stop_state: Any, paths: Any, lane_length: Any,
-    others: Any, steps: Any,
+    present: Any, path: Any, offset: Any, return_speed: Any, following: Any, ignores: Any,
+    changing: Any, caution: Any, stop_state: Any, paths: Any, others: Any, steps: Any,
 ) -> Any:  # fmt: skip
     """Drive n drivers on in M ways.
 
     Args:
-        start: the `Start`.
-        ways: the `Ways`.
-        changes: the `LaneChanges`; (0, 4) numbers: nobody changes lanes.
+        present: (n, 5) the drivers now; see `columns.PRESENT`.
+        path: (M, n) path of each driver, row of ``paths``.
+        offset: (M, n) distance to the left of the lane's centre, m.
+        return_speed: (M, n) lateral speed at which each returns to it, m/s.
+        following: (M, n, 5) speed factor, time headway s, standstill gap m, acceleration and
+            deceleration m/s2.
+        ignores: (M, n, R) whether each ignores each stop constraint.
+        changing: (n, 4) lane-changing parameters; (0, 4): nobody changes lanes.
+        caution: (n, 2) caution and threat of each.
         stop_state: (R, columns) states of the stop constraints.
         paths: the `graphrqi.predict.scene.paths.PathColumns`.
-        lane_length: (L,) m.
-        others: the `Others`.
-        steps: the `Steps`.
+        others: (n, steps) lanes, distances along them, m, and speeds, m/s, where the other drivers
+            are assumed to be; (0, 0) each: all move together.
+        steps: how many, the time between them, s, how many columns of ``stop_state`` each takes,
+            and the time in which the residual acceleration falls to 1/e, s (0: at once).
 
     Returns:
-        (M, n, steps) each: lanes, distances along them and to the left of their centres, m, speeds,
-        m/s, and distances travelled since the present, m; and (M, n) accelerations that the law
-        asks for at present, m/s2.
+        (M, n, steps) lanes; (4, M, n, steps) distances along them and to the left of their centres,
+        m, speeds, m/s, and distances travelled since the present, m; and (M, n) accelerations that
+        the law asks for at present, m/s2.
     """
-    m, n = ways.path.shape
-    count, step_s = steps.number, steps.step_s
-    lane = np.zeros((m, n, count), np.int64)
-    s, offset = np.zeros((m, n, count)), np.zeros((m, n, count))
-    speed, travelled = np.zeros((m, n, count)), np.zeros((m, n, count))
+    m, n = path.shape
+    count, step_s, states, decay_s = steps
+    lane, columns = np.zeros((m, n, count), np.int64), np.zeros((4, m, n, count))
     asked = np.zeros((m, n))
-    lanes = lane_length.size
-    ranking = Ranking(
-        np.full(n, -1), start.s.copy(), start.speed.copy(), np.empty(n, np.int64),
-        np.zeros(n, np.int64), np.empty(lanes, np.int64), np.empty(lanes, np.int64),
-    )  # fmt: skip
+    place, ranking = np.empty((n, 2)), np.empty((n, 3), np.int64)
+    ends = np.empty((2, paths.lane_length.size), np.int64)
+    motion, route = np.empty((n, 9)), np.empty((n, 5), np.int64)
     drivers = 0
     for i in range(n):
-        if start.on_path[i]:
-            ranking.order[drivers] = i
+        place[i, S], place[i, V] = present[i, START_S], present[i, START_SPEED]
+        ranking[i, LANE], ranking[i, RANK] = -1, 0
+        if present[i, ON_PATH] > 0.0:
+            ranking[drivers, ORDER] = i
             drivers += 1
-    who = ranking.order[:drivers].copy()
-    may_change = changes.changing.shape[0] == n and count > 1
+    who = ranking[:drivers, ORDER].copy()
+    may_change = changing.shape[0] == n and count > 1
     every = max(1, round(DECIDE_S / step_s))
     for w in range(m):
-        motion = _Motion(
-            ways.path[w].copy(), np.zeros(n, np.int64), start.s.copy(), start.speed.copy(),
-            ways.offset[w].copy(), ways.return_speed[w].copy(), np.zeros(n), np.zeros(n),
-            np.zeros(n, np.int64), np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n),
-            np.empty(n, np.int64),
-        )  # fmt: skip
-        following, ignores = ways.following[w], ways.ignores[w]
         for i in range(n):
-            if abs(motion.offset[i]) > 0.5:
-                motion.ready[i] = int(CHANGE_S / step_s)
+            motion[i, X], motion[i, SPEED] = present[i, START_S], present[i, START_SPEED]
+            motion[i, OFFSET], motion[i, RETURN_SPEED] = offset[w, i], return_speed[w, i]
+            motion[i, TRAVELLED], motion[i, RESIDUAL] = 0.0, 0.0
+            route[i, PATH], route[i, ON] = path[w, i], 0
+            route[i, READY] = int(CHANGE_S / step_s) if abs(offset[w, i]) > 0.5 else 0
+        drives, passes = following[w], ignores[w]
+        _locate(who, motion, route, paths, place, ranking)
         for h in range(count):
-            _locate(who, motion, paths, ranking)
-            if others.s.size > 0 and h > 0:
-                _place_others(who, h - 1, others, ranking)
-            _rank(ranking, drivers)
-            _look_ahead(who, motion, following, ranking, paths)
+            if others[1].size > 0 and h > 0:
+                _place_others(who, h - 1, others, place, ranking)
+            _rank(place, ranking, ends, drivers)
+            _look_ahead(who, motion, route, drives, place, ranking, ends, paths)
             if may_change and h % every == 0:
-                traits = Drivers(
-                    start.half_length, following, changes.changing, changes.caution, changes.threat
-                )
-                choose_lanes(who, h, motion, traits, ranking, paths, lane_length)
-                _change_lanes(who, h, motion, paths, steps)
-            column = int(h * steps.states + 0.5)
+                choose_lanes(
+                    who, h, motion, route, present, drives, changing, caution, place, ranking, ends,
+                    paths,
+                )  # fmt: skip
+                _change_lanes(who, h, motion, route, paths, count, step_s)
+            column = int(h * states + 0.5)
             _choose_accelerations(
-                who, motion, start.half_length, following, changes, ranking.speed, ignores,
-                stop_state, column, paths, step_s,
+                who, motion, route, present, drives, caution, place, passes, stop_state, column,
+                paths, step_s,
             )  # fmt: skip
             if h == 0:
-                _set_residuals(who, motion, start.accel, steps, asked[w])
-            fade = math.exp(-h * step_s / steps.decay_s) if steps.decay_s > 0.0 else 0.0
+                for j in range(drivers):
+                    i = who[j]
+                    speed = motion[i, SPEED]
+                    asked[w, i] = (max(0.0, speed + motion[i, ACCEL] * step_s) - speed) / step_s
+                    if decay_s > 0.0 and present[i, START_ACCEL] > UNKNOWN_ACCELERATION / 2:
+                        motion[i, RESIDUAL] = present[i, START_ACCEL] - asked[w, i]
+            fade = math.exp(-h * step_s / decay_s) if decay_s > 0.0 else 0.0
             _advance(who, motion, fade, step_s)
-            _locate(who, motion, paths, ranking)
-            _record(who, w, h, motion, ranking, (lane, s, offset, speed, travelled))
-    return lane, s, offset, speed, travelled, asked
+            _locate(who, motion, route, paths, place, ranking)
+            for j in range(drivers):
+                i = who[j]
+                lane[w, i, h] = ranking[i, LANE]
+                columns[0, w, i, h], columns[1, w, i, h] = place[i, S], motion[i, OFFSET]
+                columns[2, w, i, h], columns[3, w, i, h] = motion[i, SPEED], motion[i, TRAVELLED]
+    return lane, columns, asked
 
 
 @inlined
-def _record(who: Any, w: int, h: int, motion: Any, ranking: Any, out: Any) -> None:
-    """Copy one step into the rollout's columns."""
-    out_lane, out_s, out_offset, out_speed, out_travelled = out
-    lane, s = ranking.lane, ranking.s
-    offset, speed, travelled = motion.offset, motion.speed, motion.travelled
-    for j in range(who.size):
-        i = who[j]
-        out_lane[w, i, h], out_s[w, i, h], out_offset[w, i, h] = lane[i], s[i], offset[i]
-        out_speed[w, i, h], out_travelled[w, i, h] = speed[i], travelled[i]
-
-
-@inlined
-def _locate(who: Any, motion: Any, paths: Any, ranking: Any) -> None:
+def _locate(who: Any, motion: Any, route: Any, paths: Any, place: Any, ranking: Any) -> None:
     """Write the lane that each driver has reached, its distance along it and its speed."""
-    path, on, x, speed = motion.path, motion.on, motion.x, motion.speed
     path_lane, path_start = paths.lane, paths.start
-    lane, s, its_speed = ranking.lane, ranking.s, ranking.speed
     for j in range(who.size):
         i = who[j]
-        q, k = path[i], on[i]
-        while (
-            k + 1 < path_lane.shape[1] and path_lane[q, k + 1] >= 0 and path_start[q, k + 1] <= x[i]
-        ):
+        q, k, x = route[i, PATH], route[i, ON], motion[i, X]
+        while k + 1 < path_lane.shape[1] and path_lane[q, k + 1] >= 0 and path_start[q, k + 1] <= x:
             k += 1
-        on[i] = k
-        lane[i], s[i], its_speed[i] = path_lane[q, k], x[i] - path_start[q, k], speed[i]
+        route[i, ON] = k
+        ranking[i, LANE], place[i, S] = path_lane[q, k], x - path_start[q, k]
+        place[i, V] = motion[i, SPEED]
 
 
 @inlined
-def _place_others(who: Any, h: int, others: Any, ranking: Any) -> None:
+def _place_others(who: Any, h: int, others: Any, place: Any, ranking: Any) -> None:
     """Write where the others are assumed to be at a step."""
-    lane, s, speed = ranking.lane, ranking.s, ranking.speed
-    others_lane, others_s, others_speed = others.lane, others.s, others.speed
+    others_lane, others_s, others_speed = others
     for j in range(who.size):
         i = who[j]
-        lane[i], s[i], speed[i] = others_lane[i, h], others_s[i, h], others_speed[i, h]
+        ranking[i, LANE], place[i, S], place[i, V] = (
+            others_lane[i, h], others_s[i, h], others_speed[i, h],
+        )  # fmt: skip
 
 
 @inlined
-def _rank(ranking: Any, drivers: int) -> None:
+def _rank(place: Any, ranking: Any, ends: Any, drivers: int) -> None:
     """Sort drivers by lane, then by place; they are nearly in order since the last step."""
-    lane, s, order = ranking.lane, ranking.s, ranking.order
-    rank, first, last = ranking.rank, ranking.first, ranking.last
     for j in range(1, drivers):
-        i = order[j]
+        i = ranking[j, ORDER]
+        lane, s = ranking[i, LANE], place[i, S]
         g = j - 1
         while g >= 0:
-            o = order[g]
-            if lane[o] < lane[i] or (
-                lane[o] == lane[i] and (s[o] < s[i] or (s[o] == s[i] and o > i))
+            o = ranking[g, ORDER]
+            if ranking[o, LANE] < lane or (
+                ranking[o, LANE] == lane and (place[o, S] < s or (place[o, S] == s and o > i))
             ):
                 break
-            order[g + 1] = o
+            ranking[g + 1, ORDER] = o
             g -= 1
-        order[g + 1] = i
-    for on in range(first.size):
-        first[on], last[on] = 0, -1
+        ranking[g + 1, ORDER] = i
+    for lane in range(ends.shape[1]):
+        ends[FIRST, lane], ends[LAST, lane] = 0, -1
     for j in range(drivers):
-        on = lane[order[j]]
-        if last[on] < 0:
-            first[on] = j
-        last[on] = j
-        rank[order[j]] = j
+        i = ranking[j, ORDER]
+        lane = ranking[i, LANE]
+        if ends[LAST, lane] < 0:
+            ends[FIRST, lane] = j
+        ends[LAST, lane] = j
+        ranking[i, RANK] = j
 
 
 @inlined
-def _look_ahead(who: Any, motion: Any, following: Any, ranking: Any, paths: Any) -> None:
+def _look_ahead(
+    who: Any, motion: Any, route: Any, following: Any, place: Any, ranking: Any, ends: Any,
+    paths: Any,
+) -> None:  # fmt: skip
     """Write each driver's wished speed under the limits here and ahead, and its leader."""
-    path, on, x = motion.path, motion.on, motion.x
-    wishes, leaders, distances = motion.wish, motion.leader, motion.ahead
     path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
-    its_lane, its_s, order = ranking.lane, ranking.s, ranking.order
-    rank, first, last = ranking.rank, ranking.first, ranking.last
     for j in range(who.size):
         i = who[j]
-        q, k, here = path[i], on[i], x[i]
+        q, k, here = route[i, PATH], route[i, ON], motion[i, X]
         factor, decel = following[i, 0], following[i, 4]
         wish = factor * path_limit[q, k]
         distance, leader = 1e9, -1
@@ -335,70 +242,67 @@ def _look_ahead(who: Any, motion: Any, following: Any, ranking: Any, paths: Any)
             if a > k:
                 slower = factor * path_limit[q, a]
                 if slower < wish:
-                    room = max(begin - here, 0.0)
-                    wish = min(wish, math.sqrt(slower * slower + 2 * decel * room))
+                    wish = min(wish, _braking_speed(max(begin - here, 0.0), slower, decel))
             if leader >= 0:
                 continue
-            g = first[lane]
-            if lane == its_lane[i]:  # nobody far behind oneself is ahead
-                g = rank[i]
-                while g > first[lane] and begin + its_s[order[g - 1]] >= here:
+            g = ends[FIRST, lane]
+            if lane == ranking[i, LANE]:  # nobody far behind oneself is ahead
+                g = ranking[i, RANK]
+                while g > ends[FIRST, lane] and (begin + place[ranking[g - 1, ORDER], S] >= here):
                     g -= 1
-            for place in range(g, last[lane] + 1):
-                other = order[place]
-                ahead = begin + its_s[other] - here
+            for rank in range(g, ends[LAST, lane] + 1):
+                other = ranking[rank, ORDER]
+                ahead = begin + place[other, S] - here
                 if other != i and (ahead > 0.0 or (ahead == 0.0 and other < i)):
                     distance, leader = ahead, other
                     break
-        wishes[i], leaders[i], distances[i] = wish, leader, distance
+        motion[i, WISH], motion[i, AHEAD], route[i, LEADER] = wish, distance, leader
 
 
 @inlined
-def _change_lanes(who: Any, h: int, motion: Any, paths: Any, steps: Any) -> None:
+def _change_lanes(
+    who: Any, h: int, motion: Any, route: Any, paths: Any, count: int, step_s: float
+) -> None:
     """Put drivers on the lane that they have chosen.
 
     A driver that has had an incentive since the first step and has not started is assumed not to
     change lanes.
     """
-    path, on, x, offset = motion.path, motion.on, motion.x, motion.offset
-    ready, sides, return_speed = motion.ready, motion.side, motion.return_speed
     for j in range(who.size):
         i = who[j]
-        side = sides[i]
+        side = route[i, SIDE]
         if side >= 0 and h == 0:
-            ready[i] = steps.number
+            route[i, READY] = count
         elif side >= 0:
-            q, k = path[i], on[i]
+            q, k = route[i, PATH], route[i, ON]
             lane = paths.lane[q, k]
             wide = paths.lane_spacing[side, lane]
-            x[i], on[i] = x[i] - paths.start[q, k], 0
-            path[i] = paths.by_turn[paths.beside[side, lane], paths.turn[q]]
-            offset[i] -= (1.0 - 2.0 * side) * wide
-            return_speed[i] = max(wide / CHANGE_S, abs(offset[i]) / CHANGE_S)
-            ready[i] = h + int(CHANGE_S / steps.step_s)
+            motion[i, X] -= paths.start[q, k]
+            route[i, PATH], route[i, ON] = paths.by_turn[paths.beside[side, lane], paths.turn[q]], 0
+            motion[i, OFFSET] -= (1.0 - 2.0 * side) * wide
+            motion[i, RETURN_SPEED] = max(wide / CHANGE_S, abs(motion[i, OFFSET]) / CHANGE_S)
+            route[i, READY] = h + int(CHANGE_S / step_s)
 
 
 @inlined
 def _choose_accelerations(
-    who: Any, motion: Any, half_length: Any, following: Any, changes: Any, speeds: Any,
+    who: Any, motion: Any, route: Any, present: Any, following: Any, caution: Any, place: Any,
     ignores: Any, stop_state: Any, column: Any, paths: Any, step_s: float,
 ) -> None:  # fmt: skip
     """Write the acceleration that each driver chooses, m/s2, before its residual."""
-    path, x, now, wish = motion.path, motion.x, motion.speed, motion.wish
-    leaders, distances, accels = motion.leader, motion.ahead, motion.accel
-    caution, threat = changes.caution, changes.threat
     stop_x, stop_row = paths.stop_x, paths.stop_row
     for j in range(who.size):
         i = who[j]
         headway, standstill = following[i, 1], following[i, 2]
         accel, decel = following[i, 3], following[i, 4]
-        speed, q, leader = now[i], path[i], leaders[i]
-        target = min(speed + accel * step_s, max(wish[i], speed - decel * step_s))
+        speed, q, leader = motion[i, SPEED], route[i, PATH], route[i, LEADER]
+        half = present[i, HALF_LENGTH]
+        target = min(speed + accel * step_s, max(motion[i, WISH], speed - decel * step_s))
         if leader >= 0:
-            gap = distances[i] - half_length[i] - half_length[leader] - standstill
-            more = 1.0 + caution[i] * threat[leader]
-            target = min(target, safe_speed(gap, speeds[leader], headway * more, decel))
-        front = x[i] + half_length[i]
+            gap = motion[i, AHEAD] - half - present[leader, HALF_LENGTH] - standstill
+            more = 1.0 + caution[i, 0] * caution[leader, 1]
+            target = min(target, safe_speed(gap, place[leader, V], headway * more, decel))
+        front = motion[i, X] + half
         for g in range(stop_x.shape[1]):
             room = stop_x[q, g] - front
             if room > LOOK_AHEAD_M:
@@ -414,31 +318,20 @@ def _choose_accelerations(
             if need > hardest and speed > 1.0:
                 continue
             target = min(target, safe_speed(room, 0.0, headway, decel))
-        accels[i] = max((target - speed) / step_s, -HARD_DECEL)
-
-
-@inlined
-def _set_residuals(who: Any, motion: Any, accel: Any, steps: Any, asked: Any) -> None:
-    """Write the acceleration that the law asks for now, and how far the seen one differs."""
-    speed, chosen, residual = motion.speed, motion.accel, motion.residual
-    for j in range(who.size):
-        i = who[j]
-        asked[i] = (max(0.0, speed[i] + chosen[i] * steps.step_s) - speed[i]) / steps.step_s
-        if steps.decay_s > 0.0 and accel[i] > UNKNOWN_ACCELERATION / 2:
-            residual[i] = accel[i] - asked[i]
+        motion[i, ACCEL] = max((target - speed) / step_s, -HARD_DECEL)
 
 
 @inlined
 def _advance(who: Any, motion: Any, fade: float, step_s: float) -> None:
     """Move everyone one step on; residual accelerations are added with a weight ``fade``."""
-    x, speed, travelled, offset = motion.x, motion.speed, motion.travelled, motion.offset
-    accel, residual, return_speed = motion.accel, motion.residual, motion.return_speed
     for j in range(who.size):
         i = who[j]
-        change = accel[i] + residual[i] * fade
-        faster = max(0.0, speed[i] + change * step_s)
-        step = 0.5 * (speed[i] + faster) * step_s
-        x[i] += step
-        travelled[i] += step
-        speed[i] = faster
-        offset[i] = math.copysign(max(abs(offset[i]) - return_speed[i] * step_s, 0.0), offset[i])
+        speed, offset = motion[i, SPEED], motion[i, OFFSET]
+        change = motion[i, ACCEL] + motion[i, RESIDUAL] * fade
+        faster = max(0.0, speed + change * step_s)
+        step = 0.5 * (speed + faster) * step_s
+        motion[i, X] += step
+        motion[i, TRAVELLED] += step
+        motion[i, SPEED] = faster
+        left = max(abs(offset) - motion[i, RETURN_SPEED] * step_s, 0.0)
+        motion[i, OFFSET] = math.copysign(left, offset)

@@ -35,15 +35,14 @@ class DriverParameters:
         changing: (n, 4) lane-changing parameters, columns as ``driver_table.CHANGING_FIELDS``;
             (0, 4): nobody changes lanes.
         ignores: (n, R) whether each ignores each stop constraint of the scene.
-        caution: (n,) how far each keeps away from threatening drivers, 0 to 1.
-        threat: (n,) how far cautious drivers keep away from each, 0 to 1.
+        caution: (n, 2) how far each keeps away from threatening drivers, and how far cautious
+            drivers keep away from it, 0 to 1.
     """
 
     following: FloatArray
     changing: FloatArray
     ignores: BoolArray
     caution: FloatArray
-    threat: FloatArray
 
 
 def expected_parameters(
@@ -55,8 +54,7 @@ def expected_parameters(
         following=following,
         changing=table.changing(probability),
         ignores=_ignored(scene, probability @ RUNS_RED, probability @ YIELDS),
-        caution=np.zeros(len(following)),
-        threat=np.zeros(len(following)),
+        caution=np.zeros((len(following), 2)),
     )
 
 
@@ -67,7 +65,7 @@ def with_caution(parameters: DriverParameters, probability: FloatArray) -> Drive
     without them (worth 1 m/s2 at full certainty).
     """
     aggressive = probability @ AGGRESSIVE
-    return dataclasses.replace(parameters, caution=1.0 - aggressive, threat=aggressive)
+    return dataclasses.replace(parameters, caution=np.stack([1.0 - aggressive, aggressive], axis=1))
 
 
 def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
@@ -89,8 +87,7 @@ def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
         following=_personal(scene, table.average[None, None])[0],
         changing=table.changing(unknown),
         ignores=np.zeros((n, scene.stop_state.shape[0]), dtype=np.bool_),
-        caution=np.zeros(n),
-        threat=np.zeros(n),
+        caution=np.zeros((n, 2)),
     )
 
 

@@ -11,16 +11,26 @@ References:
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from behaviors import driver_models
+from graphrqi.predict.rollout.columns import (
+    AHEAD,
+    FIRST,
+    HALF_LENGTH,
+    LAST,
+    LEADER,
+    ON,
+    ORDER,
+    PATH,
+    READY,
+    SIDE,
+    SPEED,
+    S,
+    V,
+    X,
+)  # fmt: skip
 from sim.compiled import inlined, reordered, shared
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LOOK_AHEAD_M = 120.0
 """Drivers react to nothing farther ahead (our choice: 5 s at 24 m/s)."""
@@ -41,38 +51,6 @@ CHANGE_ROOM_M = 20.0
 CAUTION_M = 30.0
 """Distance within which cautious drivers mind threatening neighbours, m (our choice: 2 s in
 town)."""
-
-
-class Drivers(NamedTuple):
-    """How n drivers drive; see `graphrqi.predict.rollout.driver_parameters.DriverParameters`."""
-
-    half_length: FloatArray
-    following: FloatArray
-    changing: FloatArray
-    caution: FloatArray
-    threat: FloatArray
-
-
-class Ranking(NamedTuple):
-    """The n drivers of one step, sorted.
-
-    Attributes:
-        lane: (n,) lane of each.
-        s: (n,) distance along it, m.
-        speed: (n,) m/s.
-        order: (n,) drivers by lane, then by s.
-        rank: (n,) place of each in ``order``.
-        first: (L,) place in ``order`` of the first driver of each lane.
-        last: (L,) of the last; -1 where there is none.
-    """
-
-    lane: IntArray
-    s: FloatArray
-    speed: FloatArray
-    order: IntArray
-    rank: IntArray
-    first: IntArray
-    last: IntArray
 
 
 _free_acceleration = shared(driver_models.idm_free_acceleration, reordered=True)
@@ -97,15 +75,15 @@ def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: 
 
 @reordered
 def _neighbors(
-    i: Any, along: Any, begin: Any, end: Any, order: Any, s: Any
+    i: Any, along: Any, begin: Any, end: Any, place: Any, ranking: Any
 ) -> tuple[Any, Any, Any, Any]:
     """Who is next ahead of and behind a place on a lane, or -1, and how far, m, else 1e9."""
     front, rear, front_far, rear_far = -1, -1, 1e9, 1e9
     for rank in range(begin, end):
-        other = order[rank]
+        other = ranking[rank, ORDER]
         if other == i:
             continue
-        ahead = s[other] - along
+        ahead = place[other, S] - along
         if ahead >= 0.0:
             front_far, front = ahead, other
             break
@@ -115,96 +93,106 @@ def _neighbors(
 
 @inlined
 def choose_lanes(
-    who: Any, h: int, motion: Any, drivers: Any, ranking: Any, paths: Any, lane_length: Any
-) -> None:
-    """Write to which side each driver changes lanes: 0: left, 1: right, -1: not at all.
+    who: Any, h: int, motion: Any, route: Any, present: Any, following: Any, changing: Any,
+    caution: Any, place: Any, ranking: Any, ends: Any, paths: Any,
+) -> None:  # fmt: skip
+    """Write to which side each driver changes lanes; one that changes gets its new leader, too.
 
     Args:
         who: the drivers on paths.
         h: the step.
-        motion: where they are; a driver that changes gets its new leader, too.
-        drivers: the `Drivers`.
-        ranking: the `Ranking`.
+        motion: (n, 9) and the others likewise: columns as `graphrqi.predict.rollout.columns` says.
+        route: (n, 5).
+        present: (n, 5).
+        following: (n, 5) car-following parameters.
+        changing: (n, 4) lane-changing parameters.
+        caution: (n, 2) caution and threat of each.
+        place: (n, 2).
+        ranking: (n, 3).
+        ends: (2, L).
         paths: the `graphrqi.predict.scene.paths.PathColumns`.
-        lane_length: (L,) m.
     """
-    path, on, x, now = motion.path, motion.on, motion.x, motion.speed
-    ready, leaders, distances, sides = motion.ready, motion.leader, motion.ahead, motion.side
-    half, following, changing = drivers.half_length, drivers.following, drivers.changing
-    caution, threat = drivers.caution, drivers.threat
-    speeds, s, order = ranking.speed, ranking.s, ranking.order
-    first, last = ranking.first, ranking.last
-    path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
-    beside, by_turn, path_turn = paths.beside, paths.by_turn, paths.turn
+    path_lane, path_turn = paths.lane, paths.turn
+    beside, by_turn = paths.beside, paths.by_turn
     for j in range(who.size):
         i = who[j]
-        sides[i], speed = -1, now[i]
-        if h < ready[i] or not speed > 1.0:
+        route[i, SIDE], speed = -1, motion[i, SPEED]
+        if h < route[i, READY] or not speed > 1.0:
             continue
-        q, k = path[i], on[i]
-        lane, limit, along = path_lane[q, k], path_limit[q, k], x[i] - path_start[q, k]
+        q, k = route[i, PATH], route[i, ON]
+        lane, limit, along = path_lane[q, k], paths.limit[q, k], motion[i, X] - paths.start[q, k]
         onward = path_lane[q, min(k + 1, path_lane.shape[1] - 1)]
-        if lane_length[lane] - along < CHANGE_ROOM_M and onward >= 0:
+        if paths.lane_length[lane] - along < CHANGE_ROOM_M and onward >= 0:
             continue
-        wish, decel = following[i, 0] * limit, following[i, 4]
-        leader, leader_far = leaders[i], distances[i]
+        wish, decel, half = following[i, 0] * limit, following[i, 4], present[i, HALF_LENGTH]
+        leader, leader_far = route[i, LEADER], motion[i, AHEAD]
         gap, leader_v = 1e9, speed
         if leader >= 0:
-            gap = leader_far - half[i] - half[leader]
-            leader_v = speeds[leader]
+            gap = leader_far - half - present[leader, HALF_LENGTH]
+            leader_v = place[leader, V]
         most_gain = changing[i, 1]
         for side in range(2):
             target = beside[side, lane]
             if target < 0 or by_turn[target, path_turn[q]] < 0:
                 continue
             front, front_far, rear, rear_far = _neighbors(
-                i, along, first[target], last[target] + 1, order, s
+                i, along, ends[FIRST, target], ends[LAST, target] + 1, place, ranking
             )
             front_gap, rear_gap = front_far, rear_far
             if front >= 0:
-                front_gap -= half[i] + half[front]
+                front_gap -= half + present[front, HALF_LENGTH]
             if rear >= 0:
-                rear_gap -= half[i] + half[rear]
+                rear_gap -= half + present[rear, HALF_LENGTH]
             if front_gap < changing[i, 3] or rear_gap < changing[i, 3]:
                 continue
-            front_v = speeds[front] if front >= 0 else speed
+            front_v = place[front, V] if front >= 0 else speed
             there = _idm(speed, wish, front_gap, front_v, following, i)
             if there < -decel:
                 continue
             gain = there - _idm(speed, wish, gap, leader_v, following, i)
             if rear >= 0:
-                rear_v, rear_wish = speeds[rear], following[rear, 0] * limit
+                rear_v, rear_wish = place[rear, V], following[rear, 0] * limit
                 after = _idm(rear_v, rear_wish, rear_gap, speed, following, rear)
                 if after < -changing[i, 2]:
                     continue
                 whole = 1e9
                 if front >= 0:
-                    whole = rear_far + front_far - half[rear] - half[front]
+                    whole = (
+                        rear_far
+                        + front_far
+                        - present[rear, HALF_LENGTH]
+                        - present[front, HALF_LENGTH]
+                    )
                 before = _idm(rear_v, rear_wish, whole, front_v, following, rear)
                 gain += changing[i, 0] * (after - before)
                 if rear_gap < CAUTION_M:
-                    gain -= caution[i] * threat[rear]
+                    gain -= caution[i, 0] * caution[rear, 1]
             _, _, follower, follower_far = _neighbors(
-                i, along, first[lane], last[lane] + 1, order, s
+                i, along, ends[FIRST, lane], ends[LAST, lane] + 1, place, ranking
             )
             if follower >= 0:
-                its_v, its_wish = speeds[follower], following[follower, 0] * limit
-                its_gap = follower_far - half[i] - half[follower]
+                its_v, its_wish = place[follower, V], following[follower, 0] * limit
+                its_gap = follower_far - half - present[follower, HALF_LENGTH]
                 whole = 1e9
                 if leader >= 0:
-                    whole = follower_far + leader_far - half[follower] - half[leader]
+                    whole = (
+                        follower_far
+                        + leader_far
+                        - present[follower, HALF_LENGTH]
+                        - present[leader, HALF_LENGTH]
+                    )
                 gain += changing[i, 0] * (
                     _idm(its_v, its_wish, whole, leader_v, following, follower)
                     - _idm(its_v, its_wish, its_gap, speed, following, follower)
                 )
                 if its_gap < CAUTION_M:
-                    gain += caution[i] * threat[follower]
+                    gain += caution[i, 0] * caution[follower, 1]
             if front >= 0 and front_gap < CAUTION_M:
-                gain -= caution[i] * threat[front]
+                gain -= caution[i, 0] * caution[front, 1]
             if leader >= 0 and gap < CAUTION_M:
-                gain += caution[i] * threat[leader]
+                gain += caution[i, 0] * caution[leader, 1]
             if gain > most_gain:
-                most_gain, sides[i] = gain, side
-                leaders[i], distances[i] = front, front_far
+                most_gain, route[i, SIDE] = gain, side
+                route[i, LEADER], motion[i, AHEAD] = front, front_far
         if h == 0:  # the leader is that of the present until the driver starts
-            leaders[i], distances[i] = leader, leader_far
+            route[i, LEADER], motion[i, AHEAD] = leader, leader_far

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import car_following, lane_positions
-from graphrqi.predict.rollout.car_following import LaneChanges, Others, Start, Steps, Ways
+from graphrqi.predict.rollout.columns import START_ACCEL
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
 from graphrqi.predict.scene.paths import PathColumns
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
@@ -21,7 +20,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _NO_NUMBERS = np.empty((0, 0))
-_MOVE_TOGETHER = Others(np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
+_MOVE_TOGETHER = (np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
 _KEEP_LANES = np.empty((0, 4))
 
 
@@ -72,20 +71,20 @@ def roll(
     Returns:
         The drivers' future.
     """
-    accel = scene.accel
+    present = scene.present
     if planned is not None:
-        one = np.arange(accel.size) == planned
-        accel = np.where(one, car_following.UNKNOWN_ACCELERATION, accel)
-    ways = Ways(
-        scene.path[None], scene.offset[None], _return_speed(scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None],
-    )  # fmt: skip
+        present = present.copy()
+        present[planned, START_ACCEL] = car_following.UNKNOWN_ACCELERATION
+    given = _MOVE_TOGETHER if others is None else (others.lane, others.s, others.speed)
     count = steps or round(scene.steps * STEP_S / step_s)
-    changes = LaneChanges(drivers.changing, drivers.caution, drivers.threat)
-    lane, s, offset, speed, travelled, asked = (
-        column[0] for column in _roll(scene, accel, ways, changes, decay_s, others, count, step_s)
-    )
-    return Rollout(lane, s, offset, speed, travelled, asked, step_s)
+    lane, columns, asked = car_following.roll(
+        present, scene.path[None], scene.offset[None], _return_speed(scene.lateral_speed)[None],
+        drivers.following[None], drivers.ignores[None], drivers.changing, drivers.caution,
+        scene.stop_state, PathColumns.of(scene.paths), given,
+        (count, step_s, step_s / STEP_S, decay_s),
+    )  # fmt: skip
+    s, offset, speed, travelled = columns[:, 0]
+    return Rollout(lane[0], s, offset, speed, travelled, asked[0], step_s)
 
 
 def roll_each(
@@ -113,41 +112,14 @@ def roll_each(
         np.stack([getattr(way, name) for way in ways])
         for name in ("path", "offset", "lateral_speed")
     )
-    tables = Ways(path, offset, _return_speed(lateral_speed), following, ignores)
-    calm = np.zeros(scene.ids.size)
-    changes = LaneChanges(_KEEP_LANES, calm, calm)
     count, step_s = others.s.shape[1], others.step_s
-    lane, s, offset, speed, travelled, asked = _roll(
-        scene, scene.accel, tables, changes, decay_s, others, count, step_s
-    )
-    return Rollout(lane, s, offset, speed, travelled, asked, step_s)
-
-
-def _roll(
-    scene: Scene,
-    accel: FloatArray,
-    ways: Ways,
-    changes: LaneChanges,
-    decay_s: float,
-    others: Rollout | None,
-    count: int,
-    step_s: float,
-) -> Any:
-    """The columns of a `Rollout` of M ways."""
-    half_length = np.ascontiguousarray(scene.history.length) / 2
-    start = Start(scene.s, np.maximum(scene.speed, 0.0), accel, half_length, scene.on_path)
-    given = _MOVE_TOGETHER if others is None else Others(others.lane, others.s, others.speed)
-    steps = Steps(count, step_s, step_s / STEP_S, decay_s)
-    return car_following.roll(
-        start,
-        ways,
-        changes,
-        scene.stop_state,
-        PathColumns.of(scene.paths),
-        scene.graph.length,
-        given,
-        steps,
-    )
+    lane, columns, asked = car_following.roll(
+        scene.present, path, offset, _return_speed(lateral_speed), following, ignores, _KEEP_LANES,
+        np.zeros((scene.ids.size, 2)), scene.stop_state, PathColumns.of(scene.paths),
+        (others.lane, others.s, others.speed), (count, step_s, step_s / STEP_S, decay_s),
+    )  # fmt: skip
+    s, beside, speed, travelled = columns
+    return Rollout(lane, s, beside, speed, travelled, asked, step_s)
 
 
 def _return_speed(lateral_speed: FloatArray) -> FloatArray:

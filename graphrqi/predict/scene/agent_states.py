@@ -87,39 +87,6 @@ class AgentStates(NamedTuple):
     adjacent_gap: FloatArray
 
 
-class _Past(NamedTuple):
-    """The arrays of a history; see `sim.frames.Tracks`."""
-
-    time_s: FloatArray
-    valid: BoolArray
-    xy: FloatArray
-    heading: FloatArray
-    speed: FloatArray
-    length: FloatArray
-
-
-class _Rows(NamedTuple):
-    """The vehicles seen at some moments, by moment, then by agent.
-
-    Attributes:
-        columns: (C,) columns of the history, ascending; the last is the present.
-        begins: (C + 1,) first row of each moment, and m.
-        agent: (m,) row in the history.
-        instant: (m,) which moment.
-        lane: (m,) lane that fits best.
-        s: (m,) distance along it, m.
-        offset: (m,) distance to its left, m.
-    """
-
-    columns: IntArray
-    begins: IntArray
-    agent: IntArray
-    instant: IntArray
-    lane: IntArray
-    s: FloatArray
-    offset: FloatArray
-
-
 def agent_states(history: Tracks, road: Road) -> AgentStates:
     """The states of a history's agents; agents not seen in its last column are on no lane."""
     graph = LaneGraph.of(road)
@@ -127,17 +94,17 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     columns = np.searchsorted(history.time_s, history.time_s[-1] - ago - 1e-6)
     drives = history.kind != PEDESTRIAN
     # copies and contiguous arrays: kernels are compiled again for strided or read-only ones
-    past = _Past(
-        history.time_s, np.ascontiguousarray(history.valid), np.ascontiguousarray(history.xy),
-        np.ascontiguousarray(history.heading), np.ascontiguousarray(history.speed),
-        history.length.copy(),
-    )  # fmt: skip
-    instant, agent = (x.copy() for x in np.nonzero((past.valid[:, columns] & drives[:, None]).T))
+    valid, xy = np.ascontiguousarray(history.valid), np.ascontiguousarray(history.xy)
+    heading, speed = np.ascontiguousarray(history.heading), np.ascontiguousarray(history.speed)
+    instant, agent = (x.copy() for x in np.nonzero((valid[:, columns] & drives[:, None]).T))
     column = columns[instant]
-    found = project(road, past.xy[agent, column], past.heading[agent, column])
-    begins = np.searchsorted(instant, np.arange(columns.size + 1))
-    rows = _Rows(columns, begins, agent, instant, found.lane, found.s, found.offset)
-    return AgentStates(*_states(past, rows, limits(graph), LaneArrays.of(graph)))
+    found = project(road, xy[agent, column], heading[agent, column])
+    return AgentStates(
+        *_states(
+            history.time_s, valid, xy, heading, speed, history.length.copy(), columns, instant,
+            agent, (found.lane, found.s, found.offset), limits(graph), LaneArrays.of(graph),
+        )
+    )  # fmt: skip
 
 
 @inner
@@ -154,25 +121,26 @@ def _recent_motion(time_s: Any, valid: Any, speed: Any, i: int) -> tuple[float, 
 
 
 @inner
-def _wished_speeds(past: Any, rows: Any, view: Any, limit: Any) -> tuple[Any, Any]:
+def _wished_speeds(
+    time_s: Any, valid: Any, speed: Any, columns: Any, moment: Any, agent: Any, lane: Any,
+    view: Any, limit: Any,
+) -> tuple[Any, Any]:  # fmt: skip
     """(n,) mean speed over limit while driving freely, or NaN, and (n,) the largest seen."""
-    time_s, valid, speed = past.time_s, past.valid, past.speed
-    columns, agent, moment, lane = rows.columns, rows.agent, rows.instant, rows.lane
     on_lane, gap, stop, crossing = (
         view.lane, view.gap, view.stop_distance, view.crossing_distance
     )  # fmt: skip
-    n = past.length.size
+    n = valid.shape[0]
     total, count, least = np.zeros(n), np.zeros(n), np.zeros(n)
     for j in range(agent.size):
         if on_lane[j] < 0:
             continue
-        i, instant = agent[j], moment[j]
-        t = columns[instant]
+        i, now = agent[j], moment[j]
+        t = columns[now]
         ratio = speed[i, t] / limit[lane[j]]
         least[i] = max(least[i], ratio)
-        if instant == 0 or not valid[i, columns[instant - 1]]:
+        if now == 0 or not valid[i, columns[now - 1]]:
             continue
-        before = columns[instant - 1]
+        before = columns[now - 1]
         change = (speed[i, t] - speed[i, before]) / (time_s[t] - time_s[before])
         clear = max(FREE_HEADWAY_S * speed[i, t], FREE_GAP_M)
         room = min(gap[j] / clear * FREE_GAP_M, stop[j], crossing[j])
@@ -187,28 +155,43 @@ def _wished_speeds(past: Any, rows: Any, view: Any, limit: Any) -> tuple[Any, An
 
 
 @compiled
-def _states(past: Any, rows: Any, limit: Any, road: Any) -> Any:
+def _states(
+    time_s: Any, valid: Any, past_xy: Any, past_heading: Any, speed: Any, its_length: Any,
+    columns: Any, instant: Any, agent: Any, found: Any, limit: Any, road: Any,
+) -> Any:  # fmt: skip
     """The columns of `AgentStates`.
 
     Args:
-        past: the `_Past`.
-        rows: the `_Rows`.
+        time_s: (T,) and the next five: the history, as in `sim.frames.Tracks`.
+        valid: (n, T).
+        past_xy: (n, T, 2).
+        past_heading: (n, T).
+        speed: (n, T).
+        its_length: (n,).
+        columns: (C,) the moments that are looked at, ascending; the last is the present.
+        instant: (m,) moment of each vehicle seen, ascending.
+        agent: (m,) its row in the history.
+        found: (m,) the lane that fits it best, the distance along it and to its left, m.
         limit: (L,) speed limits, m/s.
         road: the `LaneArrays`.
     """
-    time_s, valid, speed, past_xy = past.time_s, past.valid, past.speed, past.xy
-    agent, row_lane, row_s, row_offset = rows.agent, rows.lane, rows.s, rows.offset
+    row_lane, row_s, row_offset = found
     width, left, right = road.width, road.left, road.right
     direction = road.segment_direction
-    n, m = past.length.size, agent.size
+    n, m = its_length.size, agent.size
+    begins = np.zeros(columns.size + 1, np.int64)
+    for j in range(m):
+        begins[instant[j] + 1] = j + 1
+    for c in range(columns.size):  # a moment at which nobody was seen has no rows
+        begins[c + 1] = max(begins[c + 1], begins[c])
     xy, heading, length = np.empty((m, 2)), np.empty(m), np.empty(m)
     for j in range(m):
-        i, t = agent[j], rows.columns[rows.instant[j]]
+        i, t = agent[j], columns[instant[j]]
         xy[j, 0], xy[j, 1] = past_xy[i, t, 0], past_xy[i, t, 1]
-        heading[j], length[j] = past.heading[i, t], past.length[i]
+        heading[j], length[j] = past_heading[i, t], its_length[i]
     view = perceive(
         xy, heading, length, np.ones(m, np.bool_), row_lane, row_s, row_offset, np.arange(m),
-        rows.begins, road,
+        begins, road,
     )  # fmt: skip
 
     seen_lane, seen_leader, seen_gap = view.lane, view.leader, view.gap
@@ -223,7 +206,7 @@ def _states(past: Any, rows: Any, limit: Any, road: Any) -> Any:
     for i in range(n):  # pedestrians too have an acceleration
         if valid[i, -1]:
             accel[i] = _recent_motion(time_s, valid, speed, i)[0]
-    present = rows.begins[-2]
+    present = begins[-2]
     beside, beside_gap = adjacent_vehicles(
         seen_lane[present:], row_s[present:], length[present:], road
     )
@@ -255,7 +238,9 @@ def _states(past: Any, rows: Any, limit: Any, road: Any) -> Any:
             if to >= 0 and going and sign * row_offset[j] > -CHANGING_FROM_M:
                 lane[i] = to
                 offset[i] = row_offset[j] - sign * (width[on] + width[to]) / 2
-    free, least = _wished_speeds(past, rows, view, limit)
+    free, least = _wished_speeds(
+        time_s, valid, speed, columns, instant, agent, row_lane, view, limit
+    )
     return (
         lane, s, offset, lateral_speed, accel, free, least, on_lane, lane_limit, leader, gap,
         follower, adjacent, adjacent_gap,

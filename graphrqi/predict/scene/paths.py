@@ -64,6 +64,7 @@ class PathTable:
         lane_spacing: (2, L) distance between the two centre lines, m.
         by_turn: (L, D) likeliest path from each lane that turns each way, -1: none.
         likeliest: (L,) likeliest path from each lane, 0 where there is none.
+        lane_length: (L,) m.
     """
 
     lane: IntArray
@@ -84,6 +85,7 @@ class PathTable:
     lane_spacing: FloatArray
     by_turn: IntArray
     likeliest: IntArray
+    lane_length: FloatArray
 
     @staticmethod
     @functools.lru_cache(maxsize=32)
@@ -104,6 +106,7 @@ class PathColumns(NamedTuple):
     beside: IntArray
     lane_spacing: FloatArray
     by_turn: IntArray
+    lane_length: FloatArray
 
     @staticmethod
     @functools.lru_cache(maxsize=32)
@@ -175,6 +178,7 @@ def _build(road: Road) -> PathTable:
         lane_spacing=(graph.width[None] + graph.width[np.maximum(beside, 0)]) / 2,
         by_turn=by_turn,
         likeliest=likeliest,
+        lane_length=graph.length,
     )
 
 

@@ -101,6 +101,14 @@ class Scene:
         return self.history.heading[:, -1].copy()
 
     @cached_property
+    def present(self) -> FloatArray:
+        """(n, 5) what a rollout starts from; see `graphrqi.predict.rollout.columns.PRESENT`."""
+        now = np.empty((self.ids.size, 5))
+        now[:, 0], now[:, 1], now[:, 2] = self.s, np.maximum(self.speed, 0.0), self.accel
+        now[:, 3], now[:, 4] = self.history.length / 2, self.on_path
+        return now
+
+    @cached_property
     def time_s(self) -> FloatArray:
         """(H,) seconds from the present of each predicted place."""
         return np.arange(1, self.steps + 1, dtype=np.float64) * STEP_S
