@@ -9,18 +9,17 @@ without it.
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.scene.paths import PathColumns, limits
+from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
 from sim.compiled import compiled, inlined
 from sim.road.lane_graph import DIRECTIONS
-from sim.road.lane_search import LaneArrays
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -59,28 +58,6 @@ FEATURES: Final = AROUND.stop + STOPS * (1 + 2 * len(AHEAD_S)) + 2 + len(DIRECTI
 PAST_END, AROUND_END = PAST.stop, AROUND.stop
 
 
-class _Past(NamedTuple):
-    """The arrays of a history, and the columns of it that are described, -1: before it begins."""
-
-    valid: BoolArray
-    speed: FloatArray
-    heading: FloatArray
-    length: FloatArray
-    columns: IntArray
-
-
-class _Drivers(NamedTuple):
-    """The columns of a `Scene` that are described; see there."""
-
-    path: IntArray
-    on_path: BoolArray
-    lane: IntArray
-    s: FloatArray
-    offset: FloatArray
-    lateral_speed: FloatArray
-    accel: FloatArray
-
-
 def features(scene: Scene) -> FloatArray:
     """(n, FEATURES) everything that is known of each driver but its behaviour.
 
@@ -94,33 +71,30 @@ def features(scene: Scene) -> FloatArray:
     columns = np.searchsorted(history.time_s, when - 1e-6)
     columns[history.time_s[0] > when + 1e-6] = -1
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
-    past = _Past(
+    past = (
         np.ascontiguousarray(history.valid), np.ascontiguousarray(history.speed),
         np.ascontiguousarray(history.heading), history.length.copy(), columns,
     )  # fmt: skip
-    drivers = _Drivers(*(getattr(scene, name) for name in _Drivers._fields))
+    states, paths = scene.states, scene.paths
     out = np.zeros((scene.ids.size, FEATURES))
-    _describe(
-        past, drivers, scene.states, scene.stop_state, shown, PathColumns.of(scene.paths),
-        limits(graph), LaneArrays.of(graph), out,
+    _describe_drivers(
+        past,
+        (scene.on_path, scene.lane, scene.s, scene.offset, scene.lateral_speed, scene.accel),
+        (states.free_factor, states.least_factor, states.on_lane),
+        (states.leader, states.gap, states.follower, states.adjacent, states.adjacent_gap),
+        scene.stop_state, shown, scene.path,
+        (paths.stop_x, paths.stop_row, paths.turn, paths.start, paths.limit),
+        (graph.left, graph.right, graph.internal, graph.length, limits(graph)), out,
     )  # fmt: skip
     return out
 
 
 @inlined
-def _describe_own_states(
-    past: Any, drivers: Any, states: Any, limits: Any, road: Any, out: Any
-) -> None:
-    speed, length, on_path, lane, s = (
-        past.speed,
-        past.length,
-        drivers.on_path,
-        drivers.lane,
-        drivers.s,
-    )
-    offset, lateral_speed, accel = drivers.offset, drivers.lateral_speed, drivers.accel
-    free, least, on_lane = states.free_factor, states.least_factor, states.on_lane
-    left, right, internal, lane_length = road.left, road.right, road.internal, road.length
+def _describe_own_states(past: Any, drivers: Any, states: Any, road: Any, out: Any) -> None:
+    _, speed, _, length, _ = past
+    on_path, lane, s, offset, lateral_speed, accel = drivers
+    free, least, on_lane = states
+    left, right, internal, lane_length, limits = road
     for i in range(lane.size):
         on, v = max(lane[i], 0), speed[i, -1]
         limit = limits[on] if on_path[i] else 0.0
@@ -138,7 +112,7 @@ def _describe_own_states(
 
 @inlined
 def _describe_past(past: Any, out: Any) -> None:
-    valid, speed, heading, columns = past.valid, past.speed, past.heading, past.columns
+    valid, speed, heading, _, columns = past
     for i in range(speed.shape[0]):
         c = STATE
         for k in range(columns.size):
@@ -151,10 +125,9 @@ def _describe_past(past: Any, out: Any) -> None:
 
 
 @inlined
-def _describe_neighbors(past: Any, accel: Any, states: Any, out: Any) -> None:
-    speed, length = past.speed, past.length
-    leader, gap, follower = states.leader, states.gap, states.follower
-    adjacent, adjacent_gap = states.adjacent, states.adjacent_gap
+def _describe_neighbors(past: Any, accel: Any, neighbors: Any, out: Any) -> None:
+    _, speed, _, length, _ = past
+    leader, gap, follower, adjacent, adjacent_gap = neighbors
     who, far = np.empty(NEIGHBORS, np.int64), np.empty(NEIGHBORS)
     for i in range(leader.size):
         who[0], far[0] = leader[i], gap[i]
@@ -178,12 +151,11 @@ def _describe_neighbors(past: Any, accel: Any, states: Any, out: Any) -> None:
 
 @inlined
 def _describe_paths(
-    past: Any, drivers: Any, stop_state: Any, shown: Any, paths: Any, out: Any
-) -> None:
+    on_path: Any, s: Any, length: Any, stop_state: Any, shown: Any, path_of: Any, paths: Any,
+    out: Any,
+) -> None:  # fmt: skip
     """The next stop constraints, the next lower limit, and which way the path turns."""
-    on_path, path_of, s, length = drivers.on_path, drivers.path, drivers.s, past.length
-    stop_x, stop_row, turn = paths.stop_x, paths.stop_row, paths.turn
-    start, limit = paths.start, paths.limit
+    stop_x, stop_row, turn, start, limit = paths
     for i in range(s.size):
         if not on_path[i]:
             continue
@@ -211,24 +183,25 @@ def _describe_paths(
 
 
 @compiled
-def _describe(
-    past: Any, drivers: Any, states: Any, stop_state: Any, shown: Any, paths: Any, limits: Any,
-    road: Any, out: Any,
+def _describe_drivers(
+    past: Any, drivers: Any, states: Any, neighbors: Any, stop_state: Any, shown: Any, path: Any,
+    paths: Any, road: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Write the features of every agent.
+    """Write the features of every agent; tuples hold the arrays that `features` hands over.
 
     Args:
-        past: the `_Past`.
-        drivers: the `_Drivers`.
-        states: the `graphrqi.predict.scene.agent_states.AgentStates`.
+        past: the history, and the columns of it that are described, -1: before it begins.
+        drivers: columns of the `Scene`.
+        states: columns of the `graphrqi.predict.scene.agent_states.AgentStates`.
+        neighbors: those of its columns that say who drives around each.
         stop_state: (R, steps + 1) states of the stop constraints.
         shown: (A,) columns of them that are described.
-        paths: the `graphrqi.predict.scene.paths.PathColumns`.
-        limits: (L,) speed limits, m/s.
-        road: the `sim.road.lane_search.LaneArrays`.
+        path: (n,) path of each.
+        paths: columns of the `graphrqi.predict.scene.paths.PathTable`.
+        road: columns of the `LaneGraph`, and the (L,) speed limits, m/s.
         out: (n, F) receives them; must be zero before.
     """
-    _describe_own_states(past, drivers, states, limits, road, out)
+    _describe_own_states(past, drivers, states, road, out)
     _describe_past(past, out)
-    _describe_neighbors(past, drivers.accel, states, out)
-    _describe_paths(past, drivers, stop_state, shown, paths, out)
+    _describe_neighbors(past, drivers[5], neighbors, out)
+    _describe_paths(drivers[0], drivers[2], past[3], stop_state, shown, path, paths, out)

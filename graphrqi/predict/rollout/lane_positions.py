@@ -14,7 +14,7 @@ from sim.compiled import compiled, reordered
 @compiled
 def lane_beside(
     side: int, other_ways: bool, lane: Any, path: Any, on_path: Any, offset: Any,
-    lateral_speed: Any, paths: Any,
+    lateral_speed: Any, beside: Any, lane_spacing: Any, by_turn: Any, path_turn: Any,
 ) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
     """Everyone on its way to the lane beside, where there is one.
 
@@ -26,7 +26,10 @@ def lane_beside(
         on_path: (n,) who is on a path.
         offset: (n,) distance to the left of the lane's centre, m.
         lateral_speed: (n,) m/s.
-        paths: the `graphrqi.predict.scene.paths.PathColumns`.
+        beside: (2, L) and the next three: columns of `graphrqi.predict.scene.paths.PathTable`.
+        lane_spacing: (2, L) m.
+        by_turn: (L, D).
+        path_turn: (Q,).
 
     Returns:
         (n,) lanes, paths, offsets and lateral speeds then, unchanged where there is no such lane,
@@ -39,17 +42,17 @@ def lane_beside(
     for i in range(lane.size):
         if not on_path[i]:
             continue
-        to = paths.beside[side, lane[i]]
+        to = beside[side, lane[i]]
         if to < 0:
             continue
-        onward = paths.by_turn[to, paths.turn[path[i]]]
+        onward = by_turn[to, path_turn[path[i]]]
         if onward < 0 and other_ways:
-            for turn in range(paths.by_turn.shape[1]):
-                onward = max(onward, paths.by_turn[to, turn])
+            for turn in range(by_turn.shape[1]):
+                onward = max(onward, by_turn[to, turn])
         if onward < 0:
             continue
         there[i] = True
-        wide = sign * paths.lane_spacing[side, lane[i]]
+        wide = sign * lane_spacing[side, lane[i]]
         new_lane[i], new_path[i] = to, onward
         new_offset[i], new_speed[i] = offset[i] - wide, wide / CHANGE_S
     return new_lane, new_path, new_offset, new_speed, there
