@@ -198,7 +198,8 @@ def within_radius(xy: Floats, radius_m: float, grid: Grid) -> tuple[Ints, Ints]:
         (n + 1,) starts and the positions of the vehicles within reach.
     """
     n = xy.shape[0]
-    starts = np.zeros(n + 1, np.int32)
+    starts = np.empty(n + 1, np.int32)
+    starts[0] = 0
     x0, y0, h, columns, rows, slack, start, items = grid
     square = radius_m * radius_m
     reach = radius_m * (1.0 + 1e-12) + slack

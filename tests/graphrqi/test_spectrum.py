@@ -412,15 +412,16 @@ def test_factorisation_counts_and_solves(part: bool) -> None:
     for graph in graph_sequence("crossing", "accumulated", 70, 5, skip=10):
         rows = rng.permutation(70)[:40].astype(np.int32)
         analysis = analyse(graph, rows if part else None)
+        pattern = f.Pattern(*analysis.pattern)
         d = analysis.order.size
         matrix = graph.laplacian.toarray()[np.ix_(analysis.order, analysis.order)]
         batch = np.zeros((5, 8))
         batch[f.SHIFT] = rng.random(8) * 12.0
         x = rng.normal(size=(d, 8))
         solution = x.copy()
-        factor = np.empty((analysis.pattern.rows.size, 8))
+        factor = np.empty((analysis.factor_entries, 8))
         memory = f.FactorMemory(factor, np.empty((d, 8)), np.empty((d, 8)))
-        f.factor_and_solve(analysis.pattern, batch, 1e-15, True, 1, memory, solution)
+        f.factor_and_solve(pattern, batch, 1e-15, True, 1, memory, solution)
         values = np.linalg.eigvalsh(matrix)
         for q, shift in enumerate(batch[f.SHIFT]):
             assert batch[f.ABOVE, q] == (values > shift).sum()
@@ -428,7 +429,7 @@ def test_factorisation_counts_and_solves(part: bool) -> None:
             size = np.linalg.norm(solution[:, q]) * batch[f.GROWTH, q]
             assert np.linalg.norm(residual) < 1e-12 * max(size, 1.0)
         again, before = x.copy(), batch.copy()
-        f.factor_and_solve(analysis.pattern, batch, 1e-15, False, 1, memory, again)
+        f.factor_and_solve(pattern, batch, 1e-15, False, 1, memory, again)
         assert np.allclose(again, solution, rtol=1e-10)
         assert (batch == before).all()
 

@@ -18,6 +18,7 @@ from graphrqi.spectrum.certified.analysis import (
     analyse,
     workspace_for,
 )
+from graphrqi.spectrum.certified.factorization import Pattern
 from graphrqi.spectrum.certified.search import Goal
 from graphrqi.spectrum.certified.tracking import track
 from sim.compiled import compiled
@@ -133,7 +134,9 @@ def track_active(
     order, k = whole.order, goal.k
     most = order.size // 2
     matrix = (graph.indptr, graph.indices, graph.values)
-    active = active_rows(order, whole.pattern.diagonal, whole.changed, *matrix, start, k, most)
+    active = active_rows(
+        order, Pattern(*whole.pattern).diagonal, whole.changed, *matrix, start, k, most
+    )
     active_order = order[active[order]]
     if not 8 * k <= active_order.size <= most:
         return start

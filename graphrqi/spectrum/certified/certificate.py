@@ -57,10 +57,16 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
     batch = np.empty((5, 8))
     batch[factorization.SHIFT] = last + away * steps
-    factor = np.empty((matrix.pattern.rows.size, 8))
+    factor = np.empty((matrix.factor_entries, 8))
     memory = factorization.FactorMemory(factor, np.empty((d, 8)), np.empty((d, 8)))
     factorization.factor_and_solve(
-        matrix.pattern, batch, 1e-15 * scale, True, 0, memory, np.zeros((d, 8))
+        factorization.Pattern(*matrix.pattern),
+        batch,
+        1e-15 * scale,
+        True,
+        0,
+        memory,
+        np.zeros((d, 8)),
     )
     zeros = 0
     if spectrum.end == "smallest":

@@ -115,18 +115,18 @@ def factor_pattern(
     for i in range(n):
         place[i] = -1
         noise[i] = float((ids[i] * GOLDEN) >> 11) * 2.0**-52
-    low_starts = np.empty(d + 1, np.int32)
-    low_starts[0] = 0
+    low_starts, low_ends = np.empty(d + 1, np.int32), np.empty(d + 1, np.int32)
+    low_starts[0] = low_ends[0] = 0
     for k in range(d):
         r = order[k]
         place[r] = k
-        low_starts[k + 1] = low_starts[k] + indptr[r + 1] - indptr[r]
+        low_starts[k + 1] = low_ends[k + 1] = low_starts[k] + indptr[r + 1] - indptr[r]
     # The lower triangle by rows, columns ascending. The loop does not branch: an entry that is
     # not below the diagonal is overwritten by the next one, and one that is left out (place -1)
     # is written behind the last.
     low, low_values = np.empty(indices.size + 1, np.int32), np.empty(indices.size + 1, np.float64)
     diagonal = np.empty(d, np.float64)
-    low_ends, product, changed = low_starts.copy(), np.empty(n, np.float64), np.empty(n, np.bool_)
+    product, changed = np.empty(n, np.float64), np.empty(n, np.bool_)
     largest = 1.0
     for k in range(d):
         r = order[k]
@@ -143,7 +143,9 @@ def factor_pattern(
         product[r], changed[r] = total, abs(total - earlier[r]) > UNCHANGED
     # The columns of every row of the factor, along the elimination tree.
     parent, mark = np.empty(d, np.int32), np.empty(d, np.int32)
-    starts, row_starts = np.zeros(d + 1, np.int32), np.empty(d + 1, np.int32)
+    starts, row_starts = np.empty(d + 1, np.int32), np.empty(d + 1, np.int32)
+    for k in range(d + 1):
+        starts[k] = 0
     columns = np.empty(2 * indices.size, np.int32)
     filled = 0
     for k in range(d):
@@ -170,8 +172,12 @@ def factor_pattern(
     for k in range(d):
         work += 0.5 * starts[k + 1] * (starts[k + 1] + 3.0)
         starts[k + 1] += starts[k]
-    rows, entries = np.empty(filled, np.int32), np.zeros(filled, np.float64)
-    positions, free = np.empty(filled, np.int32), starts.copy()
+    rows, entries = np.empty(filled, np.int32), np.empty(filled, np.float64)
+    positions, free = np.empty(filled, np.int32), np.empty(d, np.int32)
+    for p in range(filled):
+        entries[p] = 0.0
+    for k in range(d):
+        free[k] = starts[k]
     for k in range(d):
         for p in range(row_starts[k], row_starts[k + 1]):
             j = columns[p]

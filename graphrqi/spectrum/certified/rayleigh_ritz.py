@@ -36,13 +36,14 @@ def rayleigh_ritz(pattern: Pattern, search: Search) -> None:
             norms of M x - theta x, ``source`` by the column that has the largest part in each.
             Where the columns have a smaller span, a Ritz vector is 0 and its source -1.
     """
-    x, ax, d = search.x, search.ax, search.pool.shape[1]
+    pool, x, ax, batch, source = search.pool, search.x, search.ax, search.batch, search.source
+    d = pool.shape[1]
     g, h = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
     w, norms = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
-    orthogonalise(search.pool, search.record, x, norms)
+    orthogonalise(pool, search.record, x, norms)
     multiply(pattern.starts, pattern.rows, pattern.entries, pattern.diagonal, x, ax)
     gram_matrices(d, x, ax, g, h)
-    orthonormal_basis(g, h, w, norms, search.source)
+    orthonormal_basis(g, h, w, norms, source)
     for a in range(8):
         for b in range(8):
             s = 0.0
@@ -52,13 +53,13 @@ def rayleigh_ritz(pattern: Pattern, search: Search) -> None:
     jacobi(g, w)
     turn = norms
     for c in range(8):
-        search.batch[BATCH_RITZ, c] = g[c, c]
+        batch[BATCH_RITZ, c] = g[c, c]
         for b in range(8):
             turn[b, c] = w[c, b]
-            largest = search.source[c]
+            largest = source[c]
             if largest >= 0 and abs(w[c, b]) > abs(w[c, largest]):
-                search.source[c] = b
-    value = load(search.batch, BATCH_RITZ)
+                source[c] = b
+    value = load(batch, BATCH_RITZ)
     nothing = spread(0.0)
     square = nothing
     for j in range(d):
@@ -70,9 +71,9 @@ def rayleigh_ritz(pattern: Pattern, search: Search) -> None:
         store(x, j, y)
         z = less(z, value, y)
         square = more(square, z, z)
-    store(search.batch, BATCH_RESIDUAL, square)
+    store(batch, BATCH_RESIDUAL, square)
     for c in range(8):
-        search.batch[BATCH_RESIDUAL, c] = math.sqrt(search.batch[BATCH_RESIDUAL, c])
+        batch[BATCH_RESIDUAL, c] = math.sqrt(batch[BATCH_RESIDUAL, c])
 
 
 @inner

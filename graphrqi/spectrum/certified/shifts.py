@@ -56,12 +56,12 @@ def add_counts(search: Search, ignored: int, scale: float, n: int) -> int:
     Returns:
         How many there are now. A count that contradicts its neighbours is left out.
     """
-    batch, shifts, above = search.batch, search.shifts, search.above
+    batch, vector, shifts, above = search.batch, search.vector, search.shifts, search.above
     for q in range(8):
         s = batch[SHIFT, q]
         count = int(batch[ABOVE, q]) - ignored
         uncertain = 4.0 * ROUNDING * batch[GROWTH, q]
-        if search.vector[q] == IDLE or n == MAX_COUNTS or uncertain > 1e-4 * scale:
+        if vector[q] == IDLE or n == MAX_COUNTS or uncertain > 1e-4 * scale:
             continue
         if not shifts[0, n - 1] < s < shifts[0, 0]:
             continue
@@ -156,13 +156,14 @@ def choose_shifts(
         ``wanted``.
     """
     record, batch, vector = search.record, search.batch, search.vector
+    shifts, above, reliable = search.shifts, search.above, search.reliable
     used = int(np.int64(0))  # for a literal callees would be compiled once more
     beyond = wanted
     open_top = open_bottom = middle = deep_top = deep_bottom = 0.0
     for i in range(n_reliable - 1):
-        here, below = search.reliable[i], search.reliable[i + 1]
-        top, bottom = search.shifts[0, here], search.shifts[0, below]
-        n, n_below = search.above[here], search.above[below]
+        here, below = reliable[i], reliable[i + 1]
+        top, bottom = shifts[0, here], shifts[0, below]
+        n, n_below = above[here], above[below]
         if n >= wanted:
             break
         if n_below >= wanted:

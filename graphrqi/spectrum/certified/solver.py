@@ -38,7 +38,8 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,8 +77,7 @@ EXTRA = 8
 """Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Carried:
+class Carried(NamedTuple):
     """What the next step starts from.
 
     Attributes:
@@ -176,7 +176,7 @@ def _track(
     if k == 0:
         null, carried = null_space(graph)[:, :zeros], Carried(np.empty((d, 0)))
         return answer(graph, Pairs(np.zeros(zeros), null, True, "", carried), end, tol)
-    fill = (matrix.pattern.rows.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
+    fill = (matrix.factor_entries + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
     first_fill = fill if start.order is None else start.fill
     scale = matrix.scale
     low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
@@ -200,11 +200,13 @@ def _track(
         residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
         if residuals.max() > tol * scale or departure > 1e-5:
             return None
-    vectors = found[:, :k].copy()
     if zeros:
-        values = np.concatenate([np.zeros(zeros), values])
-        residuals = np.concatenate([np.zeros(zeros), residuals])
-        vectors = np.hstack([null_space(graph)[:, :zeros], vectors])
+        null = null_space(graph)[:, :zeros]
+        values = np.concatenate((np.zeros(zeros), values))
+        residuals = np.concatenate((np.zeros(zeros), residuals))
+        vectors = np.concatenate((null, found[:, :k]), axis=1)
+    else:
+        vectors = found[:, :k].copy()
     order = matrix.order if fill <= STALE * first_fill else None
     carried = Carried(found, order, first_fill, matrix.product, workspace)
     return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
@@ -217,14 +219,14 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
     found = previous.carried
     if not isinstance(found, Carried):
         found = Carried(previous.eigenvectors)
-    vectors, product, order = found.vectors, found.product, found.order
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
-        vectors, order = carry_rows(previous, graph, vectors), None
+        vectors, product = carry_rows(previous, graph, found.vectors), found.product
         if product is not None:
             product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
-    if not vectors.flags.writeable:  # for another type the kernel would be compiled anew
-        vectors = vectors.copy()
-    return Carried(vectors, order, found.fill, product, found.workspace)
+        found = found._replace(vectors=vectors, order=None, product=product)
+    if not found.vectors.flags.writeable:  # for another type the kernel would be compiled anew
+        found = found._replace(vectors=found.vectors.copy())
+    return found
 
 
 def _dense(

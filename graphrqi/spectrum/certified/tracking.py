@@ -6,7 +6,6 @@ The steps are those of `graphrqi.spectrum.certified.solver`.
 from __future__ import annotations
 
 import math
-from typing import cast
 
 import numpy as np
 
@@ -76,33 +75,30 @@ def track(
         vectors by row; m >= k if certified; and how far their inner products are from those of
         orthonormal vectors at most.
     """
-    # plain tuples: handing a named one to a kernel takes 3 us
-    pattern = cast(PatternArrays, tuple(matrix.pattern))
-    parts, values = (matrix.label, matrix.components), cast(GoalValues, tuple(goal))
-    return _track(
-        matrix.order, pattern, parts, matrix.work, matrix.changed, values, start, workspace
-    )
+    order, pattern, label, components, work, _, _, changed = matrix
+    # A plain tuple: handing a named one to a kernel takes 3 us.
+    return _track(order, pattern, label, components, work, changed, (*goal,), start, workspace)
 
 
 @compiled
 def _track(
     order: Ints,
     pattern_arrays: PatternArrays,
-    parts: tuple[Ints, int],
+    label: Ints,
+    components: int,
     work: float,
     changed: Bools,
     goal_values: GoalValues,
     start: Floats,
     workspace: Floats,
 ) -> tuple[bool, Floats, Floats, float]:
-    """The kernel of `track`, with the components' labels and number in ``parts``."""
+    """The kernel of `track`, with its named tuples as plain ones."""
     pattern, goal = Pattern(*pattern_arrays), Goal(*goal_values)
-    label, components = parts
     d = order.size
     k, deflate, scale = goal.k, goal.deflate, goal.scale
     ignored = components if deflate else 0
     search = new_search(goal, d, ignored)
-    record, vector = search.record, search.vector
+    record, batch, vector, x = search.record, search.batch, search.vector, search.x
     n_shifts = int(np.int64(2))  # a literal would be compiled for once more
     pivots = aligned(np.empty((d + 1, 8), np.float64))
     memory = FactorMemory(aligned(workspace), pivots, search.ax)
@@ -125,11 +121,11 @@ def _track(
         starting = started < start_columns
         if starting:  # first, Rayleigh-Ritz in the span of the given vectors
             for q in range(8):
-                search.batch[SHIFT, q], before[q], ages[q] = math.inf, math.inf, 0
+                batch[SHIFT, q], before[q], ages[q] = math.inf, math.inf, 0
             for j in range(d):
                 for q in range(8):
                     c = started + q
-                    search.x[j, q] = start[order[j], c] if c < start_columns else 0.0
+                    x[j, q] = start[order[j], c] if c < start_columns else 0.0
             started += 8
         else:
             for b in range(record.shape[1]):
@@ -159,8 +155,7 @@ def _track(
             if solving > 0:
                 seed = load_vectors(search, order, changed, narrow, seed, before)
             factor_and_solve(
-                pattern, search.batch, 1e-15 * scale, factorise, 2 * (solving > 0), memory,
-                search.x,
+                pattern, batch, 1e-15 * scale, factorise, 2 * (solving > 0), memory, x
             )  # fmt: skip
             if factorise:
                 sweeps += 1
@@ -169,7 +164,7 @@ def _track(
                 continue
             release_vectors(record, vector, ages)
         if deflate:
-            deflate_constants(search.x, label, size, mean, search.ax)
+            deflate_constants(x, label, size, mean, search.ax)
         rayleigh_ritz(pattern, search)
         expected = keep_pairs(search, goal, before, ages, again, reuses)
         within_reach = expected  # pairs found, and those that these factors will do for
@@ -265,7 +260,8 @@ def keep_pairs(
         How many vectors the same factors will probably make converge.
     """
     record, batch, vector, source = search.record, search.batch, search.vector, search.source
-    d = search.pool.shape[1]
+    pool, x = search.pool, search.x
+    d = pool.shape[1]
     goal0, floor = 0.9 * goal.tol * goal.scale, 1e-13 * goal.scale
     for c in range(8):
         vector[c] = IDLE
@@ -294,7 +290,7 @@ def keep_pairs(
         for c in range(8):
             if vector[c] >= 0:
                 for j in range(start, min(start + CHUNK, d)):
-                    search.pool[vector[c], j] = search.x[j, c]
+                    pool[vector[c], j] = x[j, c]
     return expected
 
 
@@ -341,7 +337,7 @@ def largest_pairs(search: Search, goal: Goal, order: Ints, n: int) -> tuple[Floa
         (2, m) eigenvalues, descending, and residuals; (n, c) vectors by row, c <= m; and how far
         their inner products are from those of orthonormal vectors at most.
     """
-    pool, record, x = search.pool, search.record, search.x
+    pool, record, x, batch = search.pool, search.record, search.x, search.batch
     slots, d = pool.shape
     found = 0
     for b in range(slots):
@@ -367,9 +363,9 @@ def largest_pairs(search: Search, goal: Goal, order: Ints, n: int) -> tuple[Floa
             gram = spread(0.0)
             for j in range(d):
                 gram = plus(gram, pool[chosen[c], j], load(x, j))
-            store(search.batch, BATCH_RITZ, gram)
+            store(batch, BATCH_RITZ, gram)
             for q in range(8):
-                departure = max(departure, abs(search.batch[BATCH_RITZ, q] - (start + q == c)))
+                departure = max(departure, abs(batch[BATCH_RITZ, q] - (start + q == c)))
     vectors = np.empty((n, kept), np.float64)
     for i in range(n if d < n else 0):
         for c in range(kept):
