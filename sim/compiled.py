@@ -28,7 +28,7 @@ LOGGER: Final = logging.getLogger("graphrqi")
 Python shows neither by itself, as befits a library; the command line shows the first."""
 
 NOTICE: Final = (
-    "compiling numerical kernels, once per installation: about 15 s at the first use ..."
+    "compiling numerical kernels, once per installation: 15 to 30 s at the first use ..."
 )
 """What a first use waits for."""
 
