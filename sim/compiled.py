@@ -9,6 +9,7 @@ kernel it calls was before an edit. A compilation is announced through `LOGGER`.
 
 from __future__ import annotations
 
+import functools
 import gc
 import logging
 from collections.abc import Callable
@@ -123,7 +124,25 @@ def _compiled(function: F, **options: Any) -> F:
     index = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if index is not None:  # none where nothing is compiled (NUMBA_DISABLE_JIT)
         index._source_stamp = tuple(_stamp(folder) for folder in sorted(_FOLDERS[kernel]))
+        index._load_index = _forgiving(index._load_index)
     return cast(F, kernel)
+
+
+def _forgiving(load_index: Callable[[], Any]) -> Callable[[], Any]:
+    """Read a kernel's cache as empty if it names a type that has gone since it was written.
+
+    Numba looks at the stamp of the source only after it has restored the types of the arguments,
+    and named tuples among these are looked up in their modules.
+    """
+
+    @functools.wraps(load_index)
+    def load() -> Any:
+        try:
+            return load_index()
+        except (AttributeError, ImportError):
+            return {}
+
+    return load
 
 
 def _folders(function: Callable[..., object]) -> set[Path]:

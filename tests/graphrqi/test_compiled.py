@@ -108,3 +108,37 @@ def test_the_notice_is_for_our_kernels_only(caplog: pytest.LogCaptureFixture) ->
     with caplog.at_level("DEBUG", logger="graphrqi"):
         njit(lambda x: x + x)(1.0)
     assert not caplog.messages
+
+
+def test_a_cache_that_names_a_type_that_is_gone_is_written_anew(tmp_path: Path) -> None:
+    kernel = """
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sim.compiled import compiled
+
+
+class {name}(NamedTuple):
+    values: Any
+
+
+@compiled
+def total(given: Any) -> Any:
+    return given.values.sum()
+
+
+print(total({name}(np.ones(3))))
+"""
+    script = tmp_path / "kernel.py"
+    environment = {
+        **os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.getcwd()
+    }  # fmt: skip
+    for name in ("Given", "Other"):
+        script.write_text(kernel.format(name=name))
+        code = "import kernel"
+        ran = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True,
+            text=True, check=False,
+        )  # fmt: skip
+        assert ran.stdout == "3.0\n", ran.stderr
