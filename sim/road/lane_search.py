@@ -107,8 +107,9 @@ def fit(
         (n,) piece, distance along it, m, from 0 to its length, and signed distance to its left, m.
     """
     n = len(xy)
-    best, at, left = np.zeros(n, np.int64), np.full(n, np.nan), np.full(n, np.nan)
+    best, at, left = np.empty(n, np.int64), np.empty(n), np.empty(n)
     for i in range(n):
+        best[i], at[i], left[i] = 0, np.nan, np.nan
         east, north = np.cos(heading[i]), np.sin(heading[i])
         least, most = np.inf, np.inf
         for j in range(-1, length.size):
@@ -279,7 +280,9 @@ def _leaders(
 ) -> tuple[Any, Any]:
     """(m,) rows of the vehicles ahead or -1, and (m,) distances between centres, m, or +inf."""
     m = by_time.size
-    found, distance = np.full(m, -1, np.int64), np.full(m, np.inf)
+    found, distance = np.empty(m, np.int64), np.empty(m)
+    for i in range(m):
+        found[i], distance[i] = -1, np.inf
     most = 0
     for t in range(begins.size - 1):
         most = max(most, begins[t + 1] - begins[t])
@@ -304,7 +307,9 @@ def _leaders(
 @inner
 def _followers(leader: Any, gap: Any) -> Any:
     """(m,) who is nearest behind each, or -1; of several at the same distance the last."""
-    follower = np.full(leader.size, -1, np.int64)
+    follower = np.empty(leader.size, np.int64)
+    for i in range(leader.size):
+        follower[i] = -1
     for i in range(leader.size):
         ahead = leader[i]
         if ahead >= 0 and (follower[ahead] < 0 or gap[i] <= gap[follower[ahead]]):
@@ -329,9 +334,11 @@ def _stops_ahead(lane: Any, front: Any, road: Any) -> tuple[Any, Any, Any, Any]:
     cross_lane, cross_id = road.cross_lane, road.cross_id
     cross_s, cross_exit_s = road.cross_s, road.cross_exit_s
     m = lane.size
-    stop, group = np.full(m, np.inf), np.full(m, -1, np.int64)
-    crossing, to_crossing = np.full(m, -1, np.int64), np.full(m, np.inf)
+    stop, to_crossing = np.empty(m), np.empty(m)
+    group, crossing = np.empty(m, np.int64), np.empty(m, np.int64)
     for i in range(m):
+        stop[i], to_crossing[i] = np.inf, np.inf
+        group[i], crossing[i] = -1, -1
         now, travelled = lane[i], -front[i]
         for hop in range(MAX_LANES_AHEAD):
             if now < 0 or travelled > LOOK_AHEAD_M:
@@ -377,10 +384,11 @@ def perceive(
     start, direction = road.segment_start, road.segment_direction
     segment_heading, width = road.segment_heading, road.width
     m = s.size
-    on_lane, forward = np.full(m, -1, np.int64), np.full(m, -1, np.int64)
+    on_lane, forward = np.empty(m, np.int64), np.empty(m, np.int64)
     segment, missed = np.empty(m, np.int64), np.empty(m)
     lane_heading, front = np.empty(m), np.empty(m)
     for i in range(m):
+        on_lane[i], forward[i] = -1, -1
         on = lane[i]
         g = first[on]
         while g < last[on] and at[g + 1] <= s[i]:
@@ -399,8 +407,9 @@ def perceive(
             if abs(lane_heading[i]) < np.pi / 2:
                 forward[i] = on
     leader, distance = _leaders(by_time, begins, on_lane, forward, s, road)
-    gap = np.full(m, np.inf)
+    gap = np.empty(m)
     for i in range(m):
+        gap[i] = np.inf
         if leader[i] >= 0:
             gap[i] = distance[i] - (length[i] + length[leader[i]]) / 2
     stop, group, crossing, to_crossing = _stops_ahead(forward, front, road)
@@ -425,7 +434,7 @@ def adjacent_vehicles(lane: Any, s: Any, length: Any, road: Any) -> tuple[Any, A
         bumper to bumper, m, or +inf.
     """
     p, count = lane.size, 0
-    who, gap = np.full((p, 4), -1, np.int64), np.full((p, 4), np.inf)
+    who, gap = np.empty((p, 4), np.int64), np.empty((p, 4))
     rows, lanes, at = np.empty(p, np.int64), np.empty(p, np.int64), np.empty(p)
     left, right, ahead, behind = road.left, road.right, road.ahead, road.behind
     for i in range(p):
@@ -433,6 +442,8 @@ def adjacent_vehicles(lane: Any, s: Any, length: Any, road: Any) -> tuple[Any, A
             _insert(rows, lanes, at, count, i, lane[i], s[i])
             count += 1
     for i in range(p):
+        for k in range(4):
+            who[i, k], gap[i, k] = -1, np.inf
         if lane[i] < 0:
             continue
         for k in range(4):
