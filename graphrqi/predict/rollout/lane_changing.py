@@ -56,6 +56,8 @@ town)."""
 _free_acceleration = shared(driver_models.idm_free_acceleration, reordered=True)
 _desired_gap = shared(driver_models.idm_desired_gap, reordered=True)
 _interaction = shared(driver_models.idm_interaction, reordered=True)
+_mobil_incentive = shared(driver_models.mobil_incentive, reordered=True)
+_mobil_safe = shared(driver_models.mobil_safe, reordered=True)
 
 
 @reordered
@@ -149,11 +151,12 @@ def choose_lanes(
             there = _idm(speed, wish, front_gap, front_v, following, i)
             if there < -decel:
                 continue
-            gain = there - _idm(speed, wish, gap, leader_v, following, i)
+            own_gain = there - _idm(speed, wish, gap, leader_v, following, i)
+            rear_gain, follower_gain, kept_clear = 0.0, 0.0, 0.0
             if rear >= 0:
                 rear_v, rear_wish = place[rear, V], following[rear, 0] * limit
                 after = _idm(rear_v, rear_wish, rear_gap, speed, following, rear)
-                if after < -changing[i, 2]:
+                if not _mobil_safe(after, changing[i, 2]):
                     continue
                 whole = 1e9
                 if front >= 0:
@@ -163,10 +166,9 @@ def choose_lanes(
                         - present[rear, HALF_LENGTH]
                         - present[front, HALF_LENGTH]
                     )
-                before = _idm(rear_v, rear_wish, whole, front_v, following, rear)
-                gain += changing[i, 0] * (after - before)
+                rear_gain = after - _idm(rear_v, rear_wish, whole, front_v, following, rear)
                 if rear_gap < CAUTION_M:
-                    gain -= caution[i, 0] * caution[rear, 1]
+                    kept_clear -= caution[rear, 1]
             _, _, follower, follower_far = _neighbors(
                 i, along, ends[FIRST, lane], ends[LAST, lane] + 1, place, ranking
             )
@@ -181,16 +183,16 @@ def choose_lanes(
                         - present[follower, HALF_LENGTH]
                         - present[leader, HALF_LENGTH]
                     )
-                gain += changing[i, 0] * (
-                    _idm(its_v, its_wish, whole, leader_v, following, follower)
-                    - _idm(its_v, its_wish, its_gap, speed, following, follower)
-                )
+                after = _idm(its_v, its_wish, whole, leader_v, following, follower)
+                follower_gain = after - _idm(its_v, its_wish, its_gap, speed, following, follower)
                 if its_gap < CAUTION_M:
-                    gain += caution[i, 0] * caution[follower, 1]
+                    kept_clear += caution[follower, 1]
             if front >= 0 and front_gap < CAUTION_M:
-                gain -= caution[i, 0] * caution[front, 1]
+                kept_clear -= caution[front, 1]
             if leader >= 0 and gap < CAUTION_M:
-                gain += caution[i, 0] * caution[leader, 1]
+                kept_clear += caution[leader, 1]
+            gain = _mobil_incentive(own_gain, rear_gain, follower_gain, changing[i, 0])
+            gain += caution[i, 0] * kept_clear
             if gain > most_gain:
                 most_gain, route[i, SIDE] = gain, side
                 route[i, LEADER], motion[i, AHEAD] = front, front_far
