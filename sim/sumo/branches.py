@@ -17,6 +17,7 @@ import signal
 import socket
 import subprocess
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
@@ -39,7 +40,28 @@ _PR_SET_PDEATHSIG: Final = 1
 """Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
 
 
-class Branch:
+class _Closing(contextlib.AbstractContextManager["_Closing"], ABC):
+    """Something that a ``with`` block closes at its end."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End it."""
+
+    def __enter__(self) -> Self:
+        """Use it in a ``with`` block."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close it."""
+        self.close()
+
+
+class Branch(_Closing):
     """One continuation of a trunk; iterating over it gives its frames.
 
     Closing a branch, or leaving its ``with`` block, ends its process; the trunk is not affected.
@@ -60,21 +82,8 @@ class Branch:
         """End the branch; frames that were not read are lost."""
         self._connection.close()
 
-    def __enter__(self) -> Self:
-        """Use the branch in a ``with`` block."""
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the branch."""
-        self.close()
-
-
-class Trunk:
+class Trunk(_Closing):
     """A SUMO episode that can be continued in several ways from the same instant.
 
     Args:
@@ -166,19 +175,6 @@ class Trunk:
         """End the trunk and every branch that still runs."""
         self._connection.close()
         self._process.wait()
-
-    def __enter__(self) -> Self:
-        """Use the trunk in a ``with`` block."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the trunk."""
-        self.close()
 
 
 def _received(connection: Connection, whose: str) -> Iterator[Frame]:
