@@ -24,9 +24,20 @@ WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0, float("inf"))
 """Lengths of the observation windows for training; the infinite one is a driver's life so far,
 which is what a stream knows."""
 
-SNAPSHOT_S: Final = 1.0
-"""Time between snapshots of an observer's evidence: a window is the difference of two snapshots, so
-its length is a multiple of this."""
+SHORTEST_LIFE_S: Final = 1.0
+"""A driver's life so far is a sample once it lasts this long, and no window begins sooner after the
+first frame: before, velocities are hardly known."""
+
+NEAR_S: Final = 0.25
+"""A window may begin and end this far from the times asked for, s, or half a frame step if that is
+longer (our choice: a tenth of the shortest window that scores are given for, so that windows are
+found where frames are lost or come at uneven times)."""
+
+RETURNED_S: Final = 0.5
+"""A driver that is missing for longer than this within a window has no sample of it."""
+
+SAME_TIME_S: Final = 1e-6
+"""Times that differ by less are the same, s (rounding of sums of steps)."""
 
 MOVED_M: Final = 2.0
 """A driver counts as moving in a window if it moved farther than this."""
@@ -93,7 +104,7 @@ class _Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """Observations of one length that end now, of the drivers in ``rows`` of the last snapshot."""
+    """Observations that end at the same time, of the drivers in ``rows`` of the last snapshot."""
 
     rows: NDArray[np.int64]
     features: FloatArray
@@ -111,6 +122,9 @@ def collect(
     seed: int = 0,
 ) -> Samples:
     """Run an observer over a recording and cut windows out of its evidence.
+
+    A window is the difference between the evidence at two frames, those nearest to the times asked
+    for (`NEAR_S`). Frames may come at any times.
 
     Args:
         tracks: with labels in ``tracks.behavior``.
@@ -130,28 +144,30 @@ def collect(
     if tracks.behavior is None:
         raise NoSamplesError("tracks.behavior: found no labels, expected one per agent")
     rng = np.random.default_rng(seed)
-    snapshot_s = min(SNAPSHOT_S, every_s)
-    longest_s = max((w for w in windows_s if np.isfinite(w)), default=0.0)
-    snapshots: list[_Snapshot] = []
+    begins = _begins(tracks.time_s, windows_s, every_s)
+    needed = {end: end for end in begins}  # the last frame that needs each snapshot
+    for end, frames in begins.items():
+        needed.update((frame, end) for frame in frames if frame is not None)
+    snapshots: dict[int, _Snapshot] = {}
     parts: list[Samples] = []
-    for frame in tracks.frames():
+    for number, frame in enumerate(tracks.frames()):
         observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        passed_s = frame.time_s - float(tracks.time_s[0])
-        if not _due(passed_s, snapshot_s, tracks.step_s):
+        if number not in needed:
             continue
         seen = observer.observation()
         xy = frame.xy[np.searchsorted(frame.ids, seen.ids)]
-        snapshots.append(_Snapshot(frame.time_s, seen, xy))
-        while snapshots[0].time_s < frame.time_s - longest_s - 1e-6:
-            snapshots.pop(0)
-        if not _due(passed_s, every_s, tracks.step_s):
+        last = snapshots[number] = _Snapshot(frame.time_s, seen, xy)
+        if number not in begins:
             continue
         codes = tracks.behavior[np.searchsorted(tracks.ids, seen.ids)]
         rank = rng.random((seen.ids.size, len(windows_s))).argsort(axis=1).argsort(axis=1)
-        for column, window_s in enumerate(windows_s):
-            window = _cut(snapshots, window_s, observer, snapshot_s)
-            if window is None:
+        for column, (window_s, begin) in enumerate(zip(windows_s, begins[number], strict=True)):
+            if not np.isfinite(window_s):
+                window = _life(last, observer, min(SHORTEST_LIFE_S, every_s))
+            elif begin is None:
                 continue
+            else:
+                window = _cut(snapshots[begin], last, observer)
             kept = codes[window.rows] >= 0
             if per_moment is not None:
                 kept &= rank[window.rows, column] < per_moment
@@ -168,40 +184,69 @@ def collect(
                     moving=window.moving[kept],
                 )
             )
-    if not parts:
+        snapshots = {at: kept for at, kept in snapshots.items() if needed[at] > number}
+    if not any(map(len, parts)):
         raise NoSamplesError(
             f"tracks: found no driver observed for {min(windows_s):g} s, expected at least one"
         )
     return Samples.join(parts)
 
 
-def _due(passed_s: float, every_s: float, step_s: float) -> bool:
-    """Whether this frame is the nearest one to a whole number of intervals, at least one."""
-    due = passed_s / every_s
-    return round(due) >= 1 and abs(due - round(due)) <= 0.25 * step_s / every_s
+def _begins(
+    time_s: FloatArray, windows_s: Sequence[float], every_s: float
+) -> dict[int, tuple[int | None, ...]]:
+    """Frames at which windows end, each with the frame at which every length begins.
+
+    Args:
+        time_s: (T,) of the frames, s.
+        windows_s: requested lengths; infinite ones have no begin.
+        every_s: time between the ends, from the first frame on.
+
+    Returns:
+        By the index of the last frame; None for a length that does not fit.
+    """
+    if time_s.size < 2:
+        return {}
+    half_step_s = 0.5 * float(np.median(np.diff(time_s)))
+    near_s = max(NEAR_S, half_step_s)
+    first_s = float(time_s[0])
+    count = int((time_s[-1] - first_s + half_step_s) / every_s)
+    wanted = first_s + every_s * np.arange(1.0, count + 1.0)
+    ends = [int(end) for end in np.unique(_nearest(time_s, wanted, near_s)) if end > 0]
+    earliest_s = first_s + min(SHORTEST_LIFE_S, every_s) - near_s - SAME_TIME_S
+    columns: list[list[int | None]] = []
+    for window_s in windows_s:
+        begin_s = time_s[ends] - window_s
+        found = _nearest(time_s, np.maximum(begin_s, first_s), near_s)
+        fits = (begin_s >= earliest_s) & (found >= 0) & (found < np.array(ends))
+        columns.append([int(at) if ok else None for at, ok in zip(found, fits, strict=True)])
+    return dict(zip(ends, zip(*columns, strict=True), strict=True))
 
 
-def _cut(
-    snapshots: list[_Snapshot], window_s: float, observer: Observer, snapshot_s: float
-) -> _Window | None:
-    """The window of one length that ends at the last snapshot; None before it fits anybody."""
-    last = snapshots[-1]
-    now = last.seen
-    if not np.isfinite(window_s):
-        long_enough = now.seconds >= snapshot_s - 1e-6
-        rows, life = np.flatnonzero(long_enough), now.where(long_enough)
-        features = observer.features(life.seconds, life.sums, life.instant)
-        return _Window(rows, features, life.seconds, np.ones(rows.size, dtype=bool))
-    start_s = last.time_s - window_s
-    first = next((s for s in snapshots if abs(s.time_s - start_s) < 0.25 * snapshot_s), None)
-    if first is None:
-        return None
-    past = first.seen
+def _nearest(time_s: FloatArray, wanted_s: FloatArray, near_s: float) -> NDArray[np.int64]:
+    """(n,) the frame nearest to each time, the earlier of two; -1 where none is near enough."""
+    after = np.clip(np.searchsorted(time_s, wanted_s), 1, time_s.size - 1)
+    later = time_s[after] - wanted_s < wanted_s - time_s[after - 1] - SAME_TIME_S
+    nearest = np.where(later, after, after - 1)
+    near = np.abs(time_s[nearest] - wanted_s) <= near_s + SAME_TIME_S
+    return np.where(near, nearest, -1)
+
+
+def _life(last: _Snapshot, observer: Observer, shortest_s: float) -> _Window:
+    """What was seen so far of everybody who has been there for long enough."""
+    long_enough = last.seen.seconds >= shortest_s - SAME_TIME_S
+    rows, life = np.flatnonzero(long_enough), last.seen.where(long_enough)
+    features = observer.features(life.seconds, life.sums, life.instant)
+    return _Window(rows, features, life.seconds, np.ones(rows.size, dtype=bool))
+
+
+def _cut(first: _Snapshot, last: _Snapshot, observer: Observer) -> _Window:
+    """The window between two snapshots, of everybody who was there all the time."""
+    past, now = first.seen, last.seen
     rows, before = align(past.ids, now.ids)
-    if rows.size == 0:
-        return None
     seconds = now.seconds[rows] - past.seconds[before]
-    whole = seconds > window_s - 0.5 * snapshot_s  # a driver that returned is a new one
+    # a driver that returned is a new one
+    whole = seconds > last.time_s - first.time_s - RETURNED_S
     rows, before, seconds = rows[whole], before[whole], seconds[whole]
     sums = now.sums[rows] - past.sums[before]
     features = observer.features(seconds, sums, now.instant[rows])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from graphrqi.features.spectrum_observers import NullObserver
-from graphrqi.samples import collect
+from graphrqi.samples import NoSamplesError, collect
 from sim.frames import Tracks
 
 
@@ -48,3 +50,54 @@ def test_one_length_is_drawn_per_driver_and_moment():
     assert len(moments) == len(late) == 60 * np.unique(late.time_s).size
     _, counts = np.unique(late.seconds.round(6), return_counts=True)
     assert counts.min() > 0.2 * len(late)
+
+
+def at_times(time_s: np.ndarray, n: int = 3) -> Tracks:
+    """Drivers at constant speed, seen at these times."""
+    x = np.arange(n)[:, None] * 20.0 + 8.0 * time_s
+    return dataclasses.replace(
+        drivers(n),
+        time_s=time_s,
+        xy=np.stack([x, np.zeros_like(x)], axis=2),
+        heading=np.zeros_like(x),
+        speed=np.full_like(x, 8.0),
+        valid=np.ones_like(x, dtype=bool),
+        signals=np.empty((0, time_s.size), dtype=np.int8),
+    )
+
+
+@pytest.mark.parametrize("step_s", [0.04, 0.1, 0.3, 0.4, 0.5, 0.7])
+def test_windows_are_found_at_any_frame_step(step_s):
+    """One ends near every second, and lasts as long as asked for to half a frame step."""
+    samples = collect(
+        at_times(step_s * np.arange(round(24.0 / step_s))), NullObserver(), 0, (10.0,)
+    )
+    ends = np.unique(samples.time_s)
+    assert ends.size >= 11
+    near_s = max(0.25, 0.5 * step_s) + 1e-6
+    assert (abs(ends - ends.round()) <= near_s).all()
+    assert (abs(samples.seconds - 10.0) <= 0.5 * step_s + 1e-6).all()
+    assert (samples.window_s == 10.0).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_windows_are_found_at_uneven_times(seed):
+    rng = np.random.default_rng(seed)
+    samples = collect(at_times(np.cumsum(rng.uniform(0.05, 0.35, 120))), NullObserver(), 0, (3.0,))
+    ends = np.unique(samples.time_s)
+    assert ends.size >= 15
+    assert (abs(samples.seconds - 3.0) <= 0.25 + 1e-6).all()
+
+
+def test_no_window_spans_a_hole_in_the_recording():
+    """Nobody is known to have been there meanwhile, so nothing is said of that time."""
+    time_s = np.concatenate([np.arange(0.0, 12.0, 0.3), np.arange(40.0, 52.0, 0.3)])
+    samples = collect(at_times(time_s), NullObserver(), 0, (5.0,))
+    begin_s = samples.time_s - samples.seconds
+    assert ((samples.time_s < 12.0) | (begin_s >= 39.9)).all()
+    assert (samples.time_s > 40.0).any()
+
+
+def test_a_recording_without_a_whole_window_says_so():
+    with pytest.raises(NoSamplesError, match="observed for 10 s"):
+        collect(at_times(0.3 * np.arange(20)), NullObserver(), 0, (10.0,))
