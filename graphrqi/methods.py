@@ -257,17 +257,21 @@ def check_model_folder(folder: Path) -> None:
     """Refuse a folder that a model must not be written to.
 
     Raises:
-        InputError: if the folder exists and is not a model.
+        InputError: if the folder exists, is not empty and is not a model.
     """
-    if folder.exists() and (not folder.is_dir() or not (folder / "model.json").exists()):
+    if not folder.exists() or (folder / "model.json").exists():
+        return
+    if not folder.is_dir() or any(folder.iterdir()):
         raise InputError(f"{folder}: found something that is not a model, expected no such folder")
 
 
 def save_model(model: Model, folder: Path) -> None:
-    """Write a model folder; a model that is already there is replaced.
+    """Write a model folder.
+
+    A model that is already there is replaced; other files in its folder are kept.
 
     Raises:
-        InputError: if the folder exists and is not a model, or JSON cannot hold the card.
+        InputError: if the folder holds something that is not a model, or JSON cannot hold the card.
     """
     from safetensors.numpy import save
 

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
+from pathlib import Path
 from typing import Final
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.frames import KINDS
-from sim.store.dataset import Dataset
+from sim.store.atomic import write_whole
+from sim.store.catalogue import MANIFEST
+from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import Split
 
 DATA_CARD: Final = "README.md"
@@ -24,6 +30,34 @@ LIMITS: Final = (
     "Positions and speeds are rounded to 2^-10 m and m/s, headings to 2^-13 rad.",
 )
 """What everyone who uses the data should know."""
+
+
+def write_data_card(folder: Path, edited: bool = False) -> None:
+    """Write the card of a dataset into its folder.
+
+    Args:
+        folder: of the dataset.
+        edited: whether somebody has changed the card that is there; it is kept, and a line on
+            stderr says so.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    if edited:
+        sys.stderr.write(f"{folder / DATA_CARD}: kept, since it was edited\n")
+        return
+    write_whole(folder / DATA_CARD, data_card(open_dataset(folder)).encode())
+
+
+def card_was_edited(folder: Path) -> bool:
+    """Whether a dataset's card is not the one that its manifest gives."""
+    path = folder / DATA_CARD
+    if not path.exists() or not (folder / MANIFEST).exists():
+        return False
+    try:
+        return not path.is_file() or path.read_bytes() != data_card(open_dataset(folder)).encode()
+    except (InputError, OSError, pa.ArrowException):  # an episode is damaged: no card to compare
+        return False
 
 
 def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:

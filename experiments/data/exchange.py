@@ -11,11 +11,10 @@ from typing import Final
 
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.data.data_card import DATA_CARD, data_card
+from experiments.data.data_card import write_data_card
 from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
 from sim.formats.common.windows import NoWindowError
 from sim.road.files import read_road_file
-from sim.store.atomic import write_whole
 from sim.store.catalogue import MANIFEST, write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.lock import new_folder
@@ -80,7 +79,7 @@ def import_recordings(
             entries.append(entry)
             shown.advance(entry.agents, entry.agent_steps)
         manifest = write_manifest(out, configuration, entries)
-        write_whole(out / DATA_CARD, data_card(open_dataset(out)).encode())
+        write_data_card(out)
     return manifest
 
 

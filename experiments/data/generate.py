@@ -18,17 +18,17 @@ from experiments.console.exit_codes import Interrupted
 from experiments.console.progress import Progress
 from experiments.data.cluster import make_on_cluster
 from experiments.data.configuration import GenerateConfig
-from experiments.data.data_card import DATA_CARD, data_card
+from experiments.data.data_card import card_was_edited, write_data_card
 from experiments.data.episode import Task, make_episode
 from experiments.data.processes import make_in_processes
-from sim.store.atomic import PARTIAL_PREFIX, remove_partial, write_whole
+from sim.store.atomic import PARTIAL_PREFIX, remove_partial
 from sim.store.catalogue import MANIFEST, unlisted_episodes, write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.lock import LOCK, sole_writer
 from sim.store.schema import EpisodeMeta, Manifest
 from sim.store.writing import made_with
 
-_OURS: Final = frozenset({"episodes", "roads", DATA_CARD, LOCK})
+_OURS: Final = frozenset({"episodes", "roads", LOCK})
 """What an unfinished dataset's folder may hold."""
 
 
@@ -130,6 +130,7 @@ def generate(
     tasks = [Task(config, name, i) for i in range(config.episodes) for name in config.scenarios]
     with sole_writer(folder), _stoppable(folder, len(tasks)):
         _check_same(folder, config)
+        edited = card_was_edited(folder)
         remove_partial(folder)
         remove_partial(folder / "episodes")
         remove_partial(folder / "roads")
@@ -139,7 +140,7 @@ def generate(
             else:
                 made, failed = make_on_cluster(make_episode, folder, tasks, cluster, shown)
         manifest = write_manifest(folder, _configuration(config), made)
-        write_whole(folder / DATA_CARD, data_card(open_dataset(folder)).encode())
+        write_data_card(folder, edited)
     if failed:
         raise InputError(
             f"{len(failed)} of {len(tasks)} episodes could not be made: {'; '.join(failed)}"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -104,10 +106,11 @@ def _foreign(dataset: Dataset) -> Iterator[Path]:
 
 
 def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> list[Flaw]:
-    """Make again what is missing or altered, and remove what is foreign among episodes and roads.
+    """Make again what is missing or altered, and move foreign files among the episodes away.
 
-    Foreign files elsewhere in the folder are left alone. A bad episode stays until its successor is
-    whole; if something cannot be made, the rest of the dataset is as it was.
+    Foreign files are moved to a folder beside the dataset, and a line on stderr names it; those
+    elsewhere in the dataset are left alone. A bad episode stays until its successor is whole; if
+    something cannot be made, the rest of the dataset is as it was.
 
     Args:
         dataset: which; it must have been generated, with the packages that are installed now.
@@ -128,8 +131,13 @@ def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> li
         road = road_path(dataset.path, sha256)
         if road.is_dir():
             raise InputError(f"{road}: found a folder, expected a file; move it away")
-    obstacles = list(_obstacles(dataset))
-    with _as_it_was(dataset.path), _aside(dataset.path, obstacles):
+    foreign = [
+        dataset.path / flaw.path
+        for flaw in flaws
+        if flaw.state == "foreign" and flaw.path.parts[0] in _FOLDERS
+    ]
+    ours = [path for path in _obstacles(dataset) if path not in foreign]
+    with _as_it_was(dataset.path), _aside(dataset.path, foreign, ours):
         again = generate(config, dataset.path, jobs, quiet)
         if again != dataset.manifest:
             raise InputError(
@@ -137,11 +145,6 @@ def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> li
                 "it was made on another platform"
             )
     with sole_writer(dataset.path):
-        for flaw in flaws:
-            path = dataset.path / flaw.path
-            ours = flaw.path.parts[0] in _FOLDERS
-            if flaw.state == "foreign" and ours and path not in obstacles and os.path.lexists(path):
-                path.unlink()
         for folder in sorted((dataset.path / "episodes").rglob("*/"), reverse=True):
             if not any(folder.iterdir()):
                 folder.rmdir()
@@ -160,29 +163,45 @@ def _obstacles(dataset: Dataset) -> Iterator[Path]:
 
 
 @contextmanager
-def _aside(folder: Path, paths: Sequence[Path]) -> Iterator[None]:
+def _aside(folder: Path, foreign: Sequence[Path], ours: Sequence[Path]) -> Iterator[None]:
     """Keep some paths of a folder out of the way while the block lasts.
 
-    They are removed when it ends, or put back if it fails and their place is still empty. A link is
-    moved as a link: what it points to is not touched.
+    When it ends, foreign ones are moved to a folder beside the dataset and ours are removed. If it
+    fails, all are put back where their place is still empty. A link is moved as a link: what it
+    points to is not touched.
     """
-    if not paths:
+    if not foreign and not ours:
         yield
         return
     kept = Path(tempfile.mkdtemp(prefix=ASIDE_PREFIX, dir=folder))
-    places = {kept / str(number): path for number, path in enumerate(paths)}
+    places = {kept / str(number): path for number, path in enumerate((*foreign, *ours))}
     try:
         with sole_writer(folder):
             for place, path in places.items():
-                path.rename(place)
+                shutil.move(path, place)
         yield
     except BaseException:
-        for place, path in places.items():
+        for place, path in reversed(places.items()):
             if os.path.lexists(place) and not os.path.lexists(path):
-                place.rename(path)
+                shutil.move(place, path)
         shutil.rmtree(kept)
         raise
+    if foreign:
+        beside = _folder_beside(folder)
+        for place, path in places.items():
+            if path in foreign:
+                target = beside / path.relative_to(folder)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.move(place, target)
+        sys.stderr.write(f"{folder}: moved {len(foreign)} foreign files to {beside}\n")
     shutil.rmtree(kept)
+
+
+def _folder_beside(folder: Path) -> Path:
+    """A new name beside a dataset for what is foreign in it."""
+    home = folder.resolve()
+    names = (f"{home.name}-foreign{f'-{n}' if n > 1 else ''}" for n in itertools.count(1))
+    return next(home.parent / name for name in names if not os.path.lexists(home.parent / name))
 
 
 @contextmanager

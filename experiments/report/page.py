@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -25,6 +25,12 @@ from experiments.report.source import Source, by_bench, read_source, rows_of
 from experiments.report.tables import Table, name_of, pivot, words
 from experiments.rows import Row
 from sim.store.atomic import write_whole
+
+OURS: Final = b"GraphRQI"
+"""Stands in the head of every page that is written here; other pages are not replaced."""
+
+HEAD_BYTES: Final = 2000
+"""How much of a page is looked at to tell whether it was written here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +171,8 @@ def compare(runs: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[Section]:
 
 
 def _write(out: Path, template: str, **values: Any) -> None:
+    if out.is_file() and OURS not in out.read_bytes()[:HEAD_BYTES]:
+        raise InputError(f"{out}: found a page that is not a report, expected none; move it away")
     environment = Environment(
         loader=PackageLoader("experiments.report", "."),
         autoescape=True,

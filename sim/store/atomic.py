@@ -80,7 +80,8 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """A new folder to fill, moved to its place when the block ends without an error.
 
     Args:
-        path: where it will appear; an older folder there is replaced. Its parent is created.
+        path: where it will appear; a link is followed. Of an older folder there, files of the same
+            names are replaced and all others are kept. Its parent is created.
 
     Yields:
         The folder to write into.
@@ -88,6 +89,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Raises:
         OSError: if it cannot be written; nothing is left behind.
     """
+    path = Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = _partial(path)
     partial.mkdir()
@@ -108,12 +110,36 @@ def _move_folder(partial: Path, path: Path) -> None:
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
+            _keep_others(path, partial)
             old = _partial(path)
             with suppress(FileNotFoundError):
                 os.replace(path, old)
                 shutil.rmtree(old)
         else:
             return
+
+
+def _keep_others(old: Path, new: Path) -> None:
+    """Link into a new folder what only the old one has, so that it stays when the old one goes."""
+    with suppress(FileNotFoundError):  # another process has just replaced the old folder
+        for child in old.iterdir():
+            target = new / child.name
+            if os.path.lexists(target):
+                continue
+            if child.is_dir() and not child.is_symlink():
+                shutil.copytree(child, target, symlinks=True, copy_function=_link)
+            else:
+                _link(child, target)
+
+
+def _link(source: str | Path, target: str | Path) -> None:
+    """A second name of a file, or a copy where the file system has no second names."""
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except FileNotFoundError:
+        raise
+    except OSError:
+        shutil.copy2(source, target, follow_symlinks=False)
 
 
 def remove_partial(folder: Path) -> int:
