@@ -7,13 +7,27 @@ at once. Whatever a user can do wrong ends in one line on stderr and exit code 2
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from experiments.cli.bench import BenchGroup
+from experiments.cli.options import (
+    DurationS,
+    Engine,
+    Flow,
+    FormatName,
+    Json,
+    Mix,
+    ModelName,
+    Net,
+    Quiet,
+    Seed,
+    Spread,
+    names_of,
+)
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import show_notices
 
@@ -26,68 +40,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-
-def _names_of(what: str) -> Callable[[str], list[str]]:
-    """What the shell offers when a registered name is being typed."""
-
-    def complete(incomplete: str) -> list[str]:
-        from experiments.cli.doctor import names_of
-
-        return [name for name in names_of(what) if name.startswith(incomplete)]
-
-    return complete
-
-
-Json = Annotated[
-    Path | None,
-    typer.Option(
-        "--json",
-        dir_okay=False,
-        allow_dash=True,
-        metavar="FILE",
-        help="Write the table as JSON; - for standard output.",
-    ),
-]
-ModelName = Annotated[
-    str, typer.Option("--model", help="A model that ships, or a folder written by train.")
-]
-FormatName = Annotated[
-    str | None,
-    typer.Option(
-        "--format",
-        metavar="KEY",
-        help="Told from the content if left out.",
-        autocompletion=_names_of("format"),
-    ),
-]
-Net = Annotated[
-    Path | None,
-    typer.Option(
-        "--net",
-        dir_okay=False,
-        metavar="FILE",
-        help="SUMO net or map that a recording was made on.",
-    ),
-]
-Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
-Engine = Annotated[
-    str,
-    typer.Option(help="Which simulator; see graphrqi list.", autocompletion=_names_of("engine")),
-]
-Flow = Annotated[
-    str | None,
-    typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour, at most 100000."),
-]
-Mix = Annotated[
-    str | None,
-    typer.Option(metavar="MIX", help="Share of each behaviour: impatient=.2,timid=.8."),
-]
-Spread = Annotated[
-    float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")
-]
-DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s; at most 86400.")]
 
 
 @app.command("list", epilog="example: graphrqi list")
@@ -104,7 +56,7 @@ def run(
     scenario: Annotated[
         str,
         typer.Argument(
-            help="Name of a scenario; see graphrqi list.", autocompletion=_names_of("scenario")
+            help="Name of a scenario; see graphrqi list.", autocompletion=names_of("scenario")
         ),
     ],
     engine: Engine = "sumo",
@@ -140,7 +92,7 @@ def generate(
         list[str] | None,
         typer.Option(
             help="A scenario's name; repeat for several. Needed, here or in the file.",
-            autocompletion=_names_of("scenario"),
+            autocompletion=names_of("scenario"),
         ),
     ] = None,
     episodes: Annotated[
@@ -152,7 +104,7 @@ def generate(
     ] = None,
     engine: Annotated[
         str | None,
-        typer.Option(help="Which simulator [default: sumo].", autocompletion=_names_of("engine")),
+        typer.Option(help="Which simulator [default: sumo].", autocompletion=names_of("engine")),
     ] = None,
     flow: Flow = None,
     mix: Mix = None,
@@ -183,7 +135,7 @@ def train(
     dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
     out: Annotated[Path, typer.Option(help="Folder of the model.")],
     method: Annotated[
-        str, typer.Option(help="See graphrqi list.", autocompletion=_names_of("method"))
+        str, typer.Option(help="See graphrqi list.", autocompletion=names_of("method"))
     ] = "graphrqi-plus",
     seed: Seed = 0,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
@@ -300,7 +252,7 @@ def replay(
             metavar="NAME",
             help="See graphrqi list; none for no predictions [default: graphrqi-predict, or the "
             "first in --predictions].",
-            autocompletion=_names_of("predictor"),
+            autocompletion=names_of("predictor"),
         ),
     ] = None,
     color: Annotated[
@@ -381,7 +333,7 @@ def export(
             "--format",
             metavar="KEY",
             help="See graphrqi list.",
-            autocompletion=_names_of("format"),
+            autocompletion=names_of("format"),
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder to write into.")],

@@ -28,6 +28,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from sim.frames import Frame
 from sim.scenario import AgentSpec, CarFollowing, Scenario, with_behavior
+from sim.sumo.control.acting import Action, Command
 from sim.sumo.engine import run_changeable
 
 FRAMES_A_MESSAGE: Final = 20
@@ -100,7 +101,7 @@ class Trunk(_Closing):
         self, scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str = "sumo"
     ) -> None:
         if sys.platform != "linux":
-            raise InputError(f"branches: found {sys.platform}, expected Linux")
+            raise InputError(f"branches of a running episode: found {sys.platform}, expected Linux")
         if engine not in LAWS:
             raise InputError(f"engine: found {engine!r}, expected {' or '.join(LAWS)}")
         here, there = socket.socketpair()
@@ -113,7 +114,7 @@ class Trunk(_Closing):
         self._drivers = {a.id: a for a in agents if a.profile is not None}
         self._spread = scenario.spread
         others = tuple(
-            self._alternative(agent.id, behavior)
+            self.alternative(agent.id, behavior)
             for agent in self._drivers.values()
             for behavior in BEHAVIORS
         )
@@ -135,36 +136,57 @@ class Trunk(_Closing):
         return tuple(_received(self._connection, "trunk"))
 
     def branch(
-        self, until_s: float, agent: int | None = None, to: Behavior | None = None
+        self, until_s: float, agent: int | None = None, to: Behavior | Action | None = None
     ) -> Branch:
         """Copy the trunk as it stands, and let the copy drive on.
 
         Args:
             until_s: simulated time of the branch's last frame, s.
-            agent: id of a driver who goes on with another behaviour in the branch.
-            to: that behaviour; the driver's profile is `sim.scenario.with_behavior`'s.
+            agent: id of a driver who goes on differently in the branch.
+            to: another behaviour, with the profile that `Trunk.alternative` gives; or an action,
+                after which the driver goes on by its own behaviour.
 
         Returns:
             The branch; it runs beside the trunk and beside other branches. Without a driver who
             changes, its frames are those that the trunk will give. If the driver is not on the
-            road, or is overtaking on the wrong side, reading the branch is an `InputError`.
+            road, is overtaking on the wrong side, or has no lane to change to, reading the branch
+            is an `InputError`.
 
         Raises:
             InputError: if there is no such driver, or only one of ``agent`` and ``to`` is given.
         """
         if (agent is None) != (to is None):
-            raise InputError("branch: found only one of agent and behaviour, expected both or none")
-        changed = None if agent is None or to is None else self._alternative(agent, to)
+            raise InputError("branch: found only one of agent and change, expected both or none")
+        changed: AgentSpec | Command | None = None
+        if agent is not None and to is not None:
+            changed = (
+                Command(self.driver(agent).id, to)
+                if isinstance(to, Action)
+                else self.alternative(agent, to)
+            )
         here, there = socket.socketpair()
         with there:
             self._connection.send(("branch", until_s, changed))
             send_handle(self._connection, there.fileno(), self.process_id)
         return Branch(Connection(here.detach()))
 
-    def _alternative(self, agent: int, behavior: Behavior) -> AgentSpec:
+    def driver(self, agent: int) -> AgentSpec:
+        """A driver of the episode.
+
+        Raises:
+            InputError: if there is no driver of that id.
+        """
         if agent not in self._drivers:
             raise InputError(f"agent {agent}: found no such driver in the episode")
-        return with_behavior(self._drivers[agent], behavior, self._spread)
+        return self._drivers[agent]
+
+    def alternative(self, agent: int, behavior: Behavior) -> AgentSpec:
+        """A driver as it is with another behaviour: `sim.scenario.with_behavior`'s.
+
+        Raises:
+            InputError: if there is no driver of that id.
+        """
+        return with_behavior(self.driver(agent), behavior, self._spread)
 
     @property
     def process_id(self) -> int:
@@ -227,7 +249,7 @@ def _serve(connection: Connection) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system clears up ended branches
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this
     episode = connection.recv()
-    frames: Generator[Frame, AgentSpec | None] | None = None
+    frames: Generator[Frame, AgentSpec | Command | None] | None = None
     with contextlib.suppress(EOFError, OSError):
         while True:
             order, until_s, changed = connection.recv()
@@ -250,12 +272,12 @@ def _serve(connection: Connection) -> None:
 
 
 def _changed(
-    frames: Generator[Frame, AgentSpec | None], agent: AgentSpec | None
+    frames: Generator[Frame, AgentSpec | Command | None], change: AgentSpec | Command | None
 ) -> Iterator[Frame]:
     """The frames after a driver has changed."""
-    if agent is not None:
+    if change is not None:
         with contextlib.suppress(StopIteration):
-            yield frames.send(agent)
+            yield frames.send(change)
     yield from frames
 
 

@@ -18,6 +18,7 @@ from typing import Any, Final, cast
 from behaviors.errors import InputError
 from sim.frames import Frame
 from sim.scenario import AgentSpec, CarFollowing, Scenario, check_agents
+from sim.sumo.control.acting import Command
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
 from sim.sumo.frame_reader import FrameReader
@@ -90,7 +91,7 @@ def run_changeable(
     seed: int,
     law: CarFollowing,
     alternatives: Sequence[AgentSpec],
-) -> Generator[Frame, AgentSpec | None]:
+) -> Generator[Frame, AgentSpec | Command | None]:
     """Drive a scenario as `run` does, with drivers whose behaviour can be changed on the way.
 
     Args:
@@ -99,18 +100,19 @@ def run_changeable(
         seed: as in `run`.
         law: the car-following law of all drivers.
         alternatives: drivers as they may become; one of them sent to the generator replaces the
-            driver of the same id before the next step. Without it the frames are those of `run`.
+            driver of the same id before the next step, and a `Command` makes its driver act.
+            Without either the frames are those of `run`.
 
     Yields:
         Frames as in `run`.
 
     Raises:
-        InputError: as in `run`, and if a driver that is to change is not on the road.
+        InputError: as in `run`, and if a driver that is to change cannot.
     """
     _check(scenario, agents, seed)
     ordered = tuple(sorted(agents, key=lambda a: a.id))
     steps = _steps(scenario, ordered, seed, law, steer=True, read=True, alternatives=alternatives)
-    return cast("Generator[Frame, AgentSpec | None]", steps)
+    return cast("Generator[Frame, AgentSpec | Command | None]", steps)
 
 
 def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
@@ -196,8 +198,8 @@ def _steps(
     steer: bool,
     read: bool,
     alternatives: Sequence[AgentSpec] = (),
-) -> Generator[Frame | None, AgentSpec | None]:
-    """Frames, or None for each where none is read; a driver sent to it is changed at once."""
+) -> Generator[Frame | None, AgentSpec | Command | None]:
+    """Frames, or None for each where none is read; what is sent to it changes a driver at once."""
     substeps, step_ms = _substeps(scenario.step_s)
     with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
         sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), law, alternatives)
@@ -232,7 +234,7 @@ def _steps(
                     ) from None
                 changed = yield frame
                 if changed is not None and controls is not None:
-                    controls.change_driver(changed, index * scenario.step_s)
+                    controls.change(changed, index * scenario.step_s)
         finally:
             try:
                 if controls is not None and controls.moved:

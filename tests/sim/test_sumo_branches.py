@@ -19,6 +19,7 @@ from sim.engines import get_engine
 from sim.frames import Frame
 from sim.scenario import sample_agents, with_behavior
 from sim.sumo.branches import Trunk
+from sim.sumo.control.acting import Action
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
 FORK_S, UNTIL_S, SEED = 20.0, 30.0, 2
@@ -153,3 +154,31 @@ def test_only_drivers_on_the_road_change() -> None:
         with pytest.raises(InputError, match=f"agent {late.id}: found it not on the road at 1 s"):
             tuple(trunk.branch(2.0, late.id, Behavior.TIMID))
         assert len(trunk.advance(2.0)) == 10
+
+
+def test_an_action_lasts_and_then_the_driver_goes_on() -> None:
+    scenario, agents = scenario_and_agents("straight_road")
+    drivers = {agent.id: agent for agent in agents if agent.profile is not None}
+    with Trunk(scenario, agents, SEED) as trunk:
+        now = trunk.advance(FORK_S)[-1]
+        lane = scenario.road.lanes[scenario.road.lane_index["east_in_3"]].centerline[0, 1]
+        moving = (now.xy[:, 0] > 60.0) & (now.xy[:, 0] < 280.0) & (now.speed > 5.0)
+        moving &= np.abs(now.xy[:, 1] - lane) < 1.0
+        agent = next(int(i) for i in now.ids[moving] if int(i) in drivers)
+        does = {
+            action: tuple(trunk.branch(UNTIL_S, agent, action))
+            for action in (Action.BRAKE, Action.KEEP, Action.ACCELERATE, Action.CHANGE_RIGHT)
+        }
+        with pytest.raises(InputError, match=f"agent {agent}: found no lane for change-left"):
+            tuple(trunk.branch(UNTIL_S, agent, Action.CHANGE_LEFT))
+    early = round(2.0 / scenario.step_s)
+    slowed, kept, hurried = (
+        speeds(does[action][:early], agent)
+        for action in (Action.BRAKE, Action.KEEP, Action.ACCELERATE)
+    )
+    assert slowed < kept <= hurried
+    braked = does[Action.BRAKE]
+    ended = round(4.0 / scenario.step_s)
+    assert speeds(braked[-early:], agent) > speeds(braked[ended - 1 : ended], agent)
+    last = does[Action.CHANGE_RIGHT][round(3.5 / scenario.step_s)]
+    assert abs(float(last.xy[last.ids == agent][0, 1]) - lane) > 2.0

@@ -9,6 +9,7 @@ from behaviors.errors import InputError
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control import lane_change_mode, obedience
+from sim.sumo.control.acting import Acting, Command
 from sim.sumo.control.clearing import Clearing
 from sim.sumo.control.cutting_in import CuttingIn
 from sim.sumo.control.drivers import Controller
@@ -49,6 +50,7 @@ class Controls:
             self._obedience, self._clearing, self._cutting_in, self._stopping, self._wrong_way,
         )  # fmt: skip
         self._jaywalking = Jaywalking(sumo, road, agents, step_s)
+        self._acting = Acting(sumo, road)
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Act after a simulation step.
@@ -59,10 +61,11 @@ class Controls:
             persons: names of the pedestrians on the road.
         """
         self._step += 1
-        if vehicles is not self._vehicles:
+        ended = self._acting.end_due(time_s, vehicles)
+        if ended or vehicles is not self._vehicles:
             self._vehicles = vehicles
             for controller in self._of_drivers:
-                controller.set_vehicles(vehicles)
+                controller.set_vehicles(self._acting.others(vehicles))
         self._jaywalking.step(time_s, vehicles, persons)
         if self._step % self._every == 0:
             self._obedience.step(time_s, persons)
@@ -74,26 +77,35 @@ class Controls:
             return
         self._wrong_way.removed = []
 
-    def change_driver(self, agent: AgentSpec, time_s: float) -> None:
-        """Let a driver on the road go on with another behaviour.
+    def change(self, to: AgentSpec | Command, time_s: float) -> None:
+        """Let a driver on the road go on with another behaviour, or carry out an action.
 
         Args:
-            agent: the driver as it is from now on; its id says which one.
+            to: the driver as it is from now on, or what it does; the id says which driver.
             time_s: simulated time, s.
 
         Raises:
-            InputError: if the driver is not on the road, or is overtaking on the wrong side.
+            InputError: if the driver is not on the road, is overtaking on the wrong side, or has
+                no lane for the action.
         """
-        sumo, name = self._sumo, str(agent.id)
-        if agent.profile is None or name not in sumo.vehicle_getIDList():
+        name = str(to.agent if isinstance(to, Command) else to.id)
+        if name not in self._sumo.vehicle_getIDList():
             raise InputError(f"agent {name}: found it not on the road at {time_s:g} s")
         if self._wrong_way.overtakes(name):
             raise InputError(f"agent {name}: found it overtaking on the wrong side at {time_s:g} s")
+        if isinstance(to, Command):
+            self._acting.begin(name, to.action, time_s)
+        else:
+            self._change_driver(name, to, time_s)
+        self._vehicles = ()  # the controllers are given the vehicles again at the next step
+
+    def _change_driver(self, name: str, agent: AgentSpec, time_s: float) -> None:
+        assert agent.profile is not None
+        sumo = self._sumo
         self._agents[agent.id] = agent
         fresh = Controls(sumo, self._road, tuple(self._agents.values()), self._step_s)
         for controller, other in zip(self._of_drivers, fresh._of_drivers, strict=True):
             controller.replace(name, other, time_s)
-        self._vehicles = ()  # the controllers are given the vehicles again at the next step
         sumo.vehicle_setType(name, alternative_name(agent))
         sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn anew
         sumo.vehicle_setSpeed(name, -1.0)

@@ -1,0 +1,71 @@
+"""Options that several commands share: their names, types and help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def names_of(what: str) -> Callable[[str], list[str]]:
+    """What the shell offers when a registered name is being typed."""
+
+    def complete(incomplete: str) -> list[str]:
+        from experiments.cli.doctor import names_of as registered
+
+        return [name for name in registered(what) if name.startswith(incomplete)]
+
+    return complete
+
+
+Json = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        dir_okay=False,
+        allow_dash=True,
+        metavar="FILE",
+        help="Write the table as JSON; - for standard output.",
+    ),
+]
+ModelName = Annotated[
+    str, typer.Option("--model", help="A model that ships, or a folder written by train.")
+]
+FormatName = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        metavar="KEY",
+        help="Told from the content if left out.",
+        autocompletion=names_of("format"),
+    ),
+]
+Net = Annotated[
+    Path | None,
+    typer.Option(
+        "--net",
+        dir_okay=False,
+        metavar="FILE",
+        help="SUMO net or map that a recording was made on.",
+    ),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+Engine = Annotated[
+    str,
+    typer.Option(help="Which simulator; see graphrqi list.", autocompletion=names_of("engine")),
+]
+Flow = Annotated[
+    str | None,
+    typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour, at most 100000."),
+]
+Mix = Annotated[
+    str | None,
+    typer.Option(metavar="MIX", help="Share of each behaviour: impatient=.2,timid=.8."),
+]
+Spread = Annotated[
+    float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")
+]
+DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s; at most 86400.")]
