@@ -8,19 +8,20 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.frames import KINDS
 from sim.store.atomic import write_whole
 from sim.store.catalogue import MANIFEST
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.schema import Split
+from sim.store.parquet import check_budget, opened, read_packed
+from sim.store.schema import MAX_OBJECTS, Split
 
 DATA_CARD: Final = "README.md"
 """Name of the card in a dataset's folder."""
+
+_COUNTED: Final = ("kind", "behavior")
+"""The columns of ``agents.parquet`` that are counted."""
 
 LIMITS: Final = (
     "Labels are what each driver was drawn to be. What a driver had the chance to show in the"
@@ -56,7 +57,7 @@ def card_was_edited(folder: Path) -> bool:
         return False
     try:
         return not path.is_file() or path.read_bytes() != data_card(open_dataset(folder)).encode()
-    except (InputError, OSError, pa.ArrowException):  # an episode is damaged: no card to compare
+    except (InputError, OSError):  # an episode is damaged: no card to compare
         return False
 
 
@@ -83,14 +84,16 @@ def data_card(dataset: Dataset) -> str:
         Markdown. Equal datasets have equal cards.
 
     Raises:
-        OSError: if an episode's agents cannot be read.
+        InputError: if an episode's agents cannot be read.
     """
     counts: dict[str, Counter[str]] = {}
     for entry in dataset.manifest.episodes:
         path = dataset.path / "episodes" / entry.id / "agents.parquet"
-        table = pq.read_table(path, columns=["kind", "behavior"])
+        with opened(path) as (layout, source):
+            texts = check_budget(path, layout, _COUNTED, MAX_OBJECTS)
+            table = read_packed(source, texts, list(_COUNTED))
         scenario = counts.setdefault(entry.scenario, Counter())
-        for column in ("kind", "behavior"):
+        for column in _COUNTED:
             scenario.update(word for word in table.column(column).to_pylist() if word is not None)
     episodes = Counter((e.scenario, e.split) for e in dataset.manifest.episodes)
     steps = Counter[str]()

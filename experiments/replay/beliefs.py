@@ -20,6 +20,7 @@ from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray, IntArray, Tracks
+from sim.store.parquet import MAX_TEXT_BYTES, Layout, check_spelled_out, opened
 
 EVERY_S: Final = 0.5
 """Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""
@@ -30,6 +31,17 @@ page of some megabytes)."""
 
 MAX_ROWS: Final = 10**8
 """Most rows of a labels file that are read (our choice)."""
+
+MAX_KEPT: Final = 10**7
+"""Most of them that may be of one episode (our choice: an hour of 250 drivers at 10 Hz; in memory
+some 1 GB)."""
+
+BATCH_ROWS: Final = 2**16
+"""Rows that are read at a time (our choice)."""
+
+MAX_BATCH_BYTES: Final = 2**26
+"""Most bytes that the texts of one column may take in so many rows (our choice: 64 MiB, 1 kB for
+each)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,22 +150,65 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
 
 
 def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.Table:
-    """What a Parquet file says of one episode.
+    """What a Parquet file that this project writes says of one episode.
 
     Args:
-        path: the file.
-        schema: its columns, ``episode`` among them.
+        path: the file, read a piece at a time: the rows of other episodes take no memory.
+        schema: the columns it must have, ``episode`` among them, none of them empty anywhere;
+            others are left out.
         episode: whose rows.
         what: what the rows are, for messages.
 
+    Returns:
+        The rows.
+
     Raises:
-        InputError: as `read_columns`, or if no row is of that episode.
+        InputError: if the file is broken, too large, a column is missing or of another type, or no
+            row is of that episode.
     """
-    table = read_columns(path, schema)
-    table = table.filter(pc.equal(table["episode"], episode))
+    with opened(path) as (layout, source):
+        texts = _check_columns(path, schema, layout, pq.read_schema(source))
+        file = pq.ParquetFile(source, read_dictionary=texts)
+        parts, kept = [schema.empty_table()], 0
+        for batch in file.iter_batches(BATCH_ROWS, columns=schema.names, use_threads=False):
+            part = pa.Table.from_batches([batch])
+            part.validate(full=True)
+            for name in schema.names:
+                if part[name].null_count:
+                    raise InputError(f"{path}: found an empty {name}, expected one in every row")
+            ours = pc.equal(part["episode"].cast(pa.string()), episode)
+            part = part.select(schema.names).filter(ours)
+            kept += part.num_rows
+            if kept > MAX_KEPT:
+                raise InputError(
+                    f"{path}: found more than {MAX_KEPT} rows of episode {episode}, expected fewer"
+                )
+            for field in schema:
+                check_spelled_out(path, part[field.name], MAX_BATCH_BYTES)
+            parts.append(part.cast(schema))
+        table = pa.concat_tables(parts).combine_chunks()
     if not table.num_rows:
         raise InputError(f"{path}: found no row of episode {episode}, expected its {what}")
     return table
+
+
+def _check_columns(path: Path, schema: pa.Schema, layout: Layout, found: pa.Schema) -> list[str]:
+    """Refuse a file without these columns or with too many rows; its columns of texts."""
+    for name in schema.names:
+        if found.names.count(name) != 1:
+            raise InputError(
+                f"{path}: found column {name} {found.names.count(name)} times, expected it once"
+            )
+    if layout.rows > MAX_ROWS:
+        raise InputError(f"{path}: found {layout.rows} rows, expected at most {MAX_ROWS}")
+    columns = [column for column in layout.columns if column.name in schema.names]
+    for column in columns:
+        if column.repeated or column.largest_page > MAX_TEXT_BYTES:
+            raise InputError(
+                f"{path}: column {column.name}: found lists, or pages of up to "
+                f"{column.largest_page} bytes, expected at most {MAX_TEXT_BYTES}"
+            )
+    return [column.name for column in columns if column.physical == "BYTE_ARRAY"]
 
 
 def agent_rows(path: Path, table: pa.Table, episode: str, tracks: Tracks) -> IntArray:
@@ -170,45 +225,6 @@ def agent_rows(path: Path, table: pa.Table, episode: str, tracks: Tracks) -> Int
             f"{path}: found agent {stranger!r}, expected one of the {len(names)} of {episode}"
         )
     return np.asarray(row.to_numpy(), dtype=np.int64)
-
-
-def read_columns(path: Path, schema: pa.Schema) -> pa.Table:
-    """The columns of a Parquet file that this project writes.
-
-    Args:
-        path: the file.
-        schema: the columns it must have, none of them empty anywhere; others are left out.
-
-    Returns:
-        The table.
-
-    Raises:
-        InputError: if the file is broken, too large, or a column is missing or of another type.
-    """
-    if not path.is_file():
-        raise InputError(f"{path}: found no file, expected a Parquet table")
-    try:
-        file = pq.ParquetFile(path)
-        found = file.schema_arrow
-        for field in schema:
-            if field.name not in found.names:
-                raise InputError(f"{path}: found no column {field.name}, expected it")
-        if file.metadata.num_rows > MAX_ROWS:
-            raise InputError(
-                f"{path}: found {file.metadata.num_rows} rows, expected at most {MAX_ROWS}"
-            )
-        table = file.read(columns=schema.names, use_threads=False)
-        table = table.select(schema.names).cast(schema)
-        table.validate(full=True)
-    except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: found no readable table ({reason})") from None
-    for name in schema.names:
-        if table[name].null_count:
-            raise InputError(f"{path}: found an empty {name}, expected one in every row")
-    return table.combine_chunks()
 
 
 def _nothing(tracks: Tracks, steps: IntArray) -> NDArray[np.float32]:

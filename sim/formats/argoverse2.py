@@ -39,6 +39,7 @@ from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
 from sim.road.maps.argoverse2 import read_map, static_map
 from sim.store.atomic import whole_folder
+from sim.store.parquet import Layout, check_budget, opened, read_packed
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110
@@ -105,10 +106,6 @@ MAX_ROWS: Final = 5 * 10**6
 
 MAX_TEXT_BYTES: Final = 1000
 """Longest track id, object type or behaviour (our choice; a UUID has 36)."""
-
-MAX_COLUMN_BYTES: Final = 2**28
-"""Most bytes of a column of texts as stored, uncompressed (our choice: 256 MiB; 10^5 rows of UUIDs
-have 4 MB)."""
 
 _TEXT_TYPES: Final = ("BYTE_ARRAY", "INT32", "INT64")
 _NUMBER_TYPES: Final = ("INT32", "INT64", "FLOAT", "DOUBLE")
@@ -192,54 +189,36 @@ def _read_columns(
     Texts stay dictionaries: a small file can repeat a long text for millions of rows.
     """
     check_size(path)
-    try:
-        metadata = pq.read_metadata(path)
-        types = {name: _checked_type(path, metadata, name, _TEXT_TYPES, max_rows) for name in texts}
+    with opened(path) as (layout, source):
+        types = {name: _checked_type(path, layout, name, _TEXT_TYPES) for name in texts}
         for name in numbers:
-            _checked_type(path, metadata, name, _NUMBER_TYPES, max_rows)
+            _checked_type(path, layout, name, _NUMBER_TYPES)
+        check_budget(path, layout, (*texts, *numbers), max_rows)
         packed = [name for name in texts if types[name] == "BYTE_ARRAY"]
-        file = pq.ParquetFile(path, metadata=metadata, read_dictionary=packed)
-        table = file.read(columns=[*texts, *numbers], use_threads=False)
-        table.validate(full=True)
+        table = read_packed(source, packed, [*texts, *numbers])
         columns = {name: table.column(name).cast(SCHEMA.field(name).type) for name in numbers}
         for name in texts:
             encoded = table.column(name).combine_chunks().dictionary_encode()
             words = encoded.dictionary.cast(pa.string())
             columns[name] = pa.DictionaryArray.from_arrays(encoded.indices, words)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: found no readable Argoverse 2 file ({reason})") from None
     for name, column in columns.items():
         if column.null_count and name != optional:
             raise InputError(f"{path}: column {name}: found an empty field, expected a value")
     return pa.table(columns)
 
 
-def _checked_type(
-    path: Path, metadata: Any, name: str, allowed: Sequence[str], max_rows: int
-) -> str:
-    """How a column is stored, once it is known to be there and not too large to be read."""
-    leaves = [metadata.schema.column(i) for i in range(len(metadata.schema))]
-    places = [i for i, leaf in enumerate(leaves) if leaf.path == name]
-    if not places:
+def _checked_type(path: Path, layout: Layout, name: str, allowed: Sequence[str]) -> str:
+    """How a column is stored, once it is known to be there."""
+    columns = [column for column in layout.columns if column.name == name]
+    if not columns:
         raise InputError(f"{path}: found no column {name}, expected it")
-    if len(places) > 1:
-        raise InputError(f"{path}: found column {name} {len(places)} times, expected once")
-    (place,) = places
-    stored = str(leaves[place].physical_type)
-    if stored not in allowed or leaves[place].max_repetition_level:
-        kind = f"lists of {stored}" if leaves[place].max_repetition_level else stored
+    if len(columns) > 1:
+        raise InputError(f"{path}: found column {name} {len(columns)} times, expected once")
+    (column,) = columns
+    if column.physical not in allowed or column.repeated:
+        kind = f"lists of {column.physical}" if column.repeated else column.physical
         raise InputError(f"{path}: column {name}: found {kind}, expected {' or '.join(allowed)}")
-    groups = [metadata.row_group(i).column(place) for i in range(metadata.num_row_groups)]
-    rows = sum(group.num_values for group in groups)
-    if rows > max_rows:
-        raise InputError(f"{path}: found {rows} rows, expected at most {max_rows}")
-    size = sum(group.total_uncompressed_size for group in groups)
-    if stored == "BYTE_ARRAY" and size > MAX_COLUMN_BYTES:
-        raise InputError(
-            f"{path}: column {name}: found {size} bytes, expected at most {MAX_COLUMN_BYTES}"
-        )
-    return stored
+    return column.physical
 
 
 def _texts(path: Path, table: pa.Table, name: str) -> tuple[NDArray[np.int64], list[str]]:

@@ -22,13 +22,13 @@ from behaviors.labels import BEHAVIORS, Behavior, Trait
 from behaviors.profiles import PROFILE_FIELDS, Profile
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
 from sim.scenario import AgentSpec
+from sim.store.parquet import MAX_TEXT_BYTES, check_budget, check_spelled_out, opened, read_packed
 from sim.store.schema import (
     AGENTS,
     EVENTS,
     FRAMES,
     MAX_CELLS,
     MAX_OBJECTS,
-    MAX_TEXT_BYTES,
     SIGNALS_TABLE,
     TRAITS_TABLE,
     EpisodeEntry,
@@ -98,55 +98,16 @@ def _read_table(
     path: Path, data: bytes, schemas: Sequence[pa.Schema], max_rows: int, columns: list[str] | None
 ) -> pa.Table:
     """A table that has one of the schemas; every way it can be broken is one InputError."""
-    try:
-        file = pq.ParquetFile(pa.BufferReader(data))
-        found = file.schema_arrow.remove_metadata()
+    with opened(path, data) as (layout, source):
+        found = pq.read_schema(source).remove_metadata()
         if not any(_same_columns(found, schema) for schema in schemas):
             raise InputError(f"{path}: {_first_difference(found, schemas[0])}")
-        texts = _check_amount(path, file, max_rows)
-        # A small file can repeat a long text for every row: read with each text in memory once.
-        packed = pq.ParquetFile(
-            pa.BufferReader(data), metadata=file.metadata, read_dictionary=texts
-        ).read(columns=columns, use_threads=False)
-        packed.validate(full=True)  # words are valid UTF-8, offsets are inside
-        table = _spelled_out(path, packed, found)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
-    return table
-
-
-def _check_amount(path: Path, file: Any, max_rows: int) -> list[str]:
-    """Refuse more rows than there may be; the names of the columns of texts."""
-    groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
-    texts: list[str] = []
-    for place in range(file.metadata.num_columns):
-        chunks = [group.column(place) for group in groups]
-        rows = sum(chunk.num_values for chunk in chunks)  # the edges of all routes, for routes
-        if rows > max_rows:
-            raise InputError(f"{path}: found {rows} rows, expected at most {max_rows}")
-        if file.schema.column(place).physical_type == "BYTE_ARRAY":
-            _check_text_bytes(path, sum(chunk.total_uncompressed_size for chunk in chunks))
-            texts.append(file.schema.column(place).path)
-    return texts
-
-
-def _spelled_out(path: Path, packed: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The texts of every row, unless they would not fit into memory."""
-    for column in packed.columns:
-        flat = pc.list_flatten(column) if pa.types.is_list(column.type) else column
-        if pa.types.is_dictionary(flat.type):
-            longest = [pc.max(pc.binary_length(part.dictionary)).as_py() for part in flat.chunks]
-            _check_text_bytes(path, len(flat) * max((n or 0 for n in longest), default=0))
-    return packed.cast(pa.schema([schema.field(name) for name in packed.column_names]))
-
-
-def _check_text_bytes(path: Path, size: int) -> None:
-    if size > MAX_TEXT_BYTES:
-        raise InputError(
-            f"{path}: found texts of up to {size} bytes in a column, expected at most "
-            f"{MAX_TEXT_BYTES}"
-        )
+        # the edges of all routes count as the rows of routes
+        texts = check_budget(path, layout, columns, max_rows)
+        packed = read_packed(source, texts, columns)
+        for column in packed.columns:
+            check_spelled_out(path, column, MAX_TEXT_BYTES)
+        return packed.cast(pa.schema([found.field(name) for name in packed.column_names]))
 
 
 def _first_difference(found: pa.Schema, expected: pa.Schema) -> str:

@@ -50,9 +50,6 @@ MAX_OBJECTS: Final = 10**6
 """Most agents, events, traits, changes of lights and edges of routes that one episode may have (our
 choice: as many agents as a recording may have; as Python objects they take up to 3 GB)."""
 
-MAX_TEXT_BYTES: Final = 2**28
-"""Most bytes that the texts of one column may take (our choice: 256 MiB, 268 for each object)."""
-
 Split = Literal["train", "validation", "test"]
 
 _SPLIT_CYCLE: Final[tuple[Split, ...]] = ("train", "validation", "test", "train", "train")

@@ -1,0 +1,317 @@
+"""Parquet files of unknown origin: looked through before Arrow reads them, then read in one way.
+
+Arrow trusts what a file says of its own sizes. A small forged file makes it take gigabytes, or ends
+the process. So the footer and the header of every page are read here first: a file whose parts
+contradict each other, or that unpacks to more than it may, is refused in one line.
+
+References:
+    Apache Parquet (2024), Parquet format: file metadata and data pages.
+"""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from behaviors.errors import InputError
+from sim.store.thrift import ThriftError, read_struct
+
+MAX_TEXT_BYTES: Final = 2**28
+"""Most bytes that the texts of one column may take (our choice: 256 MiB)."""
+
+MAX_PAGES: Final = 10**5
+"""Most pages of a file (our choice; Arrow's own have up to 1 MiB each)."""
+
+MAX_COLUMNS: Final = 1000
+"""Most columns of a file (our choice; the widest of ours has 26)."""
+
+MAX_TABLE_BYTES: Final = 2**30
+"""Most bytes that the columns read may unpack to (our choice: 1 GiB, half of the budget of 2 GB
+that a file has)."""
+
+_MAGIC: Final = b"PAR1"
+_PHYSICAL: Final = (
+    "BOOLEAN", "INT32", "INT64", "INT96", "FLOAT", "DOUBLE", "BYTE_ARRAY", "FIXED_LEN_BYTE_ARRAY",
+)  # fmt: skip
+"""How values are stored, in the order of Parquet's codes."""
+
+_REPEATED: Final = 2
+_DATA_PAGE, _DICTIONARY_PAGE, _DATA_PAGE_V2 = 0, 2, 3
+_DELTA_BYTE_ARRAY: Final = 7
+"""An encoding of texts by what they share with the one before: a few bytes make any number."""
+
+
+@dataclass(slots=True)
+class StoredColumn:
+    """One column as a file stores it.
+
+    Attributes:
+        name: with those of what it lies in, joined by dots.
+        physical: how its values are stored, in Parquet's words.
+        repeated: whether a row may have several values.
+        values: how many there are.
+        size: bytes that they take unpacked.
+        pages: how many pages hold them.
+        largest_page: bytes of the largest, unpacked.
+    """
+
+    name: str
+    physical: str
+    repeated: bool
+    values: int = 0
+    size: int = 0
+    pages: int = 0
+    largest_page: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a file holds, by its own headers, which agree with each other.
+
+    Attributes:
+        rows: how many there are.
+        columns: in the file's order.
+    """
+
+    rows: int
+    columns: tuple[StoredColumn, ...]
+
+
+@contextmanager
+def opened(path: Path, data: bytes | None = None) -> Iterator[tuple[Layout, pa.NativeFile]]:
+    """A Parquet file that was looked through, and can be read as Arrow does.
+
+    Args:
+        path: the file; of given bytes it is only their name.
+        data: its bytes; None to read them from the file.
+
+    Yields:
+        What it holds, and what `pyarrow.parquet.ParquetFile` reads it from. What Arrow finds
+        broken in the block is an `InputError` too.
+
+    Raises:
+        InputError: if it is no file, or a broken one.
+    """
+    if data is None and not path.is_file():
+        raise InputError(f"{path}: found no file, expected a Parquet table")
+    try:
+        if data is not None:
+            yield look_through(path, data), pa.BufferReader(data)
+            return
+        with path.open("rb") as file, pa.OSFile(str(path)) as source:
+            if not path.stat().st_size:
+                raise InputError(f"{path}: found an empty file, expected a Parquet table")
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                layout = look_through(path, content)
+            yield layout, source
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: found no readable Parquet table ({reason:.200})") from None
+
+
+def look_through(path: Path, data: Any) -> Layout:
+    """Read the footer and all page headers of a Parquet file.
+
+    Args:
+        path: of the file, for messages.
+        data: all its bytes.
+
+    Returns:
+        What it holds.
+
+    Raises:
+        InputError: if a header is broken or contradicts another.
+    """
+    try:
+        return _layout(data)
+    except (ThriftError, TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
+        reason = str(error) if isinstance(error, ThriftError) else "a header is broken"
+        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+
+
+def _require(holds: bool, reason: str) -> None:
+    if not holds:
+        raise ThriftError(reason)
+
+
+def _layout(data: Any) -> Layout:
+    size = len(data)
+    _require(size >= 12 and data[:4] == _MAGIC and data[-4:] == _MAGIC, "it has no Parquet magic")
+    footer = int.from_bytes(data[size - 8 : size - 4], "little")
+    begin = size - 8 - footer
+    _require(begin >= 4, "its footer does not fit")
+    content = bytes(data[begin : size - 8])
+    head, _ = read_struct(content, 0, len(content))
+    rows = head[3]
+    columns = _columns(head[2])
+    _require(type(rows) is int and rows >= 0, "it has no number of rows")
+    found, pages = 0, 0
+    for group in head[4]:
+        in_group = group[3]
+        _require(len(group[1]) == len(columns), "a row group has other columns than the schema")
+        _require(type(in_group) is int and in_group >= 0, "a row group has no number of rows")
+        found += in_group
+        for column, chunk in zip(columns, group[1], strict=True):
+            pages += _add_chunk(data, begin, column, chunk, in_group)
+            _require(pages <= MAX_PAGES, f"it has more than {MAX_PAGES} pages")
+    _require(found == rows, "its row groups have other rows than the file")
+    return Layout(rows, tuple(columns))
+
+
+def _columns(elements: list[dict[int, Any]]) -> list[StoredColumn]:
+    """The columns of a schema, which is a tree in preorder."""
+    _require(0 < len(elements) <= 4 * MAX_COLUMNS, f"it has more than {MAX_COLUMNS} columns")
+    columns: list[StoredColumn] = []
+    at = 0
+
+    def walk(prefix: str, repeated: bool, depth: int) -> None:
+        nonlocal at
+        element = elements[at]
+        at += 1
+        _require(depth < 8, "its columns lie more than 8 deep")
+        name = element[4].decode()
+        path = f"{prefix}.{name}" if prefix else name
+        again = repeated or element.get(3) == _REPEATED
+        children = element.get(5, 0)
+        if children:
+            for _ in range(children):
+                walk(path if depth else "", again, depth + 1)
+        else:
+            columns.append(StoredColumn(path, _PHYSICAL[element[1]], again))
+
+    walk("", False, 0)
+    _require(at == len(elements) and len(columns) <= MAX_COLUMNS, "its schema is broken")
+    return columns
+
+
+def _add_chunk(
+    data: Any, end: int, column: StoredColumn, chunk: Mapping[int, Any], rows: int
+) -> int:
+    """Add a chunk's pages to its column; how many pages there are."""
+    _require(1 not in chunk and 8 not in chunk, "it refers to another file or is encrypted")
+    meta = chunk[3]
+    _require(_PHYSICAL[meta[1]] == column.physical, "a chunk has another type than its column")
+    values = meta[5]
+    begins = [meta[number] for number in (9, 11) if meta.get(number, 0) > 0]  # data, dictionary
+    at = min(begins, default=4)
+    stop = at + (meta[7] if begins else 0)
+    _require(4 <= at <= stop <= end, "a chunk lies outside of the file")
+    _require(values == rows or (column.repeated and values >= rows), "a chunk has other rows")
+    histograms = meta.get(16, {})
+    levels = [part for number in (2, 3) for part in histograms.get(number, ())]
+    _require(all(0 <= level <= values for level in levels), "its statistics are broken")
+    seen = pages = 0
+    while at < stop:
+        # texts in a header are the smallest and largest value of its page
+        page, at = read_struct(data, at, stop)
+        kind, unpacked, packed = page[1], page[2], page[3]
+        _require(0 <= packed <= stop - at and unpacked >= 0, "a page has no proper size")
+        if kind in (_DATA_PAGE, _DATA_PAGE_V2):
+            header = page[5 if kind == _DATA_PAGE else 8]
+            encoding = header[2 if kind == _DATA_PAGE else 4]
+            _require(encoding != _DELTA_BYTE_ARRAY, "its texts are in DELTA_BYTE_ARRAY")
+            _require(header[1] >= 0, "a page has no number of values")
+            seen += header[1]
+        elif kind == _DICTIONARY_PAGE:
+            _require(page[7][1] >= 0, "a page has no number of values")
+        column.size += unpacked
+        column.largest_page = max(column.largest_page, unpacked)
+        at += packed
+        pages += 1
+        _require(pages <= MAX_PAGES, f"it has more than {MAX_PAGES} pages")
+    _require(seen == values, "its pages have other values than their chunk")
+    column.values += values
+    column.pages += pages
+    return pages
+
+
+def check_budget(
+    path: Path, layout: Layout, names: Collection[str] | None, max_values: int
+) -> list[str]:  # fmt: skip
+    """Refuse columns that have more values or bytes than there may be.
+
+    Args:
+        path: of the file, for messages.
+        layout: what `look_through` found.
+        names: the columns that are read; None for all.
+        max_values: most values that one may have.
+
+    Returns:
+        Those of them that are texts.
+
+    Raises:
+        InputError: naming what is too much.
+    """
+    texts: list[str] = []
+    total = 0
+    for column in layout.columns:
+        if names is not None and column.name.partition(".")[0] not in names:
+            continue
+        if column.values > max_values:
+            raise InputError(f"{path}: found {column.values} rows, expected at most {max_values}")
+        if column.physical == "BYTE_ARRAY":
+            if column.size > MAX_TEXT_BYTES:
+                raise InputError(
+                    f"{path}: column {column.name}: found {column.size} bytes, expected at most "
+                    f"{MAX_TEXT_BYTES}"
+                )
+            texts.append(column.name)
+        total += max(column.size, 8 * column.values)
+    if total > MAX_TABLE_BYTES:
+        raise InputError(
+            f"{path}: found columns of {total} bytes, expected at most {MAX_TABLE_BYTES}"
+        )
+    return texts
+
+
+def read_packed(source: pa.NativeFile, texts: Sequence[str], columns: list[str] | None) -> pa.Table:
+    """A table with every text in memory once, because a small file can repeat a long one.
+
+    Args:
+        source: as `opened` gives it.
+        texts: the columns of texts, as `check_budget` names them.
+        columns: those to read; None for all.
+
+    Returns:
+        The table; its texts are dictionaries, valid UTF-8 where they say so.
+
+    Raises:
+        pyarrow.ArrowException: if it is broken; `opened` turns it into an InputError.
+    """
+    file = pq.ParquetFile(source, read_dictionary=list(texts))
+    table = file.read(columns=columns, use_threads=False)
+    table.validate(full=True)
+    return table
+
+
+def check_spelled_out(path: Path, column: pa.ChunkedArray, max_text_bytes: int) -> None:
+    """Refuse texts that would not fit into memory once there is one for every row.
+
+    Args:
+        path: of the file, for messages.
+        column: dictionaries of texts, or lists of them; others pass.
+        max_text_bytes: most bytes that they may take.
+
+    Raises:
+        InputError: naming the bytes.
+    """
+    flat = pc.list_flatten(column) if pa.types.is_list(column.type) else column
+    if not pa.types.is_dictionary(flat.type):
+        return
+    longest = [pc.max(pc.binary_length(part.dictionary)).as_py() for part in flat.chunks]
+    size = len(flat) * max((n or 0 for n in longest), default=0)
+    if size > max_text_bytes:
+        raise InputError(
+            f"{path}: found texts of up to {size} bytes in a column, expected at most "
+            f"{max_text_bytes}"
+        )
