@@ -98,6 +98,10 @@ def generate(
     episodes: Annotated[
         int | None, typer.Option(help="Episodes per scenario. Needed, here or in the file.")
     ] = None,
+    worlds: Annotated[
+        int | None,
+        typer.Option(help="So many random worlds instead of scenarios; takes no other traffic."),
+    ] = None,
     config: Annotated[
         Path | None,
         typer.Option(dir_okay=False, metavar="FILE.toml", help="The same options in a file."),
@@ -120,11 +124,17 @@ def generate(
     """Make a dataset, or what is missing of it."""
     from experiments.data.configuration import read_cluster, read_config
     from experiments.data.generate import generate as make
+    from experiments.data.worlds.episode import read_worlds_config
 
-    chosen = read_config(
-        config, scenarios=scenario or None, episodes=episodes, engine=engine, flow=flow, mix=mix,
-        spread=spread, duration_s=duration_s, seed=seed,
-    )  # fmt: skip
+    given = {
+        "scenarios": scenario or None, "episodes": episodes, "engine": engine, "flow": flow,
+        "mix": mix, "spread": spread, "duration_s": duration_s, "seed": seed,
+    }  # fmt: skip
+    chosen = (
+        read_config(config, **given)
+        if worlds is None
+        else (read_worlds_config(config, worlds, **given))
+    )
     manifest = make(chosen, out, jobs, quiet, read_cluster(config, cluster))
     steps = sum(e.agent_steps for e in manifest.episodes)
     typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from experiments.console.progress import Progress
-    from experiments.data.episode import Task
+    from experiments.data.tasks import T
     from sim.store.schema import EpisodeEntry
 
 CONNECT_S: Final = 20.0
@@ -100,9 +100,9 @@ def _connected(address: str, folder: Path, engine: str) -> Iterator[Client]:
 
 
 def make_on_cluster(
-    make: Callable[[Path, Task], EpisodeEntry],
+    make: Callable[[Path, T], EpisodeEntry],
     folder: Path,
-    tasks: Sequence[Task],
+    tasks: Sequence[T],
     address: str,
     shown: Progress,
 ) -> tuple[list[EpisodeEntry], list[str]]:
@@ -128,11 +128,11 @@ def make_on_cluster(
     made: list[EpisodeEntry] = []
     failed: list[str] = []
 
-    def gather(futures: dict[Any, Task], last: bool) -> list[Task]:
+    def gather(futures: dict[Any, T], last: bool) -> list[T]:
         """Take finished episodes; return tasks whose worker died, unless it was their last try."""
         from distributed import KilledWorker
 
-        suspects: list[Task] = []
+        suspects: list[T] = []
         for future in as_completed(list(futures)):
             task, error = futures[future], future.exception()
             if error is None:

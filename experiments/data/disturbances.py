@@ -25,6 +25,22 @@ def position_noise(tracks: Tracks, deviation_m: float, rng: np.random.Generator)
     return dataclasses.replace(tracks, xy=tracks.xy + rng.normal(0.0, deviation_m, tracks.xy.shape))
 
 
+def correlated_noise(
+    tracks: Tracks, deviation_m: float, rng: np.random.Generator, correlation_s: float = 0.5
+) -> Tracks:
+    """Gaussian errors of positions that fade slowly, as those of trackers and filters do.
+
+    The errors of each agent in x and in y are an Ornstein-Uhlenbeck process: at every time they
+    have the same deviation, and the correlation between two times falls to 1/e after
+    ``correlation_s``.
+    """
+    error = rng.normal(0.0, deviation_m, tracks.xy.shape)
+    kept = np.exp(-np.diff(tracks.time_s) / correlation_s)
+    for step, share in enumerate(kept, start=1):
+        error[:, step] = share * error[:, step - 1] + (1 - share**2) ** 0.5 * error[:, step]
+    return dataclasses.replace(tracks, xy=tracks.xy + error)
+
+
 def dropped_frames(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
     """A share of the frames is missing; the first and the last are kept."""
     keep = rng.random(tracks.time_s.size) >= share
@@ -108,6 +124,7 @@ def cut_tracks(tracks: Tracks, piece_s: float, rng: np.random.Generator) -> Trac
 
 DISTURBANCES: Final[dict[str, tuple[Disturbance, tuple[float, ...], str]]] = {
     "position noise": (position_noise, (0.1, 0.3, 1.0), "m"),
+    "correlated noise": (correlated_noise, (0.1, 0.25, 0.5), "m"),
     "dropped frames": (dropped_frames, (0.1, 0.3, 0.5), "of all"),
     "identity switches": (identity_switches, (0.5, 2.0), "per agent and minute"),
     "cut tracks": (cut_tracks, (5.0, 15.0), "s"),

@@ -8,10 +8,10 @@ order nor on how many episodes there are. Running the same command again makes o
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from behaviors.errors import InputError
 from experiments.console.exit_codes import Interrupted
@@ -21,18 +21,22 @@ from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import card_was_edited, write_data_card
 from experiments.data.episode import Task, make_episode
 from experiments.data.processes import make_in_processes
+from experiments.data.tasks import T
+from experiments.data.worlds.episode import WorldsConfig, WorldTask, make_world
 from sim.store.atomic import PARTIAL_PREFIX, remove_partial
 from sim.store.catalogue import MANIFEST, unlisted_episodes, write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.lock import LOCK, sole_writer
-from sim.store.schema import EpisodeMeta, Manifest
+from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest
 from sim.store.writing import made_with
+
+AnyConfig: TypeAlias = GenerateConfig | WorldsConfig
 
 _OURS: Final = frozenset({"episodes", "roads", LOCK})
 """What an unfinished dataset's folder may hold."""
 
 
-def _check_same(folder: Path, config: GenerateConfig) -> None:
+def _check_same(folder: Path, config: AnyConfig) -> None:
     """Refuse to mix two different datasets in one folder."""
     if (folder / MANIFEST).exists():
         _check_same_manifest(folder, config)
@@ -42,31 +46,35 @@ def _check_same(folder: Path, config: GenerateConfig) -> None:
     for path in folder.iterdir():
         if path.name not in _OURS and not path.name.startswith(PARTIAL_PREFIX):
             raise InputError(f"{folder}: found {path.name} in it, expected an empty folder")
-    scenarios = {name: config.scenario(name) for name in config.scenarios}
     for entry in unlisted_episodes(folder):
-        scenario = scenarios.get(entry.scenario)
-        task = Task(config, entry.scenario, entry.index)
-        if (
-            scenario is None
-            or entry.index >= config.episodes
-            or EpisodeMeta(**entry.model_dump(include=set(EpisodeMeta.model_fields)))
-            != task.meta(scenario)
-        ):
+        there = EpisodeMeta(**entry.model_dump(include=set(EpisodeMeta.model_fields)))
+        if there != _wanted(config, entry):
             raise InputError(
                 f"{folder}: holds unfinished episodes of another configuration; "
                 "choose another folder"
             )
 
 
-def _check_same_manifest(folder: Path, config: GenerateConfig) -> None:
+def _wanted(config: AnyConfig, entry: EpisodeEntry) -> EpisodeMeta | None:
+    """What the configuration's episode of that scenario and index is made from; None if none."""
+    if isinstance(config, WorldsConfig):
+        return WorldTask(config, entry.index).meta() if entry.index < config.worlds else None
+    if entry.scenario not in config.scenarios or entry.index >= config.episodes:
+        return None
+    task = Task(config, entry.scenario, entry.index)
+    return task.meta(config.scenario(entry.scenario))
+
+
+def _check_same_manifest(folder: Path, config: AnyConfig) -> None:
     there = open_dataset(folder).manifest.configuration
     wanted = _configuration(config)
     for name in sorted({*there, *wanted}):
-        if name == "episodes":
-            old = there.get(name)
-            if not isinstance(old, int) or old > config.episodes:
+        if name in ("episodes", "worlds") and name in wanted:
+            old, asked = there.get(name), wanted[name]
+            if not isinstance(old, int) or old > asked:
+                each = "episodes per scenario" if name == "episodes" else name
                 raise InputError(
-                    f"{folder}: holds {old} episodes per scenario, found {config.episodes} asked "
+                    f"{folder}: holds {old} {each}, found {asked} asked "
                     "for, expected at least as many; choose another folder"
                 )
         elif there.get(name) != wanted.get(name):
@@ -77,7 +85,7 @@ def _check_same_manifest(folder: Path, config: GenerateConfig) -> None:
             )
 
 
-def _configuration(config: GenerateConfig) -> dict[str, Any]:
+def _configuration(config: AnyConfig) -> dict[str, Any]:
     dumped = config.model_dump(mode="json", exclude_none=True)
     return {**dumped, "made_with": dict(made_with(config.engine))}
 
@@ -96,8 +104,21 @@ def _stoppable(folder: Path, wanted: int) -> Iterator[None]:
         ) from None
 
 
+def _made(
+    make: Callable[[Path, T], EpisodeEntry],
+    folder: Path,
+    tasks: Sequence[T],
+    jobs: int,
+    cluster: str | None,
+    shown: Progress,
+) -> tuple[list[EpisodeEntry], list[str]]:
+    if cluster is None:
+        return make_in_processes(make, folder, tasks, jobs, shown)
+    return make_on_cluster(make, folder, tasks, cluster, shown)
+
+
 def generate(
-    config: GenerateConfig,
+    config: AnyConfig,
     folder: Path,
     jobs: int | None = None,
     quiet: bool = False,
@@ -127,22 +148,32 @@ def generate(
     if jobs < 1:
         raise InputError(f"jobs: found {jobs}, expected at least 1")
     config.check()
-    tasks = [Task(config, name, i) for i in range(config.episodes) for name in config.scenarios]
-    with sole_writer(folder), _stoppable(folder, len(tasks)):
+    wanted = (
+        config.worlds
+        if isinstance(config, WorldsConfig)
+        else config.episodes * len(config.scenarios)
+    )
+    with sole_writer(folder), _stoppable(folder, wanted):
         _check_same(folder, config)
         edited = card_was_edited(folder)
         remove_partial(folder)
         remove_partial(folder / "episodes")
         remove_partial(folder / "roads")
-        with Progress("generating episodes", len(tasks), quiet) as shown:
-            if cluster is None:
-                made, failed = make_in_processes(make_episode, folder, tasks, jobs, shown)
+        with Progress("generating episodes", wanted, quiet) as shown:
+            if isinstance(config, WorldsConfig):
+                worlds = [WorldTask(config, i) for i in range(config.worlds)]
+                made, failed = _made(make_world, folder, worlds, jobs, cluster, shown)
             else:
-                made, failed = make_on_cluster(make_episode, folder, tasks, cluster, shown)
+                tasks = [
+                    Task(config, name, i)
+                    for i in range(config.episodes)
+                    for name in config.scenarios
+                ]
+                made, failed = _made(make_episode, folder, tasks, jobs, cluster, shown)
         manifest = write_manifest(folder, _configuration(config), made)
         write_data_card(folder, edited)
     if failed:
         raise InputError(
-            f"{len(failed)} of {len(tasks)} episodes could not be made: {'; '.join(failed)}"
+            f"{len(failed)} of {wanted} episodes could not be made: {'; '.join(failed)}"
         )
     return manifest

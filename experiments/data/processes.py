@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.data.episode import Task
 from experiments.data.parallel import start_worker
+from experiments.data.tasks import T
 from sim.store.schema import EpisodeEntry
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class RestartingPool:
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(
-        self, make: Callable[[Path, Task], EpisodeEntry], folder: Path, task: Task
+        self, make: Callable[[Path, T], EpisodeEntry], folder: Path, task: T
     ) -> Future[EpisodeEntry]:
         """Start to make an episode."""
         from loky.process_executor import ProcessPoolExecutor
@@ -50,9 +50,9 @@ class RestartingPool:
 
 
 def make_in_processes(
-    make: Callable[[Path, Task], EpisodeEntry],
+    make: Callable[[Path, T], EpisodeEntry],
     folder: Path,
-    tasks: Sequence[Task],
+    tasks: Sequence[T],
     jobs: int,
     shown: Progress,
 ) -> tuple[list[EpisodeEntry], list[str]]:
@@ -75,11 +75,11 @@ def make_in_processes(
     """
     from loky.process_executor import BrokenProcessPool
 
-    waiting, suspects = deque(tasks), deque[Task]()
+    waiting, suspects = deque(tasks), deque[T]()
     deaths: dict[str, int] = {}
     made: list[EpisodeEntry] = []
     failed: list[str] = []
-    running: dict[Future[EpisodeEntry], Task] = {}
+    running: dict[Future[EpisodeEntry], T] = {}
     pool = RestartingPool(min(jobs, len(tasks)))
     try:
         while waiting or suspects or running:

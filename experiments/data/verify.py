@@ -18,7 +18,8 @@ from pydantic import ValidationError
 from behaviors.errors import InputError
 from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import DATA_CARD
-from experiments.data.generate import generate
+from experiments.data.generate import AnyConfig, generate
+from experiments.data.worlds.episode import WorldsConfig
 from sim.store.atomic import write_whole
 from sim.store.catalogue import ENTRY, MANIFEST, altered_files, road_path
 from sim.store.dataset import Dataset, open_dataset
@@ -218,11 +219,15 @@ def _as_it_was(folder: Path) -> Iterator[None]:
         raise
 
 
-def _configuration(dataset: Dataset) -> GenerateConfig:
+def _configuration(dataset: Dataset) -> AnyConfig:
     fields: dict[str, Any] = dict(dataset.manifest.configuration)
     versions = fields.pop("made_with", None)
+    config: AnyConfig
     try:
-        config = GenerateConfig.model_validate(fields)
+        if "worlds" in fields:
+            config = WorldsConfig.model_validate(fields)
+        else:
+            config = GenerateConfig.model_validate(fields)
     except ValidationError:
         raise InputError(
             f"{dataset.path}: was not made by generate, expected a generated dataset; "

@@ -37,6 +37,7 @@ _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "sumo-idm": ("libsumo",),
     "highway": ("highway-env",),
     "highway-krauss": ("highway-env",),
+    "worlds": ("libsumo", "highway-env"),
 }
 """Which packages, beside ours, numpy and pyarrow, determine an engine's bytes."""
 
@@ -129,6 +130,39 @@ def write_episode(
     return _write(folder, meta, steps, encode_agents(ordered, {}), int(present.size), road, shown)
 
 
+def write_sensed(
+    folder: Path,
+    meta: EpisodeMeta,
+    tracks: Tracks,
+    agents: Sequence[AgentSpec],
+    drawn: Sequence[AgentSpec],
+    road: Path | None = None,
+) -> EpisodeEntry:
+    """Write what a sensor saw of a simulated episode, without events and traits.
+
+    Args:
+        folder: the dataset; created if need be. `write_manifest` completes it.
+        meta: what the episode is made from.
+        tracks: what the sensor recorded; its labels are those of ``agents``.
+        agents: the agent behind each track, in the tracks' order; a track has its own id.
+        drawn: everyone who was drawn; with ``meta`` and the road they determine the episode.
+        road: the map that the recording comes with, if any.
+
+    Returns:
+        The manifest's entry of the episode, whose id is that of `episode_id` for ``drawn``.
+
+    Raises:
+        InputError: if a number is not finite.
+        OSError: if something cannot be written; nothing of the episode is left behind.
+    """
+    steps = collect(tracks.frames())
+    named = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
+    specs = [dataclasses.replace(a, id=i) for a, i in zip(agents, named, strict=True)]
+    made_from = encode_agents(sorted(drawn, key=lambda a: a.id), {})
+    content = encode_agents(specs, named)
+    return _write(folder, meta, steps, content, len(specs), road, (), made_from)
+
+
 def _annotated(steps: Steps, agents: Sequence[AgentSpec], road: Path) -> Annotations:
     """The annotations of the rounded steps, which are what a reader gets."""
     every = np.array([a.id for a in agents], dtype=np.int64)
@@ -200,11 +234,13 @@ def _write(
     seen: int,
     road: Path | None,
     shown: Sequence[ShownTrait],
+    made_from: bytes | None = None,
 ) -> EpisodeEntry:
+    """Write an episode; ``made_from``: agents that determine its id, by default its own."""
     content = encode(steps, agents, shown)
     road_sha256 = None if road is None else keep_road(folder, road)
     recorded = content["steps.parquet"] if steps.exact else None
-    identity = _identity(meta, agents, road_sha256, recorded)
+    identity = _identity(meta, made_from or agents, road_sha256, recorded)
     with whole_folder(folder / "episodes" / identity) as partial:
         for name, data in content.items():
             (partial / name).write_bytes(data)

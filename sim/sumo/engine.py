@@ -22,11 +22,9 @@ from sim.sumo.control.acting import Command
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
 from sim.sumo.frame_reader import FrameReader
+from sim.sumo.settings import HOME, SumoSettings
 from sim.sumo.simulation import SIMULATION, SumoError, sumo_reason
 from sim.sumo.vehicle_types import route_file
-
-LONGEST_STEP_S: Final = 0.1
-"""SUMO's own step is at most this long; frames further apart are made of several steps."""
 
 OPTIONS: Final[tuple[str, ...]] = (
     "--thread-rngs", "64",
@@ -36,16 +34,13 @@ OPTIONS: Final[tuple[str, ...]] = (
     "--intermodal-collision.action", "warn",
     "--time-to-teleport", "-1",
     "--ignore-junction-blocker", "60",
-    "--lanechange.duration", "2.5",
     "--max-depart-delay", "60",
     "--xml-validation.routes", "always",
     "--no-step-log", "true",
     "--no-warnings", "true",
     "--duration-log.disable", "true",
 )  # fmt: skip
-"""SUMO's options for every run: vehicles never teleport, and those that collide drive on. A lane
-change takes 2.5 s (observed: 1 to 13 s, mostly 2 to 5; Toledo and Zohar 2007, Transportation
-Research Record 1999)."""
+"""SUMO's options for every run: vehicles never teleport, and those that collide drive on."""
 
 
 def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
@@ -65,7 +60,7 @@ def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[
             in this process.
         InputError: if the net is missing or the agents or the seed are not usable.
     """
-    return _run(scenario, agents, seed, "Krauss")
+    return run_with(scenario, agents, seed, HOME)
 
 
 def run_idm(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
@@ -74,15 +69,30 @@ def run_idm(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Itera
     The profiles are the same. A model that is trained on both laws depends less on the traces that
     either law leaves in the motion.
     """
-    return _run(scenario, agents, seed, "IDM")
+    return run_with(scenario, agents, seed, SumoSettings(law="IDM"))
 
 
-def _run(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, law: CarFollowing
+def run_with(
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, settings: SumoSettings
 ) -> Iterator[Frame]:
+    """Drive a scenario in SUMO with another law, lane discipline or step than `run` has.
+
+    Args:
+        scenario: as in `run`.
+        agents: as in `run`.
+        seed: as in `run`.
+        settings: what is the same for all vehicles.
+
+    Yields:
+        Frames as in `run`.
+
+    Raises:
+        SumoError: as in `run`.
+        InputError: as in `run`.
+    """
     _check(scenario, agents, seed)
     ordered = tuple(sorted(agents, key=lambda a: a.id))
-    return cast("Iterator[Frame]", _steps(scenario, ordered, seed, law, steer=True, read=True))
+    return cast("Iterator[Frame]", _steps(scenario, ordered, seed, settings, steer=True, read=True))
 
 
 def run_changeable(
@@ -111,7 +121,10 @@ def run_changeable(
     """
     _check(scenario, agents, seed)
     ordered = tuple(sorted(agents, key=lambda a: a.id))
-    steps = _steps(scenario, ordered, seed, law, steer=True, read=True, alternatives=alternatives)
+    steps = _steps(
+        scenario, ordered, seed, SumoSettings(law=law), steer=True, read=True,
+        alternatives=alternatives,
+    )  # fmt: skip
     return cast("Generator[Frame, AgentSpec | Command | None]", steps)
 
 
@@ -124,10 +137,10 @@ def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
         raise InputError(f"step_s: found {scenario.step_s}, expected whole milliseconds")
 
 
-def _substeps(step_s: float) -> tuple[int, int]:
+def _substeps(step_s: float, longest_s: float) -> tuple[int, int]:
     """How many SUMO steps there are per frame, and the length of each, ms."""
     milliseconds = round(step_s * 1000)
-    count = math.ceil(milliseconds / (LONGEST_STEP_S * 1000) - 1e-9)
+    count = math.ceil(milliseconds / (longest_s * 1000) - 1e-9)
     while milliseconds % count:
         count += 1
     return count, milliseconds // count
@@ -139,12 +152,12 @@ def _start(
     seed: int,
     step_ms: int,
     scratch: Path,
-    law: CarFollowing,
+    settings: SumoSettings,
     alternatives: Sequence[AgentSpec],
 ) -> tuple[Any, Path]:
     """Start the simulation; returns libsumo's C module and the path of the log."""
     routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
-    lines = route_file(agents, jaywalking_places(scenario.road, agents), law, alternatives)
+    lines = route_file(agents, jaywalking_places(scenario.road, agents), settings, alternatives)
     try:
         routes.write_text("\n".join(lines), encoding="utf-8")
     except OSError as error:
@@ -157,6 +170,7 @@ def _start(
         "--route-files", str(routes),
         "--seed", str(seed),
         "--step-length", f"{step_ms / 1000:.3f}",
+        "--lanechange.duration", f"{settings.lane_change_s:g}",
         "--log", str(log),
         *OPTIONS,
     ]  # fmt: skip
@@ -185,7 +199,7 @@ def step_bare(
     """
     _check(scenario, agents, seed)
     ordered = tuple(sorted(agents, key=lambda a: a.id))
-    for _ in _steps(scenario, ordered, seed, "Krauss", steer=steer, read=read):
+    for _ in _steps(scenario, ordered, seed, HOME, steer=steer, read=read):
         pass
 
 
@@ -193,16 +207,16 @@ def _steps(
     scenario: Scenario,
     agents: tuple[AgentSpec, ...],
     seed: int,
-    law: CarFollowing,
+    settings: SumoSettings,
     *,
     steer: bool,
     read: bool,
     alternatives: Sequence[AgentSpec] = (),
 ) -> Generator[Frame | None, AgentSpec | Command | None]:
     """Frames, or None for each where none is read; what is sent to it changes a driver at once."""
-    substeps, step_ms = _substeps(scenario.step_s)
+    substeps, step_ms = _substeps(scenario.step_s, settings.longest_step_s)
     with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
-        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), law, alternatives)
+        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), settings, alternatives)
         controls: Controls | None = None
         intervened = False  # whether controllers removed or placed an agent in the last step
         try:

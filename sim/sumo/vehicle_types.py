@@ -1,7 +1,7 @@
 """SUMO's route file of an episode: one vehicle type per driver.
 
-All drivers of a run have the same car-following model (Krauss's or IDM) and SUMO's LC2013
-lane-change model with the same imperfection; they differ in what their `Profile` says. SUMO accepts
+All drivers of a run have the same car-following model and SUMO's LC2013 lane-change model with the
+same imperfection (`SumoSettings`); they differ in what their `Profile` says. SUMO accepts
 misspelled attributes silently, so attributes are checked against `ATTRIBUTES`.
 
 References:
@@ -20,7 +20,8 @@ from xml.sax.saxutils import quoteattr
 from behaviors.errors import InputError
 from behaviors.profiles import Profile
 from sim.frames import AgentKind
-from sim.scenario import IMPERFECTION, KIND_LIMITS, WALK_START_M, AgentSpec, CarFollowing
+from sim.scenario import KIND_LIMITS, WALK_START_M, AgentSpec
+from sim.sumo.settings import HOME, SumoSettings, law_attributes
 
 VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
     AgentKind.CAR: "passenger",
@@ -40,6 +41,7 @@ ATTRIBUTES: Final[frozenset[str]] = frozenset(
         "lcSpeedGain", "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
         "lcMaxSpeedLatStanding",
         "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime", "jmDriveAfterRedTime",
+        "security", "estimation", "cc1", "cc2", "cc8", "cc9",
     }
 )  # fmt: skip
 """Every vType attribute that may be written (SUMO 1.28's names)."""
@@ -72,9 +74,9 @@ def alternative_name(agent: AgentSpec) -> str:
 
 
 def vehicle_type(
-    agent: AgentSpec, law: CarFollowing = "Krauss", name: str | None = None
+    agent: AgentSpec, settings: SumoSettings = HOME, name: str | None = None
 ) -> dict[str, str]:
-    """All vType attributes of one agent, with the car-following law of the run.
+    """All vType attributes of one agent, with the settings of the run.
 
     Raises:
         InputError: if a driver has no profile.
@@ -101,24 +103,25 @@ def vehicle_type(
         | cruise
         | {
             "maxSpeed": _number(limits.max_speed_mps),
-            "carFollowModel": law,
+            "carFollowModel": settings.law,
             "laneChangeModel": "LC2013",
-            "sigma": _number(IMPERFECTION),
+            "sigma": _number(settings.imperfection),
             "emergencyDecel": _number(
                 max(limits.emergency_decel_mps2, agent.profile.comfort_decel_mps2)
             ),
-            "lcKeepRight": "0",
+            "lcKeepRight": _number(settings.keep_right),
             "lcOpposite": "0",
             "lcMaxSpeedLatStanding": "0",
         }
         | driver_attributes(agent.profile)
+        | {n: _number(v) for n, v in law_attributes(settings.law, agent.profile).items()}
     )
 
 
 def route_file(
     agents: Sequence[AgentSpec],
     jaywalking: Mapping[int, float] | None = None,
-    law: CarFollowing = "Krauss",
+    settings: SumoSettings = HOME,
     alternatives: Sequence[AgentSpec] = (),
 ) -> Iterator[str]:
     """The lines of a SUMO route file, in order of departure.
@@ -126,7 +129,7 @@ def route_file(
     Args:
         agents: all agents of the episode, in any order.
         jaywalking: where along their first edge jaywalkers cross the road, m, by agent id.
-        law: the car-following law of all drivers.
+        settings: what is the same for all drivers.
         alternatives: drivers with other behaviours, whose vehicle types are added.
 
     Yields:
@@ -135,9 +138,9 @@ def route_file(
     yield "<routes>"
     ordered = sorted(agents, key=lambda a: (a.depart_s, a.id))
     for agent in ordered:
-        yield f"<vType{_attributes(vehicle_type(agent, law))}/>"
+        yield f"<vType{_attributes(vehicle_type(agent, settings))}/>"
     for agent in alternatives:
-        yield f"<vType{_attributes(vehicle_type(agent, law, alternative_name(agent)))}/>"
+        yield f"<vType{_attributes(vehicle_type(agent, settings, alternative_name(agent)))}/>"
     for agent in ordered:
         edges = quoteattr(" ".join(agent.route))
         depart = f"{agent.depart_s:.3f}"

@@ -11,6 +11,7 @@ from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.frames import AgentKind
 from sim.scenario import AgentSpec, sample_agents
+from sim.sumo.settings import SumoSettings
 from sim.sumo.vehicle_types import vehicle_type
 
 
@@ -47,5 +48,5 @@ def test_gap_behind_a_slow_leader_is_the_law_s(engine):
 def test_everybody_follows_by_the_same_law():
     agents = sample_agents(get_scenario("straight_road")(duration_s=60.0, flow="dense"), 0)
     drivers = [a for a in agents if a.profile is not None]
-    assert {vehicle_type(a, "IDM")["carFollowModel"] for a in drivers} == {"IDM"}
+    assert {vehicle_type(a, SumoSettings(law="IDM"))["carFollowModel"] for a in drivers} == {"IDM"}
     assert {vehicle_type(a)["carFollowModel"] for a in drivers} == {"Krauss"}

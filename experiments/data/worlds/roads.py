@@ -1,0 +1,131 @@
+"""The roads of worlds, and the traffic that wants to pass them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from scenarios.four_way_intersection import TURNS
+from scenarios.networks.geometry import ARMS
+from scenarios.networks.written import limited_net, ramp_net, straight_net
+from sim.scenario import RouteFlow
+
+FAMILIES: Final[dict[str, float]] = {"straight": 0.5, "junction": 0.25, "ramp": 0.25}
+"""Chance of each family of roads."""
+
+JUNCTIONS: Final[dict[str, str]] = {
+    "traffic_light": "four_way_intersection",
+    "priority": "four_way_priority",
+    "right_before_left": "four_way_right_before_left",
+    "allway_stop": "four_way_allway_stop",
+}
+"""The shipped net of each control of a junction."""
+
+MOST_PRESENT: Final = 60.0
+"""Flows are bounded so that about so many vehicles are on the road at once: more cost time and
+show nothing else."""
+
+RAMP_SHARE: Final = (0.1, 0.35)
+"""Share of the traffic that uses each ramp."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldRoad:
+    """A road and the demand on it.
+
+    Attributes:
+        family: straight, junction or ramp.
+        control: of a junction: who goes first; "" elsewhere.
+        lanes: in each direction.
+        limit_mps: speed limit, m/s.
+        length_m: of the road, of a junction from end to end, m.
+        flow: vehicles per hour over all entries.
+        pedestrians_per_h: per hour.
+        ramp_share: share of the traffic that enters, and that leaves, by a ramp.
+    """
+
+    family: str
+    control: str
+    lanes: int
+    limit_mps: float
+    length_m: float
+    flow: float
+    pedestrians_per_h: float
+    ramp_share: float
+
+    def net(self) -> str:
+        """The text of the SUMO net.
+
+        Raises:
+            InputError: if there is no such family or control.
+        """
+        if self.family == "straight":
+            return straight_net(self.lanes, self.limit_mps, self.length_m)
+        if self.family == "ramp":
+            return ramp_net(self.lanes, self.limit_mps, self.length_m)
+        if self.family == "junction" and self.control in JUNCTIONS:
+            return limited_net(JUNCTIONS[self.control], self.limit_mps)
+        raise InputError(
+            f"road: found {self.family} {self.control}, expected one of "
+            f"{', '.join(FAMILIES)}, a junction with one of {', '.join(JUNCTIONS)}"
+        )
+
+    def flows(self) -> tuple[RouteFlow, ...]:
+        """The demand along each route."""
+        if self.family == "straight":
+            return (RouteFlow(("road",), self.flow),)
+        if self.family == "ramp":
+            aside = self.flow * self.ramp_share
+            return (
+                RouteFlow(("before", "between", "after"), self.flow - 2 * aside),
+                RouteFlow(("on", "between", "after"), aside),
+                RouteFlow(("before", "between", "off"), aside),
+            )
+        arms, found = list(ARMS), []
+        for i, arm in enumerate(arms):
+            for places, share in TURNS.items():
+                route = (f"{arm}_in", f"{arms[(i - places) % len(arms)]}_out")
+                found.append(RouteFlow(route, self.flow / len(arms) * share))
+                walkers = self.pedestrians_per_h / (len(arms) * len(TURNS))
+                found.append(RouteFlow(route, walkers, walking=True))
+        return tuple(found)
+
+
+def draw_road(rng: np.random.Generator) -> WorldRoad:
+    """Draw a road of 20 to 130 km/h with one to five lanes, and light to dense traffic on it."""
+    family = str(rng.choice(list(FAMILIES), p=list(FAMILIES.values())))
+    level = float(rng.uniform(0.0, 1.0))
+    if family == "junction":
+        control = str(rng.choice(list(JUNCTIONS)))
+        signals = control == "traffic_light"
+        limit = float(rng.uniform(20.0, 70.0)) / 3.6
+        return WorldRoad(
+            family=family,
+            control=control,
+            lanes=2 if signals else 1,
+            limit_mps=round(limit, 2),
+            length_m=500.0,
+            flow=round(400.0 + 1400.0 * level if signals else 200.0 + 550.0 * level),
+            pedestrians_per_h=float(rng.choice((0.0, 0.0, 120.0, 300.0))),
+            ramp_share=0.0,
+        )
+    ramp = family == "ramp"
+    limit = float(rng.uniform(60.0 if ramp else 20.0, 130.0)) / 3.6
+    lanes = int(rng.integers(1, 5 if ramp else 6))
+    seconds = float(np.exp(rng.uniform(np.log(25.0), np.log(80.0))))
+    length = min(max(limit * seconds, 900.0 if ramp else 250.0), 2500.0)
+    flow = (250.0 + 1550.0 * level) * lanes
+    present = flow / 3600.0 * length / (0.85 * limit)
+    return WorldRoad(
+        family=family,
+        control="",
+        lanes=lanes,
+        limit_mps=round(limit, 2),
+        length_m=round(length),
+        flow=round(flow * min(1.0, MOST_PRESENT / present)),
+        pedestrians_per_h=0.0,
+        ramp_share=round(float(rng.uniform(*RAMP_SHARE)), 3) if ramp else 0.0,
+    )
