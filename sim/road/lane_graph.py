@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.road import Connection, Lane, LanePosition, Road
+from sim.road.cells import boxes_of, near_pairs
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -23,6 +24,10 @@ BoolArray = NDArray[np.bool_]
 DIRECTIONS: Final = ("straight", "right", "left", "turnaround")
 """Directions at the end of a lane, by preference where nothing else is known; their order is the
 code order of ``LaneGraph.direction``."""
+
+NEAR_M, CELL_M = 0.01, 30.0
+"""Lines whose boxes are farther apart than this do not meet; width of the cells in which such boxes
+are looked for, m (our choice: beyond rounding errors, and about the size of a junction)."""
 
 _PROJECT_CHUNK: Final = 2048
 """Points projected at once, so that memory stays small however long a recording is."""
@@ -48,6 +53,7 @@ class LaneGraph:
         must_yield: (L,) whether others have priority over those who enter the lane.
         must_stop: (L,) whether there is a stop sign before the lane.
         cross_lane: (Z,) lane of each place where a lane and a crossing meet.
+        cross_first: (L + 1,) where those of each lane begin.
         cross_id: (Z,) the crossing, index into ``Road.crossings``.
         cross_s: (Z,) distance along the lane of the crossing's near edge, m.
         cross_exit_s: (Z,) distance along the lane of its far edge, m.
@@ -75,6 +81,7 @@ class LaneGraph:
     must_yield: BoolArray
     must_stop: BoolArray
     cross_lane: IntArray
+    cross_first: IntArray
     cross_id: IntArray
     cross_s: FloatArray
     cross_exit_s: FloatArray
@@ -105,7 +112,7 @@ class LaneGraph:
         Returns:
             (n, 2) positions, m, and (n,) headings of the lane there, rad.
         """
-        from sim.road.lane_search import place  # compiled: only who asks pays for loading it
+        from sim.road.lane_coordinates import place  # compiled: only who asks pays for loading it
 
         xy, piece = place(
             lane, s, np.zeros(lane.size) if offset is None else offset, self.segment_first,
@@ -200,16 +207,22 @@ def _following(road: Road) -> dict[str, Any]:
 
 def _crossed(road: Road) -> dict[str, Any]:
     """Where lanes meet crossings."""
+    lanes = [i for i, lane in enumerate(road.lanes) if not lane.walking]
+    lines = [crossing.centerline for crossing in road.crossings]
+    near = near_pairs(
+        boxes_of([road.lanes[i].centerline for i in lanes], NEAR_M), boxes_of(lines, NEAR_M), CELL_M
+    )
     meets = [
         (i, c, *meet)
-        for i, lane in enumerate(road.lanes)
-        if not lane.walking
-        for c, crossing in enumerate(road.crossings)
-        if (meet := _meet(lane.centerline, crossing.centerline, crossing.width_m)) is not None
+        for i, c in ((lanes[k], c) for k, c in near.tolist())
+        if (meet := _meet(road.lanes[i].centerline, lines[c], road.crossings[c].width_m))
+        is not None
     ]
     table = np.array(meets, dtype=np.float64).reshape(-1, 5)
+    lane = table[:, 0].astype(np.int64)
     return {
-        "cross_lane": table[:, 0].astype(np.int64),
+        "cross_lane": lane,
+        "cross_first": np.searchsorted(lane, np.arange(len(road.lanes) + 1)),
         "cross_id": table[:, 1].astype(np.int64),
         "cross_s": table[:, 2],
         "cross_exit_s": table[:, 3],

@@ -41,7 +41,7 @@ class LaneArrays(NamedTuple):
     behind: IntArray
     left: IntArray
     right: IntArray
-    cross_lane: IntArray
+    cross_first: IntArray
     cross_id: IntArray
     cross_s: FloatArray
     cross_exit_s: FloatArray
@@ -87,82 +87,6 @@ class LaneView(NamedTuple):
     signal_group: IntArray
     crossing: IntArray
     crossing_distance: FloatArray
-
-
-@compiled
-def fit(
-    xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any
-) -> tuple[Any, Any, Any]:
-    """The straight piece of lane that fits each place and heading best.
-
-    Args:
-        xy: (n, 2) m.
-        heading: (n,) rad.
-        start: (G, 2) where each piece begins, m.
-        direction: (G, 2) unit vectors.
-        length: (G,) m.
-        turn_cost_m: (G,) what facing across a piece costs, m; the other way costs twice as much.
-
-    Returns:
-        (n,) piece, distance along it, m, from 0 to its length, and signed distance to its left, m.
-    """
-    n = len(xy)
-    best, at, left = np.empty(n, np.int64), np.empty(n), np.empty(n)
-    for i in range(n):
-        best[i], at[i], left[i] = 0, np.nan, np.nan
-        east, north = np.cos(heading[i]), np.sin(heading[i])
-        least, most = np.inf, np.inf
-        for j in range(-1, length.size):
-            if j < 0 and i == 0:
-                continue
-            g = best[i - 1] if j < 0 else j  # the one before is near by: its piece is a good guess
-            dx, dy = xy[i, 0] - start[g, 0], xy[i, 1] - start[g, 1]
-            ux, uy = direction[g, 0], direction[g, 1]
-            along = dx * ux + dy * uy
-            across = ux * dy - uy * dx
-            clipped = min(max(along, 0.0), length[g])
-            beyond = along - clipped
-            if across * across + beyond * beyond > most:
-                continue
-            cost = np.hypot(across, beyond)
-            cost += turn_cost_m[g] * (1.0 - (east * ux + north * uy))
-            if cost < least:
-                most = 1.001 * cost * cost  # farther away than this nothing is better
-                if j >= 0:
-                    least, best[i], at[i], left[i] = cost, g, clipped, across
-    return best, at, left
-
-
-@compiled
-def place(
-    lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any, direction: Any
-) -> tuple[Any, Any]:
-    """Places given in lane coordinates; beyond either end a lane goes on straight.
-
-    Args:
-        lane: (n,) lanes.
-        s: (n,) distance along them, m.
-        offset: (n,) distance to the left of the centre line, m.
-        first: (L,) first piece of each lane.
-        last: (L,) last piece.
-        piece_at: (G,) distance along its lane at which each piece begins, m.
-        start: (G, 2) where it begins, m.
-        direction: (G, 2) unit vectors.
-
-    Returns:
-        (n, 2) positions, m, and (n,) the piece that each is on.
-    """
-    n = lane.size
-    xy, piece = np.empty((n, 2)), np.empty(n, np.int64)
-    for i in range(n):
-        g = first[lane[i]]
-        while g < last[lane[i]] and piece_at[g + 1] <= s[i]:
-            g += 1
-        along, ux, uy = s[i] - piece_at[g], direction[g, 0], direction[g, 1]
-        xy[i, 0] = start[g, 0] + ux * along + offset[i] * -uy
-        xy[i, 1] = start[g, 1] + uy * along + offset[i] * ux
-        piece[i] = g
-    return xy, piece
 
 
 @compiled
@@ -215,13 +139,47 @@ def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
 
 
 @inner
-def _insert(rows: Any, lanes: Any, at: Any, count: int, row: Any, lane: Any, s: Any) -> None:
-    """Add a vehicle to the first ``count``, ordered by lane, then place, behind its equals."""
-    k = count  # vehicles are few, and mostly come in order
-    while k > 0 and (lanes[k - 1] > lane or (lanes[k - 1] == lane and at[k - 1] > s)):
-        rows[k], lanes[k], at[k] = rows[k - 1], lanes[k - 1], at[k - 1]
-        k -= 1
-    rows[k], lanes[k], at[k] = row, lane, s
+def _before(lane: Any, s: Any, one: Any, other: Any) -> Any:
+    """Whether a vehicle comes before another: by lane, then by place along it."""
+    return lane[one] < lane[other] or (lane[one] == lane[other] and s[one] < s[other])
+
+
+@inner
+def _in_order(rows: Any, spare: Any, count: int, lane: Any, s: Any) -> None:
+    """Sort the first ``count`` of ``rows`` by lane, then place; equals stay as they are.
+
+    Runs of sixteen are sorted by insertion and then merged (von Neumann's merge sort).
+
+    Args:
+        rows: (n,) rows of vehicles, sorted in place.
+        spare: (n,) room to work in.
+        count: how many of them count.
+        lane: (m,) lane of each row.
+        s: (m,) distance along it, m.
+    """
+    run = 16
+    for begin in range(0, count, run):
+        for k in range(begin + 1, min(begin + run, count)):
+            row, g = rows[k], k
+            while g > begin and _before(lane, s, row, rows[g - 1]):
+                rows[g] = rows[g - 1]
+                g -= 1
+            rows[g] = row
+    while run < count:
+        for begin in range(0, count, 2 * run):
+            middle, end = min(begin + run, count), min(begin + 2 * run, count)
+            one, two = begin, middle
+            for k in range(begin, end):
+                second = one >= middle or (two < end and _before(lane, s, rows[two], rows[one]))
+                if second:
+                    spare[k] = rows[two]
+                    two += 1
+                else:
+                    spare[k] = rows[one]
+                    one += 1
+        for k in range(count):
+            rows[k] = spare[k]
+        run *= 2
 
 
 @compiled
@@ -287,6 +245,7 @@ def _leaders(
     for t in range(begins.size - 1):
         most = max(most, begins[t + 1] - begins[t])
     rows, lanes, at = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    spare = np.empty(most, np.int64)
     length, onward = road.length, road.ahead
     ahead = m >= 0  # not the literal True, for which the search would be compiled once more
     for t in range(begins.size - 1):
@@ -294,8 +253,11 @@ def _leaders(
         for j in range(begins[t], begins[t + 1]):
             i = by_time[j]
             if lane[i] >= 0:
-                _insert(rows, lanes, at, count, i, lane[i], s[i])
+                rows[count] = i
                 count += 1
+        _in_order(rows, spare, count, lane, s)
+        for j in range(count):
+            lanes[j], at[j] = lane[rows[j]], s[rows[j]]
         for q in range(begins[t], begins[t + 1]):
             i = by_time[q]
             j, far = next_vehicle(lanes, at, count, forward[i], s[i], ahead, length, onward)
@@ -331,7 +293,7 @@ def _stops_ahead(lane: Any, front: Any, road: Any) -> tuple[Any, Any, Any, Any]:
         group or -1; the crossing or -1; distance to its near edge, m, or +inf.
     """
     internal, signal, length, onward = road.internal, road.signal, road.length, road.ahead
-    cross_lane, cross_id = road.cross_lane, road.cross_id
+    cross_first, cross_id = road.cross_first, road.cross_id
     cross_s, cross_exit_s = road.cross_s, road.cross_exit_s
     m = lane.size
     stop, to_crossing = np.empty(m), np.empty(m)
@@ -347,8 +309,8 @@ def _stops_ahead(lane: Any, front: Any, road: Any) -> tuple[Any, Any, Any, Any]:
                 stop[i] = travelled
                 if hop > 0:
                     group[i] = signal[now]
-            for z in range(cross_lane.size):
-                if cross_lane[z] != now or travelled + cross_exit_s[z] <= 0.0:
+            for z in range(cross_first[now], cross_first[now + 1]):
+                if travelled + cross_exit_s[z] <= 0.0:
                     continue
                 to = travelled + cross_s[z]
                 if to < to_crossing[i]:
@@ -436,11 +398,15 @@ def adjacent_vehicles(lane: Any, s: Any, length: Any, road: Any) -> tuple[Any, A
     p, count = lane.size, 0
     who, gap = np.empty((p, 4), np.int64), np.empty((p, 4))
     rows, lanes, at = np.empty(p, np.int64), np.empty(p, np.int64), np.empty(p)
+    spare = np.empty(p, np.int64)
     left, right, ahead, behind = road.left, road.right, road.ahead, road.behind
     for i in range(p):
         if lane[i] >= 0:
-            _insert(rows, lanes, at, count, i, lane[i], s[i])
+            rows[count] = i
             count += 1
+    _in_order(rows, spare, count, lane, s)
+    for j in range(count):
+        lanes[j], at[j] = lane[rows[j]], s[rows[j]]
     for i in range(p):
         for k in range(4):
             who[i, k], gap[i, k] = -1, np.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import xml.sax
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -191,17 +192,23 @@ def _connections(net: Any, group_of: dict[tuple[str, int], int]) -> list[Connect
         for link in lane.getOutgoing()
         if not link.getTo().getFunction()
     ]
+    group = [group_of.get(_lights(link), -1) for link in links]
+    rivals: dict[tuple[int, int], list[int]] = {}  # let go together at one junction
+    for i, link in enumerate(links):
+        rivals.setdefault((id(link.getJunction()), group[i]), []).append(i)
+    contested = [links[some[0]].getJunction() for some in rivals.values() if len(some) > 1]
+    number = _numbers_in_junctions(contested)
+    place = [number.get(id(link), -1) for link in links]
     found = []
-    for link in links:
-        junction = link.getJunction()
-        signal = group_of.get(_lights(link), -1)
+    for i, link in enumerate(links):
+        prohibits = link.getJunction()._prohibits
         stronger = tuple(
-            i
-            for i, other in enumerate(links)
-            if other is not link
-            and other.getJunction() is junction
-            and group_of.get(_lights(other), -1) == signal  # else they are never let go together
-            and junction.forbids(other, link)
+            other
+            for other in rivals[id(link.getJunction()), group[i]]
+            if other != i
+            and place[i] >= 0
+            and place[other] >= 0
+            and prohibits[place[i]][-(place[other] + 1)] == "1"
         )
         via = []
         at = link.getViaLaneID()
@@ -214,13 +221,33 @@ def _connections(net: Any, group_of: dict[tuple[str, int], int]) -> list[Connect
                 to_lane=str(link.getToLane().getID()),
                 via=tuple(via),
                 direction=_DIRECTIONS[link.getDirection()],
-                signal=signal,
+                signal=group[i],
                 must_yield=bool(stronger),
                 must_stop=str(link.getState()) in STOPPING_STATES,
                 yields_to=stronger,
             )
         )
     return found
+
+
+def _numbers_in_junctions(junctions: Sequence[Any]) -> dict[int, int]:
+    """The number of each link among those of its junction, by the link's Python id."""
+    places: dict[int, int] = {}
+    for junction in {id(junction): junction for junction in junctions}.values():
+        incoming = {str(edge.getID()): edge for edge in junction.getIncoming()}
+        count = 0
+        for lane_id in junction._incLanes:
+            name, underscore, index = lane_id.rpartition("_")
+            if not (underscore and name):
+                continue
+            for link in incoming[name].getLane(int(index)).getOutgoing():
+                begin = link.getFromLane().getEdge().getFunction()
+                end = link.getToLane().getEdge().getFunction()
+                if end == "walkingarea" or (begin == "walkingarea" and end != "crossing"):
+                    continue
+                places.setdefault(id(link), count)
+                count += 1
+    return places
 
 
 def _crossings(net: Any, group_of: dict[tuple[str, int], int]) -> list[Crossing]:

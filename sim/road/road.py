@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from behaviors.display import counted
 from behaviors.errors import InputError
 from sim.frames import Signal
+from sim.road.cells import Cells, cells_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -268,8 +269,33 @@ class Road:
             np.concatenate(lane),
             np.concatenate(at),
             # our choice: a lane is some 3 m wide
-            np.where([self.lanes[i].internal for i in np.concatenate(lane)], 4.0, 0.7),
+            np.where(
+                np.array([one.internal for one in self.lanes])[np.concatenate(lane)], 4.0, 0.7
+            ),
         )
+
+    @cached_property
+    def _segment_cells(self) -> Cells:
+        """The drivable segments by cell, as `sim.road.lane_coordinates.fit` looks for them."""
+        from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
+
+        start, direction, length, *_ = self._drivable_segments
+        parts = np.maximum(np.ceil(length / FIT_CELL_M), 1.0).astype(np.int64)
+        segment = np.repeat(np.arange(parts.size), parts)
+        number = np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts)
+        step = (length / parts)[segment, None] * direction[segment]
+        ends = start[segment, None] + step[:, None] * (number[:, None] + [0.0, 1.0])[..., None]
+        low, high = ends.min(axis=1) - FIT_MARGIN_M, ends.max(axis=1) + FIT_MARGIN_M
+        return cells_of(np.concatenate([low, high], axis=1), segment, FIT_CELL_M)
+
+    @cached_property
+    def _plan_of_group(self) -> dict[int, tuple[SignalPlan, ...]]:
+        """The plans that control each signal group."""
+        found: dict[int, tuple[SignalPlan, ...]] = {}
+        for plan in self.signal_plans:
+            for group in plan.groups:
+                found[group] = (*found.get(group, ()), plan)
+        return found
 
     def green_together(self, one: int, other: int) -> bool:
         """Whether two signal groups ever let go at the same time.
@@ -283,8 +309,8 @@ class Road:
         green = Signal.GREEN.code
         return any(
             states[plan.groups.index(one)] == green == states[plan.groups.index(other)]
-            for plan in self.signal_plans
-            if one in plan.groups and other in plan.groups
+            for plan in self._plan_of_group.get(one, ())
+            if other in plan.groups
             for states in plan.states
         )
 
@@ -317,12 +343,12 @@ class Road:
         Returns:
             Lane index, distance along it and signed offset of each point.
         """
-        from sim.road.lane_search import fit  # compiled: only who asks pays for loading it
+        from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
 
         start, direction, length, lane, at, turn_cost_m = self._drivable_segments
         best, along, across = fit(
             np.ascontiguousarray(xy, dtype=np.float64),
             np.ascontiguousarray(heading, dtype=np.float64),
-            start, direction, length, turn_cost_m,
+            start, direction, length, turn_cost_m, self._segment_cells,
         )  # fmt: skip
         return LanePosition(lane=lane[best], s=at[best] + along, offset=across)

@@ -1,0 +1,124 @@
+"""Square cells over a road, so that a search near a place looks only at what lies near it.
+
+`cells_of` sorts boxes into the cells that they touch. Building costs time and memory in proportion
+to the boxes, and a look-up costs what its cell holds, however large the road is.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+IndexArray = NDArray[np.int32]
+
+MOST_CELLS_PER_BOX: Final = 64
+"""Bound on the number of cells (our choice): where few boxes are scattered over a wide area, cells
+are made larger."""
+
+
+class Cells(NamedTuple):
+    """Items by square cell; cells are numbered row by row from the south-west.
+
+    Attributes:
+        x0: western edge, m.
+        y0: southern edge, m.
+        size: width of a cell, m.
+        columns: number of columns.
+        rows: number of rows.
+        first: (columns rows + 1,) where the items of each cell begin in ``items``.
+        items: the items of all cells, ascending within a cell.
+    """
+
+    x0: float
+    y0: float
+    size: float
+    columns: int
+    rows: int
+    first: IntArray
+    items: IndexArray
+
+
+def cells_of(boxes: FloatArray, item: IntArray, size_m: float) -> Cells:
+    """Sort items into the cells that their boxes touch.
+
+    Args:
+        boxes: (n, 4) smallest x, smallest y, largest x and largest y, m.
+        item: (n,) the item that each box belongs to; an item may have several.
+        size_m: width of a cell; wider where the boxes cover too wide an area.
+
+    Returns:
+        The cells. A place inside a box of an item lies in a cell that lists the item.
+
+    Examples:
+        >>> cells = cells_of(np.array([[0.0, 0.0, 9.0, 1.0], [8.0, 0.0, 8.5, 1.0]]), np.arange(2), 5.0)
+        >>> cells.first.tolist(), cells.items.tolist()
+        ([0, 1, 3], [0, 0, 1])
+    """  # noqa: E501
+    if not len(boxes):
+        return Cells(0.0, 0.0, size_m, 1, 1, np.zeros(2, np.int64), np.empty(0, np.int32))
+    x0, y0 = boxes[:, :2].min(axis=0)
+    width, height = boxes[:, 2:].max(axis=0) - (x0, y0)
+    while (width / size_m + 1.0) * (height / size_m + 1.0) > MOST_CELLS_PER_BOX * len(boxes) + 16:
+        size_m *= 2.0
+    columns, rows = int(width / size_m) + 1, int(height / size_m) + 1
+    low = ((boxes[:, :2] - (x0, y0)) / size_m).astype(np.int64)
+    high = ((boxes[:, 2:] - (x0, y0)) / size_m).astype(np.int64)
+    wide = high[:, 0] - low[:, 0] + 1
+    count = wide * (high[:, 1] - low[:, 1] + 1)
+    box = np.repeat(np.arange(len(boxes)), count)
+    number = np.arange(box.size) - np.repeat(np.cumsum(count) - count, count)
+    row, column = low[box, 1] + number // wide[box], low[box, 0] + number % wide[box]
+    most = int(item.max()) + 1
+    keys = np.unique((row * columns + column) * most + item[box])
+    first = np.searchsorted(keys, np.arange(columns * rows + 1) * most)
+    return Cells(
+        float(x0), float(y0), float(size_m), columns, rows, first.astype(np.int64),
+        (keys % most).astype(np.int32),
+    )  # fmt: skip
+
+
+def near_pairs(boxes: FloatArray, others: FloatArray, size_m: float) -> IntArray:
+    """Which boxes touch which others.
+
+    Args:
+        boxes: (n, 4) smallest x, smallest y, largest x and largest y, m.
+        others: (m, 4) likewise.
+        size_m: width of the cells that are searched.
+
+    Returns:
+        (P, 2) index into ``boxes`` and index into ``others`` of each pair, in ascending order.
+
+    Examples:
+        >>> near_pairs(np.array([[0.0, 0, 1, 1], [5.0, 5, 6, 6]]), np.array([[1.0, 1, 5, 5]]), 2.0)
+        array([[0, 0],
+               [1, 0]])
+    """
+    n, m = len(boxes), len(others)
+    if not n or not m:
+        return np.empty((0, 2), np.int64)
+    cells = cells_of(np.concatenate([boxes, others]), np.arange(n + m), size_m)
+    cell = np.repeat(np.arange(cells.first.size - 1), np.diff(cells.first))
+    items = cells.items.astype(np.int64)
+    mine, theirs = items < n, items >= n
+    counts = np.bincount(cell[theirs], minlength=cells.first.size - 1)
+    begin = np.cumsum(counts) - counts
+    times = counts[cell[mine]]
+    one = np.repeat(items[mine], times)
+    number = np.arange(one.size) - np.repeat(np.cumsum(times) - times, times)
+    other = items[theirs][np.repeat(begin[cell[mine]], times) + number] - n
+    touch = (boxes[one, :2] <= others[other, 2:]).all(axis=1)
+    touch &= (others[other, :2] <= boxes[one, 2:]).all(axis=1)
+    pairs = np.unique(one[touch] * m + other[touch])
+    return np.stack([pairs // m, pairs % m], axis=1)
+
+
+def boxes_of(lines: list[FloatArray], margin_m: float) -> FloatArray:
+    """(n, 4) the box round each line (P, 2), with a margin, m."""
+    boxes = np.empty((len(lines), 4))
+    for i, line in enumerate(lines):
+        boxes[i, :2], boxes[i, 2:] = line.min(axis=0) - margin_m, line.max(axis=0) + margin_m
+    return boxes

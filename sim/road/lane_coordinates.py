@@ -1,0 +1,123 @@
+"""Places in metres and in lane coordinates, compiled: the lane that fits a place, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim.compiled import compiled, inner
+
+FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
+"""Pieces of lane are sorted into cells of this width, m, and each cell lists those within the
+margin, m (our choice: a driver is nearly always within 4 m of its lane, so one cell suffices)."""
+
+
+@inner
+def _cell_at(at: float, origin: float, width: float, cells: int) -> int:
+    """Column of cells in which a coordinate lies; the nearest for one outside, m."""
+    column = (at - origin) / width
+    if column < 1.0:
+        return 0
+    return int(column) if column < cells else cells - 1
+
+
+@compiled
+def fit(
+    xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any, cells: Any
+) -> tuple[Any, Any, Any]:
+    """The straight piece of lane that fits each place and heading best.
+
+    Args:
+        xy: (n, 2) m.
+        heading: (n,) rad.
+        start: (G, 2) where each piece begins, m.
+        direction: (G, 2) unit vectors.
+        length: (G,) m.
+        turn_cost_m: (G,) what facing across a piece costs, m; the other way costs twice as much.
+        cells: `sim.road.cells.Cells` of the pieces; each cell lists at least all pieces within
+            `FIT_MARGIN_M` of it.
+
+    Returns:
+        (n,) piece, distance along it, m, from 0 to its length, and signed distance to its left, m.
+        Of pieces that fit equally well it is the first.
+    """
+    x0, y0, size, columns, rows, first, items = cells
+    n = len(xy)
+    best, at, left = np.empty(n, np.int64), np.empty(n), np.empty(n)
+    for i in range(n):
+        best[i], at[i], left[i] = 0, np.nan, np.nan
+        x, y = xy[i, 0], xy[i, 1]
+        east, north = np.cos(heading[i]), np.sin(heading[i])
+        least, most, reach = np.inf, np.inf, 0
+        cx, cy = _cell_at(x, x0, size, columns), _cell_at(y, y0, size, rows)
+        while True:  # the own cell, then squares twice as wide until nothing nearer can be outside
+            west, right = max(cx - reach, 0), min(cx + reach, columns - 1)
+            south, top = max(cy - reach, 0), min(cy + reach, rows - 1)
+            for row in range(south, top + 1):
+                for p in range(first[row * columns + west], first[row * columns + right + 1]):
+                    g = items[p]
+                    dx, dy = x - start[g, 0], y - start[g, 1]
+                    ux, uy = direction[g, 0], direction[g, 1]
+                    along = dx * ux + dy * uy
+                    across = ux * dy - uy * dx
+                    clipped = min(max(along, 0.0), length[g])
+                    beyond = along - clipped
+                    if across * across + beyond * beyond > most:
+                        continue
+                    cost = np.hypot(across, beyond)
+                    cost += turn_cost_m[g] * (1.0 - (east * ux + north * uy))
+                    if cost < least or (cost == least and g < best[i]):
+                        most = 1.001 * cost * cost  # farther away than this nothing is better
+                        least, best[i], at[i], left[i] = cost, g, clipped, across
+            if west == 0 and south == 0 and right == columns - 1 and top == rows - 1:
+                break
+            if reach == 0:
+                inside = x0 <= x <= x0 + columns * size and y0 <= y <= y0 + rows * size
+                known = FIT_MARGIN_M if inside else 0.0
+            else:
+                known = np.inf
+                if west > 0:
+                    known = min(known, x - (x0 + west * size))
+                if right < columns - 1:
+                    known = min(known, x0 + (right + 1) * size - x)
+                if south > 0:
+                    known = min(known, y - (y0 + south * size))
+                if top < rows - 1:
+                    known = min(known, y0 + (top + 1) * size - y)
+            if least < 0.999 * known:
+                break
+            reach = max(1, 2 * reach)
+    return best, at, left
+
+
+@compiled
+def place(
+    lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any, direction: Any
+) -> tuple[Any, Any]:
+    """Places given in lane coordinates; beyond either end a lane goes on straight.
+
+    Args:
+        lane: (n,) lanes.
+        s: (n,) distance along them, m.
+        offset: (n,) distance to the left of the centre line, m.
+        first: (L,) first piece of each lane.
+        last: (L,) last piece.
+        piece_at: (G,) distance along its lane at which each piece begins, m.
+        start: (G, 2) where it begins, m.
+        direction: (G, 2) unit vectors.
+
+    Returns:
+        (n, 2) positions, m, and (n,) the piece that each is on.
+    """
+    n = lane.size
+    xy, piece = np.empty((n, 2)), np.empty(n, np.int64)
+    for i in range(n):
+        g = first[lane[i]]
+        while g < last[lane[i]] and piece_at[g + 1] <= s[i]:
+            g += 1
+        along, ux, uy = s[i] - piece_at[g], direction[g, 0], direction[g, 1]
+        xy[i, 0] = start[g, 0] + ux * along + offset[i] * -uy
+        xy[i, 1] = start[g, 1] + uy * along + offset[i] * ux
+        piece[i] = g
+    return xy, piece
