@@ -10,14 +10,15 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from behaviors.errors import InputError
 from behaviors.registry import Registry, loaded
+from sim.formats.common.packed import BROKEN, opened, plain_name
 
 if TYPE_CHECKING:
     from sim.formats.common.recording import Recording
@@ -41,6 +42,8 @@ class Format:
         reader: "module:function", or None where it is only written.
         writer: "module:function", or None where it is only read.
         unit: what its lengths are in: "m", or "px" where there is no scale.
+        clock: whether its times are a clock's; else they are frames counted at a stated rate, which
+            is corrected where motion and speeds show another.
         own_names: whether no other format names its files so; then every file of such a name is
             read, whatever it looks like.
         beside: patterns of the names of files that only accompany its files.
@@ -52,6 +55,7 @@ class Format:
     reader: str | None = None
     writer: str | None = None
     unit: str = "m"
+    clock: bool = False
     own_names: bool = False
     beside: tuple[str, ...] = ()
     example: bytes = b""
@@ -87,6 +91,7 @@ FORMATS: Final[Registry[Format]] = Registry(
                 + rb"|^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"
             ),
             "sim.formats.ngsim:read",
+            clock=True,
         ),
         "ind": Format(
             ("*_tracks.csv",),
@@ -113,11 +118,14 @@ FORMATS: Final[Registry[Format]] = Registry(
             own_names=True,
         ),
         "sumo-fcd": Format(
-            ("*.xml", "*.xml.gz"),
+            ("*.xml",),
             re.compile(rb"<fcd-export"),
             "sim.formats.sumo_fcd:read",
             "sim.formats.sumo_fcd:write",
             beside=("*.types.xml",),
+        ),
+        "commonroad": Format(
+            ("*.xml",), re.compile(rb"<commonroad\b"), "sim.formats.commonroad:read"
         ),
         "traf": Format(
             ("*.txt",),
@@ -147,7 +155,16 @@ def get_reader(name: str) -> Reader:
     source = FORMATS[name].reader
     if source is None:
         raise InputError(f"format {name}: found no reader, expected one that can be read")
-    return cast("Reader", loaded(source))
+    reader = cast("Reader", loaded(source))
+
+    @wraps(reader)
+    def guarded(path: Path, *options: Any, **named: Any) -> Iterator[Recording]:
+        try:
+            yield from reader(path, *options, **named)
+        except BROKEN as error:
+            raise InputError(f"{path}: {error}, expected a whole packed file") from None
+
+    return guarded
 
 
 def get_writer(name: str) -> Writer:
@@ -165,17 +182,11 @@ def get_writer(name: str) -> Writer:
 
 def _head(path: Path) -> bytes:
     """The beginning of a file, in lower case, without a byte order mark."""
-    if path.suffix == ".gz":
-        import gzip
-
-        try:
-            with gzip.open(path) as packed:
-                head = packed.read(HEAD_BYTES)
-        except (OSError, EOFError):
-            return b""
-    else:
-        with path.open("rb") as file:
+    try:
+        with opened(path) as file:
             head = file.read(HEAD_BYTES)
+    except BROKEN:
+        return b""
     return head.removeprefix(codecs.BOM_UTF8).lower()
 
 
@@ -185,11 +196,12 @@ def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise InputError(f"{path}: found no file and no folder, expected recordings")
-    return sorted(
-        file
-        for file in path.rglob("*")
-        if any(fnmatchcase(file.name.lower(), pattern) for pattern in patterns) and file.is_file()
-    )
+    return sorted(file for file in path.rglob("*") if _named(file, patterns) and file.is_file())
+
+
+def _named(file: Path, patterns: tuple[str, ...]) -> bool:
+    """Whether a file's name, in lower case and as if it were not packed, has such a pattern."""
+    return any(fnmatchcase(plain_name(file).lower(), pattern) for pattern in patterns)
 
 
 def recognise(path: Path) -> str:
@@ -229,7 +241,7 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
     files = _files(path, entry.files)
     others: list[Path] = []
     if path.is_dir():
-        files = [f for f in files if not any(fnmatchcase(f.name.lower(), p) for p in entry.beside)]
+        files = [file for file in files if not _named(file, entry.beside)]
         if not entry.own_names:
             others = [file for file in files if not entry.head.search(_head(file))]
             files = [file for file in files if file not in set(others)]
@@ -260,6 +272,8 @@ def read_recordings(
     Raises:
         InputError: if a file is broken, or there is none.
     """
+    from sim.formats.common.stated_rate import with_true_times
+
     name = name or recognise(path)
     reader = get_reader(name)
     if types is not None:
@@ -267,7 +281,9 @@ def read_recordings(
             raise InputError(f"types: found format {name}, expected sumo-fcd: only it needs them")
         reader = partial(cast("Callable[..., Iterator[Recording]]", reader), types=types)
     for file in recording_files(path, name)[0]:
-        yield from reader(file)
+        for recording in reader(file):
+            tracks, found = with_true_times(recording.tracks, FORMATS[name].clock)
+            yield replace(recording, tracks=tracks, notes=(*recording.notes, *found))
 
 
 __all__ = [

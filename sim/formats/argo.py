@@ -15,6 +15,7 @@ import numpy as np
 from sim.formats.argo_labels import read_labels
 from sim.formats.common.csv_columns import read_columns
 from sim.formats.common.ego_motion import remove_ego_motion
+from sim.formats.common.packed import beside, plain_name, stem
 from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, assemble
 
 FRAME_RATE_HZ: Final = 10.0
@@ -42,13 +43,13 @@ def read(path: Path) -> Iterator[Recording]:
         "the recording vehicle's motion was estimated from those that stand, and taken out",
         CARS_ASSUMED,
     ]
-    beside = path.with_name(path.name.replace("_tracks", "_labels"))
-    if beside != path and beside.is_file():
-        found = read_labels(beside)
+    labels = beside(path, plain_name(path).replace("_tracks", "_labels"))
+    if labels is not None:
+        found = read_labels(labels)
         known = [found.get(name) for name in tracks.names]
         behaviors = [None if label is None else label.behavior for label in known]
         codes = [-1 if behavior is None else behavior.code for behavior in behaviors]
         tracks = tracks.with_behavior(np.array(codes, dtype=np.int8))
         vague = sum(label is not None and label.behavior is None for label in known)
         notes.append(f"{vague} agents are aggressive, but of which class is not known: no label")
-    yield Recording(path.stem, tracks, tuple(notes))
+    yield Recording(stem(path), tracks, tuple(notes))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.formats.common.csv_columns import read_columns
+from sim.formats.common.packed import stem
 from sim.formats.common.recording import (
     CARS_ASSUMED,
     MAX_NAMES,
@@ -61,7 +62,7 @@ def read(path: Path) -> Iterator[Recording]:
     labels = _labels_beside(path, names)
     rows = Rows.of_positions(agent, names, time_s - time_s.min(), x, y, labels)
     notes = (CARS_ASSUMED, "headings and speeds are told from the motion")
-    yield Recording(path.stem, assemble(path, rows), notes)
+    yield Recording(stem(path), assemble(path, rows), notes)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:

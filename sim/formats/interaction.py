@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.csv_columns import Columns, read_columns
+from sim.formats.common.packed import beside, plain_name, stem
 from sim.formats.common.recording import (
     MOVING_MPS,
     Recording,
@@ -30,6 +31,7 @@ from sim.formats.common.recording import (
     kind_codes,
 )
 from sim.frames import AgentKind
+from sim.road.files import read_road_file
 
 TYPES: Final[dict[str, AgentKind]] = {
     "car": AgentKind.CAR,
@@ -58,15 +60,29 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names file and column or row.
     """
-    walkers = path.with_name(path.name.replace("vehicle_tracks", "pedestrian_tracks"))
-    with_walkers = walkers != path and walkers.is_file()
-    cases, walking = _cases(path), _cases(walkers) if with_walkers else {}
+    walkers = beside(path, plain_name(path).replace("vehicle_tracks", "pedestrian_tracks"))
+    cases, walking = _cases(path), {} if walkers is None else _cases(walkers)
+    found = map_beside(path)
+    road = None if found is None else read_road_file(found)
     for case in cases | walking:
         parts = [part[case] for part in (cases, walking) if case in part]
-        tracks = assemble(path, _joined(parts, path, walkers))
+        tracks = assemble(path, _joined(parts, path, walkers or path))
         notes = ("those without a size have the one usual for their kind",)
-        name = f"{path.stem}-{case}" if case else path.stem
-        yield Recording(name, tracks, notes if with_walkers else ())
+        name = f"{stem(path)}-{case}" if case else stem(path)
+        yield Recording(name, tracks, notes if walkers is not None else (), road)
+
+
+def map_beside(path: Path) -> Path | None:
+    """The map of a recording: ``map_NNN.xml`` beside ``vehicle_tracks_NNN.csv`` (as SinD has it).
+
+    Args:
+        path: the recording.
+
+    Returns:
+        The file; None where there is none.
+    """
+    number = stem(path).rpartition("tracks_")[2]
+    return beside(path, f"map_{number}.xml")
 
 
 def _joined(parts: list[Rows], path: Path, walkers: Path) -> Rows:

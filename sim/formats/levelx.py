@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.csv_columns import Columns, read_columns
+from sim.formats.common.packed import beside, plain_name, stem
 from sim.formats.common.recording import (
     MOVING_MPS,
     Recording,
@@ -48,13 +49,13 @@ CLASSES: Final[dict[str, AgentKind]] = {
 """``class`` in ``XX_tracksMeta.csv``, in lower case."""
 
 
-def _beside(path: Path, what: str) -> Path:
-    return path.with_name(path.name.replace("_tracks.csv", f"_{what}.csv"))
+def _beside(path: Path, what: str) -> Path | None:
+    return beside(path, plain_name(path).replace("_tracks.csv", f"_{what}.csv"))
 
 
 def _frame_rate(path: Path) -> float:
     facts = _beside(path, "recordingMeta")
-    if facts == path or not facts.is_file():
+    if facts is None:
         return FRAME_RATE_HZ
     rate = float(read_columns(facts, ["framerate"]).numbers("framerate")[0])
     if not 1 <= rate <= 1000:
@@ -73,8 +74,9 @@ def _agents(
 
 def _kinds(path: Path, id_column: str, names: tuple[str, ...]) -> tuple[list[AgentKind], list[str]]:
     facts = _beside(path, "tracksMeta")
-    if facts == path or not facts.is_file():
-        return [AgentKind.CAR] * len(names), [f"{facts.name} is not there: all are taken for cars"]
+    if facts is None:
+        missing = plain_name(path).replace("_tracks.csv", "_tracksMeta.csv")
+        return [AgentKind.CAR] * len(names), [f"{missing} is not there: all are taken for cars"]
     columns = read_columns(facts, [], [id_column, "class"])
     ids, words = (columns.table.column(name).to_pylist() for name in (id_column, "class"))
     word = dict(zip(ids, words, strict=True))
@@ -133,7 +135,7 @@ def read_ind(path: Path) -> Iterator[Recording]:
         width=np.where(points, usual[:, 1], width),
         kind=kind_codes(kinds),
     )
-    yield Recording(path.stem, assemble(path, rows), tuple(notes))
+    yield Recording(stem(path), assemble(path, rows), tuple(notes))
 
 
 def read_highd(path: Path) -> Iterator[Recording]:
@@ -166,4 +168,4 @@ def read_highd(path: Path) -> Iterator[Recording]:
         width=columns.numbers("height")[first],
         kind=kind_codes(kinds),
     )
-    yield Recording(path.stem, assemble(path, rows), (*notes, "headings are told from velocities"))
+    yield Recording(stem(path), assemble(path, rows), (*notes, "headings are told from velocities"))

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.csv_columns import Columns, read_columns, read_fields, read_header
+from sim.formats.common.packed import stem
 from sim.formats.common.recording import (
     MAX_CELLS,
     Recording,
@@ -79,16 +80,16 @@ def read(path: Path) -> Iterator[Recording]:
     """
     check_size(path)
     if "vehicle_id" not in read_header(path):
-        yield from _recordings(path, path.stem, read_fields(path, TEXT_COLUMNS, NUMBERS))
+        yield from _recordings(path, stem(path), read_fields(path, TEXT_COLUMNS, NUMBERS))
         return
     columns = read_columns(path, NUMBERS, ["location"], optional=["location"])
     if "location" not in columns:
-        yield from _recordings(path, path.stem, columns)
+        yield from _recordings(path, stem(path), columns)
         return
     places = columns.table.column("location")
     for place in sorted(pc.unique(places).to_pylist()):
         part = Columns(path, columns.table.filter(pc.equal(places, pa.scalar(place))))
-        yield from _recordings(path, f"{path.stem}-{place}", part)
+        yield from _recordings(path, f"{stem(path)}-{place}", part)
 
 
 def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
+from sim.formats.common.packed import opened, stem
 from sim.formats.common.recording import MAX_ROWS, Recording, Rows, assemble, check_size
 
 FRAME_RATE_HZ: Final = 25.0
@@ -57,7 +58,7 @@ def _frames(path: Path) -> Iterator[dict[int, list[_Box]]]:
     """The boxes of each id, frame by frame."""
     last = None
     total = 0
-    with path.open("rb") as file:
+    with opened(path) as file:
         for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), 1):
             if not line.strip():
                 continue
@@ -154,4 +155,4 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
     ]
     if twins:
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
-    yield Recording(path.stem, assemble(path, rows), tuple(notes))
+    yield Recording(stem(path), assemble(path, rows), tuple(notes))

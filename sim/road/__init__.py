@@ -1,5 +1,15 @@
 """The road: lanes, how they connect, what they look like, and the files they are read from."""
 
-from sim.road.road import Connection, Crossing, Lane, LanePosition, Road, SignalPlan
+from sim.road.road import (
+    Connection,
+    Crossing,
+    Lane,
+    LanePosition,
+    MapKnowledge,
+    Road,
+    SignalPlan,
+)
 
-__all__ = ["Connection", "Crossing", "Lane", "LanePosition", "Road", "SignalPlan"]
+__all__ = [
+    "Connection", "Crossing", "Lane", "LanePosition", "MapKnowledge", "Road", "SignalPlan",
+]  # fmt: skip

@@ -1,21 +1,30 @@
-"""Reads a road from a SUMO net or an Argoverse 2 map."""
+"""Reads a road from a file: a SUMO net, or the map of a recording."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 from behaviors.errors import InputError
 from sim.road import Road
 
-MAP_SUFFIX = ".json"
-"""Ending of an Argoverse 2 map; all others are SUMO nets."""
+MAP_SUFFIX: Final = ".json"
+"""Ending of an Argoverse 2 map."""
+
+ENDINGS: Final = (".road.json", MAP_SUFFIX, ".net.xml")
+"""Endings of the roads that a dataset keeps, in the order in which they are looked for."""
+
+HEAD_BYTES: Final = 4096
+"""How much of an XML file is looked at to tell its root element."""
 
 
 def read_road_file(path: Path, name: str | None = None) -> Road:
     """Read a road.
 
     Args:
-        path: a SUMO net (``.net.xml``) or an Argoverse 2 map (``.json``).
+        path: a SUMO net (``.net.xml``), an Argoverse 2 map (``.json``), a CommonRoad scenario
+            (``.xml``), or a road that a dataset keeps (``.road.json``); XML may be gzipped.
         name: what to call the road; by default the file's name without its ending.
 
     Returns:
@@ -24,14 +33,41 @@ def read_road_file(path: Path, name: str | None = None) -> Road:
     Raises:
         InputError: if the file is missing or broken, or has no drivable lane.
     """
-    if path.suffix != MAP_SUFFIX:
-        from sim.road.net import read_road
+    return _reader(path)(path, name)
 
-        return read_road(path, name)
 
+def _reader(path: Path) -> Callable[[Path, str | None], Road]:
+    if path.name.endswith(".road.json"):
+        from sim.road.maps.stored import read_stored
+
+        return read_stored
+    if path.suffix == MAP_SUFFIX:
+        return _argoverse2
+    if path.name.endswith((".xml", ".xml.gz")) and _is_commonroad(path):
+        from sim.road.maps.commonroad import read_map
+
+        return read_map
+    from sim.road.net import read_road
+
+    return read_road
+
+
+def _argoverse2(path: Path, name: str | None) -> Road:
     from sim.road.maps.argoverse2 import read_map
 
     road = read_map(path, name)
     if road is None:
         raise InputError(f"{path}: found no lane segment, expected at least one")
     return road
+
+
+def _is_commonroad(path: Path) -> bool:
+    """Whether an XML file's root element is CommonRoad's."""
+    import gzip
+    import zlib
+
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            return b"<commonRoad" in file.read(HEAD_BYTES)
+    except (OSError, EOFError, zlib.error):
+        return False  # whoever reads it says why

@@ -39,7 +39,7 @@ class LaneGraph:
 
     Attributes:
         length: (L,) length of each lane, m.
-        limit: (L,) speed limit, m/s.
+        limit: (L,) speed limit, m/s; NaN where unknown, and where limits do not rule.
         width: (L,) m.
         internal: (L,) whether the lane crosses a junction.
         drivable: (L,) whether vehicles may use it.
@@ -140,7 +140,9 @@ def _build(road: Road) -> LaneGraph:
     lanes = road.lanes
     return LaneGraph(
         length=np.array([_steps_of(lane)[1].sum() for lane in lanes]),
-        limit=np.array([lane.speed_limit_mps for lane in lanes]),
+        limit=np.array(
+            [lane.speed_limit_mps if road.knows.limits_rule else np.nan for lane in lanes]
+        ),
         width=np.array([lane.width_m for lane in lanes]),
         internal=np.array([lane.internal for lane in lanes]),
         drivable=np.array([not lane.walking for lane in lanes]),

@@ -156,6 +156,34 @@ class LanePosition:
     offset: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class MapKnowledge:
+    """What a map tells; what it does not, nobody may take for granted.
+
+    Attributes:
+        limits: whether it has speed limits.
+        signals: whether it says where lights stand and what they show.
+        priority: whether it says who has to let whom go first.
+        limits_rule: whether traffic there drives as its limits say; False where recorded traffic
+            is much slower or faster, so that a limit predicts nobody's speed.
+    """
+
+    limits: bool = True
+    signals: bool = True
+    priority: bool = True
+    limits_rule: bool = True
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """What it does not tell, in words.
+
+        Examples:
+            >>> MapKnowledge(signals=False).unknown
+            ('signals',)
+        """
+        return tuple(name for name in ("limits", "signals", "priority") if not getattr(self, name))
+
+
 @dataclass(frozen=True)
 class Road:
     """A road network.
@@ -168,6 +196,7 @@ class Road:
         signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
         source: the file it was read from.
         signal_plans: the programmes behind the signal groups.
+        knows: what its map tells; a SUMO net tells everything.
     """
 
     name: str
@@ -177,6 +206,7 @@ class Road:
     signal_groups: tuple[str, ...]
     source: Path
     signal_plans: tuple[SignalPlan, ...] = ()
+    knows: MapKnowledge = MapKnowledge()
 
     def __repr__(self) -> str:
         """How many lanes of each use it has, their length, and its extent."""
@@ -187,6 +217,10 @@ class Road:
         if self.lanes:
             x0, y0, x1, y1 = self.bounds
             extent = f" in {x1 - x0:.0f} m x {y1 - y0:.0f} m"
+        if self.knows.unknown:
+            extent += f"; unknown: {', '.join(self.knows.unknown)}"
+        if self.knows.limits and not self.knows.limits_rule:
+            extent += "; its limits do not rule"
         return (
             f"Road({self.name:.60}: {counted(len(self.lanes) - walking - internal, 'lane')} ("
             f"{length_m / 1000:.2f} km in all), {counted(internal, 'junction path')}, "

@@ -12,7 +12,9 @@ from typing import Final, TypeVar, cast
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
-from sim.road.files import MAP_SUFFIX
+from sim.road import Road
+from sim.road.files import ENDINGS
+from sim.road.maps.stored import SUFFIX, encode_road
 from sim.store.atomic import write_whole
 from sim.store.schema import EPISODE_FILES, SCHEMA_VERSION, EpisodeEntry, FileName, Manifest
 
@@ -43,18 +45,33 @@ def road_path(folder: Path, sha256: str) -> Path:
         sha256: checksum of the road's file.
 
     Returns:
-        The file with its map if there is one, else that of its SUMO net.
+        The file with its map if there is one, else where its SUMO net would be.
     """
-    kept = folder / "roads" / f"{sha256}{MAP_SUFFIX}"
-    return kept if kept.is_file() else kept.with_name(f"{sha256}.net.xml")
+    kept = [folder / "roads" / f"{sha256}{ending}" for ending in ENDINGS]
+    return next((path for path in kept if path.is_file()), kept[-1])
 
 
-def keep_road(folder: Path, road: Path) -> str:
-    """Copy a road into a dataset, unless it is there already, unaltered.
+def road_bytes(road: Path | Road) -> bytes:
+    """What a dataset keeps of a road: a file as it is, anything else as a file of ours.
+
+    Args:
+        road: a SUMO net or an Argoverse 2 map, or a road that has no such file.
+
+    Returns:
+        The file's content.
+
+    Raises:
+        OSError: if the file cannot be read.
+    """
+    return encode_road(road) if isinstance(road, Road) else road.read_bytes()
+
+
+def keep_road(folder: Path, road: Path | Road) -> str:
+    """Put a road into a dataset, unless it is there already, unaltered.
 
     Args:
         folder: the dataset.
-        road: a SUMO net or an Argoverse 2 map.
+        road: as for `road_bytes`.
 
     Returns:
         Its checksum.
@@ -62,9 +79,10 @@ def keep_road(folder: Path, road: Path) -> str:
     Raises:
         OSError: if it cannot be read or written.
     """
-    data = road.read_bytes()
+    data = road_bytes(road)
     sha256 = checksum(data)
-    ending = MAP_SUFFIX if road.suffix == MAP_SUFFIX else ".net.xml"
+    name = SUFFIX if isinstance(road, Road) else road.name
+    ending = next((e for e in ENDINGS if name.endswith(e)), ENDINGS[-1])
     path = folder / "roads" / f"{sha256}{ending}"
     if not path.exists() or checksum(path.read_bytes()) != sha256:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -219,8 +219,8 @@ class EpisodeEntry(EpisodeMeta):
 
     Attributes:
         id: hash of what the episode was made from; the name of its folder.
-        road: checksum of its road, which is ``roads/<road>.net.xml`` or ``.json``; None where
-            unknown.
+        road: checksum of its road, which is ``roads/<road>.net.xml``, ``.json`` or ``.road.json``;
+            None where unknown.
         frames: time steps.
         agents: agents that were seen.
         agent_steps: rows of ``steps.parquet``.

@@ -20,6 +20,7 @@ from behaviors.row_index import RowIndex
 from sim.episode.annotate import Annotations, annotate
 from sim.episode.rows import TrajectoryRows
 from sim.frames import KINDS, Frame, Tracks
+from sim.road import Road
 from sim.road.files import read_road_file
 from sim.scenario import AgentSpec
 from sim.store.atomic import whole_folder
@@ -187,7 +188,7 @@ def _annotated(steps: Steps, agents: Sequence[AgentSpec], road: Path) -> Annotat
 
 
 def write_recording(
-    folder: Path, meta: EpisodeMeta, tracks: Tracks, road: Path | None = None
+    folder: Path, meta: EpisodeMeta, tracks: Tracks, road: Path | Road | None = None
 ) -> EpisodeEntry:
     """Write tracks that come from elsewhere as one episode, exactly as they are.
 
@@ -195,7 +196,7 @@ def write_recording(
         folder: the dataset; created if need be. `write_manifest` completes it.
         meta: where the recording comes from.
         tracks: the recording.
-        road: the SUMO net or Argoverse 2 map that it happened on, if there is one.
+        road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
 
     Returns:
         The manifest's entry of the episode.
@@ -232,7 +233,7 @@ def _write(
     steps: Steps,
     agents: bytes,
     seen: int,
-    road: Path | None,
+    road: Path | Road | None,
     shown: Sequence[ShownTrait],
     made_from: bytes | None = None,
 ) -> EpisodeEntry:

@@ -23,6 +23,7 @@ from sim.formats.argoverse2 import SCHEMA
 from sim.formats.common.recording import hold_heading, motion
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road.maps.argoverse2 import offset_line
+from tests.sim.map_samples import COMMONROAD
 
 FOOT = 0.3048
 
@@ -105,6 +106,7 @@ SAMPLES: dict[str, tuple[str, bytes]] = {
     "highd": ("01_tracks.csv", HIGHD.encode()),
     "interaction": ("vehicle_tracks_000.csv", INTERACTION.encode()),
     "sumo-fcd": ("fcd.xml", FCD.encode()),
+    "commonroad": ("scene.xml", COMMONROAD.encode()),
     "traf": ("TRAF_gt.txt", TRAF.encode()),
     "argo": ("argo1_tracks.csv", ARGO.encode()),
 }
@@ -335,6 +337,8 @@ def last_number(content: bytes, replacement: bytes) -> bytes:
     """The last row's last number that is read, replaced."""
     if b"<fcd" in content:
         return content.replace(b'speed="1.25"', b'speed="' + replacement + b'"')
+    if b"<commonRoad" in content:
+        return content.replace(b"<exact>10.5<", b"<exact>" + replacement + b"<")
     head, _, last = content.rstrip(b"\n").rpartition(b"\n")
     place = {b"frame,id,x,y,": 7, b"TIMESTAMP": 4, b"vehicle_ID": 11, b"track_id": 4}
     index = next((i for start, i in place.items() if head.startswith(start)), None)
@@ -358,6 +362,8 @@ def test_an_agent_twice_at_one_time(tmp_path: Path, name: str) -> None:
     if name == "sumo-fcd":
         line = next(one for one in content.splitlines() if b"person" in one)
         content = content.replace(line, line + b"\n" + line)
+    elif name == "commonroad":
+        content = content.replace(b"<time><exact>1<", b"<time><exact>0<")
     else:
         content += content.splitlines()[-1] + b"\n"
     refused(put(tmp_path, name, content), name, "twice at time")

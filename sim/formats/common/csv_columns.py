@@ -15,6 +15,7 @@ import pyarrow.csv as pv
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.formats.common.packed import opened
 from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size
 
 MAX_HEADER_BYTES: Final = 65536
@@ -99,7 +100,7 @@ def read_header(path: Path) -> list[str]:
     Raises:
         InputError: if the line is too long or not UTF-8.
     """
-    with path.open("rb") as file:
+    with opened(path) as file:
         line = file.readline(MAX_HEADER_BYTES + 1)
     if len(line) > MAX_HEADER_BYTES:
         raise InputError(f"{path}: line 1: found no end within {MAX_HEADER_BYTES} bytes")
@@ -160,7 +161,7 @@ def read_fields(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Col
     check_size(path)
     columns: dict[str, list[float]] = {name: [] for name in wanted}
     places = [(columns[name], header.index(name)) for name in wanted]
-    with path.open("rb") as file:
+    with opened(path) as file:
         for number, line in enumerate(iter(lambda: file.readline(MAX_HEADER_BYTES), b""), 1):
             fields = line.split()
             if not fields:

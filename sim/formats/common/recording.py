@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.frames import AgentKind, Tracks
+from sim.road import Road
 from sim.scenario import DIMENSIONS_M
 
 FloatArray = NDArray[np.float64]
@@ -61,14 +62,14 @@ class Recording:
         name: the recording's own name.
         tracks: what was recorded; without labels unless the format carries them.
         notes: what had to be assumed or was left out, one sentence each.
-        road: file of the road that came with it, as `sim.road.files.read_road_file` takes it;
-            None where the format has none.
+        road: the road that came with it, or its file as `sim.road.files.read_road_file` takes it;
+            None where there is none.
     """
 
     name: str
     tracks: Tracks
     notes: tuple[str, ...] = ()
-    road: Path | None = None
+    road: Path | Road | None = None
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ References:
 from __future__ import annotations
 
 import functools
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -20,34 +19,24 @@ from typing import Annotated, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from sim.road import Connection, Crossing, Lane, Road
-
-MAX_COORDINATE_M: Final = 1e9
-"""Largest absolute coordinate (our choice; beyond any UTM coordinate)."""
+from sim.road import Crossing, Lane, MapKnowledge, Road
+from sim.road.maps.lanelets import (
+    MAX_COORDINATE_M,
+    MAX_FOLLOWING,
+    Lanelet,
+    check_length,
+    connections_of,
+    lanes_of,
+    pieces,
+)
 
 MAX_MAP_BYTES: Final = 2**23
 """Largest map that is read (our choice: 8 MiB; those of scenarios have some 0.2)."""
 
 MAX_SEGMENTS, MAX_CROSSWALKS = 5_000, 500
 """Most lane segments and most crosswalks of a map (our choice; scenarios have some 100 and 10)."""
-
-MAX_FOLLOWING: Final = 16
-"""Most segments that one may lead to (our choice; five are common)."""
-
-MAX_WAYS: Final = 100_000
-"""Most ways through junctions of a map (our choice)."""
-
-MAX_LENGTH_M: Final = 1e7
-"""Longest that all lanes and crossings of a map may be together, m (our choice; a city's streets
-are some thousand km): what is drawn of them stays small."""
-
-STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
-"""A way that turns by less than the first goes straight, by more than the second goes back (our
-choice: about as SUMO's netconvert has it)."""
 
 
 # --- reading ------------------------------------------------------------------------------------
@@ -129,21 +118,20 @@ def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road | No
     if not segments:
         return None
     lines = {i: _array(segment.centerline) for i, segment in segments.items()}
-    if not any(_pieces(line).size for line in lines.values()):
+    if not any(pieces(line).size for line in lines.values()):
         raise InputError(f"{path}: lane_segments: found no centre line of any length")
     crossings = tuple(_crossing(c) for c in archive.pedestrian_crossings.values())
     together = [*lines.values(), *(crossing.centerline for crossing in crossings)]
-    length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in together)
-    if length_m > MAX_LENGTH_M:
-        raise InputError(f"{path}: found {length_m:.3g} m of lanes, expected {MAX_LENGTH_M:g}")
-    lanes = _lanes(segments, lines)
+    check_length(path, together)
+    lanelets = _lanelets(segments, lines)
     return Road(
         name=name if name is not None else path.stem,
-        lanes=tuple(lanes),
-        connections=tuple(_connections(path, segments, lines)),
+        lanes=tuple(lanes_of(lanelets)),
+        connections=tuple(connections_of(path, lanelets)),
         crossings=crossings,
         signal_groups=(),
         source=path,
+        knows=MapKnowledge(limits=False, signals=False, priority=False),
     )
 
 
@@ -161,103 +149,25 @@ def _array(line: list[_Point]) -> NDArray[np.float64]:
     return points
 
 
-def _pieces(line: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(k, 2) the steps along a line that lead anywhere, m."""
-    step = np.diff(line, axis=0)
-    return np.asarray(step[np.hypot(step[:, 0], step[:, 1]) > 1e-9])
-
-
-def _lanes(segments: dict[int, _Segment], lines: dict[int, NDArray[np.float64]]) -> Iterator[Lane]:
-    """Every segment as a lane; those side by side in one direction share an edge.
-
-    Bicycles' and buses' lanes are edges of their own: nobody else changes to them.
-    """
-    right: dict[int, int] = {}
+def _lanelets(
+    segments: dict[int, _Segment], lines: dict[int, NDArray[np.float64]]
+) -> dict[int, Lanelet]:
+    """Every segment as a lanelet."""
+    found = {}
     for i, segment in segments.items():
-        beside = segments.get(-1 if (j := segment.right_neighbor_id) is None else j)
-        if (
-            beside is not None
-            and beside.left_neighbor_id == i
-            and beside.lane_type == segment.lane_type
-            and beside.is_intersection == segment.is_intersection
-            and (lines[i][-1] - lines[i][0]) @ (lines[beside.id][-1] - lines[beside.id][0]) >= 0
-        ):
-            right[i] = beside.id
-    junction = _junctions(segments)
-    for i, segment in segments.items():
-        first, index = i, 0
-        while first in right and right[first] != i:
-            first, index = right[first], index + 1
         ends = _array(segment.left_lane_boundary)[[0, -1]]
         across = ends - _array(segment.right_lane_boundary)[[0, -1]]
-        yield Lane(
-            id=str(i),
-            edge=f":{junction[i]}_{first}" if segment.is_intersection else str(first),
-            index=index,
+        found[i] = Lanelet(
+            id=i,
             centerline=lines[i],
             width_m=float(np.hypot(*across.T).mean()),  # of its beginning and its end
-            speed_limit_mps=math.nan,
+            successors=tuple(segment.successors),
             internal=segment.is_intersection,
+            left=segment.left_neighbor_id,
+            right=segment.right_neighbor_id,
+            use=segment.lane_type,
         )
-
-
-def _junctions(segments: dict[int, _Segment]) -> dict[int, int]:
-    """The number of the junction that each segment is in: those that part, join or follow."""
-    inside = [i for i, segment in segments.items() if segment.is_intersection]
-    place = {i: k for k, i in enumerate(inside)}
-    pairs: list[tuple[int, int]] = []
-    into: dict[int, int] = {}
-    for i, segment in segments.items():
-        ways = [place[j] for j in segment.successors if j in place]
-        pairs += pairwise(ways)
-        if i in place:
-            pairs += [(place[i], j) for j in ways]
-            for j in segment.successors:
-                pairs.append((into.setdefault(j, place[i]), place[i]))
-    one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    shape = (len(inside), len(inside))
-    _, number = connected_components(coo_array((np.ones(one.size), (one, other)), shape=shape))
-    return {i: int(number[k]) for i, k in place.items()}
-
-
-def _connections(
-    path: Path, segments: dict[int, _Segment], lines: dict[int, NDArray[np.float64]]
-) -> list[Connection]:
-    """Every way from a lane over a junction to the next, and what of such a way the map shows."""
-    following = {i: [j for j in s.successors if j in segments] for i, s in segments.items()}
-    entered = {j for ways in following.values() for j in ways}
-    inside = {i for i, segment in segments.items() if segment.is_intersection}
-    found: list[Connection] = []
-    for begin in segments:
-        if begin in inside and begin in entered:
-            continue
-        chains = [[begin, j] for j in following[begin]]
-        while chains:
-            chain = chains.pop()
-            onward = [j for j in following[chain[-1]] if j not in chain]
-            if chain[-1] in inside and onward:
-                chains += [[*chain, j] for j in onward]
-            else:
-                found.append(_connection(chain, lines))
-            if len(found) + len(chains) > MAX_WAYS:
-                raise InputError(f"{path}: found more than {MAX_WAYS} ways through junctions")
-    return sorted(found, key=lambda c: (int(c.from_lane), [int(i) for i in (*c.via, c.to_lane)]))
-
-
-def _connection(chain: list[int], lines: dict[int, NDArray[np.float64]]) -> Connection:
-    before, after = _pieces(lines[chain[0]])[-1:], _pieces(lines[chain[-1]])[:1]
-    turned = 0.0
-    if before.size and after.size:
-        (bx, by), (ax, ay) = before[0], after[0]
-        turned = math.atan2(bx * ay - by * ax, bx * ax + by * ay)
-    if abs(turned) <= STRAIGHT_RAD:
-        direction = "straight"
-    elif abs(turned) >= BACK_RAD:
-        direction = "turnaround"
-    else:
-        direction = "left" if turned > 0 else "right"
-    names = [str(i) for i in chain]
-    return Connection(names[0], names[-1], tuple(names[1:-1]), direction)
+    return found
 
 
 def _crossing(crosswalk: _Crosswalk) -> Crossing:

@@ -1,0 +1,104 @@
+"""Whether a recording's times fit its motion: how far agents go, over their stated speeds.
+
+Files that were resampled, or written by a tool that assumes a rate, state a wrong step: everything
+then seems to drive several times faster or slower than its own speed. Where a format has no speeds,
+readers take them from the motion, and both agree by themselves.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+
+from sim.formats.common.recording import SHORTEST_S
+from sim.formats.common.recording import motion as moved
+from sim.frames import Tracks
+
+TOLERATED: Final = 1.25
+"""Displacement over speed times time may be off by this factor (our choice: noise, and speeds that
+are filtered, stay below; the next usual rate is at least 1.25 away)."""
+
+MOVING_MPS: Final = 2.0
+"""Only faster agents are compared, m/s (our choice: noise hides what slower ones do)."""
+
+LEAST_STEPS, LEAST_M = 20, 20.0
+"""Steps and metres of motion below which nothing can be told (our choice)."""
+
+USUAL_STEPS_S: Final = (0.02, 1 / 30, 0.04, 0.05, 0.08, 0.1, 0.12, 0.2, 0.25, 0.4, 0.5, 1.0)
+"""Steps at which traffic is recorded, s."""
+
+NEAR: Final = 0.08
+"""A step this close, relatively, to a usual one is that one (our choice)."""
+
+UNITS: Final = {"km/h": 1 / 3.6, "miles/h": 0.44704, "feet/s": 0.3048}
+"""Speeds in these units look like a wrong step; they are told by their exact factor."""
+
+UNIT_NEAR: Final = 0.03
+"""How near, relatively, to a unit's factor (our choice)."""
+
+
+def displacement_over_speed(tracks: Tracks) -> float:
+    """How far moving agents go, over speed times time; 1 where times are right.
+
+    Args:
+        tracks: any recording.
+
+    Returns:
+        The median over the agents; NaN where too little moves to tell.
+    """
+    step_s = np.diff(tracks.time_s)
+    both = tracks.valid[:, 1:] & tracks.valid[:, :-1] & (step_s > SHORTEST_S)
+    way = np.hypot(*np.moveaxis(np.diff(tracks.xy, axis=1), -1, 0))
+    told = (tracks.speed[:, 1:] + tracks.speed[:, :-1]) / 2 * step_s
+    # an agent moves by its own account or by its positions: a wrong step may hide either
+    with np.errstate(invalid="ignore"):
+        both &= (told > 0) & (np.minimum(tracks.speed[:, 1:], tracks.speed[:, :-1]) > MOVING_MPS)
+    gone = np.where(both, way, 0.0).sum(axis=1)
+    said = np.where(both, told, 0.0).sum(axis=1)
+    if np.count_nonzero(both) < LEAST_STEPS or gone.sum() < LEAST_M:
+        return float("nan")
+    enough = (said > 0) & (gone > 0) & (both.sum(axis=1) >= 3)
+    return float(np.median(gone[enough] / said[enough])) if enough.any() else float("nan")
+
+
+def with_true_times(tracks: Tracks, clock: bool = False) -> tuple[Tracks, tuple[str, ...]]:
+    """The tracks with times, or speeds, that fit the motion, and what was found.
+
+    Args:
+        tracks: as read.
+        clock: whether the times are a clock's: then they stay, and what is found is only said.
+
+    Returns:
+        The same tracks where everything fits; else with times stretched to the step that the
+        motion shows, or with speeds taken from the motion where they are in another unit; and one
+        sentence about it.
+    """
+    ratio = displacement_over_speed(tracks)
+    if not np.isfinite(ratio) or 1 / TOLERATED <= ratio <= TOLERATED:
+        return tracks, ()
+    if clock:
+        return tracks, (f"agents go {ratio:.2f} times as far as their speeds say",)
+    for unit, factor in UNITS.items():
+        if abs(ratio / factor - 1) < UNIT_NEAR:
+            return _with_own_speeds(tracks), (
+                f"speeds are {1 / ratio:.3g} times what the motion shows, as in {unit}: they are "
+                "taken from the motion",
+            )
+    stated_s = tracks.step_s
+    true_s = stated_s * ratio
+    usual_s = min(USUAL_STEPS_S, key=lambda s: abs(np.log(s / true_s)))
+    if abs(usual_s / true_s - 1) < NEAR:
+        true_s = usual_s
+    first = tracks.time_s[0]
+    times = first + (tracks.time_s - first) * (true_s / stated_s)
+    return dataclasses.replace(tracks, time_s=times), (
+        f"the step is said to be {stated_s:.3g} s, and agents go {ratio:.2f} times as far as their "
+        f"speeds say: taken to be {true_s:.3g} s",
+    )
+
+
+def _with_own_speeds(tracks: Tracks) -> Tracks:
+    _, speed = moved(tracks.xy, tracks.time_s, 0.0)
+    return dataclasses.replace(tracks, speed=np.where(tracks.valid, speed, np.nan))

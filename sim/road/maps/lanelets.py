@@ -1,0 +1,365 @@
+"""What the maps of recordings share: lanelets become a road's lanes and the ways between them.
+
+Argoverse 2 calls them lane segments, CommonRoad and Lanelet2 lanelets: pieces of lane with a
+beginning and an end, neighbours and successors.
+
+References:
+    Bender, Ziegler, Stiller (2014), Lanelets: efficient map representation for autonomous driving,
+    IEEE IV.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from behaviors.errors import InputError
+from sim.road import Connection, Lane
+
+FloatArray = NDArray[np.float64]
+
+MAX_COORDINATE_M: Final = 1e9
+"""Largest absolute coordinate (our choice; beyond any UTM coordinate)."""
+
+MAX_LANELETS: Final = 5_000
+"""Most lanelets of a map (our choice; scenes have some 100, a city district 2 000)."""
+
+MAX_POINTS: Final = 2_000_000
+"""Most points of all borders of a map together (our choice)."""
+
+MAX_FOLLOWING: Final = 16
+"""Most lanelets that one may lead to (our choice; five are common)."""
+
+MAX_WAYS: Final = 100_000
+"""Most ways through junctions of a map (our choice)."""
+
+MAX_LENGTH_M: Final = 1e7
+"""Longest that all lanes and crossings of a map may be together, m (our choice; a city's streets
+are some thousand km): what is drawn of them stays small."""
+
+MAX_MEETINGS: Final = 3_000_000
+"""Most pairs of pieces of centre lines that are compared to find junctions (our choice)."""
+
+STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
+"""A way that turns by less than the first goes straight, by more than the second goes back (our
+choice: about as SUMO's netconvert has it)."""
+
+CROSSING_RAD: Final = math.radians(12.0)
+"""Centre lines that meet at a larger angle cross, so that their lanes are part of a junction (our
+choice: lanes of one carriageway that part or join stay below)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lanelet:
+    """A piece of lane, as maps of recordings give it.
+
+    Attributes:
+        id: its number in the map.
+        centerline: (P, 2) points in driving direction, m.
+        width_m: m.
+        successors: ids of those that can follow.
+        internal: whether it crosses a junction.
+        left: id of the neighbour on the left, of the same direction; None without one.
+        right: likewise on the right.
+        use: what may be there: nobody changes between lanelets of different use.
+        limit_mps: speed limit, m/s; NaN where unknown.
+        walking: whether it is for pedestrians only.
+        cars: whether cars may drive on it.
+        signal: signal group that controls leaving it, -1 if none.
+        must_yield: whether others have priority over those who leave it.
+        must_stop: whether a stop sign stands at its end.
+        yields_to: ids of lanelets whose traffic has priority over those who leave it.
+    """
+
+    id: int
+    centerline: FloatArray
+    width_m: float
+    successors: tuple[int, ...]
+    internal: bool
+    left: int | None = None
+    right: int | None = None
+    use: str = ""
+    limit_mps: float = math.nan
+    walking: bool = False
+    cars: bool = True
+    signal: int = -1
+    must_yield: bool = False
+    must_stop: bool = False
+    yields_to: tuple[int, ...] = ()
+
+
+def check_length(path: Path, lines: list[FloatArray]) -> None:
+    """Refuse a map whose lines are longer than any place, or have no length at all.
+
+    Raises:
+        InputError: naming the file.
+    """
+    length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
+    if length_m > MAX_LENGTH_M:
+        raise InputError(f"{path}: found {length_m:.3g} m of lanes, expected {MAX_LENGTH_M:g}")
+
+
+def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
+    """Centre line and mean width of a lane from its borders.
+
+    Args:
+        left: (P, 2) left border in driving direction, m.
+        right: (Q, 2) right border, m; matched point by point where P = Q, else by the share of its
+            length.
+
+    Returns:
+        (max(P, Q), 2) the centre line, m, read-only, and the width, m.
+    """
+    if len(left) != len(right):
+        shares = [_shares(line) for line in (left, right)]
+        every = shares[0] if len(left) > len(right) else shares[1]
+        left, right = (
+            np.stack([np.interp(every, share, line[:, axis]) for axis in (0, 1)], axis=1)
+            for line, share in zip((left, right), shares, strict=True)
+        )
+    middle = (left + right) / 2
+    middle.flags.writeable = False
+    step = np.diff(middle, axis=0)
+    # across the lane: a border's points need not lie opposite each other
+    normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
+    size = np.hypot(normal[:, 0], normal[:, 1])
+    apart = (left - right)[:-1] + (left - right)[1:]
+    across = np.abs(np.sum(apart * normal, axis=1)) / 2
+    total = float(np.sum(size**2))
+    width = float(np.sum(across * size)) / total if total > 0 else 0.0
+    return middle, width
+
+
+def _shares(line: FloatArray) -> FloatArray:
+    """(P,) how much of a line's length comes before each of its points."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    return along / along[-1] if along[-1] > 0 else np.linspace(0.0, 1.0, len(line))
+
+
+def pieces(line: FloatArray) -> FloatArray:
+    """(k, 2) the steps along a line that lead anywhere, m."""
+    step = np.diff(line, axis=0)
+    return np.asarray(step[np.hypot(step[:, 0], step[:, 1]) > 1e-9])
+
+
+def lanes_of(lanelets: Mapping[int, Lanelet]) -> Iterator[Lane]:
+    """Every lanelet as a lane; those side by side in one direction share an edge.
+
+    Lanelets of another use (bicycles, buses) are edges of their own: nobody else changes to them.
+
+    Args:
+        lanelets: by id, in order of the ids.
+
+    Yields:
+        A lane per lanelet, in that order, its id in digits.
+    """
+    right: dict[int, int] = {}
+    for i, one in lanelets.items():
+        beside = None if one.right is None else lanelets.get(one.right)
+        if (
+            beside is not None
+            and beside.left == i
+            and beside.use == one.use
+            and beside.internal == one.internal
+            and _chord(one) @ _chord(beside) >= 0
+        ):
+            right[i] = beside.id
+    junction = _junctions(lanelets)
+    for i, one in lanelets.items():
+        first, index = i, 0
+        while first in right and right[first] != i:
+            first, index = right[first], index + 1
+        yield Lane(
+            id=str(i),
+            edge=f":{junction[i]}_{first}" if one.internal else str(first),
+            index=index,
+            centerline=one.centerline,
+            width_m=one.width_m,
+            speed_limit_mps=one.limit_mps,
+            walking=one.walking,
+            internal=one.internal,
+            cars=one.cars,
+        )
+
+
+def _chord(lanelet: Lanelet) -> FloatArray:
+    return np.asarray(lanelet.centerline[-1] - lanelet.centerline[0])
+
+
+def _junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, int]:
+    """The number of the junction that each lanelet is in: those that part, join or follow."""
+    inside = [i for i, one in lanelets.items() if one.internal]
+    place = {i: k for k, i in enumerate(inside)}
+    pairs: list[tuple[int, int]] = []
+    into: dict[int, int] = {}
+    for i, one in lanelets.items():
+        ways = [place[j] for j in one.successors if j in place]
+        pairs += pairwise(ways)
+        if i in place:
+            pairs += [(place[i], j) for j in ways]
+            for j in one.successors:
+                pairs.append((into.setdefault(j, place[i]), place[i]))
+    one_end, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    shape = (len(inside), len(inside))
+    joined = coo_array((np.ones(one_end.size), (one_end, other)), shape=shape)
+    _, number = connected_components(joined)
+    return {i: int(number[k]) for i, k in place.items()}
+
+
+def connections_of(path: Path, lanelets: Mapping[int, Lanelet]) -> list[Connection]:
+    """Every way from a lane over a junction to the next, and what of such a way the map shows.
+
+    Args:
+        path: the map, for messages.
+        lanelets: by id.
+
+    Returns:
+        The ways that vehicles have, in order of their lanes' numbers.
+
+    Raises:
+        InputError: if there are more than any junction has.
+    """
+    driven = {i: one for i, one in lanelets.items() if not one.walking}
+    following = {i: [j for j in s.successors if j in driven] for i, s in driven.items()}
+    entered = {j for ways in following.values() for j in ways}
+    inside = {i for i, one in driven.items() if one.internal}
+    found: list[list[int]] = []
+    for begin in driven:
+        if begin in inside and begin in entered:
+            continue
+        chains = [[begin, j] for j in following[begin]]
+        while chains:
+            chain = chains.pop()
+            onward = [j for j in following[chain[-1]] if j not in chain]
+            if chain[-1] in inside and onward:
+                chains += [[*chain, j] for j in onward]
+            else:
+                found.append(chain)
+            if len(found) + len(chains) > MAX_WAYS:
+                raise InputError(f"{path}: found more than {MAX_WAYS} ways through junctions")
+    found.sort(key=lambda c: (c[0], [*c[1:-1], c[-1]]))
+    ways = [_connection(chain, driven) for chain in found]
+    return _with_priority(ways, found, driven)
+
+
+def _with_priority(
+    ways: list[Connection], chains: list[list[int]], lanelets: Mapping[int, Lanelet]
+) -> list[Connection]:
+    """The ways, each with those that have priority over it."""
+    passing: dict[int, list[int]] = {}
+    for index, chain in enumerate(chains):
+        for i in chain[:-1]:
+            passing.setdefault(i, []).append(index)
+    told = []
+    for index, (way, chain) in enumerate(zip(ways, chains, strict=True)):
+        over = {k for i in lanelets[chain[0]].yields_to for k in passing.get(i, ())} - {index}
+        told.append(dataclasses.replace(way, yields_to=tuple(sorted(over))) if over else way)
+    return told
+
+
+def _connection(chain: list[int], lanelets: Mapping[int, Lanelet]) -> Connection:
+    first = lanelets[chain[0]]
+    before, after = pieces(first.centerline)[-1:], pieces(lanelets[chain[-1]].centerline)[:1]
+    turned = 0.0
+    if before.size and after.size:
+        (bx, by), (ax, ay) = before[0], after[0]
+        turned = math.atan2(bx * ay - by * ax, bx * ax + by * ay)
+    if abs(turned) <= STRAIGHT_RAD:
+        direction = "straight"
+    elif abs(turned) >= BACK_RAD:
+        direction = "turnaround"
+    else:
+        direction = "left" if turned > 0 else "right"
+    names = [str(i) for i in chain]
+    return Connection(
+        names[0], names[-1], tuple(names[1:-1]), direction,
+        signal=first.signal, must_yield=first.must_yield, must_stop=first.must_stop,
+    )  # fmt: skip
+
+
+def with_junctions(path: Path, lanelets: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
+    """Lanelets of a map that does not say which are part of a junction, told from their lines.
+
+    A lanelet is part of one if its centre line crosses that of another at more than
+    `CROSSING_RAD`, or if it parts from, or joins, one that does.
+
+    Args:
+        path: the map, for messages.
+        lanelets: by id.
+
+    Returns:
+        The same lanelets, ``internal`` set.
+
+    Raises:
+        InputError: if more lines overlap than on any road.
+    """
+    driven = [one for one in lanelets.values() if not one.walking]
+    inside = _crossing_ids(path, driven)
+    before: dict[int, list[int]] = {}
+    for one in driven:
+        for j in one.successors:
+            before.setdefault(j, []).append(one.id)
+    beside = [one.successors for one in driven if len(one.successors) > 1]
+    beside += [tuple(ways) for ways in before.values() if len(ways) > 1]
+    known = {one.id for one in driven}
+    # the way straight on belongs to a junction like the turns that part from it or join it
+    for ways in beside:
+        if inside.intersection(ways):
+            inside.update(known.intersection(ways))
+    return {i: dataclasses.replace(one, internal=i in inside) for i, one in lanelets.items()}
+
+
+def _crossing_ids(path: Path, lanelets: list[Lanelet]) -> set[int]:
+    """Ids of the lanelets whose centre line crosses another's."""
+    if len(lanelets) < 2:
+        return set()
+    lines = [one.centerline for one in lanelets]
+    low = np.array([line.min(axis=0) for line in lines])
+    high = np.array([line.max(axis=0) for line in lines])
+    compared, inside = 0, set[int]()
+    for i, one in enumerate(lanelets[:-1]):
+        rest = slice(i + 1, None)
+        meets = ((low[rest] <= high[i]) & (high[rest] >= low[i])).all(axis=1)
+        for j in np.flatnonzero(meets) + i + 1:
+            compared += (len(lines[i]) - 1) * (len(lines[j]) - 1)
+            if compared > MAX_MEETINGS:
+                raise InputError(
+                    f"{path}: found more than {MAX_MEETINGS} pieces of lane that overlap"
+                )
+            if _cross(lines[i], lines[j]):
+                inside |= {one.id, lanelets[j].id}
+    return inside
+
+
+def _cross(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two lines meet, not just at their ends, at an angle."""
+    a, b = one[:-1, None], other[None, :-1]
+    step_a, step_b = np.diff(one, axis=0)[:, None], np.diff(other, axis=0)[None]
+    det = step_a[..., 0] * step_b[..., 1] - step_a[..., 1] * step_b[..., 0]
+    size = np.hypot(step_a[..., 0], step_a[..., 1]) * np.hypot(step_b[..., 0], step_b[..., 1])
+    askew = np.abs(det) > math.sin(CROSSING_RAD) * size
+    safe = np.where(askew, det, 1.0)
+    gap = b - a
+    t = (gap[..., 0] * step_b[..., 1] - gap[..., 1] * step_b[..., 0]) / safe
+    u = (gap[..., 0] * step_a[..., 1] - gap[..., 1] * step_a[..., 0]) / safe
+    hit = askew & (t >= 0) & (t <= 1) & (u >= 0) & (u <= 1)
+    if not hit.any():
+        return False
+    i, j = (int(k[0]) for k in np.nonzero(hit))
+    point = one[i] + t[i, j] * (one[i + 1] - one[i])
+    ends = np.stack([one[0], one[-1], other[0], other[-1]])
+    return bool(np.hypot(*(ends - point).T).min() > END_M)
+
+
+END_M: Final = 1.0
+"""Lines that meet this close to an end of one of them follow each other, m (our choice)."""

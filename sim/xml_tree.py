@@ -1,0 +1,94 @@
+"""XML files as trees: what is read whole is bounded in size, and declares nothing of its own.
+
+Document type declarations are refused: an entity can stand for any amount of text. The recordings
+that stream (`sim.formats.sumo_fcd`) are parsed element by element instead.
+"""
+
+from __future__ import annotations
+
+import gc
+import gzip
+import re
+import xml.etree.ElementTree as ET
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from behaviors.errors import InputError
+
+MAX_TREE_BYTES: Final = 2**26
+"""Largest XML file that is read as a tree, uncompressed (our choice: 64 MiB; a scene of 10 s has
+some 2, a city district's map some 20)."""
+
+MAX_MARKS: Final = 6_000_000
+"""Most ``<`` and ``=`` in such a file (our choice): each makes an object of some 100 bytes."""
+
+_DECLARED: Final = re.compile(rb"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
+_ENCODING: Final = re.compile(rb"""<\?xml[^>]{0,200}?encoding\s*=\s*["']([^"']{1,40})["']""")
+_ENCODINGS: Final = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1")
+
+
+def read_tree(path: Path) -> ET.Element:
+    """The root element of an XML file.
+
+    Args:
+        path: the file, gzipped where its name ends in ``.gz``.
+
+    Returns:
+        The root; elements, attributes and texts as they are in the file.
+
+    Raises:
+        InputError: if the file is missing, too large, no XML, or declares a document type.
+    """
+    data = read_bytes(path)
+    if data.count(b"<") + data.count(b"=") > MAX_MARKS:
+        raise InputError(f"{path}: found more than {MAX_MARKS} elements and attributes")
+    if _DECLARED.search(data):
+        raise InputError(f"{path}: found a document type or entity declaration, expected none")
+    encoding = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf").lstrip()[:300])
+    if b"\0" in data or (encoding and encoding.group(1).lower() not in _ENCODINGS):
+        raise InputError(f"{path}: found another encoding, expected UTF-8")
+    try:
+        with _without_collection():
+            return ET.fromstring(data)
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{path}: {' '.join(str(error).split())}") from None
+
+
+def read_bytes(path: Path, most: int = MAX_TREE_BYTES) -> bytes:
+    """A file's content, unpacked where its name ends in ``.gz``.
+
+    Args:
+        path: the file.
+        most: bytes that it may have, unpacked.
+
+    Returns:
+        What is in it.
+
+    Raises:
+        InputError: if the file is missing, larger, or not packed as its name says.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected one")
+    try:
+        with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
+            data = file.read(most + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(f"{path}: {error}") from None
+    if len(data) > most:
+        raise InputError(f"{path}: found more than {most} bytes inside, expected at most that")
+    return bytes(data)
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """No garbage collection: a growing tree is all alive; searching it takes half the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

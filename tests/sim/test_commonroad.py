@@ -1,0 +1,181 @@
+"""CommonRoad: a hand-made scenario with known answers, its versions, its map, and real ones."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from experiments.data.exchange import import_recordings
+from sim.formats import read_recordings, recognise
+from sim.formats.common.recording import Recording
+from sim.frames import KINDS, AgentKind
+from sim.road import Road
+from sim.road.files import read_road_file
+from sim.road.lane_graph import LaneGraph
+from sim.road.maps.stored import encode_road, read_stored
+from sim.store.dataset import open_dataset
+from tests.sim.map_samples import COMMONROAD
+
+
+def read(folder: Path, text: str = COMMONROAD) -> Recording:
+    path = folder / "scene.xml"
+    path.write_text(text)
+    (recording,) = read_recordings(path)
+    return recording
+
+
+def test_obstacles(tmp_path: Path) -> None:
+    recording = read(tmp_path)
+    tracks = recording.tracks
+    assert recognise(tmp_path) == "commonroad"
+    assert tracks.names == ("30", "31")
+    assert [KINDS[k] for k in tracks.kind] == [AgentKind.TRUCK, AgentKind.CAR]
+    assert tracks.time_s.tolist() == [0.0, 0.1]
+    assert tracks.xy[0].tolist() == [[1.0, 0.0], [2.0, 0.5]]
+    assert tracks.heading[0].tolist() == [0.0, 0.25]
+    assert tracks.speed.tolist() == [[10.0, 10.5], [0.0, 0.0]]
+    assert tracks.length.tolist() == [8.5, 4.5]
+    assert tracks.signals.tolist() == [[2, 2]]
+    assert "pillar" in " ".join(recording.notes)
+
+
+@pytest.mark.parametrize("version", ["2017a", "2018a"])
+def test_early_versions_give_seconds_and_limits_of_lanelets(tmp_path: Path, version: str) -> None:
+    text = COMMONROAD.replace("2020a", version).replace("dynamicObstacle", "obstacle")
+    text = text.replace("<type>truck", "<role>dynamic</role><type>truck")
+    text = text.replace('<trafficSignRef ref="5"/>', "<speedLimit>3.5</speedLimit>")
+    recording = read(tmp_path, text)
+    assert recording.tracks.time_s.tolist() == [0.0, 1.0]
+    assert isinstance(recording.road, Road)
+    assert recording.road.lanes[0].speed_limit_mps == 3.5
+
+
+def test_the_map(tmp_path: Path) -> None:
+    road = read(tmp_path).road
+    assert isinstance(road, Road)
+    first, second = road.lanes
+    assert (first.id, second.id) == ("1", "2")
+    assert first.centerline.tolist() == [[0.0, 0.0], [50.0, 0.0]]
+    assert (first.width_m, second.width_m) == (4.0, 4.0)
+    assert (first.speed_limit_mps, second.internal) == (13.5, True)
+    assert math.isnan(second.speed_limit_mps)
+    (way,) = road.connections
+    assert (way.from_lane, way.to_lane, way.direction, way.signal) == ("1", "2", "straight", 0)
+    assert road.signal_plans[0].state_at(31.0) == (1,)
+    assert road.knows.unknown == ("priority",)
+    assert len(LaneGraph.of(road).length) == 2
+
+
+def test_a_programme_in_another_unit_is_not_believed(tmp_path: Path) -> None:
+    road = read(tmp_path, COMMONROAD.replace("<duration>30<", "<duration>3<")).road
+    assert isinstance(road, Road)
+    assert road.signal_groups == ()
+    assert road.knows.unknown == ("signals", "priority")
+
+
+def test_who_yields_at_signs(tmp_path: Path) -> None:
+    side = COMMONROAD[COMMONROAD.index('<lanelet id="1"') :].split("</lanelet>")[0] + "</lanelet>"
+    side = side.replace('id="1"', 'id="3"').replace('ref="5"', 'ref="9"')
+    side = side.replace("<y>2<", "<y>22<").replace("<y>-2<", "<y>18<")
+    text = COMMONROAD.replace("<trafficSign id", side + "<trafficSign id", 1)
+    text = text.replace(
+        "</trafficSign>",
+        '</trafficSign><trafficSign id="9"><trafficSignElement><trafficSignID>205</trafficSignID>'
+        "</trafficSignElement></trafficSign>",
+    )
+    text = text.replace(
+        "</intersection>",
+        '<incoming id="10"><incomingLanelet ref="3"/><successorsRight ref="2"/></incoming>'
+        "</intersection>",
+    )
+    road = read(tmp_path, text).road
+    assert isinstance(road, Road)
+    assert [(way.from_lane, way.must_yield, way.yields_to) for way in road.connections] == [
+        ("1", False, ()),
+        ("3", True, (0,)),
+    ]
+    assert road.knows.priority
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("2020a", "2030z", "commonRoadVersion"),
+        ('timeStepSize="0.1"', 'timeStepSize="0"', "timeStepSize"),
+        ("<x>50</x>", "", "leftBound"),
+        ("<x>50</x>", "<x>1e300</x>", "beyond"),
+        ('<lanelet id="2"', '<lanelet id="1"', "lanelet 1 twice"),
+        ('<lanelet id="2"', '<lanelet id="two"', "lanelet id: found 'two'"),
+        ('<successor ref="2"', '<successor ref="x"', "successor ref"),
+        (">13.5<", ">-1<", "speed limit"),
+        (">green<", ">blue<", "color"),
+        ("<length>8.5<", "<length>nan<", "length"),
+        ("<time><exact>1<", "<time><exact>soon<", "time"),
+        ('id="31"', 'id="30"', "obstacle 30 twice"),
+        ("<?xml", "<!DOCTYPE a [<!ENTITY b 'c'>]><?xml", "declaration"),
+        ('encoding="utf-8"', 'encoding="cp037"', "encoding"),
+        ("</commonRoad>", "", "no element found"),
+        ("</commonRoad>", "</x>", "mismatched"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path: Path, old: str, new: str, told: str) -> None:
+    assert old in COMMONROAD
+    with pytest.raises(InputError, match=r"scene\.xml") as caught:
+        read(tmp_path, COMMONROAD.replace(old, new))
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_road_is_stored_as_it_is(tmp_path: Path) -> None:
+    road = read(tmp_path).road
+    assert isinstance(road, Road)
+    path = tmp_path / "a.road.json"
+    path.write_bytes(encode_road(road))
+    back = read_stored(path)
+    assert encode_road(back) == path.read_bytes()
+    assert back.connections == road.connections
+    assert back.signal_plans == road.signal_plans
+    assert back.knows == road.knows
+    np.testing.assert_array_equal(back.lanes[1].centerline, road.lanes[1].centerline)
+    path.write_bytes(path.read_bytes().replace(b'"to_lane": "2"', b'"to_lane": "9"'))
+    os.utime(path, (0, 0))
+    with pytest.raises(InputError, match="expected a lane"):
+        read_stored(path)
+
+
+def test_import_keeps_the_map(tmp_path: Path) -> None:
+    source = tmp_path / "scenes"
+    source.mkdir()
+    (source / "a.xml.gz").write_bytes(gzip.compress(COMMONROAD.encode()))
+    (source / "b.xml").write_text(COMMONROAD.replace("<x>9</x>", "<x>8</x>"))
+    import_recordings(source, tmp_path / "data", quiet=True)
+    dataset = open_dataset(tmp_path / "data")
+    first, second = dataset.episodes()
+    assert first.road == second.road  # the map is the same, and kept once
+    road = dataset.road(first)
+    assert road is not None
+    assert [lane.id for lane in road.lanes] == ["1", "2"]
+    assert [lane.id for lane in read_road_file(source / "a.xml.gz").lanes] == ["1", "2"]
+
+
+@pytest.mark.parametrize("place", ["us101", "lankershim", "peachtree"])
+def test_real_scenarios(place: str) -> None:
+    home = os.environ.get("GRAPHRQI_DATA")
+    if not home:
+        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
+    files = sorted((Path(home) / "real" / f"ngsim_{place}").glob("*.gz"))[::7]
+    for file in files:
+        (recording,) = read_recordings(file)
+        road, tracks = recording.road, recording.tracks
+        assert isinstance(road, Road)
+        assert tracks.step_s == pytest.approx(0.1)
+        assert not any("step" in note for note in recording.notes)
+        at = road.project(tracks.xy[tracks.valid], tracks.heading[tracks.valid])
+        width = np.array([lane.width_m for lane in road.lanes])[at.lane]
+        assert np.mean(np.abs(at.offset) < width / 2) > 0.9
