@@ -6,10 +6,11 @@ Each takes tracks, a level and a generator, and returns other tracks; labels sta
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.frames import Tracks
@@ -85,6 +86,59 @@ def identity_switches(tracks: Tracks, per_minute: float, rng: np.random.Generato
     )
 
 
+def lost_detections(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
+    """A share of all detections is missing, each independently; tracks keep their ids."""
+    return _hidden(tracks, tracks.valid & (rng.random(tracks.valid.shape) >= share))
+
+
+def lost_tracks(
+    tracks: Tracks, per_minute: float, rng: np.random.Generator, gap_s: float = 1.5
+) -> Tracks:
+    """Agents are lost ``per_minute`` times on average, and found again under the same id.
+
+    They are unseen for an exponential time of ``gap_s`` on average.
+    """
+    return _hidden(tracks, tracks.valid & ~_gaps(tracks, per_minute, gap_s, rng))
+
+
+def renamed_tracks(
+    tracks: Tracks, per_minute: float, rng: np.random.Generator, gap_s: float = 1.5
+) -> Tracks:
+    """As `lost_tracks`, but an agent that is found again has a new id."""
+    gaps = _gaps(tracks, per_minute, gap_s, rng)
+    begins = gaps & ~np.pad(gaps, ((0, 0), (1, 0)))[:, :-1]
+    piece = np.cumsum(begins, axis=1)
+    rows, columns = [], []
+    for row in range(tracks.ids.size):
+        seen = np.flatnonzero(tracks.valid[row] & ~gaps[row])
+        for number in np.unique(piece[row, seen]):
+            rows.append(row)
+            columns.append(seen[piece[row, seen] == number])
+    return _pieces(tracks, rows, columns)
+
+
+def _gaps(
+    tracks: Tracks, per_minute: float, gap_s: float, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """(N, T) when each agent is lost."""
+    n, t = tracks.valid.shape
+    begins = rng.random((n, t)) < per_minute / 60.0 * tracks.step_s
+    length_s = rng.exponential(gap_s, (n, t))
+    end_s = np.where(begins, tracks.time_s + length_s, -np.inf)
+    return np.asarray(np.maximum.accumulate(end_s, axis=1) > tracks.time_s)
+
+
+def _hidden(tracks: Tracks, valid: NDArray[np.bool_]) -> Tracks:
+    """The tracks where ``valid`` (N, T) holds; agents that are never seen stay, without a place."""
+    return dataclasses.replace(
+        tracks,
+        xy=np.where(valid[..., None], tracks.xy, np.nan),
+        heading=np.where(valid, tracks.heading, np.nan),
+        speed=np.where(valid, tracks.speed, np.nan),
+        valid=valid,
+    )
+
+
 def cut_tracks(tracks: Tracks, piece_s: float, rng: np.random.Generator) -> Tracks:
     """Every track is lost after ``piece_s`` and found again under a new id."""
     if piece_s <= 0:
@@ -99,33 +153,38 @@ def cut_tracks(tracks: Tracks, piece_s: float, rng: np.random.Generator) -> Trac
         for piece in np.unique(np.floor(age / piece_s)):
             rows.append(row)
             columns.append(seen[np.floor(age / piece_s) == piece])
+    return _pieces(tracks, rows, columns)
+
+
+def _pieces(tracks: Tracks, rows: Sequence[int], columns: Sequence[NDArray[np.int64]]) -> Tracks:
+    """Tracks of pieces: of the agent in each row, the times in each of the columns."""
     valid = np.zeros((len(rows), tracks.time_s.size), dtype=bool)
     for piece, seen in enumerate(columns):
         valid[piece, seen] = True
     source = np.array(rows, dtype=np.int64)
-    hidden = ~valid
-    xy, heading, speed = tracks.xy[source], tracks.heading[source], tracks.speed[source]
-    xy[hidden], heading[hidden], speed[hidden] = np.nan, np.nan, np.nan
-    return dataclasses.replace(
+    pieces = dataclasses.replace(
         tracks,
         ids=np.arange(source.size),
         names=tuple(f"{tracks.names[row]}/{i}" for i, row in enumerate(rows)),
         kind=tracks.kind[source],
         length=tracks.length[source],
         width=tracks.width[source],
-        xy=xy,
-        heading=heading,
-        speed=speed,
-        valid=valid,
+        xy=tracks.xy[source],
+        heading=tracks.heading[source],
+        speed=tracks.speed[source],
+        valid=tracks.valid[source],
         behavior=None if tracks.behavior is None else tracks.behavior[source],
         events=(),
     )
+    return _hidden(pieces, valid)
 
 
 DISTURBANCES: Final[dict[str, tuple[Disturbance, tuple[float, ...], str]]] = {
     "position noise": (position_noise, (0.1, 0.3, 1.0), "m"),
     "correlated noise": (correlated_noise, (0.1, 0.25, 0.5), "m"),
     "dropped frames": (dropped_frames, (0.1, 0.3, 0.5), "of all"),
+    "lost detections": (lost_detections, (0.1, 0.3), "of all"),
+    "lost tracks": (lost_tracks, (2.0,), "per agent and minute"),
     "identity switches": (identity_switches, (0.5, 2.0), "per agent and minute"),
     "cut tracks": (cut_tracks, (5.0, 15.0), "s"),
 }

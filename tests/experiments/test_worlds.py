@@ -7,10 +7,13 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.data.disturbances import correlated_noise, lost_detections, renamed_tracks
 from experiments.data.generate import generate
 from experiments.data.verify import find_flaws
 from experiments.data.windows import gather
 from experiments.data.worlds.episode import WorldsConfig, WorldTask, read_worlds_config
+from experiments.data.worlds.roads import FAMILIES, JUNCTIONS
+from experiments.data.worlds.sensor import Sensor
 from experiments.data.worlds.world import draw_world
 from scenarios.networks.written import limited_net, ramp_net, straight_net
 from sim.frames import Tracks
@@ -30,8 +33,12 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def test_many_worlds_hold_every_law_family_and_discipline():
     worlds = [draw_world(seed) for seed in range(400)]
-    assert {w.settings.law for w in worlds} == set(LAWS)
-    assert {w.road.family for w in worlds} == {"straight", "junction", "ramp"}
+    assert {w.law for w in worlds} == {*LAWS, "highway-env IDM", "highway-env Krauss"}
+    assert {w.road.family for w in worlds} == set(FAMILIES)
+    assert {w.road.control for w in worlds} == {"", *JUNCTIONS}
+    assert {w.sensor.found_as for w in worlds} == {"same", "new"}
+    assert any(w.sensor.pixels_per_m for w in worlds)
+    assert any(w.sensor.left_hand for w in worlds)
     assert {w.road.lanes for w in worlds} == {1, 2, 3, 4, 5}
     assert min(w.road.limit_mps for w in worlds) < 7.0
     assert max(w.road.limit_mps for w in worlds) > 34.0
@@ -49,10 +56,11 @@ def test_episodes_can_be_opened_trained_on_and_verified(dataset: Dataset):
     for entry in dataset.manifest.episodes:
         world = WorldTask(CONFIG, entry.index).world
         episode = dataset.read(entry)
-        assert entry.options["law"] == world.settings.law
+        assert entry.options["law"] == world.law
         assert entry.options["noise_m"] == world.sensor.noise_m
         assert episode.tracks.step_s == pytest.approx(world.sensor.step_s)
         assert episode.tracks.valid.any()
+        assert (dataset.road(entry) is not None) == world.sensor.has_map
         labels = episode.tracks.behavior
         assert labels is not None
         truth = {a.id: a.behavior for a in episode.agents}
@@ -104,17 +112,66 @@ def test_another_limit_leaves_slow_turns_slow(tmp_path: Path):
     assert limits == {18.0, 9.26, 6.51}
 
 
-def test_noise_has_the_deviation_and_the_correlation_asked_for():
-    from experiments.data.disturbances import correlated_noise
-
-    n, t = 50, 400
-    tracks = Tracks(
-        ids=np.arange(n), names=tuple(map(str, range(n))), kind=np.zeros(n), length=np.ones(n),
-        width=np.ones(n), time_s=np.arange(t) * 0.1, xy=np.zeros((n, t, 2)),
-        heading=np.zeros((n, t)), speed=np.zeros((n, t)), valid=np.ones((n, t), dtype=bool),
-        signals=np.zeros((0, t)),
+def driving(n: int = 50, t: int = 400) -> Tracks:
+    """Cars of 5 m that drive eastwards at 10 m/s for 40 s, one behind the other."""
+    xy = np.zeros((n, t, 2))
+    xy[..., 0] = np.arange(t) * 1.0 + 20.0 * np.arange(n)[:, None]
+    return Tracks(
+        ids=np.arange(n), names=tuple(map(str, range(n))), kind=np.zeros(n), length=np.full(n, 5.0),
+        width=np.full(n, 2.0), time_s=np.arange(t) * 0.1, xy=xy, heading=np.zeros((n, t)),
+        speed=np.full((n, t), 10.0), valid=np.ones((n, t), dtype=bool), signals=np.zeros((0, t)),
+        behavior=np.arange(n) % 6,
     )  # fmt: skip
-    error = correlated_noise(tracks, 0.2, np.random.default_rng(0), 0.5).xy
+
+
+def test_noise_has_the_deviation_and_the_correlation_asked_for():
+    tracks = driving()
+    error = correlated_noise(tracks, 0.2, np.random.default_rng(0), 0.5).xy - tracks.xy
     assert error.std() == pytest.approx(0.2, rel=0.05)
     later = (error[:, 5:] * error[:, :-5]).mean() / error.var()
     assert later == pytest.approx(np.exp(-1.0), abs=0.06)
+
+
+def test_detections_are_lost_one_by_one_and_places_with_them():
+    seen = lost_detections(driving(), 0.3, np.random.default_rng(1))
+    assert seen.valid.mean() == pytest.approx(0.7, abs=0.02)
+    assert np.array_equal(np.isfinite(seen.xy[..., 0]), seen.valid)
+
+
+def test_agents_that_are_found_again_have_new_ids_and_their_old_labels():
+    tracks = driving()
+    pieces = renamed_tracks(tracks, 6.0, np.random.default_rng(2))
+    assert pieces.ids.size > 2 * tracks.ids.size
+    assert 0.5 < pieces.valid.sum() / tracks.valid.sum() < 1.0
+    assert (pieces.valid.sum(axis=0) <= tracks.ids.size).all()
+    assert pieces.behavior is not None
+    assert tracks.behavior is not None
+    for name, code, seen, xy in zip(
+        pieces.names, pieces.behavior, pieces.valid, pieces.xy, strict=True
+    ):
+        agent = int(name.partition("/")[0])
+        assert code == tracks.behavior[agent]
+        assert np.array_equal(xy[seen], tracks.xy[agent, seen])
+
+
+def test_speeds_and_headings_are_measured_from_the_positions_seen():
+    rng = np.random.default_rng(3)
+    exact = Sensor(step_s=0.1).seen(driving(), rng)
+    assert exact.speed == pytest.approx(np.full(exact.speed.shape, 10.0))
+    noisy = Sensor(step_s=0.1, noise_m=0.3).seen(driving(), rng)
+    assert 0.5 < (noisy.speed - 10.0).std() < 3.0
+    mirrored = Sensor(step_s=0.1, has_map=False, left_hand=True, turned_rad=1.0).seen(
+        driving(), rng
+    )
+    assert np.abs(mirrored.heading) == pytest.approx(np.full(mirrored.heading.shape, 1.0))
+    image = Sensor(step_s=0.1, has_map=False, pixels_per_m=8.0).seen(driving(), rng)
+    assert image.speed.mean() == pytest.approx(80.0, rel=0.01)
+    assert set(image.length) == {40.0}
+    unknown = Sensor(step_s=0.1, has_map=False, has_sizes=False).seen(driving(), rng)
+    assert set(unknown.length) == {4.5}
+
+
+def test_frames_that_are_lost_leave_gaps_in_time():
+    seen = Sensor(step_s=0.1, lost_frames=0.3).seen(driving(), np.random.default_rng(4))
+    assert seen.time_s.size == pytest.approx(280, abs=30)
+    assert np.diff(seen.time_s).max() > 0.15

@@ -7,13 +7,14 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
 from experiments.data.worlds.world import DURATION_S, WARM_UP_S, World, draw_world
+from sim.engines import get_engine
 from sim.frames import Frame, Tracks
 from sim.road.net import read_road
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -128,12 +129,14 @@ def make_world(folder: Path, task: WorldTask) -> EpisodeEntry:
         net.write_text(world.road.net(), encoding="utf-8")
         scenario = world_scenario(world, net)
         agents = world.population.drivers(sample_agents(scenario, world.seed))
-        keep_road(folder, net)
-        entry = finished_episode(folder, episode_id(meta, agents, net))
+        road = net if world.sensor.has_map else None
+        if road is not None:
+            keep_road(folder, road)
+        entry = finished_episode(folder, episode_id(meta, agents, road))
         if entry is not None:
             return entry
         tracks, seen = record(world, scenario, agents)
-        return write_sensed(folder, meta, tracks, seen, agents, net)
+        return write_sensed(folder, meta, tracks, seen, agents, road)
 
 
 def world_scenario(world: World, net: Path) -> Scenario:
@@ -174,8 +177,8 @@ def record(
     clean = Tracks.from_frames(seen, behaviors)
     rng = np.random.default_rng((world.seed, _SENSOR_STREAM))
     tracks = world.sensor.seen(clean, rng)
-    by_id = {agent.id: agent for agent in agents}
-    return tracks, tuple(by_id[int(i)] for i in tracks.ids)
+    by_name = {str(agent.id): agent for agent in agents}
+    return tracks, tuple(by_name[name.partition("/")[0]] for name in tracks.names)
 
 
 _SENSOR_STREAM = 9
@@ -184,11 +187,8 @@ _SENSOR_STREAM = 9
 
 def run_world(world: World, scenario: Scenario, agents: tuple[AgentSpec, ...]) -> Iterator[Frame]:
     """Frames of a world as they are, its warm-up included."""
+    if world.engine != "sumo":
+        return get_engine(world.engine)(scenario, agents, world.seed)
     from sim.sumo.engine import run_with
 
     return run_with(scenario, agents, world.seed, world.settings)
-
-
-def options_of(entry: EpisodeEntry) -> dict[str, Any]:
-    """The numbers of the world that an episode was made from; {} if it is none."""
-    return dict(entry.options) if entry.scenario.endswith("_world") else {}

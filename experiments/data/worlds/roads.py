@@ -9,11 +9,16 @@ import numpy as np
 
 from behaviors.errors import InputError
 from scenarios.four_way_intersection import TURNS
-from scenarios.networks.geometry import ARMS
+from scenarios.networks.geometry import ARMS, TWO_WAY_LENGTH_M
 from scenarios.networks.written import limited_net, ramp_net, straight_net
 from sim.scenario import RouteFlow
 
-FAMILIES: Final[dict[str, float]] = {"straight": 0.5, "junction": 0.25, "ramp": 0.25}
+FAMILIES: Final[dict[str, float]] = {
+    "straight": 0.45,
+    "junction": 0.25,
+    "ramp": 0.2,
+    "two-way": 0.1,
+}
 """Chance of each family of roads."""
 
 JUNCTIONS: Final[dict[str, str]] = {
@@ -37,7 +42,7 @@ class WorldRoad:
     """A road and the demand on it.
 
     Attributes:
-        family: straight, junction or ramp.
+        family: straight, junction, ramp or two-way.
         control: of a junction: who goes first; "" elsewhere.
         lanes: in each direction.
         limit_mps: speed limit, m/s.
@@ -66,6 +71,8 @@ class WorldRoad:
             return straight_net(self.lanes, self.limit_mps, self.length_m)
         if self.family == "ramp":
             return ramp_net(self.lanes, self.limit_mps, self.length_m)
+        if self.family == "two-way" and self.lanes in (1, 2):
+            return limited_net(f"two_way_{self.lanes}_plain", self.limit_mps)
         if self.family == "junction" and self.control in JUNCTIONS:
             return limited_net(JUNCTIONS[self.control], self.limit_mps)
         raise InputError(
@@ -77,6 +84,10 @@ class WorldRoad:
         """The demand along each route."""
         if self.family == "straight":
             return (RouteFlow(("road",), self.flow),)
+        if self.family == "two-way":
+            return tuple(
+                RouteFlow((f"{way}_in", f"{way}_out"), self.flow / 2) for way in ("east", "west")
+            )
         if self.family == "ramp":
             aside = self.flow * self.ramp_share
             return (
@@ -110,6 +121,18 @@ def draw_road(rng: np.random.Generator) -> WorldRoad:
             length_m=500.0,
             flow=round(400.0 + 1400.0 * level if signals else 200.0 + 550.0 * level),
             pedestrians_per_h=float(rng.choice((0.0, 0.0, 120.0, 300.0))),
+            ramp_share=0.0,
+        )
+    if family == "two-way":
+        lanes = int(rng.integers(1, 3))
+        return WorldRoad(
+            family=family,
+            control="",
+            lanes=lanes,
+            limit_mps=round(float(rng.uniform(30.0, 100.0)) / 3.6, 2),
+            length_m=TWO_WAY_LENGTH_M,
+            flow=round((250.0 + 800.0 * level) * lanes),
+            pedestrians_per_h=0.0,
             ramp_share=0.0,
         )
     ramp = family == "ramp"

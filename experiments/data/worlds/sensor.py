@@ -8,8 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from experiments.data.disturbances import correlated_noise, position_noise
-from sim.formats.common.recording import motion
+from experiments.data.disturbances import (
+    correlated_noise,
+    dropped_frames,
+    lost_detections,
+    lost_tracks,
+    position_noise,
+    renamed_tracks,
+)
+from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, motion
 from sim.frames import Tracks
 
 STEPS_S: Final = (0.04, 0.05, 0.1, 0.1, 0.1, 0.2, 0.25, 0.3, 0.4)
@@ -22,6 +29,28 @@ NOISE_CORRELATION_S: Final = (0.0, 0.2, 0.5, 1.0)
 """Time in which an error of position falls to 1/e, s; 0: white."""
 
 
+LOSSES: Final = (0.0, 0.0, 0.05, 0.15, 0.3)
+"""Shares of frames, and of single detections, that are missing, drawn with equal chances."""
+
+LOST_PER_MIN: Final = (0.0, 0.0, 0.5, 2.0)
+"""How often an agent is lost and found again, per minute, drawn with equal chances."""
+
+SAME, NEW = "same", "new"
+"""Whether an agent that is found again has its old id."""
+
+MAP_SHARE: Final = 0.6
+"""Chance that the recording comes with the map."""
+
+PIXEL_SHARE: Final = 0.35
+"""Chance that a recording without a map is in pixels of an unknown scale."""
+
+PIXELS_PER_M: Final = (2.0, 30.0)
+"""Smallest and largest scale (TRAF's videos have some 6 to 30)."""
+
+PIXEL_STEP: Final = 0.5
+"""Positions in an image are multiples of this, pixels: centres of boxes with whole corners."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sensor:
     """What sees the traffic.
@@ -30,11 +59,30 @@ class Sensor:
         step_s: time between frames, s.
         noise_m: standard deviation of positions in x and in y, m.
         noise_correlation_s: time in which an error falls to 1/e, s; 0 for white noise.
+        lost_frames: share of whole frames that are missing.
+        lost_detections: share of single detections that are missing.
+        lost_per_min: how often an agent is lost for some 1.5 s, per minute.
+        found_as: ``same`` or ``new``: the id of an agent that is found again.
+        has_map: whether the recording comes with the map.
+        has_sizes: whether sizes are measured; otherwise all are cars of 4.5 m.
+        pixels_per_m: scale of an image whose scale nobody knows; 0 for metres.
+        left_hand: whether the recording is mirrored, as where people drive on the left; then it has
+            no map.
+        turned_rad: by how much the axes are turned; 0 with a map.
     """
 
     step_s: float
-    noise_m: float
-    noise_correlation_s: float
+    noise_m: float = 0.0
+    noise_correlation_s: float = 0.0
+    lost_frames: float = 0.0
+    lost_detections: float = 0.0
+    lost_per_min: float = 0.0
+    found_as: str = SAME
+    has_map: bool = True
+    has_sizes: bool = True
+    pixels_per_m: float = 0.0
+    left_hand: bool = False
+    turned_rad: float = 0.0
 
     def seen(self, tracks: Tracks, rng: np.random.Generator) -> Tracks:
         """What the sensor records of the traffic.
@@ -47,20 +95,50 @@ class Sensor:
             rng: source of the errors.
 
         Returns:
-            The recording, with the same labels.
+            The recording, with the same labels. Names begin with the agent's id; behind a slash
+            follows the number of the track where an agent has several.
         """
-        noisy = tracks
+        seen = tracks
         if self.noise_m and self.noise_correlation_s:
-            noisy = correlated_noise(tracks, self.noise_m, rng, self.noise_correlation_s)
+            seen = correlated_noise(seen, self.noise_m, rng, self.noise_correlation_s)
         elif self.noise_m:
-            noisy = position_noise(tracks, self.noise_m, rng)
-        heading, speed = motion(noisy.xy, noisy.time_s, 0.0)
+            seen = position_noise(seen, self.noise_m, rng)
+        if self.lost_per_min:
+            lose = renamed_tracks if self.found_as == NEW else lost_tracks
+            seen = lose(seen, self.lost_per_min, rng)
+        if self.lost_detections:
+            seen = lost_detections(seen, self.lost_detections, rng)
+        if self.lost_frames:
+            seen = dropped_frames(seen, self.lost_frames, rng)
+        seen = self._in_its_axes(seen)
+        seen = seen.part(np.flatnonzero(seen.valid.any(axis=1)), slice(None))
+        heading, speed = motion(seen.xy, seen.time_s, 0.0)
         return dataclasses.replace(
-            noisy,
-            heading=np.where(noisy.valid, heading, np.nan),
-            speed=np.where(noisy.valid, speed, np.nan),
+            seen,
+            heading=np.where(seen.valid, heading, np.nan),
+            speed=np.where(seen.valid, speed, np.nan),
+            signals=seen.signals if self.has_map else seen.signals[:0],
             events=(),
         )
+
+    def _in_its_axes(self, tracks: Tracks) -> Tracks:
+        """Positions and sizes in the sensor's axes and unit."""
+        if self.has_map:
+            return tracks
+        cos, sin = np.cos(self.turned_rad), np.sin(self.turned_rad)
+        axes = np.array([[cos, sin], [-sin, cos]])
+        if self.left_hand:
+            axes = np.diag([1.0, -1.0]) @ axes
+        scale = self.pixels_per_m or 1.0
+        xy = scale * (tracks.xy @ axes)
+        if self.pixels_per_m:
+            xy = np.round(xy / PIXEL_STEP) * PIXEL_STEP
+        length, width = tracks.length, tracks.width
+        if not self.has_sizes:
+            length, width = np.full_like(length, CAR_LENGTH_M), np.full_like(width, CAR_WIDTH_M)
+        elif self.pixels_per_m:
+            length, width = scale * length, scale * width
+        return dataclasses.replace(tracks, xy=xy, length=length, width=width)
 
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
@@ -68,8 +146,24 @@ def draw_sensor(rng: np.random.Generator) -> Sensor:
     low, high = np.log(NOISE_M)
     noise = 0.0 if rng.random() < 0.2 else float(np.exp(rng.uniform(low, high)))
     correlation = float(rng.choice(NOISE_CORRELATION_S))
+    step_s = float(rng.choice(STEPS_S))
+    lost_frames, lost_detections = float(rng.choice(LOSSES)), float(rng.choice(LOSSES))
+    lost_per_min, found_as = float(rng.choice(LOST_PER_MIN)), str(rng.choice([SAME, NEW]))
+    has_map, pixels = bool(rng.random() < MAP_SHARE), bool(rng.random() < PIXEL_SHARE)
+    scale = float(np.exp(rng.uniform(*np.log(PIXELS_PER_M))))
+    left, turned = bool(rng.random() < 0.3), float(rng.uniform(-np.pi, np.pi))
+    sizes = bool(rng.random() < 0.6)
     return Sensor(
-        step_s=float(rng.choice(STEPS_S)),
+        step_s=step_s,
         noise_m=round(noise, 3),
         noise_correlation_s=correlation if noise else 0.0,
+        lost_frames=lost_frames,
+        lost_detections=lost_detections,
+        lost_per_min=lost_per_min,
+        found_as=found_as,
+        has_map=has_map,
+        has_sizes=has_map or sizes,
+        pixels_per_m=round(scale, 2) if pixels and not has_map else 0.0,
+        left_hand=left and not has_map,
+        turned_rad=0.0 if has_map else round(turned, 4),
     )

@@ -16,6 +16,7 @@ import numpy as np
 from experiments.data.worlds.population import Population, draw_population
 from experiments.data.worlds.roads import WorldRoad, draw_road
 from experiments.data.worlds.sensor import Sensor, draw_sensor
+from sim.frames import AgentKind
 from sim.sumo.settings import LAWS, SumoSettings
 
 DURATION_S: Final = 120.0
@@ -24,9 +25,13 @@ DURATION_S: Final = 120.0
 WARM_UP_S: Final = 40.0
 """Traffic drives this long before the sensor looks, s, so that the road is not empty."""
 
-FINEST_STEP_S: Final[dict[str, float]] = {"ACC": 0.1}
-"""Laws that collide at shorter steps than this, s (measured: 99 collisions among 108 drivers at
-0.04 s, none at 0.1 s)."""
+FINEST_STEP_S: Final[dict[str, float]] = {
+    "ACC": 0.1,
+    "highway-env IDM": 0.1,
+    "highway-env Krauss": 0.1,
+}
+"""Shortest time between frames of some laws, s. At 0.04 s, drivers with ACC collide (99 times among
+108 drivers; never at 0.1 s), and highway-env takes half a minute for an episode."""
 
 KEEP_RIGHT: Final = (0.0, 0.0, 0.2, 0.5, 1.0, 2.0, 5.0)
 """SUMO's lcKeepRight, drawn with equal chances: from never to strongly (1 is SUMO's default)."""
@@ -38,13 +43,26 @@ SIMULATION_STEPS_S: Final = (0.1, 0.1, 0.2, 0.25)
 """Longest steps of the simulation, drawn with equal chances, s."""
 
 
+HIGHWAY_ENV: Final = "highway-env"
+"""What the laws of the other engine's drivers begin with."""
+
+HIGHWAY_LAWS: Final = {"highway": "IDM", "highway-krauss": "Krauss"}
+"""The other engine's names, by what its drivers follow."""
+
+HIGHWAY_FAMILIES: Final = ("straight", "junction", "two-way")
+"""Families of roads that the other engine drives on."""
+
+HIGHWAY_SHARE: Final = 0.12
+"""Chance of the other engine where it can drive (our choice: it takes ten times as long)."""
+
+
 @dataclass(frozen=True, slots=True)
 class World:
     """Everything that an episode of a world is made from.
 
     Attributes:
         seed: of the population, the engine and the sensor.
-        engine: the family of the engine: sumo.
+        engine: registered name of the engine.
         settings: the law, the lane discipline, and how long a lane change takes.
         road: the road and the demand on it.
         population: the drivers.
@@ -60,12 +78,17 @@ class World:
     sensor: Sensor
     duration_s: float = DURATION_S
 
+    @property
+    def law(self) -> str:
+        """The car-following law, which for drivers of highway-env has a name of its own."""
+        return self.settings.law if self.engine == "sumo" else f"{HIGHWAY_ENV} {self.settings.law}"
+
     def options(self) -> dict[str, Any]:
         """All numbers, flat, as they are kept with the episode."""
         settings, road = dataclasses.asdict(self.settings), dataclasses.asdict(self.road)
         return {
-            "engine": self.engine,
             **{name: settings[name] for name in settings if name != "longest_step_s"},
+            "law": self.law,
             "simulation_step_s": self.settings.longest_step_s,
             **road,
             **self.population.options(),
@@ -93,13 +116,16 @@ def draw_world(seed: int, duration_s: float = DURATION_S) -> World:
         True
     """
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)]
-    sensor = draw_sensor(streams[0])
-    settings = _draw_settings(streams[1])
-    finest = FINEST_STEP_S.get(settings.law, 0.0)
-    sensor = dataclasses.replace(sensor, step_s=max(sensor.step_s, finest))
-    road = draw_road(streams[2])
-    population = draw_population(streams[3])
-    return World(seed, "sumo", settings, road, population, sensor, duration_s)
+    sensor, settings = draw_sensor(streams[0]), _draw_settings(streams[1])
+    road, population = draw_road(streams[2]), draw_population(streams[3])
+    engine = "sumo"
+    if road.family in HIGHWAY_FAMILIES and streams[4].random() < HIGHWAY_SHARE:
+        engine = str(streams[4].choice(list(HIGHWAY_LAWS)))
+        settings = SumoSettings(law=HIGHWAY_LAWS[engine])
+        population = dataclasses.replace(population, kinds={AgentKind.CAR: 1.0})
+    world = World(seed, engine, settings, road, population, sensor, duration_s)
+    finest = max(sensor.step_s, FINEST_STEP_S.get(world.law, 0.0))
+    return dataclasses.replace(world, sensor=dataclasses.replace(sensor, step_s=finest))
 
 
 def _draw_settings(rng: np.random.Generator) -> SumoSettings:
