@@ -28,6 +28,7 @@ from experiments.cli.options import (
     Spread,
     names_of,
 )
+from experiments.cli.what_if import what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import show_notices
 
@@ -292,6 +293,13 @@ def replay(
     )  # fmt: skip
     for path in write_replay(source, out, options, quiet):
         typer.echo(path)
+
+
+app.command(
+    "what-if",
+    epilog="example: "
+    "graphrqi what-if straight_road --at-s 30 --agent 8 --behavior timid --out what-if",
+)(what_if)
 
 
 @app.command(epilog="example: graphrqi report runs/demo runs/other --out comparison.html")

@@ -61,6 +61,13 @@ def card_was_edited(folder: Path) -> bool:
         return False
 
 
+BRANCHED: Final = (
+    "Episodes whose options have a `branch` begin at its instant: before it, they are the episode"
+    " without one, which is the factual one."
+)
+"""What everyone who uses a what-if should know."""
+
+
 def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     lines = [header, tuple("---" for _ in header), *rows]
     return ["| " + " | ".join(cells) + " |" for cells in lines]
@@ -68,6 +75,8 @@ def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
 
 def _limits(dataset: Dataset) -> list[str]:
     """What is known to be missing or assumed."""
+    if "what_if" in dataset.manifest.configuration:
+        return [*LIMITS, BRANCHED]
     if "format" not in dataset.manifest.configuration:
         return list(LIMITS)
     notes = [e.options.get("notes", []) for e in dataset.manifest.episodes]

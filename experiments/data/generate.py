@@ -41,21 +41,33 @@ def _check_same(folder: Path, config: AnyConfig) -> None:
     if (folder / MANIFEST).exists():
         _check_same_manifest(folder, config)
         return
+    check_unfinished(folder, lambda made: made == _wanted(config, made))
+
+
+def check_unfinished(folder: Path, planned: Callable[[EpisodeMeta], bool]) -> None:
+    """Refuse a folder without a manifest that holds anything but episodes of the same plan.
+
+    Args:
+        folder: of the dataset; it need not exist.
+        planned: whether an episode that is there belongs to the plan.
+
+    Raises:
+        InputError: if something else is in the folder.
+    """
     if not folder.is_dir():
         return
     for path in folder.iterdir():
         if path.name not in _OURS and not path.name.startswith(PARTIAL_PREFIX):
             raise InputError(f"{folder}: found {path.name} in it, expected an empty folder")
     for entry in unlisted_episodes(folder):
-        there = EpisodeMeta(**entry.model_dump(include=set(EpisodeMeta.model_fields)))
-        if there != _wanted(config, entry):
+        if not planned(EpisodeMeta(**entry.model_dump(include=set(EpisodeMeta.model_fields)))):
             raise InputError(
                 f"{folder}: holds unfinished episodes of another configuration; "
                 "choose another folder"
             )
 
 
-def _wanted(config: AnyConfig, entry: EpisodeEntry) -> EpisodeMeta | None:
+def _wanted(config: AnyConfig, entry: EpisodeMeta) -> EpisodeMeta | None:
     """What the configuration's episode of that scenario and index is made from; None if none."""
     if isinstance(config, WorldsConfig):
         return WorldTask(config, entry.index).meta() if entry.index < config.worlds else None
@@ -91,7 +103,7 @@ def _configuration(config: AnyConfig) -> dict[str, Any]:
 
 
 @contextmanager
-def _stoppable(folder: Path, wanted: int) -> Iterator[None]:
+def stoppable(folder: Path, wanted: int) -> Iterator[None]:
     """Turn Ctrl-C into one line that says how to go on."""
     try:
         yield
@@ -153,7 +165,7 @@ def generate(
         if isinstance(config, WorldsConfig)
         else config.episodes * len(config.scenarios)
     )
-    with sole_writer(folder), _stoppable(folder, wanted):
+    with sole_writer(folder), stoppable(folder, wanted):
         _check_same(folder, config)
         edited = card_was_edited(folder)
         remove_partial(folder)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -19,12 +21,13 @@ from behaviors.errors import InputError
 from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import DATA_CARD
 from experiments.data.generate import AnyConfig, generate
+from experiments.data.what_if import WhatIf, make_what_if
 from experiments.data.worlds.episode import WorldsConfig
 from sim.store.atomic import write_whole
 from sim.store.catalogue import ENTRY, MANIFEST, altered_files, road_path
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.lock import LOCK, sole_writer
-from sim.store.schema import EPISODE_FILES, EpisodeEntry
+from sim.store.schema import EPISODE_FILES, EpisodeEntry, Manifest
 from sim.store.writing import made_with
 
 State = Literal["missing", "altered", "foreign"]
@@ -125,8 +128,7 @@ def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> li
         InputError: if the dataset cannot be made again here, or comes out differently.
         OSError: if something cannot be written.
     """
-    config = _configuration(dataset)
-    config.check()
+    make = _maker(dataset, jobs, quiet)
     flaws = find_flaws(dataset)
     for sha256 in dataset.manifest.roads:
         road = road_path(dataset.path, sha256)
@@ -139,7 +141,7 @@ def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> li
     ]
     ours = [path for path in _obstacles(dataset) if path not in foreign]
     with _as_it_was(dataset.path), _aside(dataset.path, foreign, ours):
-        again = generate(config, dataset.path, jobs, quiet)
+        again = make()
         if again != dataset.manifest:
             raise InputError(
                 f"{dataset.path}: came out differently than its manifest said, expected the same; "
@@ -219,26 +221,34 @@ def _as_it_was(folder: Path) -> Iterator[None]:
         raise
 
 
-def _configuration(dataset: Dataset) -> AnyConfig:
+def _maker(dataset: Dataset, jobs: int | None, quiet: bool) -> Callable[[], Manifest]:
+    """What makes the dataset again in its folder."""
     fields: dict[str, Any] = dict(dataset.manifest.configuration)
     versions = fields.pop("made_with", None)
     config: AnyConfig
+    make: Callable[[], Manifest]
     try:
-        if "worlds" in fields:
-            config = WorldsConfig.model_validate(fields)
+        if "what_if" in fields:
+            what_if = WhatIf.model_validate_json(json.dumps(fields["what_if"]))
+            config, make = what_if.episode, partial(make_what_if, what_if, dataset.path, quiet)
         else:
-            config = GenerateConfig.model_validate(fields)
+            model: type[WorldsConfig | GenerateConfig] = (
+                WorldsConfig if "worlds" in fields else GenerateConfig
+            )
+            config = model.model_validate(fields)
+            make = partial(generate, config, dataset.path, jobs, quiet)
     except ValidationError:
         raise InputError(
-            f"{dataset.path}: was not made by generate, expected a generated dataset; "
+            f"{dataset.path}: was not made by generate or what-if, expected a dataset that was; "
             "import it again"
         ) from None
+    config.check()
     here = made_with(config.engine)
     if versions != here:
         raise InputError(
             f"{dataset.path}: was made with {versions}, found {here}; install those versions"
         )
-    return config
+    return make
 
 
 def verify_dataset(

@@ -93,6 +93,7 @@ def write_episode(
     frames: Iterable[Frame],
     agents: Sequence[AgentSpec],
     road: Path | None = None,
+    since_s: float | None = None,
 ) -> EpisodeEntry:
     """Run frames to their end and write them as one episode.
 
@@ -104,6 +105,8 @@ def write_episode(
         road: the SUMO net that the episode happened on (``scenario.road.source``); with it the
             events are completed (rules kept and broken, near misses, causes) and the traits that
             were shown are found.
+        since_s: write only what is later than this, s. Events and traits are found with all frames
+            in sight. None writes everything.
 
     Returns:
         The manifest's entry of the episode.
@@ -128,6 +131,10 @@ def write_episode(
     if road is not None and steps.time_s.size > 2:
         found = _annotated(steps, ordered, road)
         steps, shown = dataclasses.replace(steps, events=found.events), found.shown_traits
+    if since_s is not None:
+        steps = _later(steps, since_s)
+        present, _ = steps.agents()
+        shown = tuple(trait for trait in shown if trait.begin_s > since_s)
     return _write(folder, meta, steps, encode_agents(ordered, {}), int(present.size), road, shown)
 
 
@@ -162,6 +169,21 @@ def write_sensed(
     made_from = encode_agents(sorted(drawn, key=lambda a: a.id), {})
     content = encode_agents(specs, named)
     return _write(folder, meta, steps, content, len(specs), road, (), made_from)
+
+
+def _later(steps: Steps, since_s: float) -> Steps:
+    """The part of an episode that is later than a time, s."""
+    first = int(np.searchsorted(steps.time_s, since_s + 1e-9))
+    kept = steps.step >= first
+    columns = ("agent", "x", "y", "heading", "speed")
+    return dataclasses.replace(
+        steps,
+        **{name: getattr(steps, name)[kept] for name in columns},
+        step=(steps.step[kept] - first).astype(np.int32),
+        time_s=steps.time_s[first:],
+        signals=steps.signals[:, first:],
+        events=tuple(event for event in steps.events if event.time_s > since_s + 1e-9),
+    )
 
 
 def _annotated(steps: Steps, agents: Sequence[AgentSpec], road: Path) -> Annotations:

@@ -100,8 +100,7 @@ class Trunk(_Closing):
     def __init__(
         self, scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str = "sumo"
     ) -> None:
-        if sys.platform != "linux":
-            raise InputError(f"branches of a running episode: found {sys.platform}, expected Linux")
+        check_platform()
         if engine not in LAWS:
             raise InputError(f"engine: found {engine!r}, expected {' or '.join(LAWS)}")
         here, there = socket.socketpair()
@@ -197,6 +196,16 @@ class Trunk(_Closing):
         """End the trunk and every branch that still runs."""
         self._connection.close()
         self._process.wait()
+
+
+def check_platform() -> None:
+    """Refuse systems that cannot copy a running process.
+
+    Raises:
+        InputError: on other systems than Linux.
+    """
+    if sys.platform != "linux":
+        raise InputError(f"branches of a running episode: found {sys.platform}, expected Linux")
 
 
 def _received(connection: Connection, whose: str) -> Iterator[Frame]:

@@ -1,0 +1,95 @@
+"""The commands that ask what would have happened: ``what-if`` and ``blame``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.options import (
+    DurationS,
+    Engine,
+    Flow,
+    Json,
+    Mix,
+    Quiet,
+    Seed,
+    Spread,
+    names_of,
+)
+
+ScenarioName = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a scenario; see graphrqi list.", autocompletion=names_of("scenario")
+    ),
+]
+Episode = Annotated[
+    int, typer.Option(min=0, metavar="N", help="Which of the scenario's episodes, as by generate.")
+]
+
+
+def what_if(
+    scenario: ScenarioName,
+    at_s: Annotated[float, typer.Option("--at-s", help="From when on the driver differs, s.")],
+    agent: Annotated[int, typer.Option(metavar="ID", help="The driver.")],
+    out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
+    behavior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="B", help="A behaviour to go on with; repeat for several."),
+    ] = None,
+    action: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="A",
+            help="brake, keep, accelerate, change-left or change-right at that instant; repeat "
+            "for several.",
+        ),
+    ] = None,
+    episode: Episode = 0,
+    engine: Engine = "sumo",
+    seed: Seed = 0,
+    flow: Flow = None,
+    mix: Mix = None,
+    spread: Spread = None,
+    duration_s: DurationS = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False, metavar="FILE.png", help="Draw the paths over the factual ones too."
+        ),
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Drive one episode on from one instant with one driver different (Linux only)."""
+    from behaviors.errors import lookup
+    from behaviors.labels import Behavior
+    from experiments.console.tables import show_table
+    from experiments.data.configuration import read_config
+    from experiments.data.what_if import WhatIf, make_what_if
+    from experiments.replay.paths import check_picture, write_paths
+    from experiments.scoring.what_if import outcomes
+    from sim.store.dataset import open_dataset
+    from sim.sumo.control.acting import Action
+
+    behaviors, actions = {b.value: b for b in Behavior}, {a.value: a for a in Action}
+    config = WhatIf(
+        episode=read_config(
+            None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
+            mix=mix, spread=spread, duration_s=duration_s,
+        ),
+        index=episode,
+        at_s=at_s,
+        agent=agent,
+        behaviors=tuple(lookup(behaviors, word, "behavior") for word in behavior or ()),
+        actions=tuple(lookup(actions, word, "action") for word in action or ()),
+    )  # fmt: skip
+    if picture is not None:
+        check_picture(picture)
+    make_what_if(config, out, quiet)
+    dataset = open_dataset(out)
+    show_table(outcomes(dataset), json)
+    if picture is not None:
+        write_paths(dataset, picture)

@@ -1,0 +1,252 @@
+"""What if one driver had driven differently: one episode, continued in several ways, as a dataset.
+
+The dataset holds the factual episode, whole and with the same bytes as ``generate`` makes of it,
+and one counterfactual episode for each change, from the instant of the branch on. Their ``options``
+say in ``branch`` what differs: ``at_s``, ``agent``, and ``behavior`` or ``action``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior
+from experiments.console.progress import Progress
+from experiments.data.configuration import GenerateConfig
+from experiments.data.data_card import card_was_edited, write_data_card
+from experiments.data.episode import Task
+from experiments.data.generate import check_unfinished, stoppable
+from sim.frames import Frame
+from sim.scenario import AgentSpec, Scenario, sample_agents
+from sim.store.atomic import remove_partial
+from sim.store.catalogue import MANIFEST, finished_episode, read_manifest, write_manifest
+from sim.store.lock import sole_writer
+from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest
+from sim.store.writing import episode_id, made_with, write_episode
+from sim.sumo.branches import LAWS, Trunk, check_platform
+from sim.sumo.control.acting import Action
+
+NAMED_DRIVERS: Final = 12
+"""Most drivers that an error names (our choice: they fit a line or two)."""
+
+
+class WhatIf(BaseModel):
+    """One driver, one instant, and what is to differ.
+
+    Attributes:
+        episode: what the factual episode is generated from; exactly one scenario.
+        index: which of the scenario's episodes.
+        at_s: the instant from which on the driver differs, s; a multiple of the time between
+            frames.
+        agent: the driver's id.
+        behaviors: the behaviours to go on with, one counterfactual episode each.
+        actions: the actions to take at that instant, one counterfactual episode each.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    episode: GenerateConfig
+    index: Annotated[int, Field(ge=0)] = 0
+    at_s: float
+    agent: int
+    behaviors: tuple[Behavior, ...] = ()
+    actions: tuple[Action, ...] = ()
+
+    @property
+    def changes(self) -> tuple[Behavior | Action, ...]:
+        """Everything to try, in order."""
+        return (*self.behaviors, *self.actions)
+
+    def check(self) -> Scenario:
+        """Refuse what cannot be branched.
+
+        Returns:
+            The scenario of the episode.
+
+        Raises:
+            InputError: if a field is out of range; the message names it.
+        """
+        check_platform()
+        self.episode.check()
+        if self.episode.engine not in LAWS:
+            raise InputError(f"engine: found {self.episode.engine!r}, expected {' or '.join(LAWS)}")
+        if not self.changes:
+            raise InputError("changes: found none, expected --behavior or --action at least once")
+        if len(set(self.changes)) != len(self.changes):
+            raise InputError(f"changes: found {', '.join(self.changes)}, expected each once")
+        scenario = self.episode.scenario(self.episode.scenarios[0], self.index)
+        steps = self.at_s / scenario.step_s
+        if not 1 <= round(steps) < scenario.steps or abs(steps - round(steps)) > 1e-6:
+            raise InputError(
+                f"at_s: found {self.at_s:g}, expected a multiple of {scenario.step_s:g} s between "
+                f"{scenario.step_s:g} and {(scenario.steps - 1) * scenario.step_s:g}"
+            )
+        return scenario
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """An episode of the dataset; without a change it is the factual one."""
+
+    change: Behavior | Action | None
+    meta: EpisodeMeta
+    agents: tuple[AgentSpec, ...]
+
+
+def branch_of(entry: EpisodeMeta) -> dict[str, Any] | None:
+    """What differs in an episode: ``at_s``, ``agent``, ``behavior`` or ``action``.
+
+    Returns:
+        The option ``branch``; None for an episode in which nothing was changed.
+    """
+    found = entry.options.get("branch")
+    return found if isinstance(found, dict) else None
+
+
+def change_of(entry: EpisodeMeta) -> str:
+    """The behaviour or action that differs in an episode, or "factual".
+
+    Examples:
+        >>> change_of(EpisodeMeta(scenario="a", engine="sumo"))
+        'factual'
+    """
+    branch = branch_of(entry) or {}
+    return str(branch.get("behavior") or branch.get("action") or "factual")
+
+
+def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
+    """Make the factual and every counterfactual episode, or what is missing of them.
+
+    Args:
+        config: what is to differ.
+        folder: of the dataset; a new folder, or one that the same what-if was writing to.
+        quiet: whether to show no progress.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InputError: on other systems than Linux, if an option is wrong, if the driver cannot change
+            at that instant, or if the folder holds something else.
+        OSError: if something cannot be written.
+        Interrupted: if the user stopped it.
+    """
+    scenario = config.check()
+    task = Task(config.episode, config.episode.scenarios[0], config.index)
+    agents = sample_agents(scenario, task.seed)
+    with Trunk(scenario, agents, task.seed, config.episode.engine) as trunk:
+        plan = _plan(config, task, scenario, agents, trunk)
+        with _removed_if_empty(folder), sole_writer(folder), stoppable(folder, len(plan)):
+            configuration: dict[str, Any] = {
+                "what_if": config.model_dump(mode="json", exclude_none=True),
+                "made_with": dict(made_with(config.episode.engine)),
+            }
+            _check_same(folder, configuration, plan)
+            edited = card_was_edited(folder)
+            for partial in (folder, folder / "episodes", folder / "roads"):
+                remove_partial(partial)
+            entries = _make(config, folder, plan, scenario, trunk, quiet)
+            manifest = write_manifest(folder, configuration, entries)
+            write_data_card(folder, edited)
+    return manifest
+
+
+@contextmanager
+def _removed_if_empty(folder: Path) -> Iterator[None]:
+    """Leave no new folder behind if nothing was written into it."""
+    new = not folder.exists()
+    try:
+        yield
+    finally:
+        if new:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+def _plan(
+    config: WhatIf,
+    task: Task,
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    trunk: Trunk,
+) -> list[_Planned]:
+    factual = task.meta(scenario)
+    trunk.driver(config.agent)  # refuses one who is not in the episode
+    plan = [_Planned(None, factual, tuple(agents))]
+    for change in config.changes:
+        kind = "action" if isinstance(change, Action) else "behavior"
+        branch = {"at_s": config.at_s, "agent": config.agent, kind: change.value}
+        meta = factual.model_copy(update={"options": {**factual.options, "branch": branch}})
+        changed = (
+            tuple(agents)
+            if isinstance(change, Action)
+            else tuple(
+                trunk.alternative(agent.id, change) if agent.id == config.agent else agent
+                for agent in agents
+            )
+        )
+        plan.append(_Planned(change, meta, changed))
+    return plan
+
+
+def _check_same(folder: Path, configuration: dict[str, Any], plan: Sequence[_Planned]) -> None:
+    """Refuse to mix two different datasets in one folder."""
+    if not (folder / MANIFEST).exists():
+        check_unfinished(folder, lambda made: any(made == one.meta for one in plan))
+    elif read_manifest(folder).configuration != configuration:
+        raise InputError(
+            f"{folder}: was made with other options or versions; choose another folder"
+        )
+
+
+def _make(
+    config: WhatIf,
+    folder: Path,
+    plan: Sequence[_Planned],
+    scenario: Scenario,
+    trunk: Trunk,
+    quiet: bool,
+) -> list[EpisodeEntry]:
+    """The entries of all episodes; those that are not there yet are driven and written."""
+    road = scenario.road.source
+    found = [finished_episode(folder, episode_id(p.meta, p.agents, road)) for p in plan]
+    missing = [one for one, entry in zip(plan, found, strict=True) if entry is None]
+    entries = [entry for entry in found if entry is not None]
+    if not missing:
+        return entries
+    before = trunk.advance(config.at_s)
+    _check_present(config, before[-1])
+    end_s = scenario.steps * scenario.step_s
+    branches = [
+        trunk.branch(end_s) if one.change is None else trunk.branch(end_s, config.agent, one.change)
+        for one in missing
+    ]  # all run from now on, beside each other
+    with Progress("driving what would have been", len(missing), quiet) as shown:
+        for one, branch in zip(missing, branches, strict=True):
+            with branch:
+                frames = itertools.chain(before, branch)
+                since_s = None if one.change is None else config.at_s
+                entry = write_episode(folder, one.meta, frames, one.agents, road, since_s)
+            entries.append(entry)
+            shown.advance(entry.agents, entry.agent_steps)
+    return entries
+
+
+def _check_present(config: WhatIf, frame: Frame) -> None:
+    """Refuse a driver who is not on the road at the instant of the branch."""
+    if config.agent in frame.ids:
+        return
+    present = [int(agent) for agent in frame.ids[frame.driving]]
+    some = ", ".join(map(str, present[:NAMED_DRIVERS]))
+    more = ", ..." if len(present) > NAMED_DRIVERS else ""
+    raise InputError(
+        f"agent {config.agent}: found it not on the road at {config.at_s:g} s, expected one of "
+        f"{some}{more}"
+    )

@@ -1,0 +1,222 @@
+"""What-if datasets: the factual episode is generate's, branches differ by one driver, repairs."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors import InputError
+from behaviors.labels import Behavior
+from experiments.cli.commands import main
+from experiments.data.configuration import GenerateConfig
+from experiments.data.generate import generate
+from experiments.data.verify import verify_dataset
+from experiments.data.what_if import WhatIf, branch_of, change_of, make_what_if
+from experiments.scoring.what_if import (
+    branches_of,
+    delays,
+    factual_of,
+    new_incidents,
+    outcomes,
+    same_incident,
+)
+from sim.frames import Event, EventKind, Frame, Tracks
+from sim.store.dataset import open_dataset
+from sim.sumo.control.acting import Action
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
+EPISODE = GenerateConfig(
+    scenarios=("straight_road",), episodes=1, seed=3, duration_s=24.0, flow="dense"
+)
+AT_S, AGENT = 14.0, 4
+CONFIG = WhatIf(
+    episode=EPISODE, at_s=AT_S, agent=AGENT, behaviors=(Behavior.TIMID, Behavior.IMPATIENT),
+    actions=(Action.BRAKE,),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("what-if") / "data"
+    make_what_if(CONFIG, folder, quiet=True)
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    shutil.copytree(made, tmp_path / "data")
+    return tmp_path / "data"
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_the_factual_episode_is_the_one_that_generate_makes(made: Path, tmp_path: Path) -> None:
+    generate(EPISODE, tmp_path / "plain", jobs=1, quiet=True)
+    (plain,) = open_dataset(tmp_path / "plain").manifest.episodes
+    assert factual_of(open_dataset(made)) == plain
+
+
+def test_branches_begin_at_the_instant_and_differ_by_one_driver(made: Path) -> None:
+    dataset = open_dataset(made)
+    happened = dataset.read(factual_of(dataset))
+    branched = branches_of(dataset)
+    assert [change_of(entry) for entry in branched] == ["timid", "impatient", "brake"]
+    for entry in branched:
+        episode = dataset.read(entry)
+        tracks, change = episode.tracks, change_of(entry)
+        kind = "action" if change == "brake" else "behavior"
+        assert branch_of(entry) == {"at_s": AT_S, "agent": AGENT, kind: change}
+        assert tracks.time_s[0] == pytest.approx(AT_S + 0.1)
+        assert tracks.time_s[-1] == happened.tracks.time_s[-1]
+        assert all(event.time_s > AT_S for event in tracks.events)
+        assert all(trait.begin_s > AT_S for trait in episode.shown_traits)
+        differing = {
+            one.id for one, two in zip(episode.agents, happened.agents, strict=True) if one != two
+        }
+        assert differing == (set() if kind == "action" else {AGENT})
+        if kind == "behavior":
+            row = int(np.searchsorted(tracks.ids, AGENT))
+            assert tracks.behavior is not None
+            assert tracks.behavior[row] == Behavior(change).code
+        far = np.abs(tracks.xy[:, 0, 0] - tracks.xy[tracks.ids == AGENT][0, 0, 0]) > 60.0
+        there = np.searchsorted(happened.tracks.ids, tracks.ids)
+        column = int(np.searchsorted(happened.tracks.time_s, AT_S + 0.05))
+        assert far.any()
+        assert np.array_equal(tracks.xy[far, 0], happened.tracks.xy[there[far], column])
+
+
+def test_the_table_counts_from_the_instant_on(made: Path) -> None:
+    rows = outcomes(open_dataset(made))
+    assert [row["change"] for row in rows] == ["factual", "timid", "impatient", "brake"]
+    factual, timid, impatient, brake = rows
+    assert factual["caused"] == factual["prevented"] == factual["others_delay_s"] == 0
+    assert brake["own_delay_s"] > timid["own_delay_s"] > 0  # type: ignore[operator]
+    assert brake["others_delay_s"] > 1.0  # type: ignore[operator]
+    assert impatient["own_delay_s"] <= timid["own_delay_s"]  # type: ignore[operator]
+
+
+def test_what_is_missing_or_altered_is_made_again(folder: Path) -> None:
+    before = content(folder)
+    dataset = open_dataset(folder)
+    timid, impatient, _ = branches_of(dataset)
+    shutil.rmtree(folder / "episodes" / timid.id)
+    (folder / "episodes" / impatient.id / "steps.parquet").write_bytes(b"no")
+    assert verify_dataset(folder)
+    assert verify_dataset(folder, mend=True, quiet=True) == []
+    assert content(folder) == before
+
+
+def test_an_unfinished_what_if_goes_on_and_another_is_refused(folder: Path) -> None:
+    before = content(folder)
+    timid, *_ = branches_of(open_dataset(folder))
+    for written_last in ("manifest.json", "README.md"):
+        (folder / written_last).unlink()
+    shutil.rmtree(folder / "episodes" / timid.id)
+    for other in (CONFIG.model_copy(update={"agent": 5}), CONFIG.model_copy(update={"at_s": 15.0})):
+        with pytest.raises(InputError, match="another configuration"):
+            make_what_if(other, folder, quiet=True)
+    kept = (folder / "episodes" / factual_id(before)).stat().st_mtime_ns
+    make_what_if(CONFIG, folder, quiet=True)
+    assert content(folder) == before
+    assert (folder / "episodes" / factual_id(before)).stat().st_mtime_ns == kept
+    with pytest.raises(InputError, match="was made with other options"):
+        make_what_if(CONFIG.model_copy(update={"agent": 5}), folder, quiet=True)
+
+
+def factual_id(files: dict[str, bytes]) -> str:
+    sizes = {name.split("/")[1]: len(data) for name, data in files.items() if "steps" in name}
+    return max(sizes, key=sizes.__getitem__)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"at_s": 14.05}, "at_s: found 14.05, expected a multiple of 0.1 s"),
+        ({"at_s": 24.0}, "at_s: found 24"),
+        ({"agent": 9999}, "agent 9999: found no such driver"),
+        ({"behaviors": (), "actions": ()}, "expected --behavior or --action"),
+        ({"behaviors": (Behavior.TIMID,) * 2}, "expected each once"),
+        ({"at_s": 0.1}, "agent 4: found it not on the road at 0.1 s"),
+        ({"episode": EPISODE.model_copy(update={"engine": "highway"})}, "found 'highway'"),
+    ],
+    ids=["between frames", "at the end", "nobody", "no change", "twice", "too early", "engine"],
+)
+def test_what_cannot_be_asked_is_refused_and_leaves_nothing(
+    change: dict[str, object], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=said):
+        make_what_if(CONFIG.model_copy(update=change), tmp_path / "new", quiet=True)
+    assert not (tmp_path / "new").exists()
+
+
+def test_other_systems_are_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.sumo.branches.sys.platform", "darwin")
+    with pytest.raises(InputError, match="found darwin, expected Linux"):
+        make_what_if(CONFIG, tmp_path / "new", quiet=True)
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_command_draws_and_its_dataset_replays(
+    made: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    command = [
+        "what-if", "straight_road", "--at-s", "14", "--agent", "4", "--behavior", "timid",
+        "--behavior", "impatient", "--action", "brake", "--seed", "3", "--duration-s", "24",
+        "--flow", "dense", "--out", "data", "--picture", "paths.png", "--json", "table.json",
+        "--quiet",
+    ]  # fmt: skip
+    with pytest.raises(SystemExit) as ended:
+        main(command)
+    assert ended.value.code == 0
+    assert content(folder) == content(made)
+    assert Path("paths.png").read_bytes().startswith(b"\x89PNG")
+    assert Path("table.json").stat().st_size > 100
+
+
+def test_incidents_are_the_same_by_pair_and_time() -> None:
+    known = [Event(EventKind.NEAR_MISS, 20.0, 1, 2), Event(EventKind.RED_RUN, 21.0, 1)]
+    again = Event(EventKind.NEAR_MISS, 22.0, 2, 1)
+    later = Event(EventKind.NEAR_MISS, 26.0, 1, 2)
+    crash = Event(EventKind.COLLISION, 20.0, 1, 2)
+    assert same_incident(known[0], again)
+    assert new_incidents([again, later, crash, known[1]], known) == [later, crash]
+
+
+def moving(speeds: dict[int, list[float]], since: int = 0) -> Tracks:
+    """Vehicles along x, a second a frame, by the speed in each second; NaN: not there yet."""
+    frames = []
+    for t in range(since, len(next(iter(speeds.values()))) + 1):
+        here = {i: v for i, v in speeds.items() if np.isfinite(v[: max(t, 1)]).all() or t == 0}
+        here = {i: v for i, v in here.items() if np.isfinite(v[0])}
+        n = len(here)
+        frames.append(
+            Frame(
+                time_s=float(t), ids=np.array(list(here)),
+                xy=np.array([[sum(v[:t]), 0.0] for v in here.values()]), heading=np.zeros(n),
+                speed=np.zeros(n), length=np.full(n, 4.0), width=np.full(n, 2.0), kind=np.zeros(n),
+            )
+        )  # fmt: skip
+    return Tracks.from_frames(frames)
+
+
+def test_a_delay_is_when_the_same_point_is_reached() -> None:
+    factual = moving({1: [10.0] * 6, 2: [5.0] * 6, 3: [10.0] * 6})
+    changed = moving({1: [10, 10, 5, 5, 5, 5], 2: [5.0] * 6, 3: [10, 10, 20, 20, 20, 20]}, since=3)
+    found = delays(factual, changed, since_s=2.0)
+    # 1 reaches 40 m at 6 s, not 4 s; 3 reaches 60 m at 4 s, not 6 s
+    assert found == pytest.approx({1: 2.0, 2: 0.0, 3: -2.0})
+
+
+def test_who_enters_in_one_continuation_only_is_late_by_what_is_left() -> None:
+    factual = moving({1: [10.0] * 6, 2: [5.0] * 6})
+    changed = moving({1: [10.0] * 6}, since=3)
+    assert delays(factual, changed, since_s=2.0) == pytest.approx({1: 0.0, 2: 4.0})
