@@ -9,10 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+from pydantic import JsonValue
+
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.data.data_card import write_data_card
-from sim.formats import get_reader, get_writer, read_recordings, recognise, recording_files
+from graphrqi.scene_check import check_scene
+from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, recording_files
+from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
 from sim.road.files import read_road_file
 from sim.store.catalogue import MANIFEST, write_manifest
@@ -67,12 +71,13 @@ def import_recordings(
     entries: list[EpisodeEntry] = []
     with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
         for index, recording in enumerate(read_recordings(source, name, types)):
+            notes: list[JsonValue] = [*recording.notes, *_doubts(recording, FORMATS[name].unit)]
             meta = EpisodeMeta(
                 scenario=name,
                 engine=name,
                 index=index,
                 split=split or split_of(index),
-                options={"recording": recording.name, "notes": list(recording.notes)},
+                options={"recording": recording.name, "notes": notes},
                 made_with=made_with(name),
             )
             entry = write_recording(out, meta, recording.tracks, net or recording.road)
@@ -81,6 +86,18 @@ def import_recordings(
         manifest = write_manifest(out, configuration, entries)
         write_data_card(out)
     return manifest
+
+
+def _doubts(recording: Recording, unit: str) -> list[str]:
+    """What makes a recording no scene that can be believed, which is also said on stderr."""
+    if unit != "m":
+        return []
+    found = check_scene(recording.tracks)
+    if found.is_scene:
+        return []
+    said = f"no scene that can be believed: {'; '.join(found.findings)}"
+    sys.stderr.write(f"graphrqi: {recording.name}: {said}\n")
+    return [said]
 
 
 @contextmanager

@@ -95,3 +95,19 @@ def test_vehicle_types_give_sizes(tmp_path: Path) -> None:
     assert (agent["kind"], agent["length_m"]) == ("truck", 7.5)
     with pytest.raises(InputError, match="only it needs them"):
         import_recordings(types, tmp_path / "no", "argo", types=types, quiet=True)
+
+
+def test_import_names_what_is_no_scene(tmp_path, capsys):
+    """Six cars, each with another on top of it, are read and doubted."""
+    lines = ["track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"]
+    for car in range(12):
+        for step in range(30):
+            x = 15.0 * (car % 6) + step + 0.3 * (car > 5)
+            lines.append(f"{car},{step},{100 * step},car,{x},0,10,0,0,4.5,1.8")
+    file = tmp_path / "vehicle_tracks_000.csv"
+    file.write_text("\n".join(lines) + "\n")
+    manifest = import_recordings(file, tmp_path / "data", quiet=True)
+    (entry,) = manifest.episodes
+    assert "superimposed" in entry.options["notes"][-1]
+    assert capsys.readouterr().err.startswith("graphrqi: vehicle_tracks_000: no scene that can be")
+    assert "superimposed" in (tmp_path / "data" / "README.md").read_text()

@@ -1,0 +1,184 @@
+"""Recordings that are no scenes are found out, and none that is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from graphrqi.scene_check import SceneMonitor, check_scene
+from sim.frames import Frame, Tracks
+
+STEP_S = 0.1
+
+
+def road(n: int = 24, seconds: float = 20.0, spacing_m: float = 11.0, first: int = 0) -> Tracks:
+    """Cars on three lanes, each with its own smooth speed around 12 m/s."""
+    time_s = STEP_S * np.arange(round(seconds / STEP_S))
+    rng = np.random.default_rng(first)
+    phase = rng.uniform(0.0, 6.0, n)[:, None]
+    speed = 12.0 + 0.4 * np.sin(0.3 * time_s + phase)
+    along = np.cumsum(speed, axis=1) * STEP_S + spacing_m * (np.arange(n) // 3)[:, None]
+    across = np.broadcast_to(3.2 * (np.arange(n) % 3)[:, None], along.shape)
+    return Tracks(
+        ids=first + np.arange(n),
+        names=tuple(str(first + i) for i in range(n)),
+        kind=np.zeros(n, dtype=np.int8),
+        length=np.full(n, 4.5),
+        width=np.full(n, 1.8),
+        time_s=time_s,
+        xy=np.stack([along, across], axis=2),
+        heading=np.zeros_like(along),
+        speed=speed,
+        valid=np.ones_like(along, dtype=bool),
+        signals=np.empty((0, time_s.size), dtype=np.int8),
+    )
+
+
+def together(*parts: Tracks) -> Tracks:
+    """All actors of several recordings on one road."""
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    names = tuple(name for part in parts for name in part.names)
+    fields = ("ids", "kind", "length", "width", "xy", "heading", "speed", "valid")
+    return dataclasses.replace(parts[0], names=names, **{name: joined(name) for name in fields})
+
+
+def standing() -> Tracks:
+    """Cars that stand in a queue, bumper to bumper but 1 m."""
+    parked = road(n=30, spacing_m=5.5)
+    at = np.broadcast_to(parked.xy[:, :1], parked.xy.shape)
+    return dataclasses.replace(parked, xy=at.copy(), speed=np.zeros_like(parked.speed))
+
+
+def noisy(tracks: Tracks, deviation_m: float, memory_s: float, seed: int = 0) -> Tracks:
+    error = np.random.default_rng(seed).normal(0.0, 1.0, tracks.xy.shape)
+    kept = np.exp(-STEP_S / memory_s) if memory_s else 0.0
+    for step in range(1, tracks.time_s.size):
+        error[:, step] = kept * error[:, step - 1] + np.sqrt(1 - kept**2) * error[:, step]
+    return dataclasses.replace(tracks, xy=tracks.xy + deviation_m * error)
+
+
+@pytest.mark.parametrize("memory_s", [0.0, 0.5])
+@pytest.mark.parametrize("deviation_m", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("make", [road, standing], ids=["driving", "queue"])
+def test_noisy_traffic_is_a_scene(make, deviation_m, memory_s):
+    monitor = SceneMonitor()
+    tracks = noisy(make(), deviation_m, memory_s)
+    assert all(monitor.update(frame) for frame in tracks.frames())
+
+
+@pytest.mark.parametrize("every", [2, 4, 5])
+def test_slow_frame_rates_and_lost_frames_make_no_doubt(every):
+    tracks = noisy(road(seconds=40.0), 0.25, 0.0)
+    chosen = np.arange(0, tracks.time_s.size, every)
+    assert check_scene(tracks.part(np.arange(24), chosen)).is_scene
+    kept = np.flatnonzero(np.random.default_rng(1).random(tracks.time_s.size) > 0.3)
+    assert check_scene(tracks.part(np.arange(24), kept)).is_scene
+
+
+def test_actors_on_top_of_each_other_are_superimposed():
+    one = road()
+    moved = dataclasses.replace(road(first=100), xy=one.xy + np.array([0.5, 0.45]))
+    found = check_scene(together(one, moved))
+    assert not found.is_scene
+    assert "superimposed" in found.findings[0]
+    assert found.nearest_m == pytest.approx(0.67, abs=0.1)
+
+
+def test_several_recordings_on_one_road_are_superimposed():
+    parts = [road(first=100 * k, spacing_m=14.0) for k in range(4)]
+    parts = [
+        dataclasses.replace(p, xy=p.xy + np.array([3.0 * k, 0.4 * k])) for k, p in enumerate(parts)
+    ]
+    found = check_scene(together(*parts))
+    assert not found.is_scene
+    assert found.overlapping > 0.05
+
+
+@pytest.mark.parametrize("deviation_m", [0.0, 0.1])
+def test_a_shaken_clock_is_found_out(deviation_m):
+    tracks = noisy(road(), deviation_m, 0.0)
+    steps = STEP_S * np.random.default_rng(0).uniform(0.4, 1.6, tracks.time_s.size)
+    found = check_scene(dataclasses.replace(tracks, time_s=np.cumsum(steps)))
+    assert not found.is_scene
+    assert "clock is shaken" in found.findings[0]
+    assert found.shaken == pytest.approx(0.38, abs=0.12)
+
+
+def test_true_times_that_are_uneven_make_no_doubt():
+    dense = road(seconds=60.0)
+    gaps = np.random.default_rng(2).integers(1, 5, 150)
+    assert check_scene(dense.part(np.arange(24), np.cumsum(gaps))).is_scene
+
+
+def test_repeated_frames_are_found_out():
+    tracks = road()
+    twice = np.repeat(np.arange(0, tracks.time_s.size, 2), 2)
+    found = check_scene(dataclasses.replace(tracks, xy=tracks.xy[:, twice]))
+    assert not found.is_scene
+    assert found.repeated == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_wrong_frame_step_is_found_out(factor):
+    tracks = road()
+    found = check_scene(dataclasses.replace(tracks, time_s=factor * tracks.time_s))
+    assert not found.is_scene
+    assert found.pace == pytest.approx(1.0 / factor, rel=0.02)
+
+
+def test_ids_that_name_one_after_another_jump():
+    tracks = road()
+    xy = tracks.xy.copy()
+    for step in range(0, tracks.time_s.size, 20):  # six ids change their bodies every two seconds
+        xy[:6, step:] = np.roll(xy[:6, step:], 1, axis=0)
+        xy[0, step:, 0] += 60.0
+    found = check_scene(dataclasses.replace(tracks, xy=xy))
+    assert found.jumping > 0.0
+    assert any("jump" in said for said in found.findings)
+
+
+def test_parked_vehicles_are_named_and_no_reason_to_doubt():
+    found = check_scene(standing())
+    assert found.is_scene
+    assert found.still == 1.0
+    assert found.findings == ("100% of the vehicles never move",)
+
+
+def test_one_object_that_is_tracked_twice_is_no_reason_to_doubt():
+    tracks = road()
+    twin = tracks.part(np.array([0]), slice(None))
+    twin = dataclasses.replace(twin, ids=np.array([500]), names=("500",), xy=twin.xy + 0.2)
+    assert check_scene(together(tracks, twin)).is_scene
+
+
+def test_pedestrians_and_empty_frames_are_passed_over():
+    monitor = SceneMonitor()
+    none = np.empty(0)
+    for step in range(30):
+        here = 0.1 * step
+        n = 0 if step % 3 else 40
+        walkers = Frame(here, np.arange(n), np.full((n, 2), here), np.zeros(n), np.ones(n),
+                        np.full(n, 0.5), np.full(n, 0.5), np.full(n, 5, dtype=np.int8))  # fmt: skip
+        assert monitor.update(walkers)
+    empty = Frame(
+        9.0, none.astype(int), none.reshape(0, 2), none, none, none, none, none.astype(int)
+    )
+    assert monitor.update(empty)
+    assert monitor.check().findings == ()
+    assert check_scene(road(n=1)).is_scene
+
+
+def test_evidence_does_not_depend_on_the_order_of_ids():
+    tracks = together(road(), road(first=100))
+    other = np.random.default_rng(0).permutation(48)
+    renamed = dataclasses.replace(
+        tracks, **{name: getattr(tracks, name)[other] for name in ("xy", "speed", "heading")}
+    )
+    one, two = check_scene(tracks), check_scene(renamed)
+    assert one.overlapping == pytest.approx(two.overlapping)
+    assert one.is_scene == two.is_scene
