@@ -16,7 +16,8 @@ from sim.formats.argo_labels import read_labels
 from sim.formats.common.csv_columns import read_columns
 from sim.formats.common.ego_motion import remove_ego_motion
 from sim.formats.common.packed import beside, plain_name, stem
-from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, assemble
+from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recordings
+from sim.store.schema import MAX_CELLS
 
 FRAME_RATE_HZ: Final = 10.0
 """Frames per second that are assumed (Argoverse's tracking data has 10)."""
@@ -38,18 +39,22 @@ def read(path: Path) -> Iterator[Recording]:
     agent, names = columns.names("id")
     time_s = columns.numbers("frame") / FRAME_RATE_HZ
     rows = Rows.of_positions(agent, names, time_s, columns.numbers("x"), columns.numbers("y"))
-    tracks = remove_ego_motion(assemble(path, rows))
-    notes = [
-        "the recording vehicle's motion was estimated from those that stand, and taken out",
-        CARS_ASSUMED,
-    ]
     labels = beside(path, plain_name(path).replace("_tracks", "_labels"))
-    if labels is not None:
-        found = read_labels(labels)
-        known = [found.get(name) for name in tracks.names]
-        behaviors = [None if label is None else label.behavior for label in known]
-        codes = [-1 if behavior is None else behavior.code for behavior in behaviors]
-        tracks = tracks.with_behavior(np.array(codes, dtype=np.int8))
-        vague = sum(label is not None and label.behavior is None for label in known)
-        notes.append(f"{vague} agents are aggressive, but of which class is not known: no label")
-    yield Recording(stem(path), tracks, tuple(notes))
+    for one in recordings(path, stem(path), rows, max_cells=MAX_CELLS // 2):
+        tracks = remove_ego_motion(one.tracks)
+        notes = [
+            *one.notes,
+            "the recording vehicle's motion was estimated from those that stand, and taken out",
+            CARS_ASSUMED,
+        ]
+        if labels is not None:
+            found = read_labels(labels)
+            known = [found.get(name) for name in tracks.names]
+            behaviors = [None if label is None else label.behavior for label in known]
+            codes = [-1 if behavior is None else behavior.code for behavior in behaviors]
+            tracks = tracks.with_behavior(np.array(codes, dtype=np.int8))
+            vague = sum(label is not None and label.behavior is None for label in known)
+            notes.append(
+                f"{vague} agents are aggressive, but of which class is not known: no label"
+            )
+        yield Recording(one.name, tracks, tuple(notes))

@@ -27,7 +27,7 @@ from sim.formats.common.recording import (
     MAX_NAMES,
     Recording,
     Rows,
-    assemble,
+    recordings,
 )
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, Tracks
@@ -62,7 +62,7 @@ def read(path: Path) -> Iterator[Recording]:
     labels = _labels_beside(path, names)
     rows = Rows.of_positions(agent, names, time_s - time_s.min(), x, y, labels)
     notes = (CARS_ASSUMED, "headings and speeds are told from the motion")
-    yield Recording(stem(path), assemble(path, rows), notes)
+    yield from recordings(path, stem(path), rows, notes)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:

@@ -29,10 +29,10 @@ from sim.formats.common.recording import (
     MAX_NAMES,
     Recording,
     Rows,
-    assemble,
     check_size,
     default_size,
     kind_codes,
+    recordings,
 )
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
@@ -164,7 +164,7 @@ def read(path: Path) -> Iterator[Recording]:
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
-    yield Recording(name, assemble(path, rows), tuple(notes), road)
+    yield from recordings(path, name, rows, notes, road)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:

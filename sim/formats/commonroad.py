@@ -22,7 +22,6 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import (
-    MAX_CELLS,
     MAX_ROWS,
     Recording,
     Rows,
@@ -33,6 +32,7 @@ from sim.formats.common.recording import (
 from sim.frames import AgentKind, Tracks
 from sim.road import Road
 from sim.road.maps.commonroad import ROOT, number, real, road_of
+from sim.store.schema import MAX_CELLS
 from sim.xml_tree import read_tree
 
 VERSIONS: Final = ("2017a", "2018a", "2018b", "2020a")

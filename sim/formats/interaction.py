@@ -26,9 +26,9 @@ from sim.formats.common.recording import (
     MOVING_MPS,
     Recording,
     Rows,
-    assemble,
     default_size,
     kind_codes,
+    recordings,
 )
 from sim.frames import AgentKind
 from sim.road.files import read_road_file
@@ -43,6 +43,10 @@ TYPES: Final[dict[str, AgentKind]] = {
     "pedestrian/bicycle": AgentKind.PEDESTRIAN,
 }
 """``agent_type``, in lower case."""
+
+FREE_CASES, LEAST_ROWS = 100, 10
+"""Of more cases than the first, each must have as many rows as the second on average (our choice:
+the dataset's have 40 and more), since each becomes a recording with files of its own."""
 
 _COMMON: Final = ("timestamp_ms", "x", "y", "vx", "vy")
 _BOX: Final = ("psi_rad", "length", "width")
@@ -66,10 +70,10 @@ def read(path: Path) -> Iterator[Recording]:
     road = None if found is None else read_road_file(found)
     for case in cases | walking:
         parts = [part[case] for part in (cases, walking) if case in part]
-        tracks = assemble(path, _joined(parts, path, walkers or path))
         notes = ("those without a size have the one usual for their kind",)
         name = f"{stem(path)}-{case}" if case else stem(path)
-        yield Recording(name, tracks, notes if walkers is not None else (), road)
+        rows = _joined(parts, path, walkers or path)
+        yield from recordings(path, name, rows, notes if walkers is not None else (), road)
 
 
 def map_beside(path: Path) -> Path | None:
@@ -115,6 +119,12 @@ def _cases(path: Path) -> dict[str, Rows]:
     if "case_id" not in columns:
         return {"": _rows(path, columns)}
     cases = columns.table.column("case_id").combine_chunks().dictionary_encode()
+    count = len(cases.dictionary)
+    if count > FREE_CASES and len(columns) < LEAST_ROWS * count:
+        raise InputError(
+            f"{path}: column case_id: found {count} cases in {len(columns)} rows, expected at "
+            f"least {LEAST_ROWS} rows of each"
+        )
     code = cases.indices.to_numpy()
     table = columns.table.take(pa.array(np.argsort(code, kind="stable")))
     begins = np.cumsum([0, *np.bincount(code)])
@@ -131,14 +141,16 @@ def _rows(path: Path, columns: Columns) -> Rows:
     kinds = _kinds(path, columns, agent)
     vx, vy = columns.numbers("vx"), columns.numbers("vy")
     speed = np.hypot(vx, vy)
-    if all(name in columns for name in _BOX):
-        _, first = np.unique(agent, return_index=True)
+    if "psi_rad" in columns:
         heading = columns.numbers("psi_rad")
-        length, width = columns.numbers("length")[first], columns.numbers("width")[first]
     else:
         heading = np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan)
-        sizes = np.array([default_size(kind) for kind in kinds])
-        length, width = sizes[:, 0], sizes[:, 1]
+    _, first = np.unique(agent, return_index=True)
+    length, width = np.array([default_size(kind) for kind in kinds]).T
+    if "length" in columns:
+        length = columns.numbers("length")[first]
+    if "width" in columns:
+        width = columns.numbers("width")[first]
     return Rows(
         agent=agent,
         names=names,
@@ -155,7 +167,7 @@ def _rows(path: Path, columns: Columns) -> Rows:
 
 def _kinds(path: Path, columns: Columns, agent: NDArray[np.int64]) -> list[AgentKind]:
     kinds = []
-    for word in columns.first("agent_type", agent):
+    for word in columns.only("agent_type", agent):
         kind = TYPES.get(word.lower())
         if kind is None:
             raise InputError(

@@ -11,6 +11,7 @@ References:
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -26,9 +27,9 @@ from sim.formats.common.recording import (
     MOVING_MPS,
     Recording,
     Rows,
-    assemble,
     default_size,
     kind_codes,
+    recordings,
 )
 from sim.frames import AgentKind
 
@@ -57,7 +58,12 @@ def _frame_rate(path: Path) -> float:
     facts = _beside(path, "recordingMeta")
     if facts is None:
         return FRAME_RATE_HZ
-    rate = float(read_columns(facts, ["framerate"]).numbers("framerate")[0])
+    rates = np.unique(read_columns(facts, ["framerate"]).numbers("framerate"))
+    if rates.size > 1:
+        raise InputError(
+            f"{facts}: column framerate: found {rates[0]:g} and {rates[1]:g}, expected one"
+        )
+    rate = float(rates[0])
     if not 1 <= rate <= 1000:
         raise InputError(f"{facts}: column framerate: found {rate:g}, expected 1 to 1000")
     return rate
@@ -80,6 +86,9 @@ def _kinds(path: Path, id_column: str, names: tuple[str, ...]) -> tuple[list[Age
     columns = read_columns(facts, [], [id_column, "class"])
     ids, words = (columns.table.column(name).to_pylist() for name in (id_column, "class"))
     word = dict(zip(ids, words, strict=True))
+    if len(word) < len(ids):
+        twice = next(name for name, count in Counter(ids).items() if count > 1)
+        raise InputError(f"{facts}: found agent {twice!r:.60} more than once, expected it once")
     kinds = []
     for name in names:
         found = word.get(name)
@@ -111,10 +120,10 @@ def read_ind(path: Path) -> Iterator[Recording]:
         optional=["recordingid"],
     )
     if "recordingid" in columns:
-        recordings = pc.unique(columns.table.column("recordingid")).to_pylist()
-        if len(recordings) > 1:  # each recording counts frames and ids from its own start
+        several = pc.unique(columns.table.column("recordingid")).to_pylist()
+        if len(several) > 1:  # each recording counts frames and ids from its own start
             raise InputError(
-                f"{path}: column recordingid: found {recordings[0]} and {recordings[1]}, expected "
+                f"{path}: column recordingid: found {several[0]} and {several[1]}, expected "
                 "one recording in a file"
             )
     agent, names, first, kinds, notes = _agents(path, columns, "trackid")
@@ -135,7 +144,7 @@ def read_ind(path: Path) -> Iterator[Recording]:
         width=np.where(points, usual[:, 1], width),
         kind=kind_codes(kinds),
     )
-    yield Recording(stem(path), assemble(path, rows), tuple(notes))
+    yield from recordings(path, stem(path), rows, notes)
 
 
 def read_highd(path: Path) -> Iterator[Recording]:
@@ -168,4 +177,5 @@ def read_highd(path: Path) -> Iterator[Recording]:
         width=columns.numbers("height")[first],
         kind=kind_codes(kinds),
     )
-    yield Recording(stem(path), assemble(path, rows), (*notes, "headings are told from velocities"))
+    notes.append("headings are told from velocities")
+    yield from recordings(path, stem(path), rows, notes)

@@ -11,7 +11,6 @@ References:
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,14 +25,15 @@ from behaviors.errors import InputError
 from sim.formats.common.csv_columns import Columns, read_columns, read_fields, read_header
 from sim.formats.common.packed import stem
 from sim.formats.common.recording import (
-    MAX_CELLS,
     Recording,
     Rows,
     assemble,
     check_size,
+    in_time,
     kind_codes,
 )
 from sim.frames import AgentKind
+from sim.store.schema import MAX_CELLS
 
 FOOT_M: Final = 0.3048
 """The international foot, m."""
@@ -51,6 +51,9 @@ choice: vehicles are seen without a break, and periods of recording have 15 minu
 
 MAX_PERIODS: Final = 1000
 """Most periods of recording at one place (our choice; NGSIM has up to three)."""
+
+MAX_PLACES: Final = 100
+"""Most places of recording in a file (our choice; NGSIM has four)."""
 
 NUMBERS: Final = (
     "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
@@ -87,7 +90,12 @@ def read(path: Path) -> Iterator[Recording]:
         yield from _recordings(path, stem(path), columns)
         return
     places = columns.table.column("location")
-    for place in sorted(pc.unique(places).to_pylist()):
+    names = sorted(pc.unique(places).to_pylist())
+    if len(names) > MAX_PLACES:
+        raise InputError(
+            f"{path}: column location: found {len(names)} places, expected at most {MAX_PLACES}"
+        )
+    for place in names:
         part = Columns(path, columns.table.filter(pc.equal(places, pa.scalar(place))))
         yield from _recordings(path, f"{stem(path)}-{place}", part)
 
@@ -102,24 +110,16 @@ def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
             f"{path}: column global_time: found {breaks.size} breaks of more than {BREAK_S:g} s, "
             f"expected fewer than {MAX_PERIODS}"
         )
-    parts = [piece for part in np.split(order, breaks) for piece in _fitting(part, time_ms, agent)]
+    parts = [
+        piece
+        for part in np.split(order, breaks)
+        for piece in in_time(path, part, time_ms, agent, MAX_CELLS)
+    ]
     for number, rows in enumerate(parts, 1):
         part_name = name if len(parts) == 1 else f"{name}-{number}"
         yield _recording(
             path, part_name, Columns(path, columns.table.take(pa.array(np.sort(rows))))
         )
-
-
-def _fitting(
-    rows: NDArray[np.int64], time_ms: NDArray[np.float64], agent: NDArray[np.float64]
-) -> list[NDArray[np.int64]]:
-    """Rows in order of time, halved in time until agents times times are few enough."""
-    times = np.unique(time_ms[rows])
-    if np.unique(agent[rows]).size * times.size <= MAX_CELLS // 2 or times.size < 2:
-        return [rows]
-    middle = int(np.searchsorted(time_ms[rows], times[times.size // 2]))
-    halves = rows[:middle], rows[middle:]
-    return [piece for half in halves for piece in _fitting(half, time_ms, agent)]
 
 
 def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
@@ -164,7 +164,8 @@ def _recording(path: Path, name: str, columns: Columns) -> Recording:
     length = values["v_length"][first] * FOOT_M
     time_ms = values["global_time"] - values["global_time"].min()
     nothing = np.full(len(columns), np.nan)
-    front = Rows(
+    # the heading follows from the motion of the front, the centre from the heading
+    rows = Rows(
         agent=agent,
         names=names,
         time_s=time_ms / 1000.0,
@@ -176,10 +177,6 @@ def _recording(path: Path, name: str, columns: Columns) -> Recording:
         width=values["v_width"][first] * FOOT_M,
         kind=kind_codes(kinds),
         rest_heading=math.pi / 2,
+        ahead_lengths=0.5,
     )
-    # the heading follows from the motion of the front, the centre from the heading
-    tracks = assemble(path, front)
-    forward = np.stack([np.cos(tracks.heading), np.sin(tracks.heading)], axis=2)
-    centre = tracks.xy - 0.5 * tracks.length[:, None, None] * forward
-    tracks = dataclasses.replace(tracks, xy=centre)
-    return Recording(name, tracks, ("headings are told from the motion",))
+    return Recording(name, assemble(path, rows), ("headings are told from the motion",))

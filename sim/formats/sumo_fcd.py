@@ -9,28 +9,29 @@ References:
 
 from __future__ import annotations
 
-import gzip
 import math
 import xml.parsers.expat
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
+from sim.formats.common.packed import BROKEN, opened
 from sim.formats.common.recording import (
     MAX_BYTES,
     MAX_NAMES,
     MAX_ROWS,
     Recording,
     Rows,
-    assemble,
     check_size,
     kind_codes,
+    real,
+    recordings,
 )
 from sim.formats.common.recording import default_size as usual_size
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
@@ -82,13 +83,17 @@ def angle_of(heading: float) -> float:
     return (90.0 - math.degrees(heading)) % 360.0
 
 
-def _parse(path: Path, start: Callable[[str, Mapping[str, str]], None]) -> None:
-    """Call ``start`` for every element; entities, depth and size are bounded."""
+def _parse(
+    path: Path,
+    start: Callable[[str, Mapping[str, str]], None],
+    ended: Callable[[str], None] = lambda name: None,
+) -> None:
+    """Call ``start`` and ``ended`` for every element; entities, depth and size are bounded."""
     check_size(path)
     parser = xml.parsers.expat.ParserCreate()
     depth = 0
 
-    def opened(name: str, attributes: Mapping[str, str]) -> None:
+    def started(name: str, attributes: Mapping[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth > MAX_DEPTH:
@@ -104,18 +109,19 @@ def _parse(path: Path, start: Callable[[str, Mapping[str, str]], None]) -> None:
     def closed(name: str) -> None:
         nonlocal depth
         depth -= 1
+        ended(name)
 
     def refused(*declaration: object) -> None:
         raise InputError(
             f"{path}: line {parser.CurrentLineNumber}: found an entity declaration, expected none"
         )
 
-    parser.StartElementHandler = opened
+    parser.StartElementHandler = started
     parser.EndElementHandler = closed
     parser.EntityDeclHandler = refused
     read = 0
     try:
-        with _opened(path) as file:
+        with opened(path) as file:
             while chunk := file.read(CHUNK_BYTES):
                 read += len(chunk)
                 if read > MAX_BYTES:
@@ -129,7 +135,7 @@ def _parse(path: Path, start: Callable[[str, Mapping[str, str]], None]) -> None:
             parser.Parse(b"", True)
     except xml.parsers.expat.ExpatError as error:
         raise InputError(f"{path}: {error}") from None
-    except (EOFError, gzip.BadGzipFile) as error:
+    except BROKEN as error:
         raise InputError(f"{path}: {error}") from None
     except (UnicodeError, ValueError, LookupError) as error:
         if isinstance(error, InputError):
@@ -137,16 +143,12 @@ def _parse(path: Path, start: Callable[[str, Mapping[str, str]], None]) -> None:
         raise InputError(f"{path}: {error}") from None
 
 
-def _opened(path: Path) -> gzip.GzipFile | IO[bytes]:
-    return gzip.open(path) if path.suffix == ".gz" else path.open("rb")
-
-
 def _number(attributes: Mapping[str, str], name: str) -> float:
     text = attributes.get(name)
     if text is None:
         raise InputError(f"found no {name}, expected a number")
     try:
-        value = float(text)
+        value = real(text)
     except ValueError:
         raise InputError(f"{name}: found {text[:40]!r}, expected a number") from None
     if not math.isfinite(value):
@@ -194,6 +196,8 @@ class _Collector:
     def start(self, name: str, attributes: Mapping[str, str]) -> None:
         """One element."""
         if name == "timestep":
+            if self.time_s is not None:
+                raise InputError("found a timestep inside of a timestep")
             self.time_s = _number(attributes, "time")
             if self.time_s <= self.last:
                 raise InputError(f"found time {self.time_s:g}, expected one after {self.last:g}")
@@ -214,6 +218,11 @@ class _Collector:
             self.columns["time"].append(self.time_s)
             for column in ("x", "y", "angle", "speed"):
                 self.columns[column].append(_number(attributes, column))
+
+    def end(self, name: str) -> None:
+        """The end of an element."""
+        if name == "timestep":
+            self.time_s = None
 
     def _new(self, element: str, identity: str, attributes: Mapping[str, str]) -> int:
         if len(self.index) >= MAX_NAMES:
@@ -251,7 +260,7 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     types = types or (beside if beside.is_file() else None)
     known = {} if types is None else read_types(types)
     found = _Collector()
-    _parse(path, found.start)
+    _parse(path, found.start, found.end)
     if not found.types:
         raise InputError(f"{path}: found no vehicle and no person, expected some")
     kinds: list[AgentKind] = []
@@ -292,7 +301,7 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
         if assumed
         else ()
     )
-    yield Recording(stem, assemble(path, rows), notes)
+    yield from recordings(path, stem, rows, notes)
 
 
 def _kind_in(name: str) -> AgentKind:

@@ -21,7 +21,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.formats.common.packed import opened, stem
-from sim.formats.common.recording import MAX_ROWS, Recording, Rows, assemble, check_size
+from sim.formats.common.recording import MAX_ROWS, Recording, Rows, check_size, recordings
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second that are assumed (the usual rate of such video; not stated anywhere)."""
@@ -35,6 +35,11 @@ MAX_LINE_BYTES: Final = 2**20
 
 MAX_NUMBER: Final = 10**6
 """Largest absolute number that is a place, a size or an id (our choice)."""
+
+
+MAX_TWINS: Final = 32
+"""Most boxes of one id in a frame (our choice; the data have up to two): each is compared with each
+of the frame before."""
 
 
 MAX_FRAME: Final = 10**9
@@ -64,6 +69,8 @@ def _frames(path: Path) -> Iterator[dict[int, list[_Box]]]:
                 continue
             where = f"{path}: line {number}"
             try:
+                if b"_" in line:  # which Python takes for digits' own
+                    raise ValueError
                 fields = [int(field) for field in line.split(b",")]
             except ValueError:
                 raise InputError(f"{where}: found {line[:40]!r}, expected whole numbers") from None
@@ -84,7 +91,12 @@ def _frames(path: Path) -> Iterator[dict[int, list[_Box]]]:
                 x, y, width, height, identity = fields[at : at + 5]
                 if width <= 0 or height <= 0 or max(map(abs, fields[at : at + 5])) > MAX_NUMBER:
                     raise InputError(f"{where}: found box {fields[at : at + 4]}, expected pixels")
-                boxes.setdefault(identity, []).append(_Box(last, x, y, width, height))
+                named = boxes.setdefault(identity, [])
+                named.append(_Box(last, x, y, width, height))
+                if len(named) > MAX_TWINS:
+                    raise InputError(
+                        f"{where}: found more than {MAX_TWINS} boxes of id {identity}, expected one"
+                    )
             yield boxes
 
 
@@ -155,4 +167,4 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
     ]
     if twins:
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
-    yield Recording(stem(path), assemble(path, rows), tuple(notes))
+    yield from recordings(path, stem(path), rows, notes)

@@ -43,8 +43,9 @@ HEADING_QUANTUM: Final = 2.0**-13
 """Simulated headings, rad, are multiples of this: 0.007 degrees (our choice: finer than any
 measurement)."""
 
-MAX_CELLS: Final = 10**8
-"""Most agents times steps that one episode may have as dense arrays (our choice: 3 GB)."""
+MAX_CELLS: Final = 5 * 10**7
+"""Most agents times steps that one episode may have as dense arrays (our choice: 1.65 GB, 33 bytes
+for each, so that reading one stays within 2 GB)."""
 
 MAX_OBJECTS: Final = 10**6
 """Most agents, events, traits, changes of lights and edges of routes that one episode may have (our

@@ -274,9 +274,12 @@ def test_motion_holds_the_heading_at_rest() -> None:
     xy = np.stack([x, np.zeros(7)], axis=1)[None]
     heading, speed = motion(xy, np.arange(7.0), rest_heading=9.0)
     assert speed[0, :5].tolist() == [1.0, 1.0, 0.5, 0.0, 0.0]
-    assert heading[0].tolist() == [0.0] * 7
-    never = hold_heading(np.ones((1, 3)), np.zeros((1, 3), dtype=bool), rest_heading=9.0)
-    assert never.tolist() == [[9.0, 9.0, 9.0]]
+    assert heading[0, [0, 1, 2, 3, 4, 6]].tolist() == [0.0] * 6
+    assert np.isnan(heading[0, 5])
+    agent = np.array([0, 0, 0, 1, 1, 1])
+    moving = np.array([False, False, False, False, True, False])
+    held = hold_heading(agent, np.arange(6.0), moving, rest_heading=9.0)
+    assert held.tolist() == [9.0, 9.0, 9.0, 4.0, 4.0, 4.0]
 
 
 def test_offset_line() -> None:

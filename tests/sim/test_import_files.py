@@ -130,7 +130,7 @@ def test_an_id_that_comes_again_after_long_is_another_vehicle(tmp_path: Path) ->
 def test_ngsim_that_does_not_fit_is_cut_in_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.formats.ngsim.MAX_CELLS", 2 * 3 * 20)
+    monkeypatch.setattr("sim.formats.ngsim.MAX_CELLS", 3 * 20)
     path = tmp_path / "a.csv"
     path.write_text("\n".join([NGSIM_HEADER, *_ngsim_rows(0, 3, 80, 15.0), ""]))
     parts = list(read_recordings(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,10 +17,19 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.packed import opened
-from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size
+from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size, real
 
 MAX_HEADER_BYTES: Final = 65536
 """Longest first line (our choice; the longest known has 300)."""
+
+MAX_LINE_BYTES: Final = 2**22
+"""Longest line (our choice: as much as is parsed at a time)."""
+
+CHUNK_BYTES: Final = 2**22
+NEWLINE: Final = b"\n"
+
+_LOOSE_QUOTE: Final = re.compile(rb'[^,"\r\n]"[^,"\r\n]')
+"""A quotation mark within a field, neither at its beginning nor at its end."""
 
 _COLUMN: Final = re.compile(r"In CSV column #(\d+): ")
 
@@ -87,10 +97,23 @@ class Columns:
         )
         return np.asarray(agent, dtype=np.int64).ravel(), labels
 
-    def first(self, name: str, agent: NDArray[np.int64]) -> list[Any]:
-        """The first value of a column for each agent."""
+    def only(self, name: str, agent: NDArray[np.int64]) -> list[Any]:
+        """The value of a column that each agent has in all its rows.
+
+        Raises:
+            InputError: naming an agent's row that has another value.
+        """
         _, at = np.unique(agent, return_index=True)
-        values: list[Any] = self.table.column(name).take(pa.array(at)).to_pylist()
+        code = np.asarray(self.table.column(name).combine_chunks().dictionary_encode().indices)
+        other = np.flatnonzero(code != code[at][agent])
+        column = self.table.column(name)
+        if other.size:
+            row = int(other[0])
+            raise InputError(
+                f"{self.path}: column {name}, row {row + 2}: found {column[row].as_py()!r:.60}, "
+                f"expected {column[int(at[agent[row]])].as_py()!r:.60} as in the agent's first row"
+            )
+        values: list[Any] = column.take(pa.array(at)).to_pylist()
         return values
 
 
@@ -132,6 +155,7 @@ def read_columns(
         InputError: naming the file and the column or row that is wrong.
     """
     check_size(path)
+    check_lines(path)
     header = read_header(path)
     for name in (*numbers, *words):
         count = header.count(name)
@@ -174,7 +198,7 @@ def read_fields(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Col
                 raise InputError(f"{path}: found more than {MAX_ROWS} lines")
             try:
                 for column, place in places:
-                    column.append(float(fields[place]))
+                    column.append(real(fields[place]))
             except ValueError:
                 raise InputError(
                     f"{path}: line {number}: found {line[:60]!r}, expected numbers"
@@ -182,6 +206,49 @@ def read_fields(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Col
     if not columns[wanted[0]]:
         raise InputError(f"{path}: found no rows, expected at least one")
     return Columns(path, pa.table({n: pa.array(v, pa.float64()) for n, v in columns.items()}))
+
+
+def check_lines(path: Path) -> None:
+    """Refuse what a reader of CSV files would take for other rows than an editor shows.
+
+    A quotation mark that is not closed in its line would join it with the next lines, also in a
+    column that nobody reads.
+
+    Args:
+        path: a text file.
+
+    Raises:
+        InputError: naming the line that has a NUL byte or an open or misplaced quotation mark.
+    """
+    line = 1
+    with opened(path) as file:
+        while chunk := file.read(CHUNK_BYTES):
+            if len(chunk) == CHUNK_BYTES:
+                chunk += file.readline(MAX_LINE_BYTES)
+            if b"\0" in chunk:
+                at = line + chunk[: chunk.index(b"\0")].count(NEWLINE)
+                raise InputError(f"{path}: line {at}: found a NUL byte, expected text")
+            if b'"' in chunk:
+                bad = _misplaced_quote(chunk)
+                if bad is not None:
+                    raise InputError(
+                        f"{path}: line {line + bad}: found a quotation mark that does not enclose "
+                        "a field, expected them in pairs around fields"
+                    )
+            line += chunk.count(NEWLINE)
+
+
+def _misplaced_quote(chunk: bytes) -> int | None:
+    """The first of some whole lines with a quotation mark that does not enclose a field."""
+    code = np.frombuffer(chunk, dtype=np.uint8)
+    open_after = np.cumsum(code == ord('"')) % 2 == 1
+    ends = np.flatnonzero((code == ord("\n")) | (code == ord("\r")))
+    broken = np.append(ends, code.size - 1)[open_after[np.append(ends, code.size - 1)]]
+    if broken.size:
+        return chunk[: int(broken[0])].count(NEWLINE)
+    chunk = chunk.replace(b'""', b"")  # within a field, two stand for one
+    match = _LOOSE_QUOTE.search(chunk)
+    return None if match is None else chunk[: match.start()].count(NEWLINE)
 
 
 def _parse(
@@ -216,7 +283,9 @@ def _parse(
                     raise InputError(f"{path}: found more than {MAX_ROWS} rows")
                 tables.append(pa.Table.from_batches([batch]))
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: {_reason(error, names)}") from None
+        numbers = {i for i, name in enumerate(names) if types.get(name) == pa.float64()}
+        reason = _broken_line(path, header, numbers) or _reason(error, names)
+        raise InputError(f"{path}: {reason}") from None
     if not tables:
         raise InputError(f"{path}: found no rows, expected at least one")
     table = pa.concat_tables(tables)
@@ -224,6 +293,30 @@ def _parse(
         if pc.any(pc.is_null(table.column(name))).as_py():
             raise InputError(f"{path}: column {name}: found an empty field, expected a value")
     return table
+
+
+def _broken_line(path: Path, header: Sequence[str], numbers: set[int]) -> str | None:
+    """What is wrong with the first line that is broken; None where none seems to be."""
+    with opened(path) as file:
+        for row, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), 1):
+            try:
+                (fields,) = csv.reader([line.decode("utf-8-sig" if row == 1 else "utf-8")])
+            except UnicodeDecodeError:
+                return f"row {row}: found bytes that are not UTF-8"
+            except (csv.Error, ValueError):
+                continue
+            if row == 1 or not fields:
+                continue
+            if len(fields) != len(header):
+                return f"row {row}: found {len(fields)} fields, expected {len(header)}"
+            for i in numbers:
+                try:
+                    real(fields[i])
+                except ValueError:
+                    return (
+                        f"column {header[i]}, row {row}: found {fields[i]!r:.60}, expected a number"
+                    )
+    return None
 
 
 def _reason(error: Exception, names: Sequence[str]) -> str:

@@ -81,6 +81,6 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
     return dataclasses.replace(
         tracks,
         xy=xy,
-        heading=np.where(tracks.valid, heading, np.nan),
-        speed=np.where(tracks.valid, speed, np.nan),
+        heading=heading,
+        speed=speed,
     )

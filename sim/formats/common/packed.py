@@ -3,22 +3,63 @@
 from __future__ import annotations
 
 import gzip
+import io
 import zlib
 from pathlib import Path
-from typing import IO, Final, cast
+from typing import IO, TYPE_CHECKING, Final, cast
+
+from behaviors.errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
 
 SUFFIX: Final = ".gz"
 """How the names of packed files end."""
+
+MAX_RATIO: Final = 200
+"""Most bytes that a packed file may unpack to for each of its own (our choice: recordings have up
+to 30, the algorithm's limit is 1032)."""
+
+FREE_BYTES: Final = 2**26
+"""A file may always unpack to so many (our choice: 64 MiB)."""
 
 BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
 """What reading a file that is not packed as its name says raises."""
 
 
 def opened(path: Path) -> IO[bytes]:
-    """A file to read, unpacked where its name ends in ``.gz``."""
+    """A file to read, unpacked where its name ends in ``.gz``.
+
+    Reading a packed file raises InputError once it has given more than `MAX_RATIO` times its own
+    bytes, or what `BROKEN` names if it is damaged.
+    """
     if path.suffix.lower() == SUFFIX:
-        return cast("IO[bytes]", gzip.open(path))
+        return cast("IO[bytes]", io.BufferedReader(_Unpacked(path), 2**16))
     return path.open("rb")
+
+
+class _Unpacked(io.RawIOBase):
+    """What a packed file holds, as long as that is in proportion to its size."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._most = max(FREE_BYTES, MAX_RATIO * path.stat().st_size)
+        self._given = 0
+        self._file = gzip.open(path)  # noqa: SIM115  closed by `close`
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer) -> int:
+        size = self._file.readinto(buffer)
+        self._given += size
+        if self._given > self._most:
+            raise InputError(f"{self._path}: found more than {self._most} bytes inside")
+        return size
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
 
 
 def stem(path: Path) -> str:

@@ -6,7 +6,7 @@ all readers share is here: order, duplicates, limits, and headings that follow f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,20 +18,22 @@ from behaviors.errors import InputError
 from sim.frames import AgentKind, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
+from sim.store.schema import MAX_CELLS
 
 FloatArray = NDArray[np.float64]
 
 MAX_BYTES: Final = 2**32
 """Largest file that is read (our choice: 4 GiB; the largest NGSIM file has 1.5)."""
 
-MAX_ROWS: Final = 5 * 10**7
+MAX_ROWS: Final = 2 * 10**7
 """Most rows of one recording (our choice; NGSIM's largest has 12 million)."""
 
 MAX_NAMES: Final = 10**6
 """Most agents of one recording (our choice)."""
 
-MAX_CELLS: Final = 10**8
-"""Most agents times steps as dense arrays (our choice: 3 GB)."""
+MAX_PARTS: Final = 1000
+"""Most recordings that one file may hold or be cut into (our choice: NGSIM has up to three at each
+place, INTERACTION hundreds of cases)."""
 
 MAX_MAGNITUDE: Final = 1e9
 """Largest absolute position, time or speed (our choice; beyond any UTM coordinate)."""
@@ -90,6 +92,8 @@ class Rows:
         rest_heading: heading of agents that never move, rad.
         behavior: (len(names),) codes into ``BEHAVIORS`` (-1: none), or None.
         empty_s: times at which nobody was seen, s, in any order.
+        ahead_lengths: how far x and y are ahead of the centre, in lengths of the vehicle: 0.5 where
+            they are its front and the heading is taken from the motion.
     """
 
     agent: NDArray[np.int64]
@@ -105,6 +109,7 @@ class Rows:
     rest_heading: float = 0.0
     behavior: NDArray[np.int8] | None = None
     empty_s: tuple[float, ...] = ()
+    ahead_lengths: float = 0.0
 
     @classmethod
     def of_positions(
@@ -132,6 +137,31 @@ class Rows:
             np.full(n, CAR_WIDTH_M), np.zeros(n, dtype=np.int8), behavior=behavior,
         )  # fmt: skip
 
+    def part(self, rows: NDArray[np.int64]) -> Rows:
+        """Some of the rows, and the agents that are in them.
+
+        Args:
+            rows: indices, ascending.
+        """
+        kept, agent = np.unique(self.agent[rows], return_inverse=True)
+        time_s = self.time_s[rows]
+        return Rows(
+            agent=agent.ravel(),
+            names=tuple(self.names[i] for i in kept.tolist()),
+            time_s=time_s,
+            x=self.x[rows],
+            y=self.y[rows],
+            heading=self.heading[rows],
+            speed=self.speed[rows],
+            length=self.length[kept],
+            width=self.width[kept],
+            kind=self.kind[kept],
+            rest_heading=self.rest_heading,
+            behavior=None if self.behavior is None else self.behavior[kept],
+            empty_s=tuple(t for t in self.empty_s if time_s.min() < t < time_s.max()),
+            ahead_lengths=self.ahead_lengths,
+        )
+
 
 def check_size(path: Path) -> None:
     """Refuse what is not a file or is too large to read.
@@ -151,6 +181,21 @@ def kind_codes(kinds: Sequence[AgentKind]) -> NDArray[np.int8]:
     return np.array([kind.code for kind in kinds], dtype=np.int8)
 
 
+def real(text: str | bytes) -> float:
+    """A number in the way that files write them: digits, a point, an exponent.
+
+    Raises:
+        ValueError: if it is none, or one that only Python reads: ``1_000``, full-width digits.
+
+    Examples:
+        >>> real("-1.5e3")
+        -1500.0
+    """
+    if not text.isascii() or ("_" in text if isinstance(text, str) else b"_" in text):
+        raise ValueError(f"found {text!r:.40}, expected a number")
+    return float(text)
+
+
 def default_size(kind: AgentKind) -> tuple[float, float]:
     """Length and width of a kind where a format does not say them, m."""
     if kind is AgentKind.CAR:
@@ -160,6 +205,10 @@ def default_size(kind: AgentKind) -> tuple[float, float]:
 
 
 def _check(path: Path, rows: Rows) -> None:
+    if rows.agent.size == 0:
+        raise InputError(f"{path}: found no rows, expected at least one")
+    if rows.agent.size > MAX_ROWS:
+        raise InputError(f"{path}: found {rows.agent.size} rows, expected at most {MAX_ROWS}")
     for name in ("time_s", "x", "y", "heading", "speed"):
         values = getattr(rows, name)
         optional = name in ("heading", "speed")
@@ -197,42 +246,40 @@ def assemble(path: Path, rows: Rows) -> Tracks:
         InputError: if an agent is twice at one time, a number is out of range, or there is more
             than fits.
     """
-    if rows.agent.size == 0:
-        raise InputError(f"{path}: found no rows, expected at least one")
-    if rows.agent.size > MAX_ROWS:
-        raise InputError(f"{path}: found {rows.agent.size} rows, expected at most {MAX_ROWS}")
     _check(path, rows)
-    time_s = np.unique(np.append(rows.time_s, rows.empty_s))
-    step = np.searchsorted(time_s, rows.time_s)
+    time_s = _times(rows)
     n, t = len(rows.names), time_s.size
     if n * t > MAX_CELLS:
         raise InputError(
             f"{path}: found {n} agents at {t} times, expected agents times times at most "
             f"{MAX_CELLS}"
         )
-    rank = np.argsort(sorted(range(n), key=lambda i: _natural(rows.names[i])))
-    cell = rank[rows.agent] * t + step
-    counts = np.bincount(cell, minlength=n * t)
-    if counts.max() > 1:
-        twice = int(np.argmax(counts > 1))
-        name = rows.names[int(np.flatnonzero(rank == twice // t)[0])]
+    order = np.array(sorted(range(n), key=lambda i: _natural(rows.names[i])))
+    rank = np.empty(n, dtype=np.int64)
+    rank[order] = np.arange(n)
+    cell = rank[rows.agent] * t + np.searchsorted(time_s, rows.time_s)
+    sorting = np.argsort(cell, kind="stable")
+    cell = cell[sorting]
+    again = np.flatnonzero(cell[1:] == cell[:-1])
+    if again.size:
+        twice = int(cell[again[0]])
+        name = rows.names[order[twice // t]]
         raise InputError(f"{path}: found agent {name} twice at time {time_s[twice % t]:g} s")
-    order = np.argsort(rank)
-    valid = (counts > 0).reshape(n, t)
+    agent = cell // t
+    xy = np.stack([rows.x[sorting], rows.y[sorting]], axis=1)
+    heading, speed = _heading_and_speed(rows, sorting, agent, xy)
+    if rows.ahead_lengths:
+        ahead_m = rows.ahead_lengths * rows.length[order][agent]
+        xy[:, 0] -= ahead_m * np.cos(heading)
+        xy[:, 1] -= ahead_m * np.sin(heading)
 
     def dense(values: FloatArray) -> FloatArray:
-        out = np.full(n * t, np.nan)
+        out = np.full((n * t, *values.shape[1:]), np.nan)
         out[cell] = values
-        return out.reshape(n, t)
+        return out.reshape(n, t, *values.shape[1:])
 
-    xy = np.stack([dense(rows.x), dense(rows.y)], axis=2)
-    heading, speed = dense(rows.heading), dense(rows.speed)
-    if np.isnan(rows.speed).any() or np.isnan(rows.heading).any():
-        moved_heading, moved_speed = motion(xy, time_s, rows.rest_heading)
-        speed = np.where(np.isnan(speed), moved_speed, speed)
-        heading = np.where(np.isnan(heading), moved_heading, heading)
-    turned = (heading > np.pi) | (heading <= -np.pi)  # angles in range keep their last digit
-    heading = np.where(turned, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
+    valid = np.zeros(n * t, dtype=bool)
+    valid[cell] = True
     return Tracks(
         ids=np.arange(n),
         names=tuple(rows.names[i] for i in order),
@@ -240,13 +287,109 @@ def assemble(path: Path, rows: Rows) -> Tracks:
         length=rows.length[order],
         width=rows.width[order],
         time_s=time_s,
-        xy=xy,
-        heading=np.where(valid, heading, np.nan),
-        speed=np.where(valid, speed, np.nan),
-        valid=valid,
+        xy=dense(xy),
+        heading=dense(heading),
+        speed=dense(speed),
+        valid=valid.reshape(n, t),
         signals=np.empty((0, t), dtype=np.int8),
         behavior=None if rows.behavior is None else rows.behavior[order],
     )
+
+
+def recordings(
+    path: Path,
+    name: str,
+    rows: Rows,
+    notes: Sequence[str] = (),
+    road: Path | Road | None = None,
+    max_cells: int = MAX_CELLS,
+) -> Iterator[Recording]:
+    """The recording that rows make, or several: a long one of many agents is cut in time.
+
+    Arrays of agents times times hold mostly nothing where each agent is seen for a short time. So
+    rows that would need more than ``max_cells`` are halved in time until each part fits, and no
+    part takes more memory than that.
+
+    Args:
+        path: the file that they come from, for messages.
+        name: of the recording; the parts are numbered.
+        rows: what was read.
+        notes: what had to be assumed.
+        road: as in `Recording`.
+        max_cells: most agents times times of one.
+
+    Yields:
+        Recordings, in order of time.
+
+    Raises:
+        InputError: as `assemble`, or if there would be more than ``MAX_PARTS``.
+    """
+    _check(path, rows)
+    if len(rows.names) * _times(rows).size <= max_cells:
+        yield Recording(name, assemble(path, rows), tuple(notes), road)
+        return
+    order = np.argsort(rows.time_s, kind="stable")
+    parts = in_time(path, order, rows.time_s, rows.agent, max_cells)
+    cut = f"cut into {len(parts)} recordings in time, as arrays of all would not fit into memory"
+    for number, part in enumerate(parts, 1):
+        few = rows.part(np.sort(part))
+        yield Recording(f"{name}-{number}", assemble(path, few), (*notes, cut), road)
+
+
+def in_time(
+    path: Path,
+    order: NDArray[np.int64],
+    time: FloatArray,
+    agent: NDArray[np.generic],
+    max_cells: int,
+) -> list[NDArray[np.int64]]:
+    """Rows in order of time, halved in time until agents times times are few enough.
+
+    Args:
+        path: the file, for messages.
+        order: (k,) the rows to cut, in order of time.
+        time: (m,) of each row.
+        agent: (m,) of each row.
+        max_cells: most agents times times of a part.
+
+    Returns:
+        The rows of each part, in order of time.
+
+    Raises:
+        InputError: if there would be more than ``MAX_PARTS``.
+    """
+    waiting, parts = [order], list[NDArray[np.int64]]()
+    while waiting:
+        rows = waiting.pop()
+        times = np.unique(time[rows])
+        if np.unique(agent[rows]).size * times.size <= max_cells or times.size < 2:
+            parts.append(rows)
+        else:
+            middle = int(np.searchsorted(time[rows], times[times.size // 2]))
+            waiting += [rows[middle:], rows[:middle]]
+        if len(parts) + len(waiting) > MAX_PARTS:
+            raise InputError(
+                f"{path}: found agents and times for more than {MAX_PARTS} recordings of "
+                f"{max_cells} agents times times each, expected fewer"
+            )
+    return parts
+
+
+def _times(rows: Rows) -> FloatArray:
+    return np.unique(np.append(rows.time_s, rows.empty_s))
+
+
+def _heading_and_speed(
+    rows: Rows, sorting: NDArray[np.int64], agent: NDArray[np.int64], xy: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Heading in (-pi, pi] and speed of the sorted rows, from the motion where not given."""
+    heading, speed = rows.heading[sorting], rows.speed[sorting]
+    if np.isnan(speed).any() or np.isnan(heading).any():
+        moved_heading, moved_speed = row_motion(agent, xy, rows.time_s[sorting], rows.rest_heading)
+        speed = np.where(np.isnan(speed), moved_speed, speed)
+        heading = np.where(np.isnan(heading), moved_heading, heading)
+    turned = (heading > np.pi) | (heading <= -np.pi)  # angles in range keep their last digit
+    return np.where(turned, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading), speed
 
 
 def _natural(name: str) -> tuple[int, int, str]:
@@ -258,11 +401,7 @@ def _natural(name: str) -> tuple[int, int, str]:
 def motion(
     xy: FloatArray, time_s: FloatArray, rest_heading: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Heading and speed from positions.
-
-    The velocity at each time is the difference of the neighbouring valid positions (one-sided at
-    the ends). Below ``MOVING_MPS`` the heading is that of the last time it moved, before the first
-    such time that of the first, and ``rest_heading`` for those that never move.
+    """Heading and speed from positions, as `row_motion` has them.
 
     Args:
         xy: (n, t, 2) m; NaN where not valid.
@@ -270,47 +409,71 @@ def motion(
         rest_heading: rad.
 
     Returns:
-        (n, t) heading, rad, and (n, t) speed, m/s.
+        (n, t) heading, rad, and (n, t) speed, m/s; NaN where not valid.
     """
-    valid = np.isfinite(xy[..., 0])
-    n, t = valid.shape
-    column = np.broadcast_to(np.arange(t), (n, t))
-    last = np.maximum.accumulate(np.where(valid, column, -1), axis=1)
-    following = np.where(valid, column, t)[:, ::-1]
-    following = np.minimum.accumulate(following, axis=1)[:, ::-1]
-    before = np.concatenate([np.full((n, 1), -1), last[:, :-1]], axis=1)
-    after = np.concatenate([following[:, 1:], np.full((n, 1), t)], axis=1)
-    before = np.where(before < 0, column, before)
-    after = np.where(after >= t, column, after)
-    row = np.arange(n)[:, None]
+    agent, step = np.nonzero(np.isfinite(xy[..., 0]))
+    found = row_motion(agent, xy[agent, step], time_s[step], rest_heading)
+    heading, speed = np.full(xy.shape[:2], np.nan), np.full(xy.shape[:2], np.nan)
+    heading[agent, step], speed[agent, step] = found
+    return heading, speed
+
+
+def row_motion(
+    agent: NDArray[np.int64], xy: FloatArray, time_s: FloatArray, rest_heading: float
+) -> tuple[FloatArray, FloatArray]:
+    """Heading and speed from positions.
+
+    The velocity at each time is the difference of the neighbouring positions of the agent
+    (one-sided at the ends). Below ``MOVING_MPS`` the heading is that of the last time it moved,
+    before the first such time that of the first, and ``rest_heading`` for those that never move.
+
+    Args:
+        agent: (m,) ascending.
+        xy: (m, 2) m.
+        time_s: (m,) s, ascending for each agent.
+        rest_heading: rad.
+
+    Returns:
+        (m,) heading, rad, and (m,) speed, m/s.
+    """
+    m = agent.size
+    row = np.arange(m)
+    same = agent[1:] == agent[:-1]
+    before, after = row.copy(), row.copy()
+    before[1:][same] -= 1
+    after[:-1][same] += 1
     passed = time_s[after] - time_s[before]
-    moved = xy[row, after] - xy[row, before]
+    moved = xy[after] - xy[before]
     velocity = np.divide(
-        moved, passed[..., None], out=np.zeros_like(moved), where=passed[..., None] > SHORTEST_S
+        moved, passed[:, None], out=np.zeros_like(moved), where=passed[:, None] > SHORTEST_S
     )
-    speed = np.hypot(velocity[..., 0], velocity[..., 1])
-    direction = np.arctan2(velocity[..., 1], velocity[..., 0])
-    return hold_heading(direction, valid & (speed >= MOVING_MPS), rest_heading), speed
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    direction = np.arctan2(velocity[:, 1], velocity[:, 0])
+    return hold_heading(agent, direction, speed >= MOVING_MPS, rest_heading), speed
 
 
 def hold_heading(
-    direction: FloatArray, moving: NDArray[np.bool_], rest_heading: float
+    agent: NDArray[np.int64],
+    direction: FloatArray,
+    moving: NDArray[np.bool_],
+    rest_heading: float,
 ) -> FloatArray:
     """Fill the times without motion with the last heading in motion.
 
     Args:
-        direction: (n, t) rad; meaningful where moving.
-        moving: (n, t) where it is.
+        agent: (m,) ascending.
+        direction: (m,) rad; meaningful where moving.
+        moving: (m,) where it is.
         rest_heading: for agents that never move, rad.
 
     Returns:
-        (n, t) rad.
+        (m,) rad.
     """
-    n, t = moving.shape
-    column = np.broadcast_to(np.arange(t), (n, t))
-    last = np.maximum.accumulate(np.where(moving, column, -1), axis=1)
-    first = np.argmax(moving, axis=1)[:, None]
-    source = np.where(last < 0, first, last)
-    held = np.take_along_axis(direction, source, axis=1)
-    moves = np.asarray(moving.any(axis=1))
-    return np.where(moves[:, None], held, rest_heading)
+    m = agent.size
+    row = np.arange(m)
+    begin = np.searchsorted(agent, agent)  # of its agent's rows
+    last = np.maximum.accumulate(np.where(moving, row, -1))
+    following = np.minimum.accumulate(np.where(moving, row, m)[::-1])[::-1]
+    source = np.where(last >= begin, last, following)
+    end = np.searchsorted(agent, agent, side="right")
+    return np.where(source < end, direction[np.minimum(source, m - 1)], rest_heading)
