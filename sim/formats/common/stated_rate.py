@@ -48,18 +48,21 @@ def displacement_over_speed(tracks: Tracks) -> float:
     Returns:
         The median over the agents; NaN where too little moves to tell.
     """
-    step_s = np.diff(tracks.time_s)
-    both = tracks.valid[:, 1:] & tracks.valid[:, :-1] & (step_s > SHORTEST_S)
-    way = np.hypot(*np.moveaxis(np.diff(tracks.xy, axis=1), -1, 0))
-    told = (tracks.speed[:, 1:] + tracks.speed[:, :-1]) / 2 * step_s
+    agent, step = np.nonzero(tracks.valid)  # rows: the arrays of all times are mostly empty
+    at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
+    who, now, then = agent[at], step[at], step[at + 1]
+    speed, speed_then = tracks.speed[who, now], tracks.speed[who, then]
+    step_s = tracks.time_s[then] - tracks.time_s[now]
+    told = (speed + speed_then) / 2 * step_s
     # an agent moves by its own account or by its positions: a wrong step may hide either
-    with np.errstate(invalid="ignore"):
-        both &= (told > 0) & (np.minimum(tracks.speed[:, 1:], tracks.speed[:, :-1]) > MOVING_MPS)
-    gone = np.where(both, way, 0.0).sum(axis=1)
-    said = np.where(both, told, 0.0).sum(axis=1)
-    if np.count_nonzero(both) < LEAST_STEPS or gone.sum() < LEAST_M:
+    used = (step_s > SHORTEST_S) & (told > 0) & (np.minimum(speed, speed_then) > MOVING_MPS)
+    way = np.hypot(*(tracks.xy[who, then] - tracks.xy[who, now])[used].T)
+    n, who = tracks.ids.size, who[used]
+    gone = np.bincount(who, way, n)
+    said = np.bincount(who, told[used], n)
+    if who.size < LEAST_STEPS or gone.sum() < LEAST_M:
         return float("nan")
-    enough = (said > 0) & (gone > 0) & (both.sum(axis=1) >= 3)
+    enough = (said > 0) & (gone > 0) & (np.bincount(who, minlength=n) >= 3)
     return float(np.median(gone[enough] / said[enough])) if enough.any() else float("nan")
 
 
