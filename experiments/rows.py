@@ -26,6 +26,13 @@ MAX_BYTES: Final = 2**28
 """Largest file of rows that is read; a full study's are some megabytes."""
 
 
+EXPECTED: Final = (
+    'a list of rows such as {"bench": "loop", "stage": "all", "metric": "ms_median", "value": 9.5},'
+    " as graphrqi bench NAME --json FILE writes it"
+)
+"""What a file of rows should look like, for messages."""
+
+
 def tidy_row(
     keys: Mapping[str, Cell],
     metric: str,
@@ -84,13 +91,13 @@ def read_rows(path: Path) -> list[Row]:
     try:
         found: Any = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: found no JSON ({error})") from None
+        raise InputError(f"{path}: found no JSON ({error}), expected {EXPECTED}") from None
     if not isinstance(found, list):
-        raise InputError(f"{path}: found {type(found).__name__}, expected a list of rows")
+        raise InputError(f"{path}: found {type(found).__name__}, expected {EXPECTED}")
     for number, row in enumerate(found):
         where = f"{path}: row {number}"
         if not isinstance(row, dict) or not isinstance(row.get("metric"), str):
-            raise InputError(f"{where}: found no metric, expected flat rows with one")
+            raise InputError(f"{where}: found no metric, expected {EXPECTED}")
         if not isinstance(row.get("bench"), str):
             raise InputError(
                 f"{where}: found no bench, expected its name; files of older versions have none: "

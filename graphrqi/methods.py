@@ -35,6 +35,7 @@ from graphrqi.features.spectrum_observers import (
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.samples import Samples
 from graphrqi.spectrum import SOLVERS
+from sim.invalid_fields import first_wrong_field
 from sim.store.atomic import whole_folder
 
 FloatArray = NDArray[np.float64]
@@ -351,9 +352,7 @@ def _description(path: Path) -> tuple[_ModelFile, Method]:
     try:
         file = _ModelFile.model_validate_json(path.read_bytes())
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(x) for x in first["loc"]) or "content"
-        raise InputError(f"{path}: {where}: {first['msg']}") from None
+        raise InputError(f"{path}: {first_wrong_field(error, _ModelFile.model_fields)}") from None
     try:
         method = METHODS[file.method]
         _ = SOLVERS[file.solver]  # refuses an unknown name

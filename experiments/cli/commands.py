@@ -7,6 +7,7 @@ at once. Whatever a user can do wrong ends in one line on stderr and exit code 2
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -30,17 +31,44 @@ from experiments.cli.options import (
 )
 from experiments.cli.what_if import what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
-from experiments.console.notices import show_notices
+from experiments.console.notices import LOGGER, show_notices
 
 app = typer.Typer(
     name="graphrqi",
     help="Label, classify and predict drivers in simulated and recorded traffic.",
+    invoke_without_command=True,
     epilog="example: graphrqi run straight_road --stream. Exit codes: 0 done; 2 something asked "
     "for is wrong or missing, said in one line; 130 stopped by Ctrl-C; 1 a defect of the program.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+@app.callback()
+def about(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", help="Say the version, and those of the simulators.")
+    ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", "-v", help="Say on stderr what is read and how long it took; anywhere."
+        ),
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Label, classify and predict drivers in simulated and recorded traffic."""
+    if version:
+        from experiments.cli.doctor import version_line
+
+        typer.echo(version_line())
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit
+    if quiet:
+        context.default_map = {context.invoked_subcommand: {"quiet": True}}
 
 
 @app.command("list", epilog="example: graphrqi list")
@@ -150,13 +178,25 @@ def train(
     ] = "graphrqi-plus",
     seed: Seed = 0,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Train a method on a dataset's training split."""
+    """Train a method on a dataset's training split, and score it on the test split."""
+    from experiments.console.tables import show_table
+    from experiments.rows import write_json
+    from experiments.scoring.models import card_rows, scores_table
     from experiments.training.classifier import train_on
 
-    train_on([dataset], method, out, seed, quiet, jobs)
+    rows = card_rows(train_on([dataset], method, out, seed, quiet, jobs).card)
+    if json is not None:
+        write_json(rows, json)
+    if str(json) == "-":
+        return
     typer.echo(f"{out}: {method} trained on {dataset}")
+    if rows:
+        show_table(scores_table(rows), title=f"after 10 s of observation, {rows[0]['split']} split")
+    else:
+        typer.echo("not scored: the dataset has no test episode with a driver seen for 10 s")
 
 
 @app.command(epilog="example: graphrqi classify data --out labels.parquet")
@@ -174,11 +214,20 @@ def classify(
     """Name each driver's behaviour as it drives."""
     from experiments.console.tables import show_table
     from experiments.data.exchange import as_dataset
-    from experiments.scoring.classification import classify_dataset
+    from experiments.rows import write_json
+    from experiments.scoring.classification import (
+        classify_dataset,
+        episodes_table,
+        totals_table,
+    )
 
     with as_dataset(source, format, net) as dataset:
         rows = classify_dataset(dataset, model, out, quiet)
-    show_table(rows, json)
+    if json is not None:
+        write_json(rows, json)
+    if str(json) != "-":
+        show_table(episodes_table(rows), title="drivers by their last answer")
+        show_table(totals_table(rows), title="in all")
 
 
 @app.command(epilog="example: graphrqi predict data --predictors car-following --horizon-s 5")
@@ -422,11 +471,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: the command's arguments; by default those of the process.
     """
-    show_notices(quiet="--quiet" in (sys.argv if arguments is None else arguments))
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    others = [word for word in given if word not in ("-v", "--verbose")]
+    show_notices(quiet=bool({"-q", "--quiet"} & set(given)), verbose=len(others) < len(given))
+    began_s = time.monotonic()
     with exit_on_user_error():
-        code = app(arguments, prog_name="graphrqi", standalone_mode=False)
+        code = app(others, prog_name="graphrqi", standalone_mode=False)
         if code == STOPPED:
             raise Interrupted("stopped")  # typer swallows a Ctrl-C and returns its code
+    LOGGER.debug("done in %.1f s", time.monotonic() - began_s)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import inspect
+import json
 import os
 import platform
-import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Any, Final, Literal
+from urllib.parse import unquote, urlsplit
+
+from packaging.requirements import Requirement
 
 from behaviors.errors import InputError, lookup
 from behaviors.registry import Registry, loaded
@@ -119,27 +123,59 @@ def _about(registry: Registry[Any], name: str) -> str:
     return f"{about} Here {fixed}." if fixed else about
 
 
-def _requirements() -> Iterator[tuple[str, str]]:
-    """Name and extra ("" for none) of everything that the package asks for."""
+def version_line() -> str:
+    """Our version, and those of Python and the simulators."""
+    found = [f"graphrqi {metadata.version('graphrqi')}", f"Python {platform.python_version()}"]
+    for name in ("libsumo", "highway-env"):
+        with suppress(metadata.PackageNotFoundError):
+            found.append(f"{name} {metadata.version(name)}")
+    return ", ".join(found)
+
+
+def _requirements() -> Iterator[tuple[Requirement, str]]:
+    """Everything that the package asks for here, and for which extra ("" for none)."""
     for line in metadata.requires("graphrqi") or []:
-        name = re.match(r"[A-Za-z0-9._-]+", line)
-        extra = re.search(r"""extra\s*==\s*['"]([^'"]+)['"]""", line)
-        if name is not None:
-            yield name.group(), extra.group(1) if extra else ""
+        requirement = Requirement(line)
+        marker = requirement.marker
+        if marker is None or marker.evaluate({"extra": ""}):
+            yield requirement, ""
+            continue
+        for extra in EXTRAS:
+            if marker.evaluate({"extra": extra}):
+                yield requirement, extra
 
 
 def _packages() -> Iterator[Finding]:
-    for name, extra in _requirements():
-        what = f"{name} ({extra})" if extra else name
+    for requirement, extra in _requirements():
+        what = f"{requirement.name} ({extra})" if extra else requirement.name
+        fix = f"pip install '{requirement.name}{requirement.specifier}'"
         try:
-            yield Finding(what, "ok", metadata.version(name))
+            found = metadata.version(requirement.name)
         except metadata.PackageNotFoundError:
             if extra:
-                reason = f"pip install 'graphrqi[{extra}]'"
-                purpose = EXTRAS.get(extra, "")
-                yield Finding(what, "optional", "missing", f"{reason} ({purpose})")
+                yield Finding(what, "optional", "missing", f"{fix} ({EXTRAS[extra]})")
             else:
-                yield Finding(what, "broken", "missing", f"pip install {name}")
+                yield Finding(what, "broken", "missing", fix)
+            continue
+        if requirement.specifier.contains(found, prereleases=True):
+            yield Finding(what, "ok", found)
+        else:
+            wrong = f"{found}, expected {requirement.specifier}"
+            yield Finding(what, "optional" if extra else "broken", wrong, fix)
+
+
+def _again() -> str:
+    """How this installation is made again, from where it came."""
+    origin = json.loads(metadata.distribution("graphrqi").read_text("direct_url.json") or "{}")
+    where = origin.get("url", "")
+    if where.startswith("file://"):
+        where = f"'{unquote(urlsplit(where).path)}'"
+    editable = "--editable " if origin.get("dir_info", {}).get("editable") else ""
+    return (
+        f"pip install --force-reinstall --no-deps {editable}{where}"
+        if where
+        else "install graphrqi again, from where you had it"
+    )
 
 
 def _scenarios() -> str:
@@ -196,7 +232,7 @@ def examine() -> list[Finding]:
     version = ".".join(map(str, sys.version_info[:3]))
     supported = (3, 11) <= sys.version_info[:2] <= (3, 13)
     system = platform.system()
-    again = "install graphrqi again: pip install --force-reinstall --no-deps graphrqi"
+    again = _again()
     return [
         Finding(
             "python", "ok" if supported else "broken", version, "" if supported else "use 3.11-3.13"

@@ -52,7 +52,7 @@ Net = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 Engine = Annotated[
     str,
     typer.Option(help="Which simulator; see graphrqi list.", autocompletion=names_of("engine")),

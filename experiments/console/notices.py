@@ -1,9 +1,17 @@
-"""What programs say on stderr while they work: notices of the package's logger, a line each."""
+"""What programs say on stderr while they work: messages of the package's logger, a line each."""
 
 from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+LOGGER: Final = logging.getLogger("graphrqi")
+"""The package's logger. Its levels: WARNING says what was left out or kept, INFO what takes long,
+DEBUG what is read and how long it took."""
 
 
 class _OnStderr(logging.Handler):
@@ -14,13 +22,43 @@ class _OnStderr(logging.Handler):
         sys.stderr.flush()
 
 
-def show_notices(quiet: bool = False) -> None:
-    """Show messages of the logger "graphrqi" from level INFO on.
+def show_notices(quiet: bool = False, verbose: bool = False) -> None:
+    """Show messages of the logger "graphrqi", by default from level INFO on.
 
     Args:
         quiet: show warnings and errors only.
+        verbose: show messages of level DEBUG, too.
     """
-    logger = logging.getLogger("graphrqi")
-    logger.setLevel(logging.WARNING if quiet else logging.INFO)
-    if not any(isinstance(handler, _OnStderr) for handler in logger.handlers):
-        logger.addHandler(_OnStderr())
+    LOGGER.setLevel(logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO)
+    if not any(isinstance(handler, _OnStderr) for handler in LOGGER.handlers):
+        LOGGER.addHandler(_OnStderr())
+
+
+@contextmanager
+def called(path: Path, name: Path) -> Iterator[None]:
+    """Let messages and errors call a path by another name while the block lasts.
+
+    Commands make a temporary dataset of recordings; users know it by the path that they gave.
+
+    Args:
+        path: what messages would say.
+        name: what they say instead.
+
+    Raises:
+        InputError: one of the block, with the path replaced.
+    """
+    from behaviors.errors import InputError
+
+    def renamed(record: logging.LogRecord) -> bool:
+        record.msg, record.args = record.getMessage().replace(str(path), str(name)), ()
+        return True
+
+    LOGGER.addFilter(renamed)
+    try:
+        yield
+    except InputError as error:
+        if str(path) not in str(error):
+            raise
+        raise type(error)(str(error).replace(str(path), str(name))) from error
+    finally:
+        LOGGER.removeFilter(renamed)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from behaviors.errors import InputError
 from scenarios import get_scenario
 from sim.engines import get_engine
+from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario
 
 
@@ -130,4 +131,5 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
         if first["type"] == "missing":
             option = {"scenarios": "--scenario"}.get(where, f"--{where}")
             raise InputError(f"{option}: found none, expected one (or {where} in a file)") from None
-        raise InputError(f"{path or 'options'}: {where}: {first['msg']}") from None
+        wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "cluster"])
+        raise InputError(f"{path or 'options'}: {wrong}") from None

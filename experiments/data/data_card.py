@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.console.notices import LOGGER
 from sim.frames import KINDS
 from sim.store.atomic import write_whole
 from sim.store.catalogue import MANIFEST
@@ -39,13 +39,13 @@ def write_data_card(folder: Path, edited: bool = False) -> None:
     Args:
         folder: of the dataset.
         edited: whether somebody has changed the card that is there; it is kept, and a line on
-            stderr says so.
+            the log says so.
 
     Raises:
         OSError: if it cannot be written.
     """
     if edited:
-        sys.stderr.write(f"{folder / DATA_CARD}: kept, since it was edited\n")
+        LOGGER.warning("%s: kept, since it was edited", folder / DATA_CARD)
         return
     write_whole(folder / DATA_CARD, data_card(open_dataset(folder)).encode())
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -12,10 +11,11 @@ from typing import Final
 from pydantic import JsonValue
 
 from behaviors.errors import InputError
+from experiments.console.notices import LOGGER, called
 from experiments.console.progress import Progress
 from experiments.data.data_card import write_data_card
 from graphrqi.scene_check import check_scene
-from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, recording_files
+from sim.formats import FORMATS, formats_in, get_reader, get_writer, left_out_files, read_recordings
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
 from sim.road.files import read_road_file
@@ -41,9 +41,11 @@ def import_recordings(
     """Make a dataset of recordings, their numbers kept to the last digit.
 
     Args:
-        source: a file, or a folder with files of one format.
+        source: a file, or a folder with files of one or several formats.
         out: folder of the dataset, new or empty.
-        name: a key of ``sim.formats.FORMATS``; None to recognise it from the content.
+        name: a key of ``sim.formats.FORMATS``, whose files alone are read; None to read every
+            format that is recognised from the content. Files that look like recordings and are
+            not read are named on stderr and in the manifest.
         net: the SUMO net or Argoverse 2 map that the recordings were made on; None for what comes
             with each, if anything does.
         split: which part of the data everything belongs to; None to split by index.
@@ -57,28 +59,34 @@ def import_recordings(
         InputError: if a file is broken or of no known format, or ``out`` is not empty.
         OSError: if something cannot be written.
     """
-    name = name or recognise(source)
-    get_reader(name)
+    names = [name] if name else formats_in(source)
+    for key in names:
+        get_reader(key)
+    if types is not None and "sumo-fcd" not in names:
+        raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
     if net is not None:
         read_road_file(net)
-    configuration = {"format": name, "source": source.name}
-    others = recording_files(source, name)[1]
+    configuration = {"format": ", ".join(names), "source": source.name}
+    others = left_out_files(source, names)
     if others:
         configuration["left_out"] = ", ".join(file.name for file in others[:LEFT_OUT_NAMED])
         if len(others) > LEFT_OUT_NAMED:
             configuration["left_out"] += f" and {len(others) - LEFT_OUT_NAMED} more"
-        sys.stderr.write(f"{source}: left out, no {name} files: {configuration['left_out']}\n")
+        LOGGER.warning(
+            "%s: left out, no %s files: %s", source, " or ".join(names), configuration["left_out"]
+        )
     entries: list[EpisodeEntry] = []
     with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
-        for index, recording in enumerate(read_recordings(source, name, types)):
-            notes: list[JsonValue] = [*recording.notes, *_doubts(recording, FORMATS[name].unit)]
+        for index, (key, recording) in enumerate(_recordings(source, names, types)):
+            LOGGER.debug("%s: read %s as %s", source, recording.name, key)
+            notes: list[JsonValue] = [*recording.notes, *_doubts(recording, FORMATS[key].unit)]
             meta = EpisodeMeta(
-                scenario=name,
-                engine=name,
+                scenario=key,
+                engine=key,
                 index=index,
                 split=split or split_of(index),
                 options={"recording": recording.name, "notes": notes},
-                made_with=made_with(name),
+                made_with=made_with(key),
             )
             entry = write_recording(out, meta, recording.tracks, net or recording.road)
             entries.append(entry)
@@ -88,15 +96,24 @@ def import_recordings(
     return manifest
 
 
+def _recordings(
+    source: Path, names: Sequence[str], types: Path | None
+) -> Iterator[tuple[str, Recording]]:
+    """Every recording with its format, one format after another."""
+    for name in names:
+        for recording in read_recordings(source, name, types if name == "sumo-fcd" else None):
+            yield name, recording
+
+
 def _doubts(recording: Recording, unit: str) -> list[str]:
-    """What makes a recording no scene that can be believed, which is also said on stderr."""
+    """What makes a recording no scene that can be believed, which is also logged."""
     if unit != "m":
         return []
     found = check_scene(recording.tracks)
     if found.is_scene:
         return []
     said = f"no scene that can be believed: {'; '.join(found.findings)}"
-    sys.stderr.write(f"graphrqi: {recording.name}: {said}\n")
+    LOGGER.warning("%s: %s", recording.name, said)
     return [said]
 
 
@@ -124,7 +141,8 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:
         folder = Path(scratch) / (source.resolve().name or "recordings")
         import_recordings(source, folder, name, net, split="test", quiet=True)
-        yield folder
+        with called(folder, source):
+            yield folder
 
 
 def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> list[Path]:
@@ -164,5 +182,5 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
         summary = f"{len(left_out)} of {len(episodes)} episodes left out, first {left_out[0]}"
         if not written:
             raise InputError(f"{dataset}: {summary}")
-        print(f"{dataset}: {summary}", file=sys.stderr)
+        LOGGER.warning("%s: %s", dataset, summary)
     return written

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from typing import Any, Final, Literal
 from pydantic import ValidationError
 
 from behaviors.errors import InputError
+from experiments.console.notices import LOGGER
 from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import DATA_CARD
 from experiments.data.generate import AnyConfig, generate
@@ -196,7 +196,7 @@ def _aside(folder: Path, foreign: Sequence[Path], ours: Sequence[Path]) -> Itera
                 target = beside / path.relative_to(folder)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.move(place, target)
-        sys.stderr.write(f"{folder}: moved {len(foreign)} foreign files to {beside}\n")
+        LOGGER.warning("%s: moved %d foreign files to %s", folder, len(foreign), beside)
     shutil.rmtree(kept)
 
 

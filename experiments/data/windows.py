@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
+from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from graphrqi.methods import METHODS
@@ -114,5 +114,5 @@ def gather(
     if not parts:
         raise NoSamplesError(left_out[0])
     for reason in left_out:
-        sys.stderr.write(f"graphrqi: left out {reason}\n")
+        LOGGER.warning("left out %s", reason)
     return Samples.join(parts)

@@ -44,6 +44,13 @@ MAX_BATCH_BYTES: Final = 2**26
 each)."""
 
 
+BELIEFS: Final = pa.schema(
+    [LABELS.field(name) for name in ("episode", "agent", "time_s")]
+    + [LABELS.field(f"p_{b.value}") for b in BEHAVIORS]
+)
+"""The columns of a labels file that are read."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Beliefs:
     """Posteriors of every agent of an episode, now and then.
@@ -134,7 +141,7 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     Raises:
         InputError: if the file is not a labels file or does not speak of this episode.
     """
-    table = episode_rows(path, LABELS, episode, "labels")
+    table = episode_rows(path, BELIEFS, episode, "labels")
     agent = agent_rows(path, table, episode, tracks)
     steps = kept_steps(tracks)
     times = tracks.time_s[steps]
@@ -217,14 +224,14 @@ def agent_rows(path: Path, table: pa.Table, episode: str, tracks: Tracks) -> Int
     Raises:
         InputError: if it names somebody whom the episode does not have.
     """
-    names = pa.array(tracks.names, pa.string())
-    row = pc.index_in(table["agent"], value_set=names)
-    if row.null_count:
-        stranger = table["agent"].filter(pc.is_null(row))[0].as_py()
+    agent: IntArray = table["agent"].to_numpy()
+    row: IntArray = np.minimum(np.searchsorted(tracks.ids, agent), tracks.ids.size - 1)
+    strangers = agent[tracks.ids[row] != agent]
+    if strangers.size:
         raise InputError(
-            f"{path}: found agent {stranger!r}, expected one of the {len(names)} of {episode}"
+            f"{path}: found agent {strangers[0]}, expected one of {episode}'s {tracks.ids.size}"
         )
-    return np.asarray(row.to_numpy(), dtype=np.int64)
+    return row
 
 
 def _nothing(tracks: Tracks, steps: IntArray) -> NDArray[np.float32]:

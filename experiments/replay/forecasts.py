@@ -27,6 +27,10 @@ LEAST_PROBABILITY: Final = 0.02
 """Futures less likely than this are not kept (our choice)."""
 
 
+FORECASTS: Final = pa.schema([f for f in PREDICTIONS if f.name not in ("recording", "name")])
+"""The columns of a predictions file that are read."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:
     """What was predicted at one instant.
@@ -112,7 +116,7 @@ def read_forecasts(
     Raises:
         InputError: if the file is not a predictions file or does not speak of this episode.
     """
-    table = episode_rows(path, PREDICTIONS, episode, "predictions")
+    table = episode_rows(path, FORECASTS, episode, "predictions")
     whose = table["predictor"].cast(pa.string())
     name = predictor or whose[0].as_py()
     table = table.filter(pc.equal(whose, name))

@@ -71,13 +71,15 @@ class ReplayScene:
 
     @property
     def name(self) -> str:
-        """What the episode is called: its scenario, or its recording."""
-        recording = self.entry.options.get("recording")
-        return recording if isinstance(recording, str) else self.entry.scenario
+        """What the episode is called: its recording, or its scenario and index."""
+        return self.entry.name
 
 
 def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
-    """The episode that is asked for, by its id or the beginning of it; by default the first.
+    """The episode that is asked for; by default the first.
+
+    It is called by its id, the beginning of its id, its name (the recording, or the scenario and
+    the index), or its scenario, of which it is the first then.
 
     Raises:
         InputError: if there is none, or more than one, that begins so.
@@ -88,12 +90,12 @@ def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
     if episode is None:
         return entries[0]
     found = [entry for entry in entries if entry.id.startswith(episode)]
-    found = found or [e for e in entries if episode in (e.scenario, e.options.get("recording"))][:1]
+    found = found or [e for e in entries if episode in (e.scenario, e.name)][:1]
     if len(found) != 1:
-        known = ", ".join(f"{e.id} ({e.scenario})" for e in entries[:6])
+        known = ", ".join(f"{e.id} ({e.name})" for e in entries[:6])
         more = ", ..." if len(entries) > 6 else ""
         raise InputError(
-            f"--episode: found {len(found)} episodes that begin with {episode!r}, expected one of "
+            f"--episode: found {len(found)} episodes called {episode!r}, expected one of "
             f"{known}{more}"
         )
     return found[0]

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationErr
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from sim.invalid_fields import first_wrong_field
 from sim.store.atomic import write_whole
 
 SCHEMA_VERSION: Final = 1
@@ -92,9 +93,8 @@ def read_run(folder: Path) -> tuple[RunFile, Metrics]:
         try:
             found.append(kind.model_validate_json(path.read_bytes()))
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise InputError(f"{path}: {where}: {first['msg']}") from None
+            wrong = first_wrong_field(error, kind.model_fields)
+            raise InputError(f"{path}: {wrong}") from None
     run: RunFile = found[0]
     if run.schema_version > SCHEMA_VERSION:
         raise InputError(

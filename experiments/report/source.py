@@ -60,8 +60,13 @@ def read_source(path: Path) -> Source:
         return Source(path, run.name, run, by_bench(rows), run.protocol)
     if (path / "model.json").is_file():
         return _read_model(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: found nothing there, expected a run's folder or a file of rows")
     if not files:
-        raise InputError(f"{path / 'run.json'}: found no file, expected a run or files of rows")
+        raise InputError(
+            f"{path}: found no run.json, no model.json and no file of rows, expected a folder that "
+            "make demo or train wrote, or files that graphrqi bench NAME --json FILE wrote"
+        )
     rows = [row for file in files for row in read_rows(file)]
     return Source(path, path.resolve().name, None, by_bench(rows))
 

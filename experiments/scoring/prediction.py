@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any, cast
 import pyarrow as pa
 
 from behaviors.errors import InputError
+from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.rows import Row, of_bench
@@ -109,7 +109,7 @@ def evaluate_episode(
         return EpisodePrediction({}, tables[0], length_s)
 
     def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
-        tables.append(predictions_table(prediction, history, name, entry.id, max(horizons_s)))
+        tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
 
     errors = evaluate(
         tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s,
@@ -207,19 +207,14 @@ def predict_dataset(
                 f"{horizon_s:g} s, expected at least one agent"
             )
     for entry, length_s in short:
-        sys.stderr.write(
-            f"graphrqi: skipped {_name_of(entry)}: found {length_s:g} s, expected at least "
-            f"{least_s:g} s to predict {horizon_s:g} s ahead\n"
-        )
+        LOGGER.warning(
+            "skipped episode %s (%s): found %g s, expected at least %g s to predict %g s ahead",
+            entry.id, entry.name, length_s, least_s, horizon_s,
+        )  # fmt: skip
     for scenario, episodes in found.items():
         whole = not dataset.episodes(split, scenario)
         rows += summarize(episodes, scenario, "all" if whole else split, horizons_s)
     return of_bench("prediction", rows)
-
-
-def _name_of(entry: EpisodeEntry) -> str:
-    recording = entry.options.get("recording")
-    return f"episode {entry.id}" + (f" ({recording})" if recording else "")
 
 
 def short_table(rows: Sequence[Row]) -> list[Row]:

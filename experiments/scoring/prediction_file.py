@@ -19,12 +19,15 @@ from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from sim.frames import Tracks
 from sim.store.atomic import whole_file
+from sim.store.schema import EpisodeEntry
 
 PREDICTIONS: Final = pa.schema(
     [
         pa.field("episode", pa.string()),
+        pa.field("recording", pa.string()),
         pa.field("predictor", pa.dictionary(pa.int32(), pa.string())),
-        pa.field("agent", pa.string()),
+        pa.field("agent", pa.int64()),
+        pa.field("name", pa.string()),
         pa.field("time_s", pa.float64()),
         pa.field("mode", pa.int8()),
         pa.field("probability", pa.float32()),
@@ -33,12 +36,13 @@ PREDICTIONS: Final = pa.schema(
         pa.field("y_m", pa.float64()),
     ]
 )
-"""Columns of a predictions file. The agent is the source's own id, ``time_s`` when it was
-predicted, ``ahead_s`` how much later it is to be there."""
+"""Columns of a predictions file. ``recording`` is the name of the file that an episode was read
+from (null for simulated ones), ``agent`` the id in the dataset's tables, ``name`` the source's own
+id, ``time_s`` when it was predicted, ``ahead_s`` how much later it is to be there."""
 
 
 def predictions_table(
-    prediction: Prediction, history: Tracks, predictor: str, episode: str, horizon_s: float
+    prediction: Prediction, history: Tracks, predictor: str, entry: EpisodeEntry, horizon_s: float
 ) -> pa.Table:
     """One instant's futures as rows.
 
@@ -46,7 +50,7 @@ def predictions_table(
         prediction: the futures of the agents of the history.
         history: what was predicted from; its last column is the present.
         predictor: whose futures they are.
-        episode: its id.
+        entry: the episode.
         horizon_s: no place farther ahead is kept, s.
 
     Returns:
@@ -59,8 +63,10 @@ def predictions_table(
     rows = n * modes * times
     agent = np.repeat(np.searchsorted(history.ids, prediction.ids), modes * times)
     columns = [
-        pa.array([episode] * rows, pa.string()),
+        pa.array([entry.id] * rows, pa.string()),
+        pa.array([entry.recording] * rows, pa.string()),
         pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), [predictor]),
+        pa.array(history.ids[agent]),
         pa.array(history.names, pa.string()).take(pa.array(agent)),
         pa.array(np.full(rows, history.time_s[-1])),
         pa.array(np.tile(np.repeat(np.arange(modes), times), n).astype(np.int8)),

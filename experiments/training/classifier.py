@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, get_args
 
+from experiments.console.notices import LOGGER
 from experiments.data.windows import OBSERVED_S, gather
 from experiments.scoring.models import Scored, majority_of, score_model
 from graphrqi.methods import METHODS, Model, check_model_folder, save_model, train
@@ -82,7 +82,7 @@ def _skipping_empty() -> Iterator[None]:
     try:
         yield
     except NoSamplesError as reason:
-        sys.stderr.write(f"graphrqi: left out {reason}\n")
+        LOGGER.warning("left out %s", reason)
 
 
 def _card(

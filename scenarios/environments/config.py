@@ -21,6 +21,7 @@ from pydantic import (
 from behaviors.errors import InputError, lookup
 from behaviors.profiles import DEFAULT_SPREAD
 from sim.highway.ego import check_action
+from sim.invalid_fields import first_wrong_field
 
 OBSERVATIONS: Final[dict[str, str]] = {
     "kinematics": "positions and motion",
@@ -160,10 +161,7 @@ def read_config(model: type[TrafficConfig], given: Mapping[str, Any]) -> Traffic
         cause = first.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             raise cause from None
-        expected = first["msg"].removeprefix("Input should be ").removeprefix("Input should ")
-        raise InputError(
-            f"{first['loc'][0]}: found {first['input']!r}, expected {expected}"
-        ) from None
+        raise InputError(first_wrong_field(error)) from None
 
 
 def describe_config(model: type[TrafficConfig], defaults: Mapping[str, Any]) -> str:

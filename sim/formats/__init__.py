@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial, wraps
@@ -67,6 +67,10 @@ def _columns(*names: str) -> re.Pattern[bytes]:
     return re.compile(b"^" + every.encode())
 
 
+LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
+"""Tables that accompany the tracks of inD, rounD and highD."""
+
+
 FORMATS: Final[Registry[Format]] = Registry(
     "format",
     "graphrqi.formats",
@@ -98,24 +102,28 @@ FORMATS: Final[Registry[Format]] = Registry(
             _columns("trackid", "xcenter", "ycenter", "heading"),
             "sim.formats.levelx:read_ind",
             own_names=True,
+            beside=LEVELX_BESIDE,
         ),
         "round": Format(
             ("*_tracks.csv",),
             _columns("trackid", "xcenter", "ycenter", "heading"),
             "sim.formats.levelx:read_ind",
             own_names=True,
+            beside=LEVELX_BESIDE,
         ),
         "highd": Format(
             ("*_tracks.csv",),
             _columns("frame", "id", "width", "height", "xvelocity"),
             "sim.formats.levelx:read_highd",
             own_names=True,
+            beside=LEVELX_BESIDE,
         ),
         "interaction": Format(
             ("vehicle_tracks_*.csv",),
             _columns("track_id", "timestamp_ms", "agent_type"),
             "sim.formats.interaction:read",
             own_names=True,
+            beside=("pedestrian_tracks_*.csv",),
         ),
         "sumo-fcd": Format(
             ("*.xml",),
@@ -205,7 +213,7 @@ def _named(file: Path, patterns: tuple[str, ...]) -> bool:
 
 
 def recognise(path: Path) -> str:
-    """The format of a file, or of the files in a folder, told from their beginnings.
+    """The format of a file, or the first one of the files in a folder, told from their beginnings.
 
     Args:
         path: a file or a folder.
@@ -216,11 +224,55 @@ def recognise(path: Path) -> str:
     Raises:
         InputError: if it is none of them.
     """
+    return formats_in(path)[0]
+
+
+def formats_in(path: Path) -> list[str]:
+    """Every format of the files in a folder, told from their beginnings.
+
+    Args:
+        path: a file or a folder.
+
+    Returns:
+        Keys of ``FORMATS`` in their order. A file that looks like several has the first of them:
+        ``ind`` for rounD too.
+
+    Raises:
+        InputError: if there is none.
+    """
     _check_there(path)
+    found: list[str] = []
+    known: set[Path] = set()
     for name, entry in FORMATS.items():
-        if any(entry.head.search(_head(file)) for file in _files(path, entry.files)[:20]):
-            return name
-    raise InputError(f"{path}: found no known format, expected one of {', '.join(FORMATS)}")
+        files = [file for file in _files(path, entry.files) if file not in known]
+        here = {file for file in files if entry.head.search(_head(file))}
+        if here:
+            found.append(name)
+            known.update(here)
+    if not found:
+        raise InputError(f"{path}: found no known format, expected one of {', '.join(FORMATS)}")
+    return found
+
+
+def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
+    """Files in a folder that look like recordings, and that reading some formats leaves out.
+
+    Args:
+        path: a file or a folder.
+        names: keys of ``FORMATS``, the formats that are read.
+
+    Returns:
+        Files that are named like a format and not read, in order of their names; files that
+        accompany recordings of these formats are not among them.
+    """
+    if path.is_file():
+        return []
+    beside = tuple(pattern for name in names for pattern in FORMATS[name].beside)
+    read = {file for name in names for file in recording_files(path, name)[0]}
+    patterns = tuple(pattern for entry in FORMATS.values() for pattern in entry.files)
+    return [
+        file for file in _files(path, patterns) if file not in read and not _named(file, beside)
+    ]
 
 
 def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
@@ -242,12 +294,19 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
     others: list[Path] = []
     if path.is_dir():
         files = [file for file in files if not _named(file, entry.beside)]
-        if not entry.own_names:
-            others = [file for file in files if not entry.head.search(_head(file))]
-            files = [file for file in files if file not in set(others)]
+        strange = [file for file in files if not entry.head.search(_head(file))]
+        # A file with the format's own name is read even if it is broken, but not as another's.
+        others = [file for file in strange if not entry.own_names or _is_of_another(file)]
+        files = [file for file in files if file not in set(others)]
     if not files:
         raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
     return files, others
+
+
+def _is_of_another(file: Path) -> bool:
+    """Whether a file looks like a format whose files have such names."""
+    head = _head(file)
+    return any(_named(file, entry.files) and entry.head.search(head) for entry in FORMATS.values())
 
 
 def _check_there(path: Path) -> None:
@@ -287,6 +346,6 @@ def read_recordings(
 
 
 __all__ = [
-    "FORMATS", "Format", "get_reader", "get_writer", "read_recordings", "recognise",
-    "recording_files",
+    "FORMATS", "Format", "formats_in", "get_reader", "get_writer", "left_out_files",
+    "read_recordings", "recognise", "recording_files",
 ]  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Final, TypeVar, cast
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
+from sim.invalid_fields import first_wrong_field
 from sim.road import Road
 from sim.road.files import ENDINGS
 from sim.road.maps.stored import SUFFIX, encode_road
@@ -187,12 +188,6 @@ class _Versioned(BaseModel):
     schema_version: int
 
 
-def _first_error(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    where = ".".join(str(part) for part in first["loc"])
-    return f"{where}: {first['msg']}" if where else first["msg"]
-
-
 def validated(model: type[M], path: Path) -> M:
     """A JSON file as a model; everything that can be wrong with it is one `InputError`."""
     size = path.stat().st_size
@@ -201,7 +196,7 @@ def validated(model: type[M], path: Path) -> M:
     try:
         return model.model_validate_json(path.read_bytes())
     except ValidationError as error:
-        raise InputError(f"{path}: {_first_error(error)}") from None
+        raise InputError(f"{path}: {first_wrong_field(error)}") from None
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -235,6 +235,17 @@ class EpisodeEntry(EpisodeMeta):
     agent_steps: Annotated[int, Field(ge=0)]
     files: dict[FileName, FileEntry]
 
+    @property
+    def recording(self) -> str | None:
+        """Name of the recording that it was read from; None for a simulated episode."""
+        recording = self.options.get("recording")
+        return recording if isinstance(recording, str) else None
+
+    @property
+    def name(self) -> str:
+        """What people call it: its recording, or its scenario and index."""
+        return self.recording or f"{self.scenario} {self.index}"
+
 
 class Manifest(_Strict):
     """The content of ``manifest.json``. Nothing in it differs between two equal runs.

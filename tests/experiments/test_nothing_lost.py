@@ -75,7 +75,7 @@ def test_generating_refuses_a_readme_that_is_not_its_own(tmp_path: Path) -> None
 
 
 def test_generating_more_keeps_an_edited_card(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     generate(CONFIG.model_copy(update={"episodes": 1}), tmp_path, jobs=1, quiet=True)
     written = (tmp_path / "README.md").read_text()
@@ -84,11 +84,11 @@ def test_generating_more_keeps_an_edited_card(
     (tmp_path / "README.md").write_text(NOTE)
     generate(CONFIG, tmp_path, jobs=1, quiet=True)
     assert (tmp_path / "README.md").read_text() == NOTE
-    assert "README.md: kept, since it was edited" in capsys.readouterr().err
+    assert "README.md: kept, since it was edited" in caplog.text
 
 
 def test_a_repair_moves_foreign_files_beside_the_dataset(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = tmp_path / "data"
     generate(CONFIG, folder, jobs=1, quiet=True)
@@ -99,7 +99,7 @@ def test_a_repair_moves_foreign_files_beside_the_dataset(
     assert [(flaw.path.as_posix(), flaw.state) for flaw in flaws] == [("note", "foreign")]
     beside = tmp_path / "data-foreign"
     assert (beside / home.relative_to(folder) / "note").read_text() == NOTE
-    assert f"moved 1 foreign files to {beside}" in capsys.readouterr().err
+    assert f"moved 1 foreign files to {beside}" in caplog.text
 
 
 def test_a_report_does_not_replace_a_page_of_others(tmp_path: Path) -> None:

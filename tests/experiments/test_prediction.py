@@ -246,7 +246,8 @@ def test_predictions_file_holds_every_future_of_every_agent(dataset, tmp_path):
     opened = open_dataset(dataset)
     tracks = opened.read(opened.episodes("test")[0]).tracks
     row = rows[(rows["predictor"] == "constant-velocity") & (rows["ahead_s"] == 2.0)].iloc[0]
-    agent, column = tracks.names.index(row["agent"]), np.searchsorted(tracks.time_s, row["time_s"])
+    agent, column = tracks.names.index(row["name"]), np.searchsorted(tracks.time_s, row["time_s"])
+    assert tracks.ids[agent] == row["agent"]
     heading, speed = tracks.heading[agent, column], tracks.speed[agent, column]
     assert row["x_m"] == pytest.approx(tracks.xy[agent, column, 0] + 2 * speed * np.cos(heading))
     assert row["y_m"] == pytest.approx(tracks.xy[agent, column, 1] + 2 * speed * np.sin(heading))
@@ -275,15 +276,15 @@ def predict_line(folder, *options):
     return ended.value.code
 
 
-def test_recordings_too_short_are_skipped_and_named(tmp_path, capsys):
+def test_recordings_too_short_are_skipped_and_named(tmp_path, caplog):
     """Of 4.9 s (Argoverse 1), 4 s (TRAF), one frame and 12 s, with 3 s ahead."""
     folder = recordings(tmp_path / "data", 4.9, 4.0, 3.5, 0.0, 12.0)
     rows = predict_dataset(folder, ["constant-velocity"], 3.0, jobs=1, quiet=True)
     ade = next(row for row in rows if row["metric"] == "ade_m" and row["behavior"] == "all")
     assert ade["n"] == 2 * (1 + 1 + 4)
-    said = capsys.readouterr().err.splitlines()
+    said = caplog.messages
     for line, name, length in zip(said, ("drive2", "drive3"), ("3.5", "0"), strict=True):
-        assert line.startswith("graphrqi: skipped episode ")
+        assert line.startswith("skipped episode ")
         assert f"({name}): found {length} s, expected at least 4 s to predict 3 s ahead" in line
 
 

@@ -72,7 +72,7 @@ def labels_file(path, dataset, name):
             "agent": agent, "time_s": float(time_s), "behavior": "timid", "episode": entry.id,
             **{f"p_{b.value}": float(b is BEHAVIORS[5]) for b in BEHAVIORS},
         }
-        for agent in tracks.names[:3]
+        for agent in tracks.ids[:3].tolist()
         for time_s in tracks.time_s[10:]
     ]  # fmt: skip
     pq.write_table(pa.Table.from_pylist(rows, schema=LABELS), path)
@@ -94,9 +94,10 @@ def test_labels_of_another_episode_are_refused_by_name(dataset, tmp_path):
     with pytest.raises(InputError, match=r"labels\.parquet: found no row of episode"):
         read_beliefs(tmp_path / "labels.parquet", "f" * 16, tracks)
     (tmp_path / "broken.parquet").write_bytes(b"PAR1 nothing")
-    with pytest.raises(InputError, match=r"broken\.parquet: found no readable table"):
+    with pytest.raises(InputError, match=r"broken\.parquet: found no readable .*table"):
         read_beliefs(tmp_path / "broken.parquet", entry.id, tracks)
-    pq.write_table(pa.table({"agent": ["v2"]}), tmp_path / "few.parquet")
+    few = pa.table({"episode": [entry.id], "agent": [2]})
+    pq.write_table(few, tmp_path / "few.parquet")
     with pytest.raises(InputError, match="found no column time_s"):
         read_beliefs(tmp_path / "few.parquet", entry.id, tracks)
 
@@ -111,7 +112,7 @@ def test_predictions_come_back_from_their_file(dataset, tmp_path):
         history.ids, np.arange(1, 51) / 10, xy, np.tile([0.2, 0.79, 0.01], (n, 1))
     )
     with predictions_file(tmp_path / "p.parquet") as file:
-        file.write_table(predictions_table(prediction, history, "one", entry.id, 5.0))
+        file.write_table(predictions_table(prediction, history, "one", entry, 5.0))
     name, found = read_forecasts(tmp_path / "p.parquet", entry.id, tracks)
     assert name == "one"
     assert len(found) == 1
@@ -195,7 +196,8 @@ def test_an_episode_is_found_by_its_beginning_or_refused(dataset):
     first = opened.manifest.episodes[0]
     assert chosen_entry(opened, first.id[:6]) == first
     assert chosen_entry(opened, None) == first
-    with pytest.raises(InputError, match="--episode: found 0 episodes that begin with 'zz'"):
+    assert chosen_entry(opened, first.name) == first
+    with pytest.raises(InputError, match=f"called 'zz', expected .*{first.id} .{first.name}"):
         chosen_entry(opened, "zz")
 
 

@@ -188,9 +188,9 @@ def broken(**changes: Any) -> dict[str, Any]:
     ("archive", "told"),
     [
         ("", "JSON"),
-        ("[]", "JSON"),
+        ("[]", "found [], expected an object"),
         ("[" * 100_000, "JSON"),
-        ("{}", "lane_segments: Field required"),
+        ("{}", "lane_segments: found none, expected one"),
         (broken(id="11"), "lane_segments.11.id"),
         (broken(id=12), "found an id twice"),
         (broken(id=-1), "lane_segments.11.id"),

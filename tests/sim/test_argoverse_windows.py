@@ -112,13 +112,13 @@ def test_no_jump_is_written(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("short", [frames((0, 30)), frames((0, 1)), frames((0, 40), (70, 100))])
 def test_short_episodes_are_left_out(
-    tmp_path: Path, name: str, short: np.ndarray, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, name: str, short: np.ndarray, caplog: pytest.LogCaptureFixture
 ) -> None:
     data = dataset(tmp_path / "data", drive(short), drive(frames((0, 120))), drive(short[:1]))
     written = export_dataset(data, tmp_path / "out", name, quiet=True)
     first, long, _ = (e.id for e in open_dataset(data).manifest.episodes)
     assert written
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = caplog.messages
     assert f"2 of 3 episodes left out, first {first}: found no " in line
     assert long not in line
 

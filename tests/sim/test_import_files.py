@@ -36,7 +36,7 @@ def test_every_file_with_a_formats_own_name_is_read_or_refused(tmp_path: Path) -
 
 
 def test_others_with_a_common_ending_are_left_out_and_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     source = tmp_path / "source"
     source.mkdir()
@@ -44,7 +44,7 @@ def test_others_with_a_common_ending_are_left_out_and_named(
     (source / "notes.csv").write_text("who,what\n")
     manifest = import_recordings(source, tmp_path / "out", quiet=True)
     assert len(manifest.episodes) == 1
-    assert "left out, no ngsim files: notes.csv" in capsys.readouterr().err
+    assert "left out, no ngsim files: notes.csv" in caplog.text
     assert "notes.csv" in (tmp_path / "out" / "README.md").read_text()
 
 

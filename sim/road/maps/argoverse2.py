@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
+from sim.invalid_fields import first_wrong_field
 from sim.road import Crossing, Lane, MapKnowledge, Road
 from sim.road.maps.lanelets import (
     MAX_COORDINATE_M,
@@ -110,9 +111,7 @@ def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road | No
     try:
         archive = _Archive.model_validate_json(path.read_bytes())
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(str(part) for part in first["loc"])[:200] or "JSON"
-        raise InputError(f"{path}: {where}: {' '.join(first['msg'].split())}") from None
+        raise InputError(f"{path}: {first_wrong_field(error)}") from None
     segments = _by_id(path, archive.lane_segments)
     _by_id(path, archive.pedestrian_crossings)
     if not segments:

@@ -1,0 +1,87 @@
+"""What is wrong with a file's or a command's fields, in our words: where, found, expected."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from behaviors.errors import InputError
+
+MAX_SHOWN: Final = 60
+"""Most characters that are shown of a wrong value (our choice: the message stays one line)."""
+
+_BOUNDS: Final = {
+    "greater_than_equal": ("ge", "at least"),
+    "greater_than": ("gt", "more than"),
+    "less_than_equal": ("le", "at most"),
+    "less_than": ("lt", "less than"),
+}
+"""pydantic's types of error for numbers out of bounds: the bound's name, and how it is said."""
+
+
+def first_wrong_field(error: ValidationError, known: Iterable[str] = ()) -> str:
+    """The first thing that is wrong, as "where: found this, expected that".
+
+    Args:
+        error: what pydantic says.
+        known: the names of the fields that there are, to suggest the nearest to an unknown one.
+
+    Returns:
+        One line without pydantic's own words.
+
+    Examples:
+        >>> from pydantic import BaseModel, ConfigDict, Field
+        >>> class Config(BaseModel):
+        ...     model_config = ConfigDict(extra="forbid")
+        ...     episodes: int = Field(ge=1)
+        >>> def wrong(**given):
+        ...     try:
+        ...         Config(**given)
+        ...     except ValidationError as error:
+        ...         return first_wrong_field(error, Config.model_fields)
+        >>> wrong(episodes=0)
+        'episodes: found 0, expected at least 1'
+        >>> wrong(episodes=1, episode=2)
+        "episode: found an unknown key, did you mean 'episodes'?"
+        >>> wrong()
+        'episodes: found none, expected one'
+    """
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in first["loc"])[:200]
+    said = _said(dict(first), list(known))
+    return f"{where}: {said}" if where else said
+
+
+def _said(first: dict[str, Any], known: list[str]) -> str:
+    kind, context, message = first["type"], first.get("ctx", {}), " ".join(first["msg"].split())
+    cause = context.get("error")
+    if isinstance(cause, InputError) or message.startswith("found "):
+        return message if cause is None else str(cause)
+    if kind == "extra_forbidden":
+        name = str(first["loc"][-1])
+        near = difflib.get_close_matches(name, known, n=1) if len(first["loc"]) == 1 else []
+        if near:
+            return f"found an unknown key, did you mean {near[0]!r}?"
+        among = f"one of {', '.join(known)}" if known and len(first["loc"]) == 1 else "no such key"
+        return f"found an unknown key, expected {among}"
+    if kind == "missing":
+        return "found none, expected one"
+    if kind == "json_invalid":
+        return f"found no JSON ({cause}), expected it"
+    if kind in _BOUNDS:
+        bound, words = _BOUNDS[kind]
+        return f"found {_shown(first['input'])}, expected {words} {context[bound]:g}"
+    if kind == "too_short":
+        least = context["min_length"]
+        return f"found {_shown(first['input'])}, expected {least} or more entries"
+    expected = message.removeprefix("Input should be ").removeprefix("Value error, ")
+    expected = expected.partition(", ")[0] if "unable to parse" in expected else expected
+    return f"found {_shown(first['input'])}, expected {expected}"
+
+
+def _shown(value: object) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
