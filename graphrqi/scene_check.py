@@ -2,7 +2,7 @@
 
 Recordings are passed on in which actors of several scenes lie on top of each other, times were
 rounded or made up, or ids were given to one agent after another. Nothing can be said about how
-anybody drives there. Five things are looked at, and each counts only once there is enough evidence
+anybody drives there. Six things are looked at, and each counts only once there is enough evidence
 that it is no noise of a sensor (up to half a metre) and no dense traffic:
 
 - overlap: vehicles whose centres lie within each other;
@@ -10,7 +10,9 @@ that it is no noise of a sensor (up to half a metre) and no dense traffic:
   differences between them explain;
 - repeated frames: moving vehicles that all stay where they were for a frame;
 - pace: displacements that do not fit the stated speeds;
-- jumps: ids that go faster than any vehicle.
+- jumps: ids that go faster than any vehicle;
+- unit: vehicles that are as large as if feet or millimetres were metres, or traffic that is faster
+  than any.
 
 `SceneMonitor` takes frame after frame, as a stream does; `check_scene` takes a recording.
 """
@@ -28,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.features.kinematics import FORGET_S, align, merge
+from graphrqi.units import size_ratio, unit_of
 from sim.frames import Frame, Tracks
 
 FloatArray = NDArray[np.float64]
@@ -95,11 +98,17 @@ JUMP_M: Final = 5.0
 JUMPING: Final = 0.1
 """No scene if more than this share of the ids jumps (our choice)."""
 
+SIZED: Final = 3
+"""Fewest vehicles whose sizes say that a unit is wrong (our choice)."""
+
 JUMPING_IDS: Final = 3
 """So many different ids have to jump before it counts (our choice)."""
 
 SURE: Final = 3.0
 """Standard errors by which the evidence has to exceed a threshold."""
+
+FAST_MPS: Final = 70.0
+"""No traffic has a median speed above this, m/s (our choice: 250 km/h)."""
 
 STILL_M: Final = 2.0
 """Vehicles that stay nearer to where they were first seen never moved, m (our choice)."""
@@ -227,16 +236,21 @@ class SceneMonitor:
     """Gathers evidence frame by frame; `check` says what it amounts to so far.
 
     One update takes less than 0.1 ms among 100 vehicles, on average over frames.
+
+    Args:
+        outlines: whether lengths and widths are those of outlines on the ground. Boxes in an image
+            overlap without touching, and are counted but no reason for doubt.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, outlines: bool = True) -> None:
+        self._outlines = outlines
         self._recent: deque[_Seen] = deque()
         self._roll = _Roll()
         self._look_s = -math.inf
         self._companies = self._turn = self._looked = self._hits = 0
         self._nearest = np.zeros(_NEAR_BINS, dtype=np.int64)
         self._last_gain: tuple[float, float] | None = None
-        self._shake, self._pace = _Mean(), _Mean()
+        self._shake, self._pace, self._size, self._speed = _Mean(), _Mean(), _Mean(), _Mean()
         self._moving_frames = self._repeats = 0
 
     def update(self, frame: Frame) -> bool:
@@ -272,6 +286,9 @@ class SceneMonitor:
             self._roll.look(rows, xy)
             chosen = slice(None) if whole else drives
             sides = np.stack([frame.length[chosen], frame.width[chosen]], axis=1)
+            if self._outlines:
+                ratio = size_ratio(sides[:, 0], sides[:, 1], frame.kind[chosen])
+                self._size.add(math.log(max(ratio, 1e-9)))
             self._look(rows, xy, frame.heading[chosen], sides)
         recent.append(now)
         return self._is_scene()
@@ -343,7 +360,12 @@ class SceneMonitor:
         travelled = np.hypot(moved[:, 0], moved[:, 1])
         stated = 0.5 * (now.speed[into] + past.speed[source]) * passed_s
         moving = travelled * stated > (MOVING_MPS * passed_s) ** 2
-        if passed_s >= 0.4 * REFERENCE_S and moving.any():
+        if passed_s < 0.4 * REFERENCE_S:
+            return
+        fast = travelled > MOVING_MPS * passed_s
+        if fast.any():
+            self._speed.add(float(np.median(travelled[fast])) / passed_s)
+        if moving.any():
             self._pace.add(float(np.median(np.log(travelled[moving] / stated[moving]))))
 
     def _look(self, rows: IntArray, xy: FloatArray, heading: FloatArray, sides: FloatArray) -> None:
@@ -382,7 +404,7 @@ class SceneMonitor:
 
     def _overlaps(self) -> bool:
         many = self._roll.of[_OVERLAPS] >= OVERLAPPING_IDS
-        return many and self._hits > OVERLAPPING * self._looked
+        return self._outlines and many and self._hits > OVERLAPPING * self._looked
 
     def _shakes(self) -> bool:
         shake = self._shake
@@ -402,9 +424,20 @@ class SceneMonitor:
     def _jumps(self) -> bool:
         return self._roll.of[_JUMPED] >= JUMPING_IDS and self._roll.share(_JUMPED) > JUMPING
 
+    def _unit(self) -> str | None:
+        """The unit that seems to be given as metres."""
+        if self._size.count < PACE_LOOKS or self._roll.count < SIZED:
+            return None
+        return unit_of(math.exp(self._size.value))
+
+    def _too_fast(self) -> bool:
+        return self._speed.count >= PACE_LOOKS and self._speed.value > FAST_MPS
+
     def _is_scene(self) -> bool:
         return not (
             self._overlaps()
+            or self._too_fast()
+            or self._unit() is not None
             or self._shakes()
             or self._repeating()
             or self._paces()
@@ -454,17 +487,23 @@ class SceneMonitor:
                 f"vehicles go {seen.pace:.2f} times as far as their stated speeds: the frame step "
                 "or a unit is wrong"
             )
+        if unit := self._unit():
+            ratio = math.exp(self._size.value)
+            yield f"vehicles are {ratio:.3g} times as large as usual: {unit} seem to be metres"
+        if self._too_fast():
+            yield f"the median speed is {self._speed.value:.0f} m/s: a unit or the clock is wrong"
         if self._roll.of[_JUMPED]:
             yield f"{self._roll.of[_JUMPED]} of {self._roll.count} ids jump from place to place"
         if self._roll.count and seen.still > 0.5:
             yield f"{seen.still:.0%} of the vehicles never move"
 
 
-def check_scene(tracks: Tracks) -> SceneCheck:
+def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
     """Whether a recording is a scene that can be believed.
 
     Args:
         tracks: positions in metres.
+        outlines: as for `SceneMonitor`.
 
     Returns:
         The verdict, with what was found amiss.
@@ -484,7 +523,7 @@ def check_scene(tracks: Tracks) -> SceneCheck:
         >>> check_scene(Tracks.from_frames(cars(16, t) for t in times))  # doctest: +ELLIPSIS
         SceneCheck(is_scene=False, findings=('100% of the vehicles lie within another one...
     """
-    monitor = SceneMonitor()
+    monitor = SceneMonitor(outlines)
     for frame in tracks.frames():
         monitor.update(frame)
     return monitor.check()

@@ -13,8 +13,8 @@ from pydantic import JsonValue
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER, called
 from experiments.console.progress import Progress
+from experiments.data.admission import SCALED, admitted
 from experiments.data.data_card import write_data_card
-from graphrqi.scene_check import check_scene
 from sim.formats import FORMATS, formats_in, get_reader, get_writer, left_out_files, read_recordings
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
@@ -79,13 +79,21 @@ def import_recordings(
     with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
         for index, (key, recording) in enumerate(_recordings(source, names, types)):
             LOGGER.debug("%s: read %s as %s", source, recording.name, key)
-            notes: list[JsonValue] = [*recording.notes, *_doubts(recording, FORMATS[key].unit)]
+            unit = FORMATS[key].unit
+            recording, doubt = admitted(recording, unit)
+            if doubt:
+                LOGGER.warning("%s: %s", recording.name, doubt)
+            options: dict[str, JsonValue] = {
+                "recording": recording.name, "notes": list(recording.notes),
+            }  # fmt: skip
+            if unit != "m":
+                options[SCALED] = True
             meta = EpisodeMeta(
                 scenario=key,
                 engine=key,
                 index=index,
                 split=split or split_of(index),
-                options={"recording": recording.name, "notes": notes},
+                options=options,
                 made_with=made_with(key),
             )
             entry = write_recording(out, meta, recording.tracks, net or recording.road)
@@ -103,18 +111,6 @@ def _recordings(
     for name in names:
         for recording in read_recordings(source, name, types if name == "sumo-fcd" else None):
             yield name, recording
-
-
-def _doubts(recording: Recording, unit: str) -> list[str]:
-    """What makes a recording no scene that can be believed, which is also logged."""
-    if unit != "m":
-        return []
-    found = check_scene(recording.tracks)
-    if found.is_scene:
-        return []
-    said = f"no scene that can be believed: {'; '.join(found.findings)}"
-    LOGGER.warning("%s: %s", recording.name, said)
-    return [said]
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import numpy as np
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
+from experiments.data.admission import SCALED
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_history import GraphHistory, graph_history
@@ -162,7 +163,8 @@ def gather(
         progress.advance()
         graph = graph_history(tracks)
         progress.advance()
-    unit = FORMATS[entry.engine].unit if entry.engine in FORMATS else "m"
+    scaled = entry.engine not in FORMATS or SCALED in entry.options
+    unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = _stride(tracks)
     return ReplayScene(
         entry=entry,

@@ -1,0 +1,38 @@
+"""What is done to every recording first: it is put into metres, and doubted if it is no scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from graphrqi.scene_check import check_scene
+from graphrqi.units import image_scale, in_metres
+from sim.formats.common.recording import Recording
+
+SCALED: Final = "scale_estimated"
+"""Option of episodes that were in pixels and are in metres by an estimated scale."""
+
+
+def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
+    """A recording in metres, and what makes it no scene that can be believed.
+
+    Args:
+        recording: as read.
+        unit: of its format: "m", or "px", whose scale is estimated.
+
+    Returns:
+        The recording, in metres, its notes with what was estimated and doubted; and the doubt in
+        one sentence, None where it is a scene.
+    """
+    if unit != "m":
+        scale = image_scale(recording.tracks)
+        kept = tuple(note for note in recording.notes if "no scale" not in note)
+        said = f"the format has no scale: by sizes and speeds {scale} at mid-height"
+        recording = replace(
+            recording, tracks=in_metres(recording.tracks, scale), notes=(*kept, said)
+        )
+    found = check_scene(recording.tracks, outlines=unit == "m")
+    if found.is_scene:
+        return recording, None
+    doubt = f"no scene that can be believed: {'; '.join(found.findings)}"
+    return replace(recording, notes=(*recording.notes, doubt)), doubt

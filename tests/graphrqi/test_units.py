@@ -1,0 +1,102 @@
+"""Pixels become metres, and metres that are none are named."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from graphrqi.scene_check import check_scene
+from graphrqi.units import image_scale, in_metres, unit_of
+from sim.frames import Tracks
+
+
+def street(metres: float = 0.05, near: float = 0.0, n: int = 30, seed: int = 0) -> Tracks:
+    """Cars that drive at 6 m/s up and down a filmed street, in whole pixels.
+
+    Args:
+        metres: per pixel at the height 240.
+        near: by how much the logarithm of that grows with each pixel of height.
+        n: how many.
+        seed: of places.
+    """
+    rng = np.random.default_rng(seed)
+    time_s = 0.04 * np.arange(250)
+    way = 6.0 * time_s - 30.0 + rng.uniform(-8.0, 8.0, n)[:, None]
+    way *= np.where(np.arange(n) % 2, -1.0, 1.0)[:, None] / 1.5  # a tilted camera shortens it
+    height = 240.0 + (np.log1p(near * way / metres) / near if near else way / metres)
+    here = metres * np.exp(near * (height - 240.0))
+    across = 3.0 * rng.integers(-2, 3, n)[:, None] + 0.0 * way
+    size = 2.2 / np.median(here, axis=1)
+    xy = np.stack([np.rint(320.0 + across / here), np.rint(height)], axis=2)
+    return Tracks(
+        ids=np.arange(n),
+        names=tuple(map(str, range(n))),
+        kind=np.zeros(n, dtype=np.int8),
+        length=size,
+        width=size,
+        time_s=time_s,
+        xy=xy,
+        heading=np.zeros((n, 250)),
+        speed=np.zeros((n, 250)),
+        valid=np.ones((n, 250), dtype=bool),
+        signals=np.empty((0, 250), dtype=np.int8),
+    )
+
+
+@pytest.mark.parametrize("metres", [0.02, 0.05, 0.3])
+def test_the_scale_of_a_video_is_found(metres):
+    scale = image_scale(street(metres))
+    assert scale.metres == pytest.approx(metres, rel=0.2)
+    assert abs(np.log(scale.metres / metres)) < 2.0 * scale.spread
+
+
+@pytest.mark.parametrize("near", [0.0, 0.0004, 0.0008])
+def test_speeds_are_the_same_near_and_far(near):
+    video = street(0.05, near)
+    found = in_metres(video, image_scale(video))
+    speed = found.speed[:, 30:-30].mean(axis=1)
+    assert np.median(speed) == pytest.approx(6.0, rel=0.25)
+    assert speed.std() < 0.12 * speed.mean()
+    assert found.length.std() < 0.12 * found.length.mean()
+
+
+def test_an_unknown_pace_leaves_the_sizes():
+    still = street()
+    still = dataclasses.replace(still, xy=np.repeat(still.xy[:, :1], 250, axis=1))
+    scale = image_scale(still)
+    assert scale.metres == pytest.approx(0.05, rel=0.2)
+    assert scale.spread == pytest.approx(0.4)
+
+
+def test_unseen_agents_and_gaps_stay_unknown():
+    video = street()
+    valid = video.valid.copy()
+    valid[0], valid[1, 50:90] = False, False
+    hidden = np.where(valid[..., None], video.xy, np.nan)
+    found = in_metres(*(lambda t: (t, image_scale(t)))(
+        dataclasses.replace(video, valid=valid, xy=hidden)
+    ))  # fmt: skip
+    assert np.isnan(found.xy[0]).all()
+    assert np.isnan(found.speed[1, 50:90]).all()
+    assert np.isfinite(found.xy[1:][valid[1:]]).all()
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1 / 0.3048, "feet"), (1000.0, "millimetres")])
+def test_other_units_given_as_metres_are_named(factor, unit):
+    true = in_metres(street(), image_scale(street()))
+    cars = dataclasses.replace(true, length=np.full(30, 4.6), width=np.full(30, 1.8))
+    assert check_scene(cars, outlines=True).nearest_m > 0.0
+    wrong = dataclasses.replace(
+        cars, xy=factor * cars.xy, speed=factor * cars.speed,
+        length=factor * cars.length, width=factor * cars.width,
+    )  # fmt: skip
+    found = check_scene(wrong)
+    assert not found.is_scene
+    assert any(f"{unit} seem to be metres" in said for said in found.findings)
+
+
+@pytest.mark.parametrize("ratio", [0.4, 0.9, 1.0, 2.4, float("nan")])
+def test_kinds_that_differ_are_no_other_unit(ratio):
+    assert unit_of(ratio) is None
