@@ -67,6 +67,12 @@ BRANCHED: Final = (
 )
 """What everyone who uses a what-if should know."""
 
+SEEN: Final = (
+    "Positions are as a sensor saw them, with its noise and losses; speeds and headings follow from"
+    " them. Some episodes are in pixels or have no map: `options` of each episode says so."
+)
+"""What everyone who uses random worlds should know, too."""
+
 
 def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     lines = [header, tuple("---" for _ in header), *rows]
@@ -77,6 +83,8 @@ def _limits(dataset: Dataset) -> list[str]:
     """What is known to be missing or assumed."""
     if "what_if" in dataset.manifest.configuration:
         return [*LIMITS, BRANCHED]
+    if "worlds" in dataset.manifest.configuration:
+        return [*LIMITS, SEEN]
     if "format" not in dataset.manifest.configuration:
         return list(LIMITS)
     notes = [e.options.get("notes", []) for e in dataset.manifest.episodes]

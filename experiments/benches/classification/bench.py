@@ -16,6 +16,7 @@ from experiments.benches.classification.controls import (
     leak_probe,
     random_rows,
 )
+from experiments.benches.classification.noise import RATES_HZ, noise_rows
 from experiments.benches.classification.protocols import (
     ablation,
     across_datasets,
@@ -27,13 +28,15 @@ from experiments.benches.classification.protocols import (
 from experiments.benches.classification.recordings import MAIN_S, OURS, SCORED_S, Recordings
 from experiments.benches.classification.robustness import robustness
 from experiments.benches.classification.speed import speed_rows
+from experiments.benches.classification.worlds import AXES, Learned, worlds_rows
 from experiments.benches.contract import Bench, option
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
+from experiments.data.worlds.episode import WorldsConfig
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
-from graphrqi.methods import METHODS
-from sim.store.dataset import open_dataset
+from graphrqi.methods import METHODS, Model, load_model
+from sim.store.dataset import Dataset, open_dataset
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
@@ -63,6 +66,10 @@ class Settings:
         engine: the same for drivers of another law and of the other engine, scored and learned.
         fresh: the same for the data on which the shipped model is scored.
         many: the same for the leak probe, whose interval needs episodes; None for the base.
+        worlds: options of `WorldsConfig` for worlds that are left out in turn.
+        sensed: the same as ``base`` for usual traffic that is seen by worse sensors.
+        rates_hz: frame rates of these; keys of ``RATES_HZ``.
+        axes: by what worlds are left out; keys of ``AXES``.
         traffic: which of ``TRAFFIC``.
         methods: compared with one another.
         main: measured under every protocol.
@@ -86,6 +93,10 @@ class Settings:
     many: Mapping[str, Any] | None = field(
         default_factory=lambda: {"episodes": 40, "duration_s": 150.0}
     )
+    worlds: Mapping[str, Any] = field(default_factory=lambda: {"worlds": 200})
+    sensed: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 4, "duration_s": 120.0})
+    rates_hz: tuple[float, ...] = tuple(RATES_HZ)
+    axes: tuple[str, ...] = tuple(AXES)
     traffic: tuple[str, ...] = tuple(TRAFFIC)
     methods: tuple[str, ...] = (OURS, *(name for name in METHODS if name != OURS))
     main: tuple[str, ...] = (OURS,)
@@ -134,6 +145,23 @@ class Datasets:
         if self.settings.data is not None or self.settings.many is None:
             return self.base
         return self._made("many", **self.settings.many, seed=15)
+
+    @cached_property
+    def worlds(self) -> Dataset:
+        """Random worlds, other ones than any model that ships was trained on."""
+        where = self._folder / "worlds"
+        generate(WorldsConfig(seed=18, **self.settings.worlds), where, self.settings.jobs, True)
+        return open_dataset(where)
+
+    @cached_property
+    def sensed(self) -> dict[float, Recordings]:
+        """Usual traffic at each frame rate that nothing was ever trained on."""
+        return {
+            rate: self._made(
+                f"sensed {rate:g} Hz", **self.settings.sensed, step_s=RATES_HZ[rate], seed=19
+            )
+            for rate in self.settings.rates_hz
+        }
 
     @cached_property
     def idm(self) -> Recordings:
@@ -188,6 +216,24 @@ def _across_engines(data: Datasets) -> list[Row]:
     ]
 
 
+def _worlds(data: Datasets) -> list[Row]:
+    settings = data.settings
+    home = [data.base.dataset]
+    return worlds_rows(home, data.worlds, settings.main, settings.jobs, settings.axes)
+
+
+def _noise(data: Datasets) -> list[Row]:
+    settings = data.settings
+    models: dict[str, tuple[str, Model]] = {}
+    for method in settings.main:
+        models["trained at home"] = method, data.base.fitted(method)[0]
+        learned = Learned([data.base.dataset], data.worlds, method, settings.jobs)
+        models["trained on worlds too"] = method, learned.model()
+        if method == OURS:
+            models["shipped"] = method, load_model(method)
+    return noise_rows(models, data.sensed, settings.jobs, settings.levels)
+
+
 PROTOCOLS: Final[dict[str, Callable[[Datasets], list[Row]]]] = {
     "shipped": _shipped,
     "inductive": _inductive,
@@ -200,6 +246,8 @@ PROTOCOLS: Final[dict[str, Callable[[Datasets], list[Row]]]] = {
     "across-traffic": _across_traffic,
     "across-engines": _across_engines,
     "robustness": lambda b: robustness(b.base, b.settings.main, b.settings.levels),
+    "worlds": _worlds,
+    "noise": _noise,
     "speed": lambda b: speed_rows(b.base, b.settings.main),
 }  # fmt: skip
 """What is measured, by name."""
@@ -270,6 +318,10 @@ BENCH: Final = Bench(
         engine={"episodes": 3, "duration_s": 30.0},
         fresh={"episodes": 1, "duration_s": 30.0},
         many=None,
+        worlds={"worlds": 5, "duration_s": 20.0},
+        sensed={"episodes": 1, "duration_s": 20.0},
+        rates_hz=(10.0,),
+        axes=("noise",),
         traffic=("dense flow",),
         methods=("cheung",),
         main=("cheung",),

@@ -13,6 +13,8 @@ Every row says the protocol it was measured under:
 - ``across-engines``: trained on one simulator's drivers, scored on another's.
 - ``ablation``: ours without one kind of feature, and what that kind adds.
 - ``robustness``: windows, noise, lost frames, switches, cuts, long-tailed mixes, wrong labels.
+- ``worlds``: random worlds; one law, lane discipline, noise or road is left out of training.
+- ``noise``: usual traffic seen with noise, at other frame rates, and with lost frames.
 
 The ``leak-probe`` sees an agent's number and the time and nothing else; it has to stay at chance,
 and its interval has to hold chance.
