@@ -15,10 +15,10 @@ from experiments.console.notices import LOGGER, called
 from experiments.console.progress import Progress
 from experiments.data.admission import SCALED, admitted
 from experiments.data.data_card import write_data_card
+from experiments.data.recorded_roads import RecordedRoads
 from sim.formats import FORMATS, formats_in, get_reader, get_writer, left_out_files, read_recordings
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
-from sim.road.files import read_road_file
 from sim.store.catalogue import MANIFEST, write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.lock import new_folder
@@ -46,8 +46,9 @@ def import_recordings(
         name: a key of ``sim.formats.FORMATS``, whose files alone are read; None to read every
             format that is recognised from the content. Files that look like recordings and are
             not read are named on stderr and in the manifest.
-        net: the SUMO net or Argoverse 2 map that the recordings were made on; None for what comes
-            with each, if anything does.
+        net: the map that the recordings were made on, as `sim.road.files.read_road_file` takes
+            it; None for what comes with each, if anything does. It is checked against where
+            vehicles move (`sim.road.map_fit`).
         split: which part of the data everything belongs to; None to split by index.
         quiet: whether to show no progress.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
@@ -56,7 +57,8 @@ def import_recordings(
         The manifest.
 
     Raises:
-        InputError: if a file is broken or of no known format, or ``out`` is not empty.
+        InputError: if a file is broken or of no known format, ``net`` is of another place, or
+            ``out`` is not empty.
         OSError: if something cannot be written.
     """
     names = [name] if name else formats_in(source)
@@ -64,8 +66,7 @@ def import_recordings(
         get_reader(key)
     if types is not None and "sumo-fcd" not in names:
         raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
-    if net is not None:
-        read_road_file(net)
+    roads = RecordedRoads(net)
     configuration = {"format": ", ".join(names), "source": source.name}
     others = left_out_files(source, names)
     if others:
@@ -83,8 +84,9 @@ def import_recordings(
             recording, doubt = admitted(recording, unit)
             if doubt:
                 LOGGER.warning("%s: %s", recording.name, doubt)
+            road, found = roads.of(recording)
             options: dict[str, JsonValue] = {
-                "recording": recording.name, "notes": list(recording.notes),
+                "recording": recording.name, "notes": [*recording.notes, *found],
             }  # fmt: skip
             if unit != "m":
                 options[SCALED] = True
@@ -96,9 +98,10 @@ def import_recordings(
                 options=options,
                 made_with=made_with(key),
             )
-            entry = write_recording(out, meta, recording.tracks, net or recording.road)
+            entry = write_recording(out, meta, recording.tracks, road)
             entries.append(entry)
             shown.advance(entry.agents, entry.agent_steps)
+        roads.check()
         manifest = write_manifest(out, configuration, entries)
         write_data_card(out)
     return manifest

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -38,7 +39,9 @@ TYPES: Final[dict[str, AgentKind]] = {
     "bus": AgentKind.BUS,
     "truck": AgentKind.TRUCK,
     "motorcycle": AgentKind.MOTORCYCLE,
+    "van": AgentKind.CAR,
     "bicycle": AgentKind.BICYCLE,
+    "bike": AgentKind.BICYCLE,
     "pedestrian": AgentKind.PEDESTRIAN,
     "pedestrian/bicycle": AgentKind.PEDESTRIAN,
 }
@@ -47,6 +50,10 @@ TYPES: Final[dict[str, AgentKind]] = {
 FREE_CASES, LEAST_ROWS = 100, 10
 """Of more cases than the first, each must have as many rows as the second on average (our choice:
 the dataset's have 40 and more), since each becomes a recording with files of its own."""
+
+MAX_REPEATED: Final = 0.02
+"""Share of rows that may repeat an agent at one time (our choice; a tracker that splits vehicles
+makes some .5 %): the first counts. With more, ids or times are not what they seem."""
 
 _COMMON: Final = ("timestamp_ms", "x", "y", "vx", "vy")
 _BOX: Final = ("psi_rad", "length", "width")
@@ -66,18 +73,40 @@ def read(path: Path) -> Iterator[Recording]:
     """
     walkers = beside(path, plain_name(path).replace("vehicle_tracks", "pedestrian_tracks"))
     cases, walking = _cases(path), {} if walkers is None else _cases(walkers)
-    found = map_beside(path)
-    road = None if found is None else read_road_file(found)
+    found, origin = map_beside(path), _origin(path)
+    road = None if found is None else read_road_file(found, origin=origin)
     for case in cases | walking:
         parts = [part[case] for part in (cases, walking) if case in part]
-        notes = ("those without a size have the one usual for their kind",)
+        rows, repeated = _once(_joined(parts, path, walkers or path))
+        notes = []
+        if walkers is not None:
+            notes.append("those without a size have the one usual for their kind")
+        if repeated:
+            notes.append(f"{repeated} rows left out that have an agent twice at one time")
         name = f"{stem(path)}-{case}" if case else stem(path)
-        rows = _joined(parts, path, walkers or path)
-        yield from recordings(path, name, rows, notes if walkers is not None else (), road)
+        for recording in recordings(path, name, rows, tuple(notes), road):
+            yield replace(recording, origin=origin)
+
+
+def _once(rows: Rows) -> tuple[Rows, int]:
+    """The rows with each agent once at a time, and how many were left out; all if too many."""
+    order = np.lexsort((rows.time_s, rows.agent))
+    agent, time_s = rows.agent[order], rows.time_s[order]
+    again = np.flatnonzero((agent[1:] == agent[:-1]) & (time_s[1:] == time_s[:-1])) + 1
+    if not 0 < again.size <= MAX_REPEATED * agent.size:
+        return rows, 0
+    kept = np.ones(agent.size, dtype=bool)
+    kept[order[again]] = False
+    names = ("agent", "time_s", "x", "y", "heading", "speed")
+    return replace(rows, **{name: getattr(rows, name)[kept] for name in names}), again.size
 
 
 def map_beside(path: Path) -> Path | None:
-    """The map of a recording: ``map_NNN.xml`` beside ``vehicle_tracks_NNN.csv`` (as SinD has it).
+    """The map of a recording, by its name.
+
+    It is ``map_NNN.xml`` beside ``vehicle_tracks_NNN.csv`` (SinD), the only
+    ``log_map_archive_*.json`` there (Argoverse 2 sensor logs), the only ``.osm`` there, or the
+    ``.osm`` in a folder ``maps`` nearby that is called like the recording's folder (INTERACTION).
 
     Args:
         path: the recording.
@@ -86,7 +115,32 @@ def map_beside(path: Path) -> Path | None:
         The file; None where there is none.
     """
     number = stem(path).rpartition("tracks_")[2]
-    return beside(path, f"map_{number}.xml")
+    found = beside(path, f"map_{number}.xml")
+    if found is not None:
+        return found
+    home = path.absolute().parent
+    for pattern in ("log_map_archive_*.json", "*.osm", "*.osm.gz"):
+        maps = sorted(home.glob(pattern))
+        if len(maps) == 1:
+            return maps[0]
+    folders = (home / "maps", home.parent / "maps", home.parent.parent / "maps")
+    files = (f / f"{home.name}{end}" for f in folders for end in (".osm", ".osm.gz", ".osm_xy"))
+    return next((file for file in files if file.is_file()), None)
+
+
+def _origin(path: Path) -> tuple[float, float] | None:
+    """Latitude and longitude of (0, 0) from ``meta_data.csv`` beside a recording, degrees."""
+    facts = beside(path, "meta_data.csv")
+    if facts is None:
+        return None
+    names = ("originlat", "originlon")
+    columns = read_columns(facts, names, optional=names)
+    if not all(name in columns for name in names) or not len(columns):
+        return None
+    latitude, longitude = (float(columns.numbers(name)[0]) for name in names)
+    if abs(latitude) > 89 or abs(longitude) > 180:
+        raise InputError(f"{facts}: found origin {latitude:g}, {longitude:g}, expected degrees")
+    return latitude, longitude
 
 
 def _joined(parts: list[Rows], path: Path, walkers: Path) -> Rows:

@@ -19,13 +19,17 @@ HEAD_BYTES: Final = 4096
 """How much of an XML file is looked at to tell its root element."""
 
 
-def read_road_file(path: Path, name: str | None = None) -> Road:
+def read_road_file(
+    path: Path, name: str | None = None, origin: tuple[float, float] | None = None
+) -> Road:
     """Read a road.
 
     Args:
         path: a SUMO net (``.net.xml``), an Argoverse 2 map (``.json``), a CommonRoad scenario
-            (``.xml``), or a road that a dataset keeps (``.road.json``); XML may be gzipped.
+            (``.xml``), a Lanelet2 map (``.osm``), or a road that a dataset keeps
+            (``.road.json``); XML may be gzipped.
         name: what to call the road; by default the file's name without its ending.
+        origin: latitude and longitude of (0, 0), degrees, for a Lanelet2 map in such coordinates.
 
     Returns:
         The road.
@@ -33,6 +37,10 @@ def read_road_file(path: Path, name: str | None = None) -> Road:
     Raises:
         InputError: if the file is missing or broken, or has no drivable lane.
     """
+    if path.name.endswith((".osm", ".osm.gz", ".osm_xy")):
+        from sim.road.maps import lanelet2
+
+        return lanelet2.read_map(path, name, origin)
     return _reader(path)(path, name)
 
 

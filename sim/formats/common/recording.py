@@ -66,12 +66,14 @@ class Recording:
         notes: what had to be assumed or was left out, one sentence each.
         road: the road that came with it, or its file as `sim.road.files.read_road_file` takes it;
             None where there is none.
+        origin: latitude and longitude of (0, 0), degrees; None where not known.
     """
 
     name: str
     tracks: Tracks
     notes: tuple[str, ...] = ()
     road: Path | Road | None = None
+    origin: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from sim.road.maps.lanelets import (
     MAX_COORDINATE_M,
     MAX_FOLLOWING,
     Lanelet,
+    between,
     check_length,
     connections_of,
     lanes_of,
@@ -64,7 +65,7 @@ class _Segment(_Part):
     id: _Identity
     is_intersection: bool
     lane_type: str
-    centerline: _Line
+    centerline: _Line | None = None  # maps of sensor logs have none
     left_lane_boundary: _Line
     right_lane_boundary: _Line
     left_neighbor_id: _Identity | None
@@ -116,7 +117,7 @@ def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road | No
     _by_id(path, archive.pedestrian_crossings)
     if not segments:
         return None
-    lines = {i: _array(segment.centerline) for i, segment in segments.items()}
+    lines = {i: _centerline(segment) for i, segment in segments.items()}
     if not any(pieces(line).size for line in lines.values()):
         raise InputError(f"{path}: lane_segments: found no centre line of any length")
     crossings = tuple(_crossing(c) for c in archive.pedestrian_crossings.values())
@@ -146,6 +147,13 @@ def _array(line: list[_Point]) -> NDArray[np.float64]:
     points = np.array([(point.x, point.y) for point in line])
     points.flags.writeable = False
     return points
+
+
+def _centerline(segment: _Segment) -> NDArray[np.float64]:
+    if segment.centerline is not None:
+        return _array(segment.centerline)
+    borders = (segment.left_lane_boundary, segment.right_lane_boundary)
+    return between(*map(_array, borders))[0]
 
 
 def _lanelets(

@@ -76,9 +76,9 @@ class Lanelet:
         walking: whether it is for pedestrians only.
         cars: whether cars may drive on it.
         signal: signal group that controls leaving it, -1 if none.
-        must_yield: whether others have priority over those who leave it.
+        must_yield: whether others have priority over those who are on it, or leave it.
         must_stop: whether a stop sign stands at its end.
-        yields_to: ids of lanelets whose traffic has priority over those who leave it.
+        yields_to: ids of lanelets whose traffic has priority over them.
     """
 
     id: int
@@ -258,11 +258,12 @@ def _with_priority(
     """The ways, each with those that have priority over it."""
     passing: dict[int, list[int]] = {}
     for index, chain in enumerate(chains):
-        for i in chain[:-1]:
+        for i in chain[:-1] if len(chain) > 2 else chain:
             passing.setdefault(i, []).append(index)
     told = []
     for index, (way, chain) in enumerate(zip(ways, chains, strict=True)):
-        over = {k for i in lanelets[chain[0]].yields_to for k in passing.get(i, ())} - {index}
+        others = {j for i in chain[:-1] for j in lanelets[i].yields_to}
+        over = {k for j in others for k in passing.get(j, ())} - {index}
         told.append(dataclasses.replace(way, yields_to=tuple(sorted(over))) if over else way)
     return told
 
@@ -283,7 +284,9 @@ def _connection(chain: list[int], lanelets: Mapping[int, Lanelet]) -> Connection
     names = [str(i) for i in chain]
     return Connection(
         names[0], names[-1], tuple(names[1:-1]), direction,
-        signal=first.signal, must_yield=first.must_yield, must_stop=first.must_stop,
+        signal=first.signal,
+        must_yield=any(lanelets[i].must_yield for i in chain[:-1]),
+        must_stop=any(lanelets[i].must_stop for i in chain[:-1]),
     )  # fmt: skip
 
 

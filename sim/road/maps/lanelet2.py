@@ -1,0 +1,354 @@
+"""A Lanelet2 map (``.osm``) as a `Road`: the maps beside INTERACTION recordings.
+
+Nodes are projected latitudes and longitudes (UTM, from the recording's origin) or local metres
+(tags ``local_x`` and ``local_y``, or attributes ``x`` and ``y``). Programmes of lights are not in
+the format: signals are unknown. Priority is known where the map has right-of-way elements.
+
+References:
+    Poggenhans et al. (2018), Lanelet2: a high-definition map framework for the future of automated
+    driving, IEEE ITSC.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.road import Crossing, MapKnowledge, Road
+from sim.road.maps.lanelets import (
+    MAX_COORDINATE_M,
+    MAX_LANELETS,
+    MAX_POINTS,
+    Lanelet,
+    between,
+    check_length,
+    connections_of,
+    lanes_of,
+    with_junctions,
+)
+from sim.road.maps.transverse_mercator import to_metres, zone_of
+from sim.xml_tree import read_tree
+
+FloatArray = NDArray[np.float64]
+
+ROOT: Final = "osm"
+
+Origin = tuple[float, float]
+"""Latitude and longitude of a recording's (0, 0), degrees."""
+
+NEAR_ZERO_DEG: Final = 0.2
+"""Maps all within this of latitude and longitude 0 have their origin there, as INTERACTION's
+(our choice: 22 km)."""
+
+WALKING: Final = frozenset({"walkway", "stairs", "shared_walkway"})
+CROSSING: Final = frozenset({"crosswalk"})
+NOT_FOR_CARS: Final = frozenset({"bicycle_lane", "bikelane", "bus_lane", "rail"})
+"""Subtypes of lanelets; all others are driven by cars."""
+
+UNITS: Final = {"": 1 / 3.6, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704, "m/s": 1.0}
+"""Units of speed limits; without one they are km/h."""
+
+_SPEED: Final = re.compile(r"^\s*(?:de\s*:?\s*)?(\d{1,3}(?:\.\d{1,6})?)\s*([a-z/]*)\s*$")
+
+
+def read_map(path: Path, name: str | None = None, origin: Origin | None = None) -> Road:
+    """Read a map.
+
+    Args:
+        path: the ``.osm`` file, or ``.osm.gz``.
+        name: what to call the road; by default the file's name without its ending.
+        origin: latitude and longitude of (0, 0), degrees; None for local metres, for maps around
+            latitude and longitude 0, and for coordinates of the UTM zone.
+
+    Returns:
+        Its lanes, ways and crossings; lane ids are those of the file.
+
+    Raises:
+        InputError: if the file is broken or has no lanelet; names the file and the element.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected a Lanelet2 map (.osm)")
+    stat = path.stat()
+    return _read(path.absolute(), name, origin, stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=16)
+def _read(path: Path, name: str | None, origin: Origin | None, changed_ns: int, size: int) -> Road:
+    """The road in a map's file: read once as long as the file stays as it is."""
+    root = read_tree(path)
+    if root.tag != ROOT:
+        raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
+    ways = _ways(path, root, _places(path, root, origin))
+    rules = _Rules.of(path, root)
+    found: dict[int, Lanelet] = {}
+    borders: dict[int, tuple[_Border, _Border]] = {}
+    crossings: list[Crossing] = []
+    for relation in sorted(_relations(root, "lanelet"), key=lambda e: _number(path, e, "id")):
+        identity = _number(path, relation, "id")
+        if identity in borders:
+            raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
+        if len(borders) >= MAX_LANELETS:
+            raise InputError(f"{path}: found more than {MAX_LANELETS} lanelets")
+        left, right = borders[identity] = _borders(path, relation, ways)
+        centerline, width_m = between(left.line, right.line)
+        tags = _tags(relation)
+        subtype = tags.get("subtype", "road")
+        if subtype in CROSSING:
+            crossings.append(Crossing(str(identity), centerline, width_m, ()))
+            continue
+        walking = subtype in WALKING or _only_people(tags)
+        found[identity] = Lanelet(
+            id=identity,
+            centerline=centerline,
+            width_m=width_m,
+            successors=(),
+            internal=tags.get("turn_direction") in ("left", "right", "straight"),
+            use=subtype if subtype in NOT_FOR_CARS or walking else "",
+            limit_mps=_limit(path, tags, rules.limits.get(identity)),
+            walking=walking,
+            cars=not walking and subtype not in NOT_FOR_CARS,
+            must_yield=identity in rules.yields,
+            must_stop=identity in rules.stops,
+            yields_to=rules.yields.get(identity, ()),
+        )
+    if not any(one.cars for one in found.values()):
+        raise InputError(f"{path}: found no lanelet for cars, expected at least one")
+    if sum(len(one.centerline) for one in found.values()) > MAX_POINTS:
+        raise InputError(f"{path}: found more than {MAX_POINTS} points of lanelets")
+    check_length(path, [i.centerline for i in found.values()] + [c.centerline for c in crossings])
+    found = _related(found, borders)
+    if not any(one.internal for one in found.values()):
+        found = with_junctions(path, found)
+    limits = any(math.isfinite(one.limit_mps) for one in found.values())
+    return Road(
+        name=name if name is not None else path.name.split(".")[0],
+        lanes=tuple(lanes_of(found)),
+        connections=tuple(connections_of(path, found)),
+        crossings=tuple(crossings),
+        signal_groups=(),
+        source=path,
+        knows=MapKnowledge(limits=limits, signals=False, priority=bool(rules.yields)),
+    )
+
+
+def _number(path: Path, element: Element, name: str) -> int:
+    text = element.get(name)
+    try:
+        value = int(text or "")
+    except ValueError:
+        raise InputError(
+            f"{path}: {element.tag[:40]} {name}: found {str(text)[:40]!r}, expected a whole number"
+        ) from None
+    if abs(value) >= 2**63:
+        raise InputError(f"{path}: {element.tag[:40]} {name}: found it out of range")
+    return value
+
+
+def _tags(element: Element) -> dict[str, str]:
+    return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
+
+
+def _relations(root: Element, kind: str) -> list[Element]:
+    return [e for e in root.iterfind("relation") if _tags(e).get("type") == kind]
+
+
+def _places(path: Path, root: Element, origin: Origin | None) -> dict[int, tuple[float, float]]:
+    """Every node's x and y, m."""
+    nodes = root.findall("node")
+    identity = [_number(path, node, "id") for node in nodes]
+    if not nodes:
+        raise InputError(f"{path}: found no node, expected some")
+    first = _tags(nodes[0])
+    if "x" in nodes[0].attrib and "y" in nodes[0].attrib:
+        table = _table(path, [(n.get("x"), n.get("y")) for n in nodes], MAX_COORDINATE_M)
+    elif "local_x" in first and "local_y" in first:
+        tags = [_tags(node) for node in nodes]
+        pairs = [(t.get("local_x"), t.get("local_y")) for t in tags]
+        table = _table(path, pairs, MAX_COORDINATE_M)
+    else:
+        degrees = _table(path, [(n.get("lat"), n.get("lon")) for n in nodes], 360.0)
+        if not (np.abs(degrees[:, 0]) < 89.0).all():
+            raise InputError(f"{path}: lat: found a node beyond 89 degrees")
+        table = _projected(degrees, origin)
+    return dict(zip(identity, ((float(x), float(y)) for x, y in table), strict=True))
+
+
+def _table(path: Path, pairs: list[tuple[str | None, str | None]], most: float) -> FloatArray:
+    try:
+        table = np.array([(float(a or ""), float(b or "")) for a, b in pairs])
+    except ValueError:
+        raise InputError(f"{path}: found a node whose place is no number") from None
+    if not (np.abs(table) <= most).all():
+        raise InputError(f"{path}: found a node beyond {most:g}")
+    return table
+
+
+def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:
+    """(n, 2) m from the origin, in the origin's UTM zone."""
+    if origin is None and (np.abs(degrees) < NEAR_ZERO_DEG).all():
+        origin = (0.0, 0.0)
+    zone = zone_of(float(np.median(degrees[:, 1])) if origin is None else origin[1])
+    metres = to_metres(degrees[:, 0], degrees[:, 1], zone)
+    if origin is None:
+        return metres
+    return np.asarray(metres - to_metres(np.array([origin[0]]), np.array([origin[1]]), zone))
+
+
+@dataclass(frozen=True, eq=False)
+class _Border:
+    """A border of a lanelet in driving direction."""
+
+    nodes: tuple[int, ...]
+    line: FloatArray
+
+    @property
+    def turned(self) -> _Border:
+        return _Border(self.nodes[::-1], self.line[::-1])
+
+
+def _ways(
+    path: Path, root: Element, places: Mapping[int, tuple[float, float]]
+) -> dict[int, _Border]:
+    """Every way of two nodes and more."""
+    found = {}
+    for way in root.iterfind("way"):
+        nodes = tuple(_number(path, nd, "ref") for nd in way.iterfind("nd"))
+        missing = next((node for node in nodes if node not in places), None)
+        if missing is not None:
+            raise InputError(f"{path}: way: found node {missing}, expected one of the file")
+        if len(nodes) >= 2:
+            line = np.array([places[node] for node in nodes])
+            found[_number(path, way, "id")] = _Border(nodes, line)
+    return found
+
+
+def _borders(path: Path, relation: Element, ways: Mapping[int, _Border]) -> tuple[_Border, _Border]:
+    """Left and right border, turned so that left is on the left."""
+    sides = []
+    for role in ("left", "right"):
+        members = [e for e in relation.iterfind("member") if e.get("role") == role]
+        refs = [_number(path, member, "ref") for member in members]
+        if not refs or any(ref not in ways for ref in refs):
+            raise InputError(
+                f"{path}: lanelet {_number(path, relation, 'id')}: found no {role} border, "
+                "expected a way of two nodes"
+            )
+        sides.append(functools.reduce(_joined, (ways[ref] for ref in refs)))
+    left, right = sides
+    ends = left.line[[0, -1]]
+    if _apart(ends, right.line[[-1, 0]]) < _apart(ends, right.line[[0, -1]]):
+        right = right.turned
+    loop = np.concatenate([left.line, right.line[::-1]])
+    x, y = loop[:, 0] - loop[0, 0], loop[:, 1] - loop[0, 1]
+    area = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    return (left.turned, right.turned) if area > 0 else (left, right)
+
+
+def _apart(one: FloatArray, other: FloatArray) -> float:
+    return float(np.hypot(*(one - other).T).sum())
+
+
+def _joined(one: _Border, then: _Border) -> _Border:
+    """Two ways that share an end as one."""
+    if one.nodes[-1] not in (then.nodes[0], then.nodes[-1]):
+        one = one.turned
+    if one.nodes[-1] != then.nodes[0]:
+        then = then.turned
+    line = np.concatenate([one.line, then.line[1:]])
+    return _Border((*one.nodes, *then.nodes[1:]), line)
+
+
+def _related(
+    lanelets: dict[int, Lanelet], borders: Mapping[int, tuple[_Border, _Border]]
+) -> dict[int, Lanelet]:
+    """The lanelets with their successors and neighbours, told from the borders they share."""
+    driven = [i for i, one in lanelets.items() if not one.walking]
+    begins: dict[tuple[int, int], list[int]] = {}
+    by_left: dict[tuple[int, ...], int] = {}
+    by_right: dict[tuple[int, ...], int] = {}
+    for i in driven:
+        left, right = borders[i]
+        begins.setdefault((left.nodes[0], right.nodes[0]), []).append(i)
+        by_left[left.nodes] = i
+        by_right[right.nodes] = i
+    told = dict(lanelets)
+    for i in driven:
+        left, right = borders[i]
+        following = begins.get((left.nodes[-1], right.nodes[-1]), [])
+        told[i] = replace(
+            lanelets[i],
+            successors=tuple(j for j in following if j != i),
+            left=by_right.get(left.nodes),
+            right=by_left.get(right.nodes),
+        )
+    return told
+
+
+def _only_people(tags: Mapping[str, str]) -> bool:
+    walks = tags.get("participant:pedestrian") == "yes"
+    drives = any(tags.get(f"participant:{who}") == "yes" for who in ("vehicle", "vehicle:car"))
+    return walks and not drives and "participant:bicycle" not in tags
+
+
+def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
+    """Speed limit of a lanelet, m/s; NaN where there is none."""
+    text = tags.get("speed_limit") or tags.get("maxspeed") or rule
+    if not text:
+        return math.nan
+    match = _SPEED.match(text.lower().replace(",", "."))
+    factor = UNITS.get(match.group(2)) if match else None
+    if match is None or factor is None:
+        if text.lower() in ("none", "unlimited", "signals", "variable"):
+            return math.nan
+        raise InputError(f"{path}: speed limit: found {text[:40]!r}, expected as in 50 km/h")
+    limit = float(match.group(1)) * factor
+    return limit if limit > 0 else math.nan
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """What the regulatory elements say of lanelets: who yields to whom, stops, limits."""
+
+    yields: dict[int, tuple[int, ...]]
+    stops: frozenset[int]
+    limits: dict[int, str]
+
+    @classmethod
+    def of(cls, path: Path, root: Element) -> _Rules:
+        """The rules of a map."""
+        yields: dict[int, tuple[int, ...]] = {}
+        stops, signs = set[int](), dict[int, str]()
+        for relation in _relations(root, "regulatory_element"):
+            tags = _tags(relation)
+            members: dict[str, list[int]] = {}
+            for member in relation.iterfind("member"):
+                ref = _number(path, member, "ref")
+                members.setdefault(member.get("role", ""), []).append(ref)
+            if tags.get("subtype") in ("right_of_way", "all_way_stop"):
+                first = tuple(members.get("right_of_way", ()))
+                for i in members.get("yield", ()):
+                    yields[i] = (*yields.get(i, ()), *first)
+                if tags["subtype"] == "all_way_stop":
+                    stops.update(members.get("yield", ()))
+            elif tags.get("subtype") == "speed_limit":
+                text = tags.get("limit") or tags.get("sign_type", "").rpartition("-")[2]
+                if text:
+                    signs[_number(path, relation, "id")] = text
+        limits = {
+            _number(path, relation, "id"): signs[ref]
+            for relation in _relations(root, "lanelet")
+            for member in relation.iterfind("member")
+            if member.get("role") == "regulatory_element"
+            and (ref := _number(path, member, "ref")) in signs
+        }
+        return cls(yields, frozenset(stops), limits)

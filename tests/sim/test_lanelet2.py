@@ -1,0 +1,150 @@
+"""Lanelet2 maps: one made by hand with known answers, its places, and those of recordings."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from sim.formats import read_recordings
+from sim.road import Road
+from sim.road.files import read_road_file
+from sim.road.map_fit import map_fit
+from sim.road.maps.lanelet2 import read_map
+from sim.road.maps.transverse_mercator import EQUATOR_M, FLATTENING, SCALE, to_metres
+
+NODES = {1: (0, 3), 2: (20, 3), 3: (40, 3), 4: (0, 0), 5: (20, 0), 6: (40, 0), 7: (40, -3)}
+NODES |= {8: (0, -3), 9: (20, -3)}
+WAYS = {11: (1, 2), 12: (2, 3), 13: (5, 4), 14: (5, 6), 15: (8, 9), 16: (9, 7)}
+LANELETS = {
+    21: (11, 13, {"speed_limit": "50 km/h"}),
+    22: (12, 14, {"subtype": "road", "maxspeed": "30 mph"}),
+    23: (13, 15, {"subtype": "road"}),
+    24: (14, 16, {"subtype": "walkway"}),
+}
+
+
+def osm(place: str = "local", rules: str = "") -> str:
+    """The map as text: two lanes side by side, one of them with a sidewalk after it."""
+    nodes = ""
+    for i, (x, y) in NODES.items():
+        if place == "xy":
+            nodes += f'<node id="{i}" x="{x}" y="{y}"/>'
+        elif place == "local":
+            tags = f'<tag k="local_x" v="{x}"/><tag k="local_y" v="{y}"/>'
+            nodes += f'<node id="{i}" lat="0" lon="0">{tags}</node>'
+        else:
+            nodes += f'<node id="{i}" lat="{y / 110_574:.9f}" lon="{x / 111_320:.9f}"/>'
+    ways = "".join(
+        f'<way id="{i}">' + "".join(f'<nd ref="{n}"/>' for n in nodes) + "</way>"
+        for i, nodes in WAYS.items()
+    )
+    lanelets = "".join(
+        f'<relation id="{i}"><member type="way" ref="{left}" role="left"/>'
+        f'<member type="way" ref="{right}" role="right"/><tag k="type" v="lanelet"/>'
+        + "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
+        + "</relation>"
+        for i, (left, right, tags) in LANELETS.items()
+    )
+    return f"<?xml version='1.0'?><osm>{nodes}{ways}{lanelets}{rules}</osm>"
+
+
+def read(folder: Path, text: str) -> Road:
+    path = folder / "place.osm"
+    path.write_text(text)
+    return read_map(path)
+
+
+@pytest.mark.parametrize("place", ["local", "xy"])
+def test_lanes(tmp_path: Path, place: str) -> None:
+    road = read(tmp_path, osm(place))
+    first, second, beside, walk = road.lanes
+    assert first.centerline.tolist() == [[0.0, 1.5], [20.0, 1.5]]
+    assert [lane.width_m for lane in road.lanes] == [3.0] * 4
+    assert first.speed_limit_mps == pytest.approx(50 / 3.6)
+    assert second.speed_limit_mps == pytest.approx(30 * 0.44704)
+    assert math.isnan(beside.speed_limit_mps)
+    assert (first.edge, first.index) == (beside.edge, 1)
+    assert (walk.walking, walk.cars) == (True, False)
+    assert [(way.from_lane, way.to_lane) for way in road.connections] == [("21", "22")]
+    assert road.knows.unknown == ("signals", "priority")
+
+
+def test_latitudes_and_longitudes_around_zero_are_projected(tmp_path: Path) -> None:
+    road = read(tmp_path, osm("degrees"))
+    np.testing.assert_allclose(road.lanes[0].centerline, [[0, 1.5], [20, 1.5]], atol=0.05)
+
+
+def test_utm() -> None:
+    # the textbook's easting of (0, 0) in zone 31; northings are lengths of the meridian
+    np.testing.assert_allclose(
+        to_metres(np.zeros(1), np.zeros(1), 31), [[166_021.443, 0.0]], atol=1e-3
+    )
+    latitude = np.radians(np.linspace(0.0, 49.0, 200_001))
+    squared = FLATTENING * (2 - FLATTENING)
+    curvature = EQUATOR_M * (1 - squared) / (1 - squared * np.sin(latitude) ** 2) ** 1.5
+    north = SCALE * np.trapezoid(curvature, latitude)
+    found = to_metres(np.array([49.0, -49.0]), np.array([9.0, 9.0]), 32)
+    np.testing.assert_allclose(found, [[500_000.0, north], [500_000.0, -north]], atol=1e-3)
+
+
+def test_priority(tmp_path: Path) -> None:
+    rule = (
+        '<relation id="31"><member type="relation" ref="21" role="yield"/>'
+        '<member type="relation" ref="22" role="right_of_way"/>'
+        '<tag k="type" v="regulatory_element"/><tag k="subtype" v="right_of_way"/></relation>'
+    )
+    road = read(tmp_path, osm(rules=rule))
+    assert road.knows.priority
+    assert [way.must_yield for way in road.connections] == [True]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('v="40"', 'v="forty"', "no number"),
+        ('v="40"', 'v="inf"', "beyond"),
+        ('<nd ref="3"/>', '<nd ref="99"/>', "node 99"),
+        ('ref="12" role="left"', 'ref="92" role="left"', "lanelet 22: found no left border"),
+        ('<relation id="22"', '<relation id="21"', "lanelet 21 twice"),
+        ('<relation id="22"', '<relation id="?"', "relation id"),
+        ("50 km/h", "50 furlongs", "speed limit"),
+        ("<osm>", "<html>", "mismatched"),
+        ('v="lanelet"', 'v="multipolygon"', "no lanelet"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path: Path, old: str, new: str, told: str) -> None:
+    text = osm()
+    assert old in text
+    with pytest.raises(InputError, match=r"place\.osm") as caught:
+        read(tmp_path, text.replace(old, new))
+    assert told in str(caught.value)
+
+
+def test_the_map_is_found_by_the_folders_name(tmp_path: Path) -> None:
+    for folder in ("maps", "place"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "maps" / "place.osm").write_text(osm())
+    head = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n"
+    rows = "".join(f"1,{i},{100 * i},car,{i},1.5,10,0,0,4,2\n" for i in range(30))
+    (tmp_path / "place" / "vehicle_tracks_000.csv").write_text(head + rows)
+    (recording,) = read_recordings(tmp_path / "place")
+    assert isinstance(recording.road, Road)
+    assert recording.road.name == "place"
+
+
+def test_real_maps_lie_under_their_recordings() -> None:
+    home = os.environ.get("GRAPHRQI_DATA")
+    if not home:
+        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
+    folder = Path(home) / "real" / "fzi_karlsruhe" / "k729_2022-03-16"
+    shares = []
+    for recording in read_recordings(folder, "interaction"):
+        assert isinstance(recording.road, Road)
+        shares.append(map_fit(recording.road, recording.tracks).share)
+    assert np.median(shares) > 0.95
+    assert read_road_file(Path(home) / "real/fzi_karlsruhe/maps/k733_2018-05-02.osm").lanes
