@@ -146,6 +146,11 @@ FORMATS: Final[Registry[Format]] = Registry(
             re.compile(rb'^"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
             "sim.formats.argo:read",
         ),
+        "pairs": Format(
+            ("*.csv",),
+            _columns("t", "x_follower", "v_follower", "x_leader", "v_leader"),
+            "sim.formats.pairs:read",
+        ),
         "scenarionet": Format(
             ("*.pkl",), re.compile(rb"(?!)"), writer="sim.formats.scenarionet:write"
         ),

@@ -97,6 +97,11 @@ def argoverse2() -> bytes:
     return sink.getvalue().to_pybytes()
 
 
+PAIRS = """pair,period,follower,leader,t,x_follower,v_follower,x_leader,v_leader,leader_length
+0,0400pm,1032,1025,293.2,62.5,17.5,192.5,35.0,15.0
+0,0400pm,1032,1025,293.3,64.25,18.5,196.0,35.0,15.0
+"""
+
 SAMPLES: dict[str, tuple[str, bytes]] = {
     "argoverse2": ("scenario_s.parquet", argoverse2()),
     "argoverse1": ("one.csv", AV1.encode()),
@@ -109,13 +114,14 @@ SAMPLES: dict[str, tuple[str, bytes]] = {
     "commonroad": ("scene.xml", COMMONROAD.encode()),
     "traf": ("TRAF_gt.txt", TRAF.encode()),
     "argo": ("argo1_tracks.csv", ARGO.encode()),
+    "pairs": ("pairs.csv", PAIRS.encode()),
 }
 for key, entry in FORMATS.items():
     if entry.example:  # formats added from outside bring their own sample
         SAMPLES[key] = (entry.files[0].replace("*", "example"), entry.example)
 READABLE = [name for name, entry in FORMATS.items() if entry.reader]
 WRITABLE = [name for name, entry in FORMATS.items() if entry.writer]
-WITH_HEADER = ("argoverse1", "ngsim", "ind", "round", "highd", "interaction", "argo")
+WITH_HEADER = ("argoverse1", "ngsim", "ind", "round", "highd", "interaction", "argo", "pairs")
 """Text formats whose first line names the columns."""
 
 
@@ -269,6 +275,34 @@ def test_argo(tmp_path: Path) -> None:
     np.testing.assert_allclose(tracks.time_s, [0.0, 0.1])
 
 
+def test_pairs_of_cars_on_a_line(tmp_path: Path) -> None:
+    """In feet where a leader of 15 is no lorry; else in metres, and x_leader is its rear."""
+    tracks = read(put(tmp_path, "pairs"), "pairs")
+    assert tracks.names == ("1025", "1032")
+    np.testing.assert_allclose(tracks.xy[0, :, 0], (np.array([192.5, 196.0]) - 7.5) * 0.3048)
+    np.testing.assert_allclose(tracks.xy[1, 0], [62.5 * 0.3048 - 2.25, 0.0])
+    np.testing.assert_allclose(tracks.speed[:, 0], [35.0 * 0.3048, 17.5 * 0.3048])
+    assert tracks.length.tolist() == [15.0 * 0.3048, 4.5]
+    path = tmp_path / "test_track.csv"
+    path.write_text("t,x_follower,v_follower,x_leader,v_leader,leader_length\n"
+                    "1,0,14,48,16,0\n1.1,1.4,14,49.6,16,0\n")  # fmt: skip
+    (recording,) = read_recordings(path)
+    gap = recording.tracks.xy[1, 0, 0] - recording.tracks.xy[0, 0, 0] - 4.5
+    assert recording.tracks.names == ("follower", "leader")
+    assert gap == pytest.approx(48.0)
+
+
+def test_pairs_are_recordings_of_their_own(tmp_path: Path) -> None:
+    lines = PAIRS.splitlines()
+    path = tmp_path / "pairs.csv"
+    path.write_text("\n".join([*lines, *(line.replace("0,04", "1,05", 1) for line in lines[1:])]))
+    assert [r.name for r in read_recordings(path)] == ["pairs-0", "pairs-1"]
+    path.write_text("\n".join(lines).replace("1032,1025", "7,7"))
+    refused(path, "pairs", "found 7, which is the follower of pair 0 too")
+    path.write_text("\n".join(lines).replace(",15.0", ",-1"))
+    refused(path, "pairs", "column leader_length, row 2")
+
+
 def test_motion_holds_the_heading_at_rest() -> None:
     x = np.array([0.0, 1.0, 2.0, 2.0, 2.0, np.nan, 2.0])
     xy = np.stack([x, np.zeros(7)], axis=1)[None]
@@ -375,7 +409,8 @@ def test_an_agent_twice_at_one_time(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", WITH_HEADER)
 def test_missing_and_repeated_columns(tmp_path: Path, name: str) -> None:
     header, *rows = SAMPLES[name][1].decode().splitlines()
-    used = {"ngsim": "Local_X", "ind": "heading", "round": "xCenter", "interaction": "vx"}
+    used = {"ngsim": "Local_X", "ind": "heading", "round": "xCenter", "interaction": "vx",
+            "pairs": "x_leader"}  # fmt: skip
     column = used.get(name) or ("X" if name == "argoverse1" else "x")
     names = header.split(",")
     gone = ["other" if n == column else n for n in names]
