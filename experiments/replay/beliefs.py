@@ -86,7 +86,11 @@ def kept_steps(tracks: Tracks) -> IntArray:
     """
     if not tracks.time_s.size:
         return np.empty(0, dtype=np.int64)
-    wanted = tracks.ids.size * float(tracks.time_s[-1] - tracks.time_s[0]) / EVERY_S
+    span_s = float(tracks.time_s[-1] - tracks.time_s[0])
+    steps_s = np.diff(tracks.time_s)
+    if (steps_s > EVERY_S).any():  # nobody is looked at in a break
+        span_s = float(np.minimum(steps_s, EVERY_S).sum())
+    wanted = tracks.ids.size * span_s / EVERY_S
     return sampled(tracks, EVERY_S * max(1, math.ceil(wanted / MAX_LOOKS)))
 
 

@@ -17,7 +17,7 @@ from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_history import GraphHistory, graph_history
 from graphrqi.methods import load_model
-from sim.episode.annotate import annotate
+from sim.episode.annotate import annotate_recording
 from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
 from sim.frames import Tracks
@@ -143,9 +143,8 @@ def gather(
         )
     shown_traits = episode.shown_traits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
-        found = annotate(TrajectoryRows.of(tracks), road, recorded=True)
-        shown_traits = found.shown_traits
-        tracks = dataclasses.replace(tracks, events=found.events)
+        events, shown_traits = annotate_recording(TrajectoryRows.of(tracks), road)
+        tracks = dataclasses.replace(tracks, events=events)
     forecasts: list[Forecast] = []
     shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:

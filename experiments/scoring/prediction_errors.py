@@ -31,6 +31,10 @@ HORIZONS_S: Final = (1.0, 3.0, 5.0)
 """Horizons reported, s."""
 
 
+MOST_SPAN_S: Final = 1.5
+"""Where agents were between two frames farther apart is not known, s (our choice: more than one of
+the slowest recordings' seconds)."""
+
 HISTORY_S: Final = 5.0
 """Predictors are given at most this much of the past, s: what a stream remembers."""
 
@@ -116,7 +120,8 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
         time_s: (H,) seconds from the present.
 
     Returns:
-        (n, H, 2) m, between frames on the straight line; NaN where either frame is missing.
+        (n, H, 2) m, between frames on the straight line; NaN where either frame is missing or
+        they are more than `MOST_SPAN_S` apart.
     """
     at = tracks.time_s[stop - 1] + time_s
     after = np.clip(np.searchsorted(tracks.time_s, at - 1e-6), 1, tracks.time_s.size - 1)
@@ -125,7 +130,7 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
     share = np.where(share > 1.0 - 1e-4, 1.0, share)
     begin, end = tracks.xy[rows][:, after - 1], tracks.xy[rows][:, after]
     out = np.where(share == 1.0, end, begin + share * (end - begin))
-    out[:, at > tracks.time_s[-1] + 1e-3] = np.nan
+    out[:, (at > tracks.time_s[-1] + 1e-3) | (span > MOST_SPAN_S)] = np.nan
     return np.asarray(out)
 
 
@@ -174,7 +179,7 @@ def evaluate(
     """
     longest = float(max(horizons_s))
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
-    steps = round(HISTORY_S / tracks.step_s)
+    steps = max(1, round(HISTORY_S / tracks.step_s))
     functions = {name: get_predictor(name) for name in predictors}
     ahead_s = max(longest, LEARNED_S)
     shape = (len(GROUPS), len(horizons_s), len(MEASURES))

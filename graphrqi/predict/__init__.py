@@ -77,11 +77,18 @@ def predict(
             numbers that are not finite where agents were seen.
     """
     from graphrqi.predict.map_free.predictor import predict_unmapped
-    from graphrqi.predict.scene.scene import LEARNED_S, check_history, check_horizon, make_scene
+    from graphrqi.predict.scene.scene import (
+        LEARNED_S,
+        check_history,
+        check_horizon,
+        make_scene,
+        since_break,
+    )
 
     function = get_predictor(predictor)
     check_horizon(horizon_s)
     check_history(history)
+    history = since_break(history)
     if road is None:
         return predict_unmapped(history, horizon_s, predictor)
     scene = make_scene(history, road, max(horizon_s, LEARNED_S))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Final
 
 from behaviors.detector_inputs import DetectorInputs, ShownTrait
 from behaviors.traits import detect
@@ -13,6 +14,13 @@ from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import Event, IntArray
 from sim.road import Road
+
+MIN_FRAMES: Final = 3
+"""Fewest frames from which anything is told: the shortest motion with a change of speed."""
+
+MAX_STEP_S: Final = 1.0
+"""Longest time between frames at which anything is told, s (our choice: traits are told from what
+lasts one second and more)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +51,32 @@ def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> An
     events = incidents(steps, road, observed, inputs, recorded=recorded)
     inputs = with_encounters(steps.ids, inputs, events)
     return Annotations(inputs, events, shown_traits(steps.ids, inputs))
+
+
+def annotate_recording(
+    steps: TrajectoryRows, road: Road
+) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
+    """Find the events and shown traits of a recording, whose frames may have breaks between them.
+
+    Nobody knows what happened in a break, so each part between breaks is looked at by itself.
+    Nothing is told from parts whose frames are more than `MAX_STEP_S` apart.
+
+    Args:
+        steps: a recording.
+        road: where it happened.
+
+    Returns:
+        Events and shown traits in order of time, as `annotate` has them.
+    """
+    events: list[Event] = []
+    shown: list[ShownTrait] = []
+    for part in steps.between_breaks():
+        if part.time_s.size < MIN_FRAMES or part.step_s > MAX_STEP_S:
+            continue
+        found = annotate(part, road, recorded=True)
+        events += found.events
+        shown += found.shown_traits
+    return tuple(events), tuple(shown)
 
 
 def shown_traits(ids: IntArray, inputs: DetectorInputs) -> tuple[ShownTrait, ...]:

@@ -113,7 +113,7 @@ def _jaywalkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray
         u, across, total = along(crossing.centerline, xy)
         near = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > -2.0) & (u < total + 2.0)
         on_road &= ~near
-        if crossing.signal < 0:
+        if not 0 <= crossing.signal < steps.signals.shape[0]:  # recordings show no signals
             continue
         inside = np.zeros(steps.speed.size, dtype=bool)
         inside[rows] = near & (u > 0.3) & (u < total - 0.3)

@@ -5,12 +5,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from behaviors.row_index import RowIndex
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, Event, FloatArray, IntArray, Tracks
+
+BREAK_S: Final = 1.0
+"""Longest time between two frames that is no break, s (our choice: what agents do for less than a
+second is not told from recordings)."""
+
+BREAK_STEPS: Final = 3.0
+"""Most usual steps that may lie between two frames without a break (our choice)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +83,46 @@ class TrajectoryRows:
             speed=tracks.speed[at],
             signals=tracks.signals,
             events=tracks.events,
+        )
+
+    def between_breaks(self) -> Iterator[TrajectoryRows]:
+        """The parts between breaks, in order of time; itself where there are none.
+
+        A break is a time between two frames of more than `BREAK_S` and of more than `BREAK_STEPS`
+        usual ones. A part has the agents that are seen in it.
+        """
+        longest_s = max(BREAK_S, BREAK_STEPS * self.step_s)
+        begins = [0, *(np.flatnonzero(np.diff(self.time_s) > longest_s) + 1).tolist()]
+        if len(begins) == 1:
+            yield self
+            return
+        step = self.row_index.step
+        part_of = np.searchsorted(begins, step, side="right") - 1
+        order = np.argsort(part_of, kind="stable")  # the rows of a part stay in their order
+        borders = np.searchsorted(part_of[order], np.arange(len(begins) + 1))
+        ends = [*begins[1:], self.time_s.size]
+        for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+            if end - begin > 1:
+                yield self._part(order[borders[number] : borders[number + 1]], begin, end)
+
+    def _part(self, rows: IntArray, begin: int, end: int) -> TrajectoryRows:
+        """The rows of some consecutive times, and the agents that they are of."""
+        kept, agent = np.unique(self.row_index.agent[rows], return_inverse=True)
+        step = self.row_index.step[rows] - begin
+        time_s = self.time_s[begin:end]
+        return TrajectoryRows(
+            row_index=RowIndex.of_rows(agent.ravel(), step, kept.size, end - begin),
+            ids=self.ids[kept],
+            kind=self.kind[kept],
+            length=self.length[kept],
+            width=self.width[kept],
+            time_s=time_s,
+            step_s=float(np.median(np.diff(time_s))),
+            xy=self.xy[rows],
+            heading=self.heading[rows],
+            speed=self.speed[rows],
+            signals=self.signals[:, begin:end],
+            events=tuple(e for e in self.events if time_s[0] <= e.time_s <= time_s[-1]),
         )
 
     def agent_and_time(self, row: int) -> tuple[int, float]:

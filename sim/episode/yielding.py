@@ -138,7 +138,8 @@ def _walks(steps: TrajectoryRows, crossing: Crossing, walkers: IntArray) -> list
     found = []
     for run in row_index.runs(on, 10):
         agent, begin = int(row_index.agent[run.start]), int(row_index.step[run.start])
-        if crossing.signal >= 0 and steps.signals[crossing.signal, begin] == Signal.RED.code:
+        lit = 0 <= crossing.signal < steps.signals.shape[0]  # recordings show no signals
+        if lit and steps.signals[crossing.signal, begin] == Signal.RED.code:
             continue
         direction = float(np.sign(u[run.stop - 1] - u[run.start]))
         if direction != 0.0:

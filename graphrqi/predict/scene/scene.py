@@ -32,6 +32,10 @@ LEARNED_S: Final = 5.0
 LONGEST_S: Final = 30.0
 """Longest horizon answered, s (our choice: farther ahead no predictor is better than a guess)."""
 
+BREAK_S: Final = 5.0
+"""A time between two frames longer than this is a break (our choice: as long as the past that
+predictions are made from)."""
+
 RETURN_MPS: Final = 0.5
 """Least lateral speed at which a driver returns to its lane's centre (our choice)."""
 
@@ -179,6 +183,22 @@ def check_history(history: Tracks) -> None:
             )
 
 
+def since_break(history: Tracks) -> Tracks:
+    """A history without what lies before its last break: what was seen then tells nothing of now.
+
+    Args:
+        history: tracks whose last column is the present.
+
+    Returns:
+        The same where no two frames are more than `BREAK_S` apart.
+    """
+    breaks = np.flatnonzero(np.diff(history.time_s) > BREAK_S)
+    if not breaks.size:
+        return history
+    since = slice(int(breaks[-1]) + 1, None)
+    return history.part(np.arange(history.ids.size), since)
+
+
 def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
     """The scene at the end of a history.
 
@@ -196,6 +216,7 @@ def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
     check_horizon(horizon_s)
     if history.time_s.size == 0:
         raise InputError("history: found no frame, expected at least 1")
+    history = since_break(history)
     if not history.valid[:, -1].all():
         history = history.window(history.time_s.size, history.time_s.size)
     steps = round(horizon_s / STEP_S)

@@ -35,6 +35,12 @@ NEAR: Final = 0.08
 UNITS: Final = {"km/h": 1 / 3.6, "miles/h": 0.44704, "feet/s": 0.3048}
 """Speeds in these units look like a wrong step; they are told by their exact factor."""
 
+BREAK_STEPS: Final = 3.0
+"""A time between two frames of more than so many usual ones is a break (our choice)."""
+
+LEAST_STEP_S, MOST_STEP_S = 1e-3, 10.0
+"""Steps that a recording may have; where the motion shows another, it is only said (our choice)."""
+
 UNIT_NEAR: Final = 0.03
 """How near, relatively, to a unit's factor (our choice)."""
 
@@ -55,7 +61,9 @@ def displacement_over_speed(tracks: Tracks) -> float:
     step_s = tracks.time_s[then] - tracks.time_s[now]
     told = (speed + speed_then) / 2 * step_s
     # an agent moves by its own account or by its positions: a wrong step may hide either
-    used = (step_s > SHORTEST_S) & (told > 0) & (np.minimum(speed, speed_then) > MOVING_MPS)
+    # and nobody knows how an agent went that was lost during a break
+    going_on = (step_s > SHORTEST_S) & (step_s <= BREAK_STEPS * tracks.step_s)
+    used = going_on & (told > 0) & (np.minimum(speed, speed_then) > MOVING_MPS)
     way = np.hypot(*(tracks.xy[who, then] - tracks.xy[who, now])[used].T)
     n, who = tracks.ids.size, who[used]
     gone = np.bincount(who, way, n)
@@ -81,7 +89,7 @@ def with_true_times(tracks: Tracks, clock: bool = False) -> tuple[Tracks, tuple[
     ratio = displacement_over_speed(tracks)
     if not np.isfinite(ratio) or 1 / TOLERATED <= ratio <= TOLERATED:
         return tracks, ()
-    if clock:
+    if clock or not LEAST_STEP_S <= tracks.step_s * ratio <= MOST_STEP_S:
         return tracks, (f"agents go {ratio:.2f} times as far as their speeds say",)
     for unit, factor in UNITS.items():
         if abs(ratio / factor - 1) < UNIT_NEAR:

@@ -1,0 +1,112 @@
+"""Recordings with breaks in time, or with frames far apart: nothing is told of what nobody saw."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from behaviors.labels import BEHAVIORS
+from experiments.replay.beliefs import Beliefs
+from experiments.replay.forecasts import forecast
+from experiments.scoring.prediction_errors import evaluate, future
+from graphrqi.posterior import Posterior
+from graphrqi.predict import predict
+from scenarios import SCENARIOS
+from sim.episode.annotate import annotate, annotate_recording
+from sim.episode.rows import TrajectoryRows
+from sim.formats.common.stated_rate import with_true_times
+from sim.frames import KINDS, AgentKind, Tracks
+from sim.road import Road
+
+
+@pytest.fixture(scope="module")
+def road() -> Road:
+    return SCENARIOS["four_way_intersection"]().road
+
+
+def recorded(time_s: np.ndarray, x: np.ndarray, kind: AgentKind = AgentKind.CAR) -> Tracks:
+    """One agent that goes east; recordings have no signals."""
+    t = time_s.size
+    xy = np.stack([x, np.full(t, -1.6)], axis=1)[None]
+    return Tracks(
+        ids=[0], names=("a",), kind=[KINDS.index(kind)], length=[4.5], width=[1.8], time_s=time_s,
+        xy=xy, heading=np.zeros((1, t)), speed=np.full((1, t), 5.0), valid=np.ones((1, t)),
+        signals=np.empty((0, t), dtype=np.int8),
+    )  # fmt: skip
+
+
+def with_gap(gap_s: float) -> Tracks:
+    """Three seconds at 10 Hz, a break, and three seconds more."""
+    times = np.arange(30) / 10
+    return recorded(np.append(times, gap_s + times), -90 + 5 * np.append(times, 6 + times))
+
+
+def test_parts_between_breaks_are_looked_at_by_themselves(road: Road) -> None:
+    tracks = with_gap(300.0)
+    parts = list(TrajectoryRows.of(tracks).between_breaks())
+    assert [part.time_s.size for part in parts] == [30, 30]
+    assert [part.step_s for part in parts] == pytest.approx([0.1, 0.1])
+    alone = [annotate(TrajectoryRows.of(tracks.part(np.array([0]), s)), road, recorded=True)
+             for s in (slice(30), slice(30, None))]  # fmt: skip
+    events, shown = annotate_recording(TrajectoryRows.of(tracks), road)
+    assert events == alone[0].events + alone[1].events
+    assert shown == alone[0].shown_traits + alone[1].shown_traits
+    # a driver seen for 3 s shows nothing that takes 15 s
+    assert not [one for one in shown if one.end_s - one.begin_s > 3.0]
+
+
+def test_a_recording_without_breaks_is_one_part() -> None:
+    rows = TrajectoryRows.of(recorded(np.arange(40) / 10, np.arange(40) / 2 - 90))
+    assert list(rows.between_breaks()) == [rows]
+
+
+@pytest.mark.parametrize("step_s", [10.1, 400.0])
+def test_nothing_is_told_from_frames_that_are_far_apart(road: Road, step_s: float) -> None:
+    tracks = recorded(np.arange(20) * step_s, np.arange(20) - 90.0)
+    assert annotate_recording(TrajectoryRows.of(tracks), road) == ((), ())
+
+
+def test_a_recorded_pedestrian_on_a_signalled_crossing(road: Road) -> None:
+    crossing = next(crossing for crossing in road.crossings if crossing.signal >= 0)
+    way = np.linspace(0, 1, 60)[:, None]
+    ends = crossing.centerline[[0, -1]]
+    walk = recorded(np.arange(60) / 10, np.zeros(60), AgentKind.PEDESTRIAN)
+    walk = dataclasses.replace(walk, xy=(ends[0] + way * (ends[1] - ends[0]))[None])
+    events, shown = annotate_recording(TrajectoryRows.of(walk), road)
+    assert not events
+    assert not [one for one in shown if one.trait == "jaywalking"]
+
+
+@pytest.mark.parametrize("gap_s", [1e3, 1e8])
+@pytest.mark.parametrize("with_map", [True, False])
+def test_a_prediction_after_a_break_is_that_of_what_came_after(
+    road: Road, gap_s: float, with_map: bool
+) -> None:
+    tracks, where = with_gap(gap_s), road if with_map else None
+    after = tracks.part(np.array([0]), slice(30, None))
+    nobody = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+    found, expected = (predict(history, nobody, where) for history in (tracks, after))
+    np.testing.assert_array_equal(found.xy, expected.xy)
+
+
+def test_nobody_knows_where_agents_were_in_a_break() -> None:
+    truth = future(with_gap(300.0), np.array([0]), 25, np.array([0.5, 0.6, 100.0]))
+    assert np.isfinite(truth[0, :, 0]).tolist() == [True, False, False]
+
+
+def test_steps_of_ten_seconds_are_predicted_from_and_not_scored(road: Road) -> None:
+    tracks = recorded(np.arange(20) * 10.1, np.arange(20) - 90.0)
+    nobody = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+    errors = evaluate(tracks, {5: nobody}, road, ["constant-velocity"])
+    assert not errors["constant-velocity"].count.any()
+    beliefs = Beliefs(tracks.ids, tracks.time_s[:1], np.full((1, 1, 6), np.nan, np.float32))
+    assert len(forecast(tracks, beliefs, road, "constant-velocity")) == 19
+
+
+def test_a_break_does_not_change_the_clock() -> None:
+    tracks = with_gap(1e5)
+    same, notes = with_true_times(tracks)
+    assert same is tracks
+    assert notes == ()
