@@ -25,7 +25,7 @@ from experiments.replay.packing import differences, pack, quantum
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import ReplayScene
 from sim.formats import FORMATS
-from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray, Tracks
+from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray
 from sim.road.shapes import road_shapes
 from sim.store.atomic import write_whole
 
@@ -69,7 +69,8 @@ def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None =
         scene: what to show.
         out: the HTML file; it appears whole or not at all.
         mode: one of ``MODES``, what agents are coloured by at first.
-        begin_s: the time at which the page opens, s; None for when the road has filled to half.
+        begin_s: the time at which the page opens, s; None for when the road has filled to half and
+            there are beliefs.
 
     Raises:
         OSError: if it cannot be written.
@@ -135,7 +136,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "notes": list(scene.notes),
         "unit": scene.unit,
         "begin": begin_s,
-        "open": {"mode": mode, "at": _half_full(tracks) if begin_at_s is None else begin_at_s},
+        "open": {"mode": mode, "at": _opening_s(scene) if begin_at_s is None else begin_at_s},
         "behaviors": [
             {"name": b.value, "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
         ],
@@ -173,10 +174,14 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
     }
 
 
-def _half_full(tracks: Tracks) -> float:
-    """When for the first time half as many are there as ever are at once, s."""
+def _opening_s(scene: ReplayScene) -> float:
+    """When half as many are there as ever are at once, and somebody is believed something, s."""
+    tracks, beliefs = scene.tracks, scene.beliefs
     present = tracks.valid.sum(axis=0)
-    return float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
+    half_full_s = float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
+    known = np.isfinite(beliefs.probability).all(axis=2).any(axis=0)
+    wanted = known & (beliefs.time_s >= half_full_s - 1e-6)
+    return float(beliefs.time_s[int(wanted.argmax())]) if wanted.any() else half_full_s
 
 
 def _row(ids: IntArray, agent: int) -> int:

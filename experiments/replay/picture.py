@@ -208,7 +208,7 @@ class Painter:
             "predicted": f"coloured by the behaviour that {self.scene.believer} believes in",
             "confidence": f"coloured by how sure {self.scene.believer} is",
             "speed": f"coloured by speed, 0 to {self.fastest:.0f} {self.scene.unit}/s",
-            "w": "coloured by |w|, w = L u, relative to the largest now (square root)",
+            "w": "coloured by prominence in the graph, relative to the largest (square root)",
         }[self.mode]
         x = 16.0 * FINE
         pen.text((x, middle), name, INK, _font(17 * FINE, bold=True), anchor="lm")

@@ -16,6 +16,7 @@ from experiments.data.admission import SCALED
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.graph_history import GraphHistory, graph_history
+from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.methods import load_model
 from sim.episode.annotate import annotate_recording
 from sim.episode.rows import TrajectoryRows
@@ -165,6 +166,9 @@ def gather(
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = _stride(tracks)
+    tracks = dataclasses.replace(tracks, events=shown_events(tracks))
+    if unit == "px":
+        tracks = with_drawn_sizes(tracks)
     return ReplayScene(
         entry=entry,
         unit=unit,
@@ -194,8 +198,8 @@ def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple
         notes.append("no road is known: faint lines show where everyone went")
     if unit == "px":
         notes.append(
-            "positions are pixels of an image: the shipped classifier and predictors were made for "
-            "metres, so what they say here is a guess"
+            "positions are pixels of an image, and all vehicles are drawn in one size: the shipped "
+            "classifier and predictors were made for metres, so what they say here is a guess"
         )
     if episode.tracks.behavior is None:
         notes.append("nobody's true behaviour is known in this data")

@@ -30,8 +30,8 @@ class ReplayOptions:
             or for the first in ``predictions``.
         color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
         begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
-            opens when the road has filled to half, a film begins with the episode, and a picture
-            shows the fullest moment.
+            opens when the road has filled to half and there are beliefs, a film begins with the
+            episode, and a picture shows the fullest moment.
         end_s: when a film ends, s; None for the end.
         video: also film it into this file, .mp4 or .gif.
         picture: also draw it into this file, .png.

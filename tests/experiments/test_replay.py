@@ -22,6 +22,7 @@ from experiments.replay.packing import differences
 from experiments.replay.page import write_page
 from experiments.replay.picture import Painter, lay_out, write_picture
 from experiments.replay.scene import chosen_entry, gather
+from experiments.replay.shown import shown_events, with_drawn_sizes
 from experiments.replay.video import write_video
 from experiments.replay.write import ReplayOptions, write_replay
 from experiments.scoring.classification import LABELS
@@ -30,6 +31,7 @@ from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS
+from sim.frames import Event, EventKind, Tracks
 from sim.store.catalogue import write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
@@ -299,3 +301,45 @@ def test_the_command_writes_page_picture_and_film(dataset, tmp_path):
     written = write_replay(dataset, tmp_path / "r.html", options, quiet=True)
     assert [path.name for path in written] == ["r.html", "v.gif", "p.png"]
     assert all(path.stat().st_size > 5000 for path in written)
+
+
+def moving(ids, starts, velocities, seconds=10.0):
+    """Cars of 5 m on straight lines, at 10 Hz."""
+    time_s = np.round(np.arange(0.0, seconds, 0.1), 3)
+    many, starts, velocities = len(ids), np.array(starts, float), np.array(velocities, float)
+    xy = starts[:, None] + velocities[:, None] * time_s[None, :, None]
+    shape = (many, time_s.size)
+    return Tracks(
+        ids=np.array(ids), names=tuple(map(str, ids)), kind=np.zeros(many, np.int8),
+        length=np.full(many, 5.0), width=np.full(many, 2.0), time_s=time_s, xy=xy,
+        heading=np.zeros(shape), speed=np.tile(np.hypot(*velocities.T)[:, None], time_s.size),
+        valid=np.ones(shape, bool), signals=np.zeros((0, time_s.size), np.int8), behavior=None,
+    )  # fmt: skip
+
+
+def test_near_misses_are_shown_at_their_minimum_and_not_with_parked_ones():
+    tracks = moving([1, 2, 3], [[0, 0], [60, 4], [40, 3]], [[10, 0], [-10, 0], [0, 0]])
+    events = (
+        Event(EventKind.NEAR_MISS, 2.0, 1, 2, "ttc 1.4 s"),
+        Event(EventKind.NEAR_MISS, 3.0, 1, 3, "ttc 1.2 s"),
+        Event(EventKind.COLLISION, 2.5, 1, 3, "?"),
+    )
+    shown = shown_events(dataclasses.replace(tracks, events=events))
+    assert [(e.kind, e.agent, e.other) for e in shown] == [
+        (EventKind.COLLISION, 1, 3), (EventKind.NEAR_MISS, 1, 2),
+    ]  # fmt: skip
+    assert shown[1].time_s == pytest.approx(3.0), "they meet half way"
+    assert shown[1].rule == "ttc 1.4 s"
+
+
+def test_boxes_of_an_image_are_drawn_as_cars_that_do_not_touch():
+    tracks = moving([1, 2, 3], [[0, 0], [40, 0], [80, 0]], [[1, 0], [1, 0], [1, 0]])
+    boxes = dataclasses.replace(
+        tracks, length=np.array([60.0, 70.0, 300.0]), width=np.array([120.0, 90.0, 200.0])
+    )
+    drawn = with_drawn_sizes(boxes)
+    assert len(set(drawn.length)) == 1
+    assert drawn.length[0] == pytest.approx(32.0)
+    assert drawn.width[0] == pytest.approx(32.0 / 2.5)
+    small = with_drawn_sizes(dataclasses.replace(tracks, length=np.full(3, 8.0)))
+    assert small.length[0] == pytest.approx(4.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 
 import numpy as np
@@ -88,6 +89,7 @@ def test_it_plays_and_pauses(open_page):
 
 def test_it_scrubs_with_keys_and_slider(open_page):
     page = open_page()
+    page.evaluate("replay.seek(0.0)")
     page.keyboard.press("Shift+ArrowRight")
     assert state(page)["time"] == pytest.approx(10.0)
     page.keyboard.press(",")
@@ -295,3 +297,109 @@ def test_a_junction_shows_its_signals(open_page, make_scene, tmp_path):
     image = np.asarray(Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB"))
     red = np.abs(image.astype(int) - np.array([0xD3, 0x31, 0x2B])).max(axis=2) < 12
     assert red.sum() > 100
+
+
+def test_it_opens_where_there_are_beliefs(open_page, scene):
+    page = open_page()
+    known = np.isfinite(scene.beliefs.probability).all(axis=2).any(axis=0)
+    assert state(page)["time"] == pytest.approx(scene.beliefs.time_s[known][0])
+    assert page.evaluate("replay.agents().filter((a) => a.likely >= 0).length") > 0
+
+
+def test_confidence_and_the_unknown_are_in_sight_without_a_click(open_page):
+    page = open_page()
+    page.keyboard.press("2")
+    page.evaluate("replay.seek(15.0)")
+    until(page, lambda: "70\u00a0% sure on average" in page.locator("#sure").inner_text())
+    assert "0 of 8 drivers not known" in page.locator("#sure").inner_text()
+    page.evaluate("replay.seek(0.2)")
+    until(page, lambda: "nothing believed yet" in page.locator("#sure").inner_text())
+    assert "7 of 7 drivers not known" in page.locator("#sure").inner_text()
+
+
+def test_unsure_drivers_have_a_dashed_outline(open_page, make_scene, tmp_path):
+    sure = make_scene()
+    doubted = dataclasses.replace(sure.beliefs, probability=sure.beliefs.probability * 0 + 1 / 6)
+    counts = []
+    for name, beliefs in (("sure", sure.beliefs), ("unsure", doubted)):
+        write_page(dataclasses.replace(sure, beliefs=beliefs), tmp_path / name, "predicted")
+        (tmp_path / name).rename(tmp_path / f"{name}.html")
+        page = open_page(file=tmp_path / f"{name}.html")
+        page.evaluate("replay.seek(8.0)")
+        drawn(page)
+        shot = page.locator("#stage").screenshot()
+        image = np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+        counts.append((np.abs(image - np.array([0x18, 0x20, 0x2B])).max(axis=2) < 25).sum())
+    assert counts[1] < 0.9 * counts[0], "gaps in the outlines"
+
+
+def test_labels_cover_neither_agents_nor_each_other(open_page, make_scene, tmp_path):
+    write_page(make_scene(agents=60), tmp_path / "dense.html", "true")
+    page = open_page(file=tmp_path / "dense.html")
+    page.evaluate("replay.seek(8.0); replay.setLayer('names', true); replay.select(5)")
+    drawn(page)
+    agents, shown = page.evaluate("[replay.boxes('agents'), replay.boxes('labels')]")
+    assert len(shown) > 10
+    for i, (left, top, right, bottom) in enumerate(shown):
+        for other in (*agents, *shown[:i]):
+            apart = (
+                other[0] >= right - 0.01 or other[2] <= left + 0.01
+                or other[1] >= bottom - 0.01 or other[3] <= top + 0.01
+            )  # fmt: skip
+            assert apart, (shown[i], other)
+
+
+def test_edges_to_agents_out_of_sight_are_short(open_page):
+    page = open_page()
+    page.evaluate("replay.seek(8.0); replay.setLayer('graph', true); replay.select(2)")
+    drawn(page)
+    lengths = [np.hypot(*np.subtract(*ends)) for ends in page.evaluate("replay.edges()")]
+    assert max(lengths) > 30
+    page.keyboard.press("f")
+    for _ in range(12):
+        page.keyboard.press("+")
+    page.keyboard.press("ArrowRight")
+    drawn(page)
+    stubs = [np.hypot(*np.subtract(*ends)) for ends in page.evaluate("replay.edges()")]
+    assert stubs
+    assert max(stubs) <= 26.01, "the others are out of sight"
+
+
+def test_traits_say_how_long_they_were_shown_and_w_has_a_name(open_page):
+    page = open_page()
+    page.evaluate("replay.select(0); replay.seek(5.0)")
+    assert "for 3.0 s" in page.locator("#agent .list").inner_text()
+    page.keyboard.press("5")
+    assert page.locator("#modes").inner_text().count("Prominence") == 1
+    assert "stands out among its neighbours" in page.locator("#legend").inner_text()
+
+
+def test_a_tap_on_a_phone_shows_the_driver_beside_the_scene(open_page, scene):
+    page = open_page(390, 844)
+    page.evaluate("replay.seek(5.0)")
+    assert not page.locator("#card").is_visible()
+    agent = next(a for a in page.evaluate("replay.agents()") if a["index"] == 2)
+    stage = page.locator("#stage").bounding_box()
+    page.mouse.click(stage["x"] + agent["x"], stage["y"] + agent["y"])
+    until(page, page.locator("#card").is_visible)
+    card = page.locator("#card").bounding_box()
+    assert card["y"] >= stage["y"] + stage["height"] - 1, "the scene stays in sight"
+    assert card["y"] + card["height"] <= 844, "without scrolling"
+    assert scene.tracks.names[2] in page.locator("#card").inner_text()
+    assert "predicted" in page.locator("#card").inner_text()
+    page.get_by_role("button", name="Close").first.click()
+    assert state(page)["selected"] == -1
+    wide = open_page()
+    wide.evaluate("replay.select(2)")
+    assert not wide.locator("#card").is_visible()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_shares_stay_on_one_line(open_page, size):
+    page = open_page(*SIZES[size])
+    page.evaluate("replay.seek(5.0); replay.select(2)")
+    page.keyboard.press("3")
+    drawn(page)
+    for text in page.locator(".ticks span, .bars .share").all():
+        height = text.evaluate("(e) => e.getClientRects().length && e.offsetHeight")
+        assert height < 26, text.inner_text()

@@ -11,6 +11,13 @@ const MODES = {
   w: (index, time) => { const w = wOf(index, time); return w ? rampColor(w.share) : data.unknown; },
 };
 
+const UNSURE = 0.5;   // below this probability of the likeliest behaviour an outline is dashed
+
+function isUnsure(index) {
+  const belief = beliefOf(index, player.time);
+  return belief !== null && Math.max(...belief) < UNSURE;
+}
+
 function behaviorColor(code) { return code < 0 ? data.unknown : data.behaviors[code].color; }
 
 let fastest = 0;

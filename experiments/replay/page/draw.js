@@ -99,6 +99,23 @@ function drawStop(ctx, { line }, state, pixel) {
   ctx.fill();
 }
 
+const edgesShown = [];
+const STUB = 26;   // pixels of an edge that are drawn towards somebody out of sight
+
+function inPanel(panel, [x, y]) {
+  return x >= panel.left && x <= panel.left + panel.width && y >= panel.top && y <= panel.top + panel.height;
+}
+
+// An edge between two in sight; a stub if one of them is out of sight; nothing if both are.
+function clippedEdge(panel, from, to) {
+  const [begins, ends] = [inPanel(panel, from), inPanel(panel, to)];
+  if (begins && ends) return [from, to];
+  if (!begins && !ends) return null;
+  const [near, far] = begins ? [from, to] : [to, from];
+  const share = Math.min(1, STUB / (Math.hypot(far[0] - near[0], far[1] - near[1]) || 1));
+  return [near, [near[0] + share * (far[0] - near[0]), near[1] + share * (far[1] - near[1])]];
+}
+
 function drawGraph(ctx, panel, present) {
   const look = latest(arrays.graphTime, player.time);
   ctx.strokeStyle = theme.edge; ctx.globalAlpha = 0.5; ctx.lineWidth = 1;
@@ -107,8 +124,11 @@ function drawGraph(ctx, panel, present) {
     if (arrays.edgeEnd[i] <= look) continue;
     const from = present.get(arrays.edgeA[i]), to = present.get(arrays.edgeB[i]);
     if (!from || !to) continue;
-    ctx.moveTo(...toScreen(panel, from.x, from.y));
-    ctx.lineTo(...toScreen(panel, to.x, to.y));
+    const ends = clippedEdge(panel, toScreen(panel, from.x, from.y), toScreen(panel, to.x, to.y));
+    if (!ends) continue;
+    edgesShown.push(ends);
+    ctx.moveTo(...ends[0]);
+    ctx.lineTo(...ends[1]);
   }
   ctx.stroke();
   ctx.globalAlpha = 1;
@@ -140,7 +160,11 @@ function drawAgent(ctx, panel, dpr, index, place, color) {
   }
   outlinePath(ctx, kind, long, wide);
   ctx.fillStyle = color; ctx.fill();
-  ctx.strokeStyle = theme.outline; ctx.lineWidth = long > 12 ? 1.1 : 0.8; ctx.stroke();
+  const unsure = player.mode === "predicted" && isUnsure(index);
+  ctx.strokeStyle = theme.outline; ctx.lineWidth = unsure ? 1.6 : long > 12 ? 1.1 : 0.8;
+  if (unsure) ctx.setLineDash([3, 2.5]);
+  ctx.stroke();
+  ctx.setLineDash([]);
   if (long < 11 || kind === "pedestrian") return;
   ctx.fillStyle = "rgba(10,14,20,.62)";
   ctx.beginPath();
@@ -220,21 +244,56 @@ function drawHappened(ctx, panel, index, time) {
 
 // The probability at the end of each future, where there is room for it.
 function labelFutures(ctx, panel, told, from) {
-  const taken = [];
   for (const m of told) {
     const p = futures.probability[m] / 255;
     if (p < 0.05) continue;
     const at = 2 * ((m + 1) * futures.ahead.length - 1);
     const [x, y] = toScreen(panel, futures.xy[at], futures.xy[at + 1]), [x0, y0] = toScreen(panel, from.x, from.y);
     if (Math.hypot(x - x0, y - y0) < 24) continue;      // it stands
-    if (taken.some(([a, b]) => Math.abs(a - x) < 34 && Math.abs(b - y) < 17)) continue;
-    taken.push([x, y]);
-    tag(ctx, x + 6, y - 18, `${Math.round(100 * p)} %`);
+    labels.place(ctx, panel, x, y, 6, `${Math.round(100 * p)}\u00a0%`);
   }
 }
 
+const LABEL_FONT = "600 11.5px system-ui, 'DejaVu Sans', sans-serif", LABEL_TALL = 17;
+
+// Labels of one panel: none covers an agent or another label, and one without room is left out.
+const labels = {
+  taken: [], shown: [], agents: [],
+  begin(panel, present) {
+    this.taken = [];
+    for (const [index, place] of present) {
+      const [x, y] = toScreen(panel, place.x, place.y), agent = data.agents[index];
+      const long = Math.max(agent.length * panel.scale, 6), wide = Math.max(agent.width * panel.scale, 4);
+      const turn = view.turned ? Math.PI / 2 - place.heading : place.heading;
+      const cos = Math.abs(Math.cos(turn)), sin = Math.abs(Math.sin(turn));
+      const w = long * cos + wide * sin, h = long * sin + wide * cos;
+      const box = [x - w / 2, y - h / 2, x + w / 2, y + h / 2];
+      this.taken.push(box);
+      if (inPanel(panel, [x, y])) this.agents.push(box);
+    }
+  },
+  isFree(box) {
+    return !this.taken.some(([l, t, r, b]) => box[0] < r && box[2] > l && box[1] < b && box[3] > t);
+  },
+  // Beside, above or below a place that is so many pixels large.
+  place(ctx, panel, x, y, reach, text) {
+    ctx.font = LABEL_FONT;
+    const w = ctx.measureText(text).width + 9, h = LABEL_TALL, far = reach + 3;
+    const corners = [[x + far, y - h / 2], [x - far - w, y - h / 2], [x - w / 2, y - far - h], [x - w / 2, y + far], [x + far, y - far - h], [x + far, y + far], [x - far - w, y - far - h], [x - far - w, y + far]];
+    for (const [left, top] of corners) {
+      const box = [left, top, left + w, top + h];
+      if (!inPanel(panel, [left, top]) || !inPanel(panel, [left + w, top + h]) || !this.isFree(box)) continue;
+      this.taken.push(box);
+      this.shown.push(box);
+      tag(ctx, left, top + h / 2, text);
+      return box;
+    }
+    return null;
+  },
+};
+
 function tag(ctx, x, y, text) {
-  ctx.font = "600 11.5px system-ui, 'DejaVu Sans', sans-serif";
+  ctx.font = LABEL_FONT;
   const width = ctx.measureText(text).width + 9;
   ctx.fillStyle = theme.paper; ctx.globalAlpha = 0.9;
   ctx.beginPath(); ctx.roundRect(x, y - 8.5, width, 17, 4); ctx.fill();
@@ -290,6 +349,7 @@ function draw(canvas) {
   ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
   ctx.fillStyle = theme.stage; ctx.fillRect(0, 0, view.width, view.height);
   const plain = () => ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
+  labels.shown = []; labels.agents = []; edgesShown.length = 0;
   for (const panel of view.panels) {
     ctx.save();
     plain();
@@ -300,6 +360,7 @@ function draw(canvas) {
     if (player.layers.paths && futures) for (const [index, place] of present) drawFutures(ctx, panel, index, colorOf(index, place), true);
     for (const [index, place] of present) drawAgent(ctx, panel, dpr, index, place, colorOf(index, place));
     plain();
+    labels.begin(panel, present);
     const chosen = present.get(player.selected);
     if (chosen && futures) {
       drawFutures(ctx, panel, player.selected, colorOf(player.selected, chosen), false);
@@ -307,8 +368,8 @@ function draw(canvas) {
       plain();
     }
     if (player.layers.names) for (const [index, place] of present) {
-      const [x, y] = toScreen(panel, place.x, place.y);
-      tag(ctx, x + 7, y - 12, data.agents[index].name.slice(0, 18));
+      const [x, y] = toScreen(panel, place.x, place.y), agent = data.agents[index];
+      if (inPanel(panel, [x, y])) labels.place(ctx, panel, x, y, Math.max(agent.width * panel.scale, 6) / 2, agent.name.slice(0, 18));
     }
     drawEvents(ctx, panel);
     if (panel.label) {

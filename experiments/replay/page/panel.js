@@ -15,9 +15,9 @@ function element(tag, attributes = {}, ...children) {
 function swatch(color) { return element("span", { class: "swatch", color, "aria-hidden": "true" }); }
 
 const NUMBERS = {
-  confidence: () => ({ title: "Confidence", low: "17 % (a guess)", high: "100 %", note: "Probability of the likeliest behaviour." }),
+  confidence: () => ({ title: "Confidence", low: "17\u00a0% (a guess)", high: "100\u00a0%", note: "Probability of the likeliest behaviour." }),
   speed: () => ({ title: "Speed", low: "0", high: `${topSpeed()} ${data.unit}/s and more`, note: "" }),
-  w: () => ({ title: "|w|, w = L u", low: "0", high: "the largest now", note: "Square-root scale. u: eigenvector of the largest eigenvalue of the traffic graph." }),
+  w: () => ({ title: "Prominence", low: "0", high: "the largest now", note: "How much an agent stands out among its neighbours in the traffic graph: |w| of w = L u. Square-root scale." }),
 };
 
 function showLegend() {
@@ -40,6 +40,7 @@ function showLegend() {
     list.append(rest);
     parts.push(list);
   }
+  if (player.mode === "predicted" || player.mode === "confidence") parts.push(element("p", { class: "quiet", id: "sure" }));
   const marks = element("ul", { class: "marks" });
   for (const [picture, text] of legendMarks()) marks.append(element("li", {}, icon(picture), text));
   parts.push(marks);
@@ -52,6 +53,7 @@ function legendRow(color, name, code) {
 
 function legendMarks() {
   const marks = [];
+  if (player.mode === "predicted") marks.push([["rect", { x: 2, y: 2, width: 18, height: 8, rx: 2, fill: "none", "stroke-width": 1.6, "stroke-dasharray": "3 2.5" }], "less than 50 % sure"]);
   if (futures) {
     marks.push([["line", { x1: 1, y1: 6, x2: 21, y2: 6, "stroke-width": 3.5 }], "predicted"]);
     marks.push([["line", { x1: 1, y1: 6, x2: 21, y2: 6, "stroke-width": 1.6, "stroke-dasharray": "1.5 3.5" }], "what happened"]);
@@ -69,7 +71,18 @@ function icon([tag, attributes]) {
   return svg;
 }
 
+// How sure the classifier is of those in sight, and of how many it says nothing.
+function sayHowSure() {
+  if (!$("sure")) return;
+  const drivers = [...player.present.keys()].filter((index) => data.kinds[data.agents[index].kind] !== "pedestrian");
+  const known = drivers.map((index) => beliefOf(index, player.time)).filter((belief) => belief);
+  const mean = known.reduce((sum, belief) => sum + Math.max(...belief), 0) / known.length;
+  const sure = known.length ? `${Math.round(100 * mean)}\u00a0% sure on average` : "nothing believed yet";
+  $("sure").textContent = `In sight now: ${sure}, ${drivers.length - known.length} of ${drivers.length} drivers not known.`;
+}
+
 function countAgents() {
+  sayHowSure();
   const spans = $("legend").querySelectorAll(".count");
   if (!spans.length) return;
   const counts = {};
@@ -84,6 +97,7 @@ const agentPanel = {};
 
 function showAgent() {
   const index = player.selected;
+  $("card").hidden = index < 0;
   if (index < 0) {
     $("agent").replaceChildren(element("p", { class: "quiet" }, "Click an agent, or press N, to see what is known and believed about it."));
     return;
@@ -95,6 +109,9 @@ function showAgent() {
     element("button", { type: "button", class: "icon", "aria-label": "Select nobody", onclick: () => select(-1) }, "✕")));
   agentPanel.now = element("dl", { class: "said-is" });
   parts.push(agentPanel.now);
+  agentPanel.card = element("dl", { class: "said-is" });
+  $("card").replaceChildren(element("div", { class: "who" }, element("h2", {}, titleOf(index)),
+    element("button", { type: "button", class: "icon", "aria-label": "Close", onclick: () => select(-1) }, "✕")), agentPanel.card);
   if (believed(index)) {
     agentPanel.chart = element("canvas", { id: "belief-chart", role: "img", "aria-label": "Belief over the time it is in sight: the higher a band, the likelier its behaviour" });
     agentPanel.bars = element("div", { class: "bars" });
@@ -116,7 +133,11 @@ function traitList(index) {
   const shown = data.shownTraits.filter((x) => x[1] === index);
   if (!shown.length) return [];
   const list = element("ul", { class: "list" });
-  for (const [trait, , begin] of shown) list.append(jump(begin, data.traits[trait].name, data.behaviors[data.traits[trait].behavior].color));
+  for (const [trait, , begin, end] of shown) {
+    const item = jump(begin, data.traits[trait].name, data.behaviors[data.traits[trait].behavior].color);
+    item.firstChild.append(element("span", { class: "lasts" }, `for ${(end - begin).toFixed(1)} s`));
+    list.append(item);
+  }
   return [element("details", { open: "" }, element("summary", {}, `Traits shown (${shown.length})`), list)];
 }
 
@@ -152,11 +173,13 @@ function updateAgent() {
   if (place) {
     rows.push(["speed", data.unit === "m" ? `${place.speed.toFixed(1)} m/s (${Math.round(3.6 * place.speed)} km/h)` : `${place.speed.toFixed(1)} ${data.unit}/s`]);
     const w = wOf(index, player.time);
-    if (w) rows.push(["|w|", `${w.value < 0.005 ? 0 : w.value.toPrecision(2)} (${Math.round(100 * w.share ** 2)} % of the largest)`]);
+    if (w) rows.push(["prominence", `${w.value < 0.005 ? 0 : w.value.toPrecision(2)} (${Math.round(100 * w.share ** 2)} % of the largest)`]);
   }
   const told = place && futuresOf(index, player.time);
-  if (told) rows.push(["ways on", told.futures.map((m) => `${Math.round(futures.probability[m] / 2.55)} %`).join(", ")]);
-  agentPanel.now.replaceChildren(...rows.flatMap(([name, ...what]) => [element("dt", {}, name), element("dd", {}, ...what)]));
+  if (told) rows.push(["ways on", told.futures.map((m) => `${Math.round(futures.probability[m] / 2.55)}\u00a0%`).join(", ")]);
+  const listed = () => rows.flatMap(([name, ...what]) => [element("dt", {}, name), element("dd", {}, ...what.map((part) => part.cloneNode ? part.cloneNode(true) : part))]);
+  agentPanel.now.replaceChildren(...listed());
+  agentPanel.card.replaceChildren(...listed());
   if (agentPanel.chart) { drawBeliefs(agentPanel.chart, index); showBars(place ? belief : null); }
 }
 
@@ -164,7 +187,7 @@ function showBars(belief) {
   const rows = data.behaviors.flatMap((behavior, code) => {
     const share = belief ? Math.round(100 * belief[code]) : 0, fill = element("div", { class: "fill", color: behavior.color });
     fill.style.width = `${share}%`;
-    return [element("span", {}, behavior.name), element("div", { class: "track" }, fill), element("span", { class: "share" }, belief ? `${share} %` : "–")];
+    return [element("span", {}, behavior.name), element("div", { class: "track" }, fill), element("span", { class: "share" }, belief ? `${share}\u00a0%` : "–")];
   });
   agentPanel.bars.replaceChildren(...rows);
 }

@@ -287,6 +287,7 @@ async function start() {
       const told = futuresOf(index, player.time);
       return told && told.futures.map((m) => ({ time: data.begin + told.time, probability: futures.probability[m] / 255, places: futurePoints(m, null, 0) }));
     },
+    boxes: (what) => labels[what === "agents" ? "agents" : "shown"], edges: () => edgesShown,
     state: () => ({ time: data.begin + player.time, playing: player.playing, mode: player.mode, selected: player.selected, layers: { ...player.layers } }),
     agents: () => view.panels.flatMap((panel) => [...everyone(player.time)].map(([index, place]) => {
       const [x, y] = toScreen(panel, place.x, place.y);
