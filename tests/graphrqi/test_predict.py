@@ -89,7 +89,7 @@ def driver(scene, **numbers) -> DriverParameters:
     return DriverParameters(
         following=np.tile([{**average, **numbers}[f] for f in DRIVER_FIELDS], (n, 1)),
         changing=np.empty((0, 4)),
-        ignores=np.zeros((n, scene.stop_state.shape[0]), dtype=bool),
+        ignores=np.zeros((n, 2), dtype=bool),
         caution=np.zeros((n, 2)),
     )
 

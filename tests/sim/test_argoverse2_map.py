@@ -231,7 +231,9 @@ def test_ways_through_a_maze_are_not_all_followed(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match="ways through junctions"):
         read_map(put(tmp_path, maze(30, internal=True)))
-    paths = PathTable.of(road_of(tmp_path, maze(4, internal=False)))
+    road = road_of(tmp_path, maze(4, internal=False))
+    paths = PathTable.of(road)
+    paths.cover(np.arange(len(road.lanes)), 0.0)
     assert paths.options.max() == MOST_PATHS
 
 

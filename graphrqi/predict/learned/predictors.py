@@ -22,6 +22,7 @@ from graphrqi.predict.networks.perceptron import shipped_perceptron
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.rollout.following import shuffled_posterior, true_behavior
+from graphrqi.predict.scene.paths import limits_known
 from graphrqi.predict.scene.scene import Scene
 
 Predictor = Callable[[Scene, Posterior], Prediction]
@@ -37,7 +38,7 @@ def where_limits_are_known(predictor: Predictor) -> Predictor:
 
     @functools.wraps(predictor)
     def predict(scene: Scene, posterior: Posterior) -> Prediction:
-        if np.isnan(scene.graph.limit[scene.graph.drivable]).any():
+        if not limits_known(scene.graph):
             return predict_unmapped(scene.history, scene.steps * STEP_S, "graphrqi-predict")
         return predictor(scene, posterior)
 

@@ -40,11 +40,13 @@ from graphrqi.predict.rollout.columns import (
     RESIDUAL,
     RETURN_SPEED,
     SIDE,
+    SORTED,
     SPEED,
     START_ACCEL,
     START_S,
     START_SPEED,
     TRAVELLED,
+    USED,
     WISH,
     S,
     V,
@@ -80,25 +82,28 @@ def safe_speed(gap: float, leader_speed: float, headway: float, decel: float) ->
 
 @reordered
 def roll(
-    present: Any, path: Any, offset: Any, return_speed: Any, following: Any, ignores: Any,
-    changing: Any, caution: Any, stop_state: Any, paths: Any, others: Any, steps: Any,
+    present: Any, path: Any, lateral: Any, following: Any, ignores: Any, changing: Any,
+    caution: Any, stop_state: Any, paths: Any, others: Any, order: Any, steps: Any,
 ) -> Any:  # fmt: skip
     """Drive n drivers on in M ways.
 
     Args:
         present: (n, 5) the drivers now; see `columns.PRESENT`.
-        path: (M, n) path of each driver, row of ``paths``.
-        offset: (M, n) distance to the left of the lane's centre, m.
-        return_speed: (M, n) lateral speed at which each returns to it, m/s.
+        path: (M, n) path of each driver, row of ``paths``; -1 minus the path for a driver that the
+            others find there at present but that is not driven on itself. The next three may be the
+            same in all ways; their first axis is 1 then.
+        lateral: (M, n, 2) distance to the left of the lane's centre, m, and lateral speed at which
+            each returns to it, m/s.
         following: (M, n, 5) speed factor, time headway s, standstill gap m, acceleration and
             deceleration m/s2.
-        ignores: (M, n, R) whether each ignores each stop constraint.
+        ignores: (M, n, 2) whether each ignores red lights, and pedestrians at crossings.
         changing: (n, 4) lane-changing parameters; (0, 4): nobody changes lanes.
         caution: (n, 2) caution and threat of each.
         stop_state: (R, columns) states of the stop constraints.
         paths: the `graphrqi.predict.scene.paths.PathColumns`.
         others: (n, steps) lanes, distances along them, m, and speeds, m/s, where the other drivers
             are assumed to be; (0, 0) each: all move together.
+        order: those on paths; the nearer they are to being sorted by lane and place, the faster.
         steps: how many, the time between them, s, how many columns of ``stop_state`` each takes,
             and the time in which the residual acceleration falls to 1/e, s (0: at once).
 
@@ -114,29 +119,38 @@ def roll(
     place, ranking = np.empty((n, 2)), np.empty((n, 3), np.int64)
     ends = np.empty((2, paths.lane_length.size), np.int64)
     motion, route = np.empty((n, 9)), np.empty((n, 5), np.int64)
-    drivers = 0
+    spare = np.empty((order.size + 1, 2), np.int64)
     for i in range(n):
         place[i, S], place[i, V] = present[i, START_S], present[i, START_SPEED]
         ranking[i, LANE], ranking[i, RANK] = -1, 0
-        if present[i, ON_PATH] > 0.0:
-            ranking[drivers, ORDER] = i
-            drivers += 1
-    who = ranking[:drivers, ORDER].copy()
+    for j in range(order.size):
+        ranking[j, ORDER] = order[j]
+    for j in range(ends.shape[1]):
+        ends[FIRST, j], ends[LAST, j] = 0, -1
+    spare[order.size, USED] = 0
+    moving = np.empty(order.size, np.int64)
     may_change = changing.shape[0] == n and count > 1
     every = max(1, round(DECIDE_S / step_s))
     for w in range(m):
+        driven = 0
         for i in range(n):
+            v = min(w, lateral.shape[0] - 1)
             motion[i, X], motion[i, SPEED] = present[i, START_S], present[i, START_SPEED]
-            motion[i, OFFSET], motion[i, RETURN_SPEED] = offset[w, i], return_speed[w, i]
+            motion[i, OFFSET], motion[i, RETURN_SPEED] = lateral[v, i, 0], lateral[v, i, 1]
             motion[i, TRAVELLED], motion[i, RESIDUAL] = 0.0, 0.0
-            route[i, PATH], route[i, ON] = path[w, i], 0
-            route[i, READY] = int(CHANGE_S / step_s) if abs(offset[w, i]) > 0.5 else 0
-        drives, passes = following[w], ignores[w]
-        _locate(who, motion, route, paths, place, ranking)
+            route[i, PATH], route[i, ON] = max(path[w, i], -1 - path[w, i]), 0
+            route[i, READY] = int(CHANGE_S / step_s) if abs(lateral[v, i, 0]) > 0.5 else 0
+            if present[i, ON_PATH] > 0.0 and path[w, i] >= 0:
+                moving[driven] = i
+                driven += 1
+        who = moving[:driven]
+        drives = following[min(w, following.shape[0] - 1)]
+        passes = ignores[min(w, ignores.shape[0] - 1)]
+        _locate(order, motion, route, paths, place, ranking)
         for h in range(count):
             if others[1].size > 0 and h > 0:
-                _place_others(who, h - 1, others, place, ranking)
-            _rank(place, ranking, ends, drivers)
+                _place_others(order, h - 1, others, place, ranking)
+            _rank(place, ranking, ends, spare, order.size)
             _look_ahead(who, motion, route, drives, place, ranking, ends, paths)
             if may_change and h % every == 0:
                 choose_lanes(
@@ -150,7 +164,7 @@ def roll(
                 paths, step_s,
             )  # fmt: skip
             if h == 0:
-                for j in range(drivers):
+                for j in range(driven):
                     i = who[j]
                     speed = motion[i, SPEED]
                     asked[w, i] = (max(0.0, speed + motion[i, ACCEL] * step_s) - speed) / step_s
@@ -159,7 +173,7 @@ def roll(
             fade = math.exp(-h * step_s / decay_s) if decay_s > 0.0 else 0.0
             _advance(who, motion, fade, step_s)
             _locate(who, motion, route, paths, place, ranking)
-            for j in range(drivers):
+            for j in range(driven):
                 i = who[j]
                 lane[w, i, h] = ranking[i, LANE]
                 columns[0, w, i, h], columns[1, w, i, h] = place[i, S], motion[i, OFFSET]
@@ -193,30 +207,44 @@ def _place_others(who: Any, h: int, others: Any, place: Any, ranking: Any) -> No
 
 
 @inlined
-def _rank(place: Any, ranking: Any, ends: Any, drivers: int) -> None:
-    """Sort drivers by lane, then by place; they are nearly in order since the last step."""
-    for j in range(1, drivers):
-        i = ranking[j, ORDER]
+def _rank(place: Any, ranking: Any, ends: Any, spare: Any, drivers: int) -> None:
+    """Sort drivers by place within each lane; they are nearly in order since the last step.
+
+    Lanes follow each other as they come. A pass counts the drivers of each lane, a second one puts
+    each driver in its place, so that the cost is that of the drivers and not of the road.
+    """
+    for u in range(spare[drivers, USED]):
+        lane = spare[u, USED]
+        ends[FIRST, lane], ends[LAST, lane] = 0, -1
+    used = 0
+    for j in range(drivers):
+        lane = ranking[ranking[j, ORDER], LANE]
+        if ends[LAST, lane] < 0:
+            spare[used, USED] = lane
+            used += 1
+        ends[LAST, lane] += 1
+        spare[j, SORTED] = ranking[j, ORDER]
+    spare[drivers, USED] = used
+    begin = 0
+    for u in range(used):
+        lane = spare[u, USED]
+        ends[FIRST, lane] = begin
+        begin += ends[LAST, lane] + 1
+        ends[LAST, lane] = ends[FIRST, lane] - 1
+    for j in range(drivers):
+        i = spare[j, SORTED]
         lane, s = ranking[i, LANE], place[i, S]
-        g = j - 1
-        while g >= 0:
+        g, first = ends[LAST, lane], ends[FIRST, lane]
+        ends[LAST, lane] += 1
+        while g >= first:
             o = ranking[g, ORDER]
-            if ranking[o, LANE] < lane or (
-                ranking[o, LANE] == lane and (place[o, S] < s or (place[o, S] == s and o > i))
-            ):
+            if place[o, S] < s or (place[o, S] == s and o > i):
                 break
             ranking[g + 1, ORDER] = o
             g -= 1
         ranking[g + 1, ORDER] = i
-    for lane in range(ends.shape[1]):
-        ends[FIRST, lane], ends[LAST, lane] = 0, -1
     for j in range(drivers):
-        i = ranking[j, ORDER]
-        lane = ranking[i, LANE]
-        if ends[LAST, lane] < 0:
-            ends[FIRST, lane] = j
-        ends[LAST, lane] = j
-        ranking[i, RANK] = j
+        ranking[ranking[j, ORDER], RANK] = j
 
 
 @inlined
@@ -290,7 +318,7 @@ def _choose_accelerations(
     ignores: Any, stop_state: Any, column: Any, paths: Any, step_s: float,
 ) -> None:  # fmt: skip
     """Write the acceleration that each driver chooses, m/s2, before its residual."""
-    stop_x, stop_row = paths.stop_x, paths.stop_row
+    stop_x, stop_row, kinds = paths.stop_x, paths.stop_row, paths.kinds
     for j in range(who.size):
         i = who[j]
         headway, standstill = following[i, 1], following[i, 2]
@@ -308,7 +336,7 @@ def _choose_accelerations(
             if room > LOOK_AHEAD_M:
                 break
             row = stop_row[q, g]
-            if room < -1.0 or ignores[i, row]:
+            if room < -1.0 or (row < kinds[1] and ignores[i, int(row >= kinds[0])]):
                 continue
             state = stop_state[row, column]
             if state == PROCEED or (state == PREPARE_TO_STOP and room < SIGHT_M):

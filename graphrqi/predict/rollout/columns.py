@@ -32,9 +32,14 @@ PLACE: Final = ("s", "speed")
 S, V = range(2)
 
 RANKING: Final = ("lane", "order", "rank")
-"""(n, 3) the lane of each driver; the drivers sorted by lane, then by s; and each one's place among
-these."""
+"""(n, 3) the lane of each driver; the drivers sorted by s within each lane; and the place of each
+among these."""
 LANE, ORDER, RANK = range(3)
+
+SPARE: Final = ("sorted", "used")
+"""(n + 1, 2) room for sorting: the drivers in the order of the step before, and the lanes that
+somebody is on; in the last row how many such lanes there are."""
+SORTED, USED = range(2)
 
 FIRST, LAST = range(2)
 """Rows of (2, L) places in the order of the first and last driver of each lane; 0 and -1 where

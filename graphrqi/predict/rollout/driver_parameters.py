@@ -34,7 +34,7 @@ class DriverParameters:
         following: (n, 5) car-following parameters, columns as ``driver_table.DRIVER_FIELDS``.
         changing: (n, 4) lane-changing parameters, columns as ``driver_table.CHANGING_FIELDS``;
             (0, 4): nobody changes lanes.
-        ignores: (n, R) whether each ignores each stop constraint of the scene.
+        ignores: (n, 2) whether each ignores red lights, and pedestrians at crossings.
         caution: (n, 2) how far each keeps away from threatening drivers, and how far cautious
             drivers keep away from it, 0 to 1.
     """
@@ -53,7 +53,7 @@ def expected_parameters(
     return DriverParameters(
         following=following,
         changing=table.changing(probability),
-        ignores=_ignored(scene, probability @ RUNS_RED, probability @ YIELDS),
+        ignores=_ignored(probability @ RUNS_RED, probability @ YIELDS),
         caution=np.zeros((len(following), 2)),
     )
 
@@ -72,11 +72,11 @@ def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, Bo
     """Everyone's parameters if it were of each behaviour.
 
     Returns:
-        (6, n, 5) car-following parameters and (6, n, R) stop constraints ignored.
+        (6, n, 5) car-following parameters and (6, n, 2) kinds of stop constraints ignored.
     """
     each = (len(BEHAVIORS), scene.ids.size)
     runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))
-    return _personal(scene, table.behavior[:, None]), _ignored(scene, runs, yields)
+    return _personal(scene, table.behavior[:, None]), _ignored(runs, yields)
 
 
 def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
@@ -86,25 +86,19 @@ def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
     return DriverParameters(
         following=_personal(scene, table.average[None, None])[0],
         changing=table.changing(unknown),
-        ignores=np.zeros((n, scene.stop_state.shape[0]), dtype=np.bool_),
+        ignores=np.zeros((n, 2), dtype=np.bool_),
         caution=np.zeros((n, 2)),
     )
 
 
-def _ignored(scene: Scene, runs_red: FloatArray, yields: FloatArray) -> BoolArray:
-    """(..., n, R) stop constraints that drivers ignore rather than respect.
+def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
+    """(..., n, 2) whether drivers ignore red lights, and pedestrians at crossings.
 
     Args:
-        scene: the present.
         runs_red: (..., n) probability that each runs red lights.
         yields: (..., n) probability that each yields to pedestrians.
     """
-    groups = scene.paths.groups
-    crossings = groups + scene.graph.cross_lane.size
-    ignores = np.zeros((*runs_red.shape, scene.stop_state.shape[0]), dtype=np.bool_)
-    ignores[..., :groups] = (runs_red > 0.5)[..., None]
-    ignores[..., groups:crossings] = (yields < 0.5)[..., None]
-    return ignores
+    return np.stack([runs_red > 0.5, yields < 0.5], axis=-1)
 
 
 def _personal(scene: Scene, following: FloatArray) -> FloatArray:

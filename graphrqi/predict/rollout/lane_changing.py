@@ -81,15 +81,24 @@ def _neighbors(
 ) -> tuple[Any, Any, Any, Any]:
     """Who is next ahead of and behind a place on a lane, or -1, and how far, m, else 1e9."""
     front, rear, front_far, rear_far = -1, -1, 1e9, 1e9
-    for rank in range(begin, end):
-        other = ranking[rank, ORDER]
-        if other == i:
-            continue
-        ahead = place[other, S] - along
-        if ahead >= 0.0:
-            front_far, front = ahead, other
-            break
-        rear_far, rear = -ahead, other
+    low, high = begin, end
+    while low < high:
+        middle = (low + high) // 2
+        if place[ranking[middle, ORDER], S] < along:
+            low = middle + 1
+        else:
+            high = middle
+    ahead, behind = low, low - 1
+    if ahead < end and ranking[ahead, ORDER] == i:
+        ahead += 1
+    if behind >= begin and ranking[behind, ORDER] == i:
+        behind -= 1
+    if ahead < end:
+        front = ranking[ahead, ORDER]
+        front_far = place[front, S] - along
+    if behind >= begin:
+        rear = ranking[behind, ORDER]
+        rear_far = along - place[rear, S]
     return front, front_far, rear, rear_far
 
 

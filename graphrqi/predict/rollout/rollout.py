@@ -12,7 +12,6 @@ from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import car_following, lane_positions
 from graphrqi.predict.rollout.columns import START_ACCEL
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
-from graphrqi.predict.scene.paths import PathColumns
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
 
 FloatArray = NDArray[np.float64]
@@ -78,9 +77,9 @@ def roll(
     given = _MOVE_TOGETHER if others is None else (others.lane, others.s, others.speed)
     count = steps or round(scene.steps * STEP_S / step_s)
     lane, columns, asked = car_following.roll(
-        present, scene.path[None], scene.offset[None], _return_speed(scene.lateral_speed)[None],
+        present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
         drivers.following[None], drivers.ignores[None], drivers.changing, drivers.caution,
-        scene.stop_state, PathColumns.of(scene.paths), given,
+        scene.stop_state, scene.paths.columns, given, scene.order,
         (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
     s, offset, speed, travelled = columns[:, 0]
@@ -101,7 +100,7 @@ def roll_each(
         scene: the present.
         ways: M scenes that differ from it in paths, offsets and lateral speeds only.
         following: (M, n, 5) how each drives, as in `DriverParameters`.
-        ignores: (M, n, R) likewise.
+        ignores: (M, n, 2) likewise.
         decay_s: as to `roll`.
         others: where everyone else is assumed to be; the steps are its.
 
@@ -114,16 +113,37 @@ def roll_each(
     )
     count, step_s = others.s.shape[1], others.step_s
     lane, columns, asked = car_following.roll(
-        scene.present, path, offset, _return_speed(lateral_speed), following, ignores, _KEEP_LANES,
-        np.zeros((scene.ids.size, 2)), scene.stop_state, PathColumns.of(scene.paths),
-        (others.lane, others.s, others.speed), (count, step_s, step_s / STEP_S, decay_s),
+        scene.present, path, _lateral(offset, lateral_speed), following, ignores, _KEEP_LANES,
+        np.zeros((scene.ids.size, 2)), scene.stop_state, scene.paths.columns,
+        (others.lane, others.s, others.speed), scene.order,
+        (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
     s, beside, speed, travelled = columns
     return Rollout(lane, s, beside, speed, travelled, asked, step_s)
 
 
-def _return_speed(lateral_speed: FloatArray) -> FloatArray:
-    return np.maximum(np.abs(lateral_speed), RETURN_MPS)
+def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
+    """(C, n) acceleration that the car-following law asks for at present on each of C paths, m/s2.
+
+    Args:
+        scene: the present.
+        path: (C, n) paths; -1 minus a path where nobody needs to know, then it is 0.
+        drivers: how each drives.
+    """
+    *_, asked = car_following.roll(
+        scene.present, path, _lateral(scene.offset, scene.lateral_speed)[None],
+        drivers.following[None], drivers.ignores[None], _KEEP_LANES, drivers.caution,
+        scene.stop_state, scene.paths.columns, _MOVE_TOGETHER, scene.order, (1, STEP_S, 1.0, 0.0),
+    )  # fmt: skip
+    return np.asarray(asked)
+
+
+def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
+    """(..., 2) distance to the left, m, and lateral speed at which drivers return to it, m/s."""
+    out = np.empty((*offset.shape, 2))
+    out[..., 0] = offset
+    np.maximum(np.abs(lateral_speed), RETURN_MPS, out=out[..., 1])
+    return out
 
 
 def positions(scene: Scene, rollout: Rollout) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
-from graphrqi.predict.rollout.rollout import roll
+from graphrqi.predict.rollout.rollout import asked_on
 from graphrqi.predict.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -54,10 +54,9 @@ def path_probability(scene: Scene, drivers: DriverParameters) -> tuple[IntArray,
     choice, real = candidates(scene)
     weight = np.where(real, np.log(paths.probability[choice]), -np.inf)
     if choice.shape[1] > 1:
-        for c in range(choice.shape[1]):
-            first = roll(scene.with_path(choice[:, c]), drivers, steps=1)
-            miss = 0.5 * ((scene.accel - first.asked) / ACCELERATION_SD) ** 2
-            weight[:, c] -= np.minimum(miss, LARGEST_EVIDENCE)
+        ways = np.ascontiguousarray(np.where(real, choice, -1 - choice).T)
+        miss = 0.5 * ((scene.accel - asked_on(scene, ways, drivers)) / ACCELERATION_SD) ** 2
+        weight -= np.minimum(miss, LARGEST_EVIDENCE).T
     weight -= weight.max(axis=1, keepdims=True)
     likely = np.exp(weight)
     return choice, np.asarray(likely / likely.sum(axis=1, keepdims=True))

@@ -36,6 +36,9 @@ BREAK_S: Final = 5.0
 """A time between two frames longer than this is a break (our choice: as long as the past that
 predictions are made from)."""
 
+FASTEST_MPS: Final = 60.0
+"""Nobody is foreseen to drive faster, m/s (our choice: more than any vehicle here can)."""
+
 RETURN_MPS: Final = 0.5
 """Least lateral speed at which a driver returns to its lane's centre (our choice)."""
 
@@ -111,6 +114,12 @@ class Scene:
         now[:, 0], now[:, 1], now[:, 2] = self.s, np.maximum(self.speed, 0.0), self.accel
         now[:, 3], now[:, 4] = self.history.length / 2, self.on_path
         return now
+
+    @cached_property
+    def order(self) -> IntArray:
+        """(d,) rows of those on paths, by lane and then by place."""
+        rows = np.lexsort((self.s, self.lane))
+        return np.ascontiguousarray(rows[self.on_path[rows]])
 
     @cached_property
     def time_s(self) -> FloatArray:
@@ -223,6 +232,7 @@ def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
     graph, paths = LaneGraph.of(road), PathTable.of(road)
     states = agent_states(history, road)
     lane = states.lane
+    paths.cover(lane, FASTEST_MPS * horizon_s)
     path = np.where(lane >= 0, paths.likeliest[np.maximum(lane, 0)], 0)
     return Scene(
         history=history,

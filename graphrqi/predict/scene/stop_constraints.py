@@ -7,17 +7,19 @@ walk on at their present velocity, and vehicles with priority to keep their spee
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import PathTable
-from sim.compiled import compiled
-from sim.frames import PEDESTRIAN, Signal, Tracks
+from sim.compiled import compiled, inner
+from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road, lane_search
+from sim.road.cells import Cells, boxes_of, cells_of
 from sim.road.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
@@ -28,13 +30,16 @@ PROCEED, STOP_IF_COMFORTABLE, STOP, PREPARE_TO_STOP = 0, 1, 2, 3
 """States of a stop constraint. `PREPARE_TO_STOP`: approach at a speed from which one can stop,
 until one is near enough to see that nobody comes."""
 
-YIELD_WITHIN_M: Final = 80.0
+YIELD_WITHIN_M = 80.0
 """Vehicles farther away are not yielded to (our choice: 6 s at 14 m/s)."""
 
-YIELD_BEFORE_S: Final = 2.5
+YIELD_BEFORE_S = 2.5
 """A driver that must yield waits for vehicles that arrive within this time (our choice; critical
 gaps at junctions are 4 to 6 s for the average driver (HCM), and these drivers' are 0.1 to 2.5
 s)."""
+
+YIELD_TO_MPS = 0.5
+"""Slower vehicles are not yielded to (our choice: they stand)."""
 
 PEDESTRIAN_REACH_S = 2.0
 """A pedestrian who reaches a lane within this time blocks it already (our choice; calibrated gaps
@@ -43,12 +48,112 @@ at zebras are 2 to 4 s)."""
 PROGRAMME_FRAMES: Final = 50
 """Frames over which a signal programme is compared with the signals seen (our choice)."""
 
+AGREEMENT = 0.9
+"""A signal programme is believed if it explains this share of what was seen (our choice)."""
+
+OF_SIGNAL: Final = np.array([STOP, STOP_IF_COMFORTABLE, PROCEED, PROCEED], dtype=np.int8)
+"""State of a stop constraint by the signal's code: red, yellow, green, off."""
+
+CROSSING_CELL_M: Final = 10.0
+"""Width of the cells in which crossings are looked for, m (our choice: a crossing's length)."""
+
+BESIDE_CROSSING_M, BEYOND_CROSSING_M = 1.0, 0.5
+"""A pedestrian this far beside a crossing, or beyond its end, still walks on it (our choice)."""
+
+
+class SignalPrograms(NamedTuple):
+    """The signal plans of a road as arrays that compiled functions read.
+
+    Attributes:
+        group_first: (P + 1,) where the groups of each plan begin in ``group``.
+        group: the groups of all plans.
+        phase_first: (P + 1,) where the phases of each plan begin in ``duration_s``.
+        duration_s: of all phases, s.
+        state_first: (P,) where the states of each plan begin in ``state``: phase by phase.
+        state: codes into ``SIGNALS``.
+        cycle_s: (P,) length of each programme, s.
+        offset_s: (P,) s.
+    """
+
+    group_first: IntArray
+    group: IntArray
+    phase_first: IntArray
+    duration_s: FloatArray
+    state_first: IntArray
+    state: StateArray
+    cycle_s: FloatArray
+    offset_s: FloatArray
+
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def of(road: Road) -> SignalPrograms:
+        """The programmes of a road, gathered once."""
+        plans = road.signal_plans
+        states = [np.array(plan.states, dtype=np.int8).ravel() for plan in plans]
+        return SignalPrograms(
+            group_first=_begins([len(plan.groups) for plan in plans]),
+            group=np.array([g for plan in plans for g in plan.groups], dtype=np.int64),
+            phase_first=_begins([len(plan.duration_s) for plan in plans]),
+            duration_s=np.array([d for plan in plans for d in plan.duration_s], dtype=np.float64),
+            state_first=_begins([each.size for each in states]),
+            state=np.concatenate([np.empty(0, np.int8), *states]),
+            cycle_s=np.array([sum(plan.duration_s) for plan in plans], dtype=np.float64),
+            offset_s=np.array([plan.offset_s for plan in plans], dtype=np.float64),
+        )
+
+
+class CrossingArrays(NamedTuple):
+    """The crossings of a road, and where lanes meet them, as arrays that compiled functions read.
+
+    Attributes:
+        point_first: (C + 1,) where the centre line of each begins in ``points``.
+        points: (N, 2) centre lines, m.
+        width: (C,) m.
+        meet_first: (C + 1,) where the places at which lanes meet each begin in ``meet``.
+        meet: places where lanes and crossings meet, rows of the `LaneGraph`'s.
+        cells: the crossings by the places at which a pedestrian may be on them.
+    """
+
+    point_first: IntArray
+    points: FloatArray
+    width: FloatArray
+    meet_first: IntArray
+    meet: IntArray
+    cells: Cells
+
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def of(road: Road) -> CrossingArrays:
+        """The crossings of a road, gathered once."""
+        graph, lines = LaneGraph.of(road), [crossing.centerline for crossing in road.crossings]
+        width = np.array([crossing.width_m for crossing in road.crossings], dtype=np.float64)
+        boxes = boxes_of(lines, BEYOND_CROSSING_M)
+        reach = width[:, None] / 2 + BESIDE_CROSSING_M
+        boxes[:, :2] -= reach
+        boxes[:, 2:] += reach
+        meet = np.argsort(graph.cross_id, kind="stable")
+        return CrossingArrays(
+            point_first=_begins([len(line) for line in lines]),
+            points=np.concatenate([np.empty((0, 2)), *lines]),
+            width=width,
+            meet_first=np.searchsorted(graph.cross_id[meet], np.arange(len(lines) + 1)),
+            meet=meet,
+            cells=cells_of(boxes, np.arange(len(lines)), CROSSING_CELL_M),
+        )
+
+
+def _begins(counts: list[int]) -> IntArray:
+    """Where each of several lists begins when they follow each other, and the end."""
+    return np.concatenate([[0], np.cumsum(np.array(counts, dtype=np.int64))]).astype(np.int64)
+
 
 def stop_states(
     history: Tracks, road: Road, paths: PathTable, lane: IntArray, s: FloatArray, path: IntArray,
     steps: int,
 ) -> StateArray:  # fmt: skip
     """The state of every stop constraint now and at each coming step.
+
+    Signals that nobody can come to stay as they are now.
 
     Args:
         history: tracks whose last column is the present.
@@ -63,130 +168,214 @@ def stop_states(
         (R, steps + 1) states of signals, of crossings and of yielding places, in this order.
     """
     graph = LaneGraph.of(road)
-    signals = _signals_ahead(history, road, steps)
-    crossings = _crossings_ahead(history, road, graph, steps)
-    yields = _yields_ahead(history, paths, lane, s, path, signals, graph.signal)
-    nothing = np.zeros((1, steps + 1), dtype=np.int8)  # constraint tables are padded with row 0
-    whole = np.concatenate([signals, crossings, yields])
-    return whole if whole.size else nothing
-
-
-def _signals_ahead(history: Tracks, road: Road, steps: int) -> StateArray:
-    """States of each signal group: by its programme if that explains the past, else as now."""
-    groups = len(road.signal_groups)
-    known = history.signals.shape[0]
-    state = np.full((groups, steps + 1), Signal.OFF.code, dtype=np.int8)
-    shown = min(groups, known)
-    state[:shown] = history.signals[:shown, -1:]
-    past = slice(max(0, history.time_s.size - PROGRAMME_FRAMES), None)
-    for plan in road.signal_plans:
-        rows = np.array(plan.groups, dtype=np.int64)
-        if not rows.size or rows.max() >= known:
-            continue
-        seen = history.signals[rows, past]
-        # a frame shows the signals of its own time or, in some sources, of one step before
-        agrees = {
-            lag: (seen == np.array([plan.state_at(float(t) - lag) for t in history.time_s[past]]).T)
-            for lag in (0.0, STEP_S)
-        }
-        lag = max(agrees, key=lambda lag: agrees[lag].mean())
-        if agrees[lag].mean() < 0.9:
-            continue  # the signals follow another programme or another clock
-        now = float(history.time_s[-1]) - lag
-        state[rows] = np.array([plan.state_at(now + h * STEP_S) for h in range(steps + 1)]).T
-    # red, yellow, green, off
-    of_signal = np.array([STOP, STOP_IF_COMFORTABLE, PROCEED, PROCEED], dtype=np.int8)
-    return of_signal[state]
-
-
-def _crossings_ahead(history: Tracks, road: Road, graph: LaneGraph, steps: int) -> StateArray:
-    """States of each place where a lane meets a crossing: blocked while someone walks there."""
-    state = np.zeros((graph.cross_lane.size, steps + 1), dtype=np.int8)
-    walking = np.flatnonzero(history.kind == PEDESTRIAN)
-    if not walking.size or not graph.cross_lane.size:
-        return state
-    half = graph.width[graph.cross_lane] / 2
-    xy, heading = history.xy[walking, -1], history.heading[walking, -1]
-    speed = history.speed[walking, -1]
-    for c, crossing in enumerate(road.crossings):
-        rows = np.flatnonzero(graph.cross_id == c)
-        _block_crossing(
-            crossing.centerline, crossing.width_m, xy, heading, speed, rows, graph.cross_u[rows],
-            half[rows], state,
+    groups, crossed = paths.kinds.tolist()
+    entry = paths.priority.entry
+    # constraint tables are padded with row 0, which there must be
+    state = np.zeros((max(crossed + entry.size, 1), steps + 1), dtype=np.int8)
+    if groups:
+        _signals_ahead(history, road, paths, lane, state[:groups])
+    if crossed > groups:
+        _crossings_ahead(history, road, graph, state[groups:crossed])
+    if entry.size:
+        state[crossed:][entry] = PREPARE_TO_STOP
+        _block_yielding(
+            history.speed[:, -1].copy(), history.length.copy(), lane, s, path, paths.columns,
+            (paths.priority.foe_first, paths.priority.foe_place, paths.priority.foe_s),
+            graph.signal, state[:groups], state[crossed:],
         )  # fmt: skip
     return state
 
 
+def _signals_ahead(
+    history: Tracks, road: Road, paths: PathTable, lane: IntArray, state: StateArray
+) -> None:
+    """Write the states of the signal groups: by their programmes if these explain the past."""
+    groups = len(state)
+    known = history.signals.shape[0]
+    shown = min(groups, known)
+    state[:shown] = OF_SIGNAL[history.signals[:shown, -1:]]
+    if road.signal_plans and shown:
+        past = slice(max(0, history.time_s.size - PROGRAMME_FRAMES), None)
+        _follow_programs(
+            lane, paths.plans_near, np.ascontiguousarray(history.signals[:, past]),
+            history.time_s[past].copy(), SignalPrograms.of(road), OF_SIGNAL, state,
+        )  # fmt: skip
+
+
+@inner
+def _phase(programs: Any, plan: Any, time_s: float) -> Any:
+    """The phase of a plan at a time, as `sim.road.SignalPlan.state_at` finds it."""
+    begin, end = programs.phase_first[plan], programs.phase_first[plan + 1]
+    into = (time_s - programs.offset_s[plan]) % programs.cycle_s[plan]
+    for phase in range(begin, end):
+        into -= programs.duration_s[phase]
+        if into < -1e-9:
+            return phase - begin
+    return 0
+
+
 @compiled
-def _block_crossing(
-    line: Any, width: float, xy: Any, heading: Any, speed: Any, rows: Any, centre: Any, half: Any,
-    state: Any,
-) -> None:  # fmt: skip
-    """Block the lanes of one crossing while pedestrians are in them or about to be.
+def _follow_programs(
+    lane: Any, plans_near: Any, seen: Any, time_s: Any, programs: Any, of_signal: Any, state: Any
+) -> None:
+    """Let the signals near drivers follow their programmes where these explain the past.
+
+    A frame shows the signals of its own time or, in some sources, of one step before.
+
+    Args:
+        lane: (n,) lane of each agent, -1: none.
+        plans_near: (L, W) plans that somebody on each lane may come to, -1 after the last.
+        seen: (S, T) signals in the last frames.
+        time_s: (T,) of these frames, s.
+        programs: the `SignalPrograms`.
+        of_signal: (4,) state of a stop constraint for each signal.
+        state: (S, H + 1) receives the states.
+    """
+    done = np.zeros(programs.cycle_s.size, np.bool_)
+    frames = time_s.size
+    for i in range(lane.size):
+        if lane[i] < 0:
+            continue
+        for w in range(plans_near.shape[1]):
+            plan = plans_near[lane[i], w]
+            if plan < 0:
+                break
+            if done[plan]:
+                continue
+            done[plan] = True
+            begin, end = programs.group_first[plan], programs.group_first[plan + 1]
+            size, states = end - begin, programs.state_first[plan]
+            known = size > 0
+            for g in range(begin, end):
+                known = known and programs.group[g] < seen.shape[0]
+            if not known:
+                continue
+            best, late = -1, 0.0
+            for lag in (0.0, STEP_S):
+                agree = 0
+                for t in range(frames):
+                    at = states + _phase(programs, plan, time_s[t] - lag) * size - begin
+                    for g in range(begin, end):
+                        agree += seen[programs.group[g], t] == programs.state[at + g]
+                if agree > best:
+                    best, late = agree, lag
+            if best / (frames * size) < AGREEMENT:
+                continue  # the signals follow another programme or another clock
+            now = time_s[frames - 1] - late
+            for h in range(state.shape[1]):
+                at = states + _phase(programs, plan, now + h * STEP_S) * size - begin
+                for g in range(begin, end):
+                    state[programs.group[g], h] = of_signal[programs.state[at + g]]
+
+
+def _crossings_ahead(history: Tracks, road: Road, graph: LaneGraph, state: StateArray) -> None:
+    """Block the places where lanes meet crossings on which somebody walks."""
+    walking = np.flatnonzero(history.kind == PEDESTRIAN)
+    if walking.size:
+        _block_crossings(
+            history.xy[walking, -1], history.heading[walking, -1], history.speed[walking, -1],
+            CrossingArrays.of(road), graph.cross_u, graph.width[graph.cross_lane] / 2, state,
+        )  # fmt: skip
+
+
+@compiled
+def _block_crossings(
+    xy: Any, heading: Any, speed: Any, crossings: Any, centre: Any, half: Any, state: Any
+) -> None:
+    """Block the lanes of crossings while pedestrians are in them or about to be.
 
     Pedestrians walk on at their present velocity. One blocks a lane while within its width, or
     walking towards it and at most `PEDESTRIAN_REACH_S` away.
 
     Args:
-        line: (P, 2) the crossing's centre line, m.
-        width: its width, m.
         xy: (p, 2) pedestrians, m.
         heading: (p,) rad.
         speed: (p,) m/s.
-        rows: (z,) rows of ``state`` that belong to it.
-        centre: (z,) where along the crossing each lane has its centre, m.
-        half: (z,) half of the lane's width, m.
+        crossings: the `CrossingArrays`.
+        centre: (Z,) where along its crossing each lane has its centre, m.
+        half: (Z,) half of the lane's width, m.
         state: (Z, H + 1) receives `STOP` where a lane is blocked.
     """
+    point_first, points = crossings.point_first, crossings.points
+    meet_first, meet = crossings.meet_first, crossings.meet
+    x0, y0, size, columns, rows, first, items = crossings.cells
     for p in range(len(xy)):
         x, y = xy[p, 0], xy[p, 1]
-        u, across, total = lane_search.along_at(line, x, y)
-        if not (abs(across) <= width / 2 + 1.0 and -0.5 < u < total + 0.5):
+        column, row = (x - x0) / size, (y - y0) / size
+        if not (column >= 0.0 and column < columns and row >= 0.0 and row < rows):
             continue
-        ahead, _, _ = lane_search.along_at(line, x + math.cos(heading[p]), y + math.sin(heading[p]))
-        pace = (ahead - u) * speed[p]
-        way = np.sign(pace)
-        for h in range(state.shape[1]):
-            at = u + pace * (h * STEP_S)
-            if not -0.5 < at < total + 0.5:
+        cell = int(row) * columns + int(column)
+        for k in range(first[cell], first[cell + 1]):
+            c = items[k]
+            line = points[point_first[c] : point_first[c + 1]]
+            u, across, total = lane_search.along_at(line, x, y)
+            beside = abs(across) <= crossings.width[c] / 2 + BESIDE_CROSSING_M
+            if not (beside and -BEYOND_CROSSING_M < u < total + BEYOND_CROSSING_M):
                 continue
-            for z in range(rows.size):
-                left = (centre[z] - at) * way
-                coming = left > 0 and left - half[z] <= abs(pace) * PEDESTRIAN_REACH_S
-                if coming or abs(centre[z] - at) <= half[z]:
-                    state[rows[z], h] = STOP
+            ahead, _, _ = lane_search.along_at(
+                line, x + math.cos(heading[p]), y + math.sin(heading[p])
+            )
+            pace = (ahead - u) * speed[p]
+            way = np.sign(pace)
+            for h in range(state.shape[1]):
+                at = u + pace * (h * STEP_S)
+                if not -BEYOND_CROSSING_M < at < total + BEYOND_CROSSING_M:
+                    continue
+                for m in range(meet_first[c], meet_first[c + 1]):
+                    z = meet[m]
+                    left = (centre[z] - at) * way
+                    coming = left > 0 and left - half[z] <= abs(pace) * PEDESTRIAN_REACH_S
+                    if coming or abs(centre[z] - at) <= half[z]:
+                        state[z, h] = STOP
 
 
-def _yields_ahead(
-    history: Tracks, paths: PathTable, lane: IntArray, s: FloatArray, path: IntArray,
-    signals: StateArray, entry_signal: IntArray,
-) -> StateArray:  # fmt: skip
-    """States of each yielding place: blocked while a vehicle with priority comes.
+@compiled
+def _block_yielding(
+    speed: Any, length: Any, lane: Any, s: Any, path: Any, paths: Any, foes: Any,
+    entry_signal: Any, signals: Any, state: Any,
+) -> None:  # fmt: skip
+    """Block yielding places while a vehicle with priority comes.
 
     Vehicles with priority keep their speed and take the given paths.
+
+    Args:
+        speed: (n,) m/s.
+        length: (n,) m.
+        lane: (n,) lane of each, -1: none.
+        s: (n,) distance along it, m.
+        path: (n,) path of each.
+        paths: the `graphrqi.predict.scene.paths.PathColumns`.
+        foes: columns of the `graphrqi.predict.scene.priority.Priority`: where the conflicts of each
+            lane begin, their yielding places, and where the movements cross, m.
+        entry_signal: (L,) signal group that guards entering each lane, -1: none.
+        signals: (S, H + 1) states of the signals.
+        state: (Y, H + 1) receives `STOP` where a place is blocked.
     """
-    places, steps = paths.yield_entry.size, signals.shape[1] - 1
-    first = np.where(paths.yield_entry, PREPARE_TO_STOP, PROCEED).astype(np.int8)[:, None]
-    state = np.repeat(first, steps + 1, axis=1)
-    time_s = np.arange(steps + 1) * STEP_S
-    rows = np.flatnonzero(lane >= 0)
-    if not rows.size or not places:
-        return state
-    chain, start = paths.lane[path[rows]], paths.start[path[rows]]
-    speed, length = history.speed[rows, -1], history.length[rows]
-    for place, foe, at in zip(paths.foe_place, paths.foe_lane, paths.foe_s, strict=True):
-        meets = chain == foe
-        who = np.flatnonzero(meets.any(axis=1))
-        if not who.size:
+    foe_first, foe_place, foe_s = foes
+    path_lane, path_start = paths.lane, paths.start
+    last = state.shape[1] - 1
+    for i in range(lane.size):
+        if lane[i] < 0 or not speed[i] > YIELD_TO_MPS:
             continue
-        where = meets[who].argmax(axis=1)
-        far = start[who, where] + at - s[rows[who]]
-        pace, size = np.maximum(speed[who], 0.5), length[who]
-        near = (far > -size) & (far < YIELD_WITHIN_M) & (speed[who] > 0.5)
-        arrive, leave = far / pace, (far + size) / pace
-        if entry_signal[foe] >= 0:
-            soon = np.clip(np.round(arrive / STEP_S).astype(np.int64), 0, steps)
-            near &= ~((signals[entry_signal[foe], soon] == STOP) & (where > 0))
-        busy = (arrive[:, None] - YIELD_BEFORE_S <= time_s) & (time_s <= leave[:, None])
-        state[place] = np.where((busy & near[:, None]).any(axis=0), STOP, state[place])
-    return state
+        q, pace = path[i], speed[i]
+        for k in range(path_lane.shape[1]):
+            on = path_lane[q, k]
+            if on < 0 or path_start[q, k] - s[i] >= YIELD_WITHIN_M:
+                break
+            before = False  # of a lane that comes twice the first time counts
+            for g in range(k):
+                before = before or path_lane[q, g] == on
+            if before:
+                continue
+            for f in range(foe_first[on], foe_first[on + 1]):
+                far = path_start[q, k] + foe_s[f] - s[i]
+                if not -length[i] < far < YIELD_WITHIN_M:
+                    continue
+                arrive, leave = far / pace, (far + length[i]) / pace
+                if entry_signal[on] >= 0 and k > 0:
+                    soon = min(max(int(np.rint(arrive / STEP_S)), 0), last)
+                    if signals[entry_signal[on], soon] == STOP:
+                        continue
+                for h in range(last + 1):
+                    if arrive - YIELD_BEFORE_S <= h * STEP_S <= leave:
+                        state[foe_place[f], h] = STOP

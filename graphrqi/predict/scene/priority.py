@@ -1,0 +1,190 @@
+"""Who yields to whom at junctions, and where their movements cross.
+
+Movements are compared only where their lanes come near each other, so the cost grows with the
+number of lanes and not with its square.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.road import Road
+from sim.road.cells import boxes_of, near_pairs
+from sim.road.lane_graph import CELL_M, DIRECTIONS, NEAR_M, LaneGraph
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+PAIRS_AT_ONCE: Final = 20_000
+"""Pairs of lanes that are compared at once, so that memory stays small on large roads."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Priority:
+    """The yielding places of a road, and the lanes of those that have priority there.
+
+    Attributes:
+        lane: (Y,) lane on which others have priority.
+        entry: (Y,) whether it is where a junction is entered.
+        foe_first: (L + 1,) where the conflicts of each lane with priority begin in the next two.
+        foe_place: (F,) yielding place that each conflict belongs to.
+        foe_s: (F,) distance along the lane with priority at which the two movements cross, m.
+    """
+
+    lane: IntArray
+    entry: BoolArray
+    foe_first: IntArray
+    foe_place: IntArray
+    foe_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Movements:
+    """The junction lanes: where each comes from and leads to, how it turns, whether it yields."""
+
+    lane: IntArray
+    origin: IntArray
+    target: IntArray
+    direction: IntArray
+    yields: BoolArray
+    entry: BoolArray
+
+
+def priority_of(road: Road, graph: LaneGraph) -> Priority:
+    """Find the yielding places of a road.
+
+    At signals turning vehicles yield; elsewhere the road says who does. A movement has priority
+    over a yielding one if it does not yield itself, or turns right where the other turns left.
+
+    Args:
+        road: the road.
+        graph: its lanes.
+    """
+    moves = _movements(road)
+    places = np.flatnonzero(moves.yields)
+    place, other = _may_conflict(road, moves, places)
+    one = places[place]
+    right, left = DIRECTIONS.index("right"), DIRECTIONS.index("left")
+    first = ~moves.yields[other]
+    first |= (moves.direction[other] == right) & (moves.direction[one] == left)
+    keep = first & (moves.origin[other] != moves.origin[one])
+    place, other, one = place[keep], other[keep], one[keep]
+    at = crossing_places(
+        [road.lanes[i].centerline for i in moves.lane.tolist()], np.stack([other, one], axis=1)
+    )
+    merges = np.isnan(at) & (moves.target[other] == moves.target[one])
+    at[merges] = graph.length[moves.lane[other[merges]]]
+    meets = ~np.isnan(at)
+    foe, place, at = moves.lane[other[meets]], place[meets], at[meets]
+    order = np.argsort(foe, kind="stable")
+    return Priority(
+        lane=moves.lane[places],
+        entry=moves.entry[places],
+        foe_first=np.searchsorted(foe[order], np.arange(len(road.lanes) + 1)),
+        foe_place=place[order],
+        foe_s=at[order],
+    )
+
+
+def _movements(road: Road) -> _Movements:
+    index = road.lane_index
+    ways: dict[int, tuple[int, int, int, bool]] = {}
+    entries: set[int] = set()
+    for connection in road.connections:
+        via = [index[v] for v in connection.via if v in index]
+        if not via or connection.from_lane not in index or connection.to_lane not in index:
+            continue
+        entries.add(via[0])
+        signalled = connection.signal >= 0
+        yields = connection.direction != "straight" if signalled else connection.must_yield
+        for lane in via:
+            ways[lane] = (
+                index[connection.from_lane],
+                index[connection.to_lane],
+                DIRECTIONS.index(connection.direction),
+                yields,
+            )
+    table = np.array(list(ways.values()), dtype=np.int64).reshape(-1, 4)
+    return _Movements(
+        lane=np.array(list(ways), dtype=np.int64),
+        origin=table[:, 0],
+        target=table[:, 1],
+        direction=table[:, 2],
+        yields=table[:, 3].astype(np.bool_),
+        entry=np.array([lane in entries for lane in ways], dtype=np.bool_),
+    )
+
+
+def _may_conflict(road: Road, moves: _Movements, places: IntArray) -> tuple[IntArray, IntArray]:
+    """Yielding places and movements that come near them or end on the same lane, in order."""
+    boxes = boxes_of([road.lanes[i].centerline for i in moves.lane.tolist()], NEAR_M)
+    near = near_pairs(boxes[places], boxes, CELL_M)
+    by_target = np.argsort(moves.target, kind="stable")
+    ordered = moves.target[by_target]
+    begin = np.searchsorted(ordered, moves.target[places])
+    count = np.searchsorted(ordered, moves.target[places], side="right") - begin
+    place = np.repeat(np.arange(places.size), count)
+    number = np.arange(place.size) - np.repeat(np.cumsum(count) - count, count)
+    same = by_target[np.repeat(begin, count) + number]
+    most = max(moves.lane.size, 1)
+    pairs = np.unique(
+        np.concatenate([near[:, 0] * most + near[:, 1], place * most + same]).astype(np.int64)
+    )
+    return pairs // most, pairs % most
+
+
+def crossing_places(lines: list[FloatArray], pairs: IntArray) -> FloatArray:
+    """Where lines cross others: the first place along the first line of each pair.
+
+    Args:
+        lines: (P, 2) points of each line, m.
+        pairs: (n, 2) which line crosses which other.
+
+    Returns:
+        (n,) distance along the first line, m; NaN where they do not cross.
+
+    Examples:
+        >>> lines = [np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[3.0, -1.0], [3.0, 1.0]])]
+        >>> crossing_places(lines, np.array([[0, 1]])).tolist()
+        [3.0]
+    """
+    parts = [
+        _crossing_places(lines, pairs[i : i + PAIRS_AT_ONCE])
+        for i in range(0, len(pairs), PAIRS_AT_ONCE)
+    ]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _crossing_places(lines: list[FloatArray], pairs: IntArray) -> FloatArray:
+    used, row = np.unique(pairs, return_inverse=True)
+    row = row.reshape(pairs.shape)
+    steps = [np.diff(lines[i], axis=0) for i in used.tolist()]
+    begin = np.concatenate([lines[i][:-1] for i in used.tolist()])
+    step = np.concatenate(steps)
+    length = np.hypot(step[:, 0], step[:, 1])
+    count = np.array([len(each) for each in steps])
+    first = np.cumsum(count) - count
+    before = np.concatenate([[0.0, *np.cumsum(part)[:-1]] for part in np.split(length, first[1:])])
+    one, other = row[:, 0], row[:, 1]
+    combined = count[one] * count[other]
+    pair = np.repeat(np.arange(len(pairs)), combined)
+    number = np.arange(pair.size) - np.repeat(np.cumsum(combined) - combined, combined)
+    a = first[one[pair]] + number // count[other[pair]]
+    c = first[other[pair]] + number % count[other[pair]]
+    gap = begin[c] - begin[a]
+    det = step[a, 0] * step[c, 1] - step[a, 1] * step[c, 0]
+    cross = np.abs(det) > 1e-9
+    det = np.where(cross, det, 1.0)
+    t = (gap[:, 0] * step[c, 1] - gap[:, 1] * step[c, 0]) / det
+    u = (gap[:, 0] * step[a, 1] - gap[:, 1] * step[a, 0]) / det
+    hit = np.flatnonzero(cross & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0))
+    which, at = np.unique(pair[hit], return_index=True)
+    hit = hit[at]
+    out = np.full(len(pairs), np.nan)
+    out[which] = before[a[hit]] + t[hit] * length[a[hit]]
+    return out
