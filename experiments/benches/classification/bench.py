@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,17 +27,21 @@ from experiments.benches.classification.protocols import (
     shipped,
     transductive,
 )
+from experiments.benches.classification.recorded import recorded_rows
 from experiments.benches.classification.recordings import MAIN_S, OURS, SCORED_S, Recordings
 from experiments.benches.classification.robustness import robustness
 from experiments.benches.classification.speed import speed_rows
 from experiments.benches.classification.worlds import AXES, Learned, worlds_rows
+from experiments.benches.classification.zero_shot import zero_shot_rows
 from experiments.benches.contract import Bench, option
+from experiments.benches.real_data import DATA_VARIABLE
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.data.worlds.episode import WorldsConfig
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS, Model, load_model
+from sim.store.catalogue import MANIFEST
 from sim.store.dataset import Dataset, open_dataset
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
@@ -57,7 +63,9 @@ class Settings:
     """How much data is made, and what is measured on it.
 
     Attributes:
-        data: a dataset to learn from and score on; None makes one.
+        data: a dataset to learn from and score on; None makes one. For ``zero-shot`` and
+            ``recorded`` a folder of recordings; None for what ``GRAPHRQI_DATA`` names.
+        model: a shipped model's name or a folder, which these two score.
         out: where datasets are made, and used again; None for a temporary folder.
         protocols: keys of ``PROTOCOLS``; () for all.
         jobs: processes; None for one per core.
@@ -68,6 +76,7 @@ class Settings:
         many: the same for the leak probe, whose interval needs episodes; None for the base.
         worlds: options of `WorldsConfig` for worlds that are left out in turn.
         sensed: the same as ``base`` for usual traffic that is seen by worse sensors.
+        recordings: most recordings of a place, and most videos; None for all.
         rates_hz: frame rates of these; keys of ``RATES_HZ``.
         axes: by what worlds are left out; keys of ``AXES``.
         traffic: which of ``TRAFFIC``.
@@ -76,7 +85,11 @@ class Settings:
         levels: of each disturbance; None for all.
     """
 
-    data: Path | None = option(None, "A dataset to learn and score on [default: one is made].")
+    data: Path | None = option(
+        None,
+        "A dataset to learn and score on [default: one is made]; zero-shot, recorded: recordings.",
+    )
+    model: str = option(OURS, "The model that zero-shot and recorded score.")
     out: Path | None = option(
         Path("runs/classification"), "Where datasets are made; those that are there are used."
     )
@@ -95,6 +108,7 @@ class Settings:
     )
     worlds: Mapping[str, Any] = field(default_factory=lambda: {"worlds": 200})
     sensed: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 4, "duration_s": 120.0})
+    recordings: int | None = None
     rates_hz: tuple[float, ...] = tuple(RATES_HZ)
     axes: tuple[str, ...] = tuple(AXES)
     traffic: tuple[str, ...] = tuple(TRAFFIC)
@@ -234,6 +248,37 @@ def _noise(data: Datasets) -> list[Row]:
     return noise_rows(models, data.sensed, settings.jobs, settings.levels)
 
 
+def _recordings(data: Datasets, protocol: str, inner: str) -> Path | None:
+    """The folder of recordings, or the one in it that a protocol is about; None without any."""
+    given = data.settings.data
+    if given is None and os.environ.get(DATA_VARIABLE):
+        given = Path(os.environ[DATA_VARIABLE])
+    if given is None or (given / MANIFEST).exists():
+        said = f"no --data and no {DATA_VARIABLE}" if given is None else f"a dataset in {given}"
+        print(f"{protocol} skipped: found {said}, expected recordings", file=sys.stderr)
+        return None
+    return given / inner if (given / inner).is_dir() else given
+
+
+def _zero_shot(data: Datasets) -> list[Row]:
+    folder = _recordings(data, "zero-shot", "traf")
+    settings = data.settings
+    return (
+        []
+        if folder is None
+        else zero_shot_rows(folder, settings.model, settings.jobs, settings.recordings)
+    )
+
+
+def _recorded(data: Datasets) -> list[Row]:
+    folder = _recordings(data, "recorded", "real")
+    settings = data.settings
+    if folder is None:
+        return []
+    places = recorded_rows(folder, settings.model, settings.jobs, settings.recordings)
+    return [row for rows in places for row in rows]
+
+
 PROTOCOLS: Final[dict[str, Callable[[Datasets], list[Row]]]] = {
     "shipped": _shipped,
     "inductive": _inductive,
@@ -248,6 +293,8 @@ PROTOCOLS: Final[dict[str, Callable[[Datasets], list[Row]]]] = {
     "robustness": lambda b: robustness(b.base, b.settings.main, b.settings.levels),
     "worlds": _worlds,
     "noise": _noise,
+    "zero-shot": _zero_shot,
+    "recorded": _recorded,
     "speed": lambda b: speed_rows(b.base, b.settings.main),
 }  # fmt: skip
 """What is measured, by name."""
@@ -320,6 +367,7 @@ BENCH: Final = Bench(
         many=None,
         worlds={"worlds": 5, "duration_s": 20.0},
         sensed={"episodes": 1, "duration_s": 20.0},
+        recordings=1,
         rates_hz=(10.0,),
         axes=("noise",),
         traffic=("dense flow",),
