@@ -56,6 +56,10 @@ SHIPPED: Final[dict[str, Geometry]] = {
         for control in CONTROLS
         if control != "traffic_light"
     },
+    "four_way_1": FourWayGeometry(lanes=1),
+    "four_way_3": FourWayGeometry(lanes=3),
+    "four_way_priority_2": FourWayGeometry(control="priority", lanes=2),
+    "four_way_right_before_left_2": FourWayGeometry(control="right_before_left", lanes=2),
     **{f"straight_road_{limit:g}_mps": StraightGeometry(limit_mps=limit) for limit in LIMITS_MPS},
     **{f"four_way_{limit:g}_mps": FourWayGeometry(limit_mps=limit) for limit in LIMITS_MPS},
 }

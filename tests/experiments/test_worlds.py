@@ -35,7 +35,9 @@ def test_many_worlds_hold_every_law_family_and_discipline():
     worlds = [draw_world(seed) for seed in range(400)]
     assert {w.law for w in worlds} == {*LAWS, "highway-env IDM", "highway-env Krauss"}
     assert {w.road.family for w in worlds} == set(FAMILIES)
-    assert {w.road.control for w in worlds} == {"", *JUNCTIONS}
+    assert {(w.road.control, w.road.lanes) for w in worlds if w.road.control} == {
+        (control, lanes) for control, nets in JUNCTIONS.items() for lanes in nets
+    }
     assert {w.sensor.found_as for w in worlds} == {"same", "new"}
     assert any(w.sensor.pixels_per_m for w in worlds)
     assert any(w.sensor.left_hand for w in worlds)

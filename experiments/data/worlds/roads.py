@@ -21,13 +21,13 @@ FAMILIES: Final[dict[str, float]] = {
 }
 """Chance of each family of roads."""
 
-JUNCTIONS: Final[dict[str, str]] = {
-    "traffic_light": "four_way_intersection",
-    "priority": "four_way_priority",
-    "right_before_left": "four_way_right_before_left",
-    "allway_stop": "four_way_allway_stop",
+JUNCTIONS: Final[dict[str, dict[int, str]]] = {
+    "traffic_light": {1: "four_way_1", 2: "four_way_intersection", 3: "four_way_3"},
+    "priority": {1: "four_way_priority", 2: "four_way_priority_2"},
+    "right_before_left": {1: "four_way_right_before_left", 2: "four_way_right_before_left_2"},
+    "allway_stop": {1: "four_way_allway_stop"},
 }
-"""The shipped net of each control of a junction."""
+"""The shipped net of each control of a junction, by lanes in each direction."""
 
 MOST_PRESENT: Final = 60.0
 """Flows are bounded so that about so many vehicles are on the road at once: more cost time and
@@ -73,11 +73,11 @@ class WorldRoad:
             return ramp_net(self.lanes, self.limit_mps, self.length_m)
         if self.family == "two-way" and self.lanes in (1, 2):
             return limited_net(f"two_way_{self.lanes}_plain", self.limit_mps)
-        if self.family == "junction" and self.control in JUNCTIONS:
-            return limited_net(JUNCTIONS[self.control], self.limit_mps)
+        if self.family == "junction" and self.lanes in JUNCTIONS.get(self.control, {}):
+            return limited_net(JUNCTIONS[self.control][self.lanes], self.limit_mps)
         raise InputError(
-            f"road: found {self.family} {self.control}, expected one of "
-            f"{', '.join(FAMILIES)}, a junction with one of {', '.join(JUNCTIONS)}"
+            f"road: found {self.family} {self.control} with {self.lanes} lanes, expected one of "
+            f"{', '.join(FAMILIES)}, a junction with one of {', '.join(JUNCTIONS)} and few lanes"
         )
 
     def flows(self) -> tuple[RouteFlow, ...]:
@@ -112,14 +112,15 @@ def draw_road(rng: np.random.Generator) -> WorldRoad:
     if family == "junction":
         control = str(rng.choice(list(JUNCTIONS)))
         signals = control == "traffic_light"
+        lanes = int(rng.choice(list(JUNCTIONS[control])))
         limit = float(rng.uniform(20.0, 70.0)) / 3.6
         return WorldRoad(
             family=family,
             control=control,
-            lanes=2 if signals else 1,
+            lanes=lanes,
             limit_mps=round(limit, 2),
             length_m=500.0,
-            flow=round(400.0 + 1400.0 * level if signals else 200.0 + 550.0 * level),
+            flow=round((200.0 + 700.0 * level) * lanes if signals else 200.0 + 550.0 * level),
             pedestrians_per_h=float(rng.choice((0.0, 0.0, 120.0, 300.0))),
             ramp_share=0.0,
         )
