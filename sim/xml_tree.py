@@ -25,7 +25,8 @@ some 2, a city district's map some 20)."""
 MAX_MARKS: Final = 6_000_000
 """Most ``<`` and ``=`` in such a file (our choice): each makes an object of some 100 bytes."""
 
-_DECLARED: Final = re.compile(rb"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
+DECLARED: Final = re.compile(rb"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
+"""A declaration that XML files of ours never have: an entity can stand for any amount of text."""
 _ENCODING: Final = re.compile(rb"""<\?xml[^>]{0,200}?encoding\s*=\s*["']([^"']{1,40})["']""")
 _ENCODINGS: Final = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1")
 
@@ -45,7 +46,7 @@ def read_tree(path: Path) -> ET.Element:
     data = read_bytes(path)
     if data.count(b"<") + data.count(b"=") > MAX_MARKS:
         raise InputError(f"{path}: found more than {MAX_MARKS} elements and attributes")
-    if _DECLARED.search(data):
+    if DECLARED.search(data):
         raise InputError(f"{path}: found a document type or entity declaration, expected none")
     encoding = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf").lstrip()[:300])
     if b"\0" in data or (encoding and encoding.group(1).lower() not in _ENCODINGS):

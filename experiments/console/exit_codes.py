@@ -5,7 +5,9 @@ Only what every program needs is imported here, so that help appears at once.
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final, NoReturn
@@ -14,6 +16,9 @@ from typer.exceptions import TyperException
 
 STOPPED: Final = 130
 """Exit code of a program that Ctrl-C stopped: 128 plus the signal's number, as in shells."""
+
+ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+"""Other signals that stop a program as Ctrl-C does: what it was writing is cleared away."""
 
 
 class Interrupted(Exception):
@@ -24,20 +29,48 @@ class Interrupted(Exception):
 def exit_on_user_error() -> Iterator[None]:
     """Turn errors that the user made into one line on stderr and exit code 2, Ctrl-C into 130.
 
+    SIGTERM and SIGHUP stop the program in the same way, with the exit codes 143 and 129.
+
     Raises:
         SystemExit: instead of an `InputError`, an `OSError` with a reason given by the system, a
             wrong command line, an `Interrupted` or a `KeyboardInterrupt`. Any other exception is a
             defect of the program and keeps its traceback.
     """
+    received: list[int] = []
     try:
-        yield
+        with _stopping(received):
+            yield
     except (Interrupted, KeyboardInterrupt) as stop:
-        _end(str(stop) or "stopped: run the same command again to go on", STOPPED)
+        code = 128 + received[0] if received else STOPPED
+        _end(str(stop) or "stopped: run the same command again to go on", code)
     except (TyperException, ValueError, OSError) as error:
         reason = _reason(error)
         if reason is None:
             raise
         _end(f"error: {reason}", 2)
+
+
+@contextmanager
+def _stopping(received: list[int]) -> Iterator[None]:
+    """In the block, `ENDING` signals raise KeyboardInterrupt, once; those ignored stay ignored."""
+
+    def stop(number: int, frame: object) -> NoReturn:
+        received.append(number)
+        for one in handled:  # a second one does not disturb the clearing
+            signal.signal(one, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    in_main = threading.current_thread() is threading.main_thread()
+    handled = [
+        one for one in ENDING if in_main and signal.getsignal(one) is signal.SIG_DFL
+    ]  # under nohup SIGHUP is ignored
+    for one in handled:
+        signal.signal(one, stop)
+    try:
+        yield
+    finally:
+        for one in handled:
+            signal.signal(one, signal.SIG_DFL)
 
 
 def _end(message: str, code: int) -> NoReturn:

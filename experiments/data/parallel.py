@@ -22,6 +22,7 @@ def start_worker(parent: int) -> None:
         parent: process id of the run that the worker belongs to.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import xml.sax
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,7 @@ import numpy as np
 from behaviors.errors import InputError
 from sim.frames import Signal
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
+from sim.xml_tree import DECLARED, read_bytes
 
 _DIRECTIONS: Final = {
     "s": "straight",
@@ -43,6 +45,21 @@ YIELDING_STATES: Final = frozenset("msw=")
 
 STOPPING_STATES: Final = frozenset("sw")
 """Link states of connections with a stop sign."""
+
+
+MAX_NET_BYTES: Final = 2**28
+"""Largest net that is read, unpacked (our choice: 256 MiB; a district of a city has some 20)."""
+
+MAX_COORDINATE_M: Final = 1e9
+MAX_WIDTH_M: Final = 1000.0
+MAX_LENGTH_M: Final = 1e7
+"""Largest coordinate, width and length of all lanes together (our choice, as of other maps)."""
+
+_BROKEN: Final = (
+    xml.sax.SAXException, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
+    OSError, RuntimeError, TypeError, ValueError, zlib.error,
+)  # fmt: skip
+"""What sumolib raises on a broken net."""
 
 
 def signal_code(letter: str) -> int:
@@ -78,38 +95,72 @@ def read_road(path: str | Path, name: str | None = None) -> Road:
 @functools.lru_cache(maxsize=16)
 def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
     """The road in a net's file: read once as long as the file stays as it is."""
+    data = read_bytes(source, MAX_NET_BYTES)
+    if DECLARED.search(data.replace(b"\0", b"")):
+        raise InputError(f"{source}: found a document type or entity declaration, expected none")
+    try:
+        road = _road(source, name)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
+    except _BROKEN as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"{source}: found a broken file, expected a SUMO net ({reason:.200})"
+        ) from None
+    _check(source, road)
+    return road
+
+
+def _road(source: Path, name: str | None) -> Road:
     import sumolib
 
-    try:
-        net = sumolib.net.readNet(
-            str(source), withInternal=True, withPedestrianConnections=True, withPrograms=True
-        )
-    except (xml.sax.SAXException, KeyError, ValueError, AttributeError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{source}: expected a SUMO net, found a broken file: {reason}") from None
+    net = sumolib.net.readNet(
+        str(source), withInternal=True, withPedestrianConnections=True, withPrograms=True
+    )
     lanes = tuple(_lane(lane, edge) for edge in _edges(net) for lane in edge.getLanes())
     if not any(lane.cars for lane in lanes):
-        raise InputError(f"{source}: found no drivable lane, expected at least one")
-    try:
-        plans, groups, group_of = _signals(net)
-        connections, crossings = (
-            tuple(_connections(net, group_of)),
-            tuple(_crossings(net, group_of)),
-        )
-    except (KeyError, ValueError, IndexError, AttributeError) as error:
-        reason = f"{type(error).__name__} {' '.join(str(error).split())}"
-        raise InputError(
-            f"{source}: expected signals and connections, found broken ones: {reason}"
-        ) from None
+        raise InputError("found no drivable lane, expected at least one")
+    plans, groups, group_of = _signals(net)
     return Road(
         name=name if name is not None else source.name.split(".")[0],
         lanes=lanes,
-        connections=connections,
-        crossings=crossings,
+        connections=tuple(_connections(net, group_of)),
+        crossings=tuple(_crossings(net, group_of)),
         signal_groups=groups,
         source=source.resolve(),
         signal_plans=plans,
     )
+
+
+def _check(source: Path, road: Road) -> None:
+    """Refuse a net whose numbers or references make no road."""
+
+    def require(holds: bool, what: str, found: object, expected: str) -> None:
+        if not holds:
+            raise InputError(f"{source}: {what}: found {found}, expected {expected}")
+
+    lanes = {lane.id for lane in road.lanes}
+    require(len(lanes) == len(road.lanes), "lanes", "an id twice", "each id once")
+    total_m = 0.0
+    for part in (*road.lanes, *road.crossings):
+        what = f"{'crossing' if isinstance(part, Crossing) else 'lane'} {part.id!r:.60}"
+        line, width = part.centerline, part.width_m
+        require(len(line) >= 2, what, f"{len(line)} points", "2 or more")
+        near = bool((np.abs(line) <= MAX_COORDINATE_M).all())
+        require(near, what, "a point that is not finite or too far away", "metres")
+        require(0 < width <= MAX_WIDTH_M, what, f"width {width}", f"up to {MAX_WIDTH_M:g} m")
+        total_m += float(np.hypot(*np.diff(line, axis=0).T).sum())
+    require(total_m <= MAX_LENGTH_M, "lanes", f"{total_m:.3g} m", f"at most {MAX_LENGTH_M:g}")
+    for lane in road.lanes:
+        limit = lane.speed_limit_mps
+        require(0 <= limit < np.inf, f"lane {lane.id!r:.60}", f"speed {limit}", "m/s")
+    for link in road.connections:
+        for lane_id in (link.from_lane, *link.via, link.to_lane):
+            require(lane_id in lanes, "connection", f"lane {lane_id!r:.60}", "a lane of the net")
+    for plan in road.signal_plans:
+        durations = np.array([*plan.duration_s, plan.offset_s])
+        fits = np.isfinite(durations).all() and (durations[:-1] >= 0).all() and sum(durations[:-1])
+        require(bool(fits), f"signals {plan.id!r:.60}", "broken durations", "seconds")
 
 
 def _edges(net: Any) -> list[Any]:
@@ -213,6 +264,8 @@ def _connections(net: Any, group_of: dict[tuple[str, int], int]) -> list[Connect
         via = []
         at = link.getViaLaneID()
         while at:
+            if str(at) in via:
+                raise InputError(f"lane {str(at)!r:.60}: found a way that leads back to it")
             via.append(str(at))
             at = net.getLane(at).getOutgoing()[0].getViaLaneID()
         found.append(

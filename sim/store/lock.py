@@ -12,20 +12,30 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
+from sim.store.atomic import PARTIAL_PREFIX
 
 LOCK: Final = ".lock"
 """Name of the lock file. It exists only while a run writes, and names that run."""
 
 
+FILLING: Final = "filling a new folder"
+"""The purpose of runs that begin anew when they are killed."""
+
+OWN: Final = frozenset({"episodes", "roads", "manifest.json", "README.md"})
+"""What a run writes into a dataset's folder."""
+
+
 @contextmanager
-def sole_writer(folder: Path) -> Iterator[None]:
+def sole_writer(folder: Path, purpose: str = "writing") -> Iterator[str]:
     """Hold a folder for writing; the operating system releases it when the process ends.
 
     Args:
         folder: what to hold; created if need be.
+        purpose: what the run does, for its lock file.
 
     Yields:
-        Nothing; the folder is held inside the block.
+        What the lock file of a run that was killed here says; "" where none was. The folder is
+        held inside the block.
 
     Raises:
         InputError: if another process holds it, or the path is not a folder.
@@ -47,20 +57,31 @@ def sole_writer(folder: Path) -> Iterator[None]:
                 "wait for its end or choose another folder"
             ) from None
         if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
+            left = os.pread(descriptor, 200, 0).decode(errors="replace")
             os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
+            holder = f"process {os.getpid()} on {socket.gethostname()}, {purpose}"
+            os.pwrite(descriptor, holder.encode(), 0)
             break
         os.close(descriptor)  # the holder before us removed the file that we opened
     try:
-        yield
+        yield left
     finally:
         path.unlink(missing_ok=True)
         os.close(descriptor)
 
 
+def _remove_own(folder: Path) -> None:
+    """Remove what a run writes into a dataset's folder; others' files stay."""
+    for child in folder.iterdir():
+        if child.name in OWN or child.name.startswith(PARTIAL_PREFIX):
+            shutil.rmtree(child) if child.is_dir() else child.unlink()
+
+
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
     """Hold a new or empty folder for writing; an error in the block leaves it as it was.
+
+    What a run that was killed while it filled the folder left there is removed first.
 
     Args:
         folder: what to hold; created if need be.
@@ -75,7 +96,9 @@ def new_folder(folder: Path) -> Iterator[None]:
     """
     existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
     try:
-        with sole_writer(folder):
+        with sole_writer(folder, FILLING) as left:
+            if left.endswith(FILLING):
+                _remove_own(folder)
             if any(child.name != LOCK for child in folder.iterdir()):
                 raise InputError(f"{folder}: found something there, expected a new or empty folder")
             try:

@@ -1,0 +1,86 @@
+"""A stopped command clears away what it was writing; one that was killed can be run again."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments.data.exchange import import_recordings
+from sim.store.lock import LOCK, new_folder
+
+FCD = '<timestep time="{t}"><vehicle id="a" x="{t}" y="0" angle="90" speed="1"/></timestep>'
+
+STOPPED_INSIDE = """
+import sys, time
+from pathlib import Path
+from experiments.console.exit_codes import exit_on_user_error
+from sim.store.atomic import whole_file, whole_folder
+from sim.store.lock import new_folder
+
+folder = Path(sys.argv[1])
+with exit_on_user_error(), new_folder(folder), whole_file(folder / "file") as file:
+    with whole_folder(folder / "part") as part:
+        file.write_text("half")
+        (part / "x").write_text("half")
+        print("writing", flush=True)
+        time.sleep(60)
+"""
+
+
+def stopped(number: int, folder: Path, script: str = STOPPED_INSIDE) -> tuple[int, str]:
+    """Exit code and message of a program that a signal stopped while it was writing."""
+    with subprocess.Popen(
+        [sys.executable, "-c", script, folder], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True,
+    ) as run:  # fmt: skip
+        assert run.stdout is not None
+        assert run.stderr is not None
+        assert run.stdout.readline() == "writing\n"
+        run.send_signal(number)
+        return run.wait(20), run.stderr.read()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_stopped_program_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) -> None:
+    code, message = stopped(number, tmp_path / "new")
+    assert code == 128 + number
+    assert message == "graphrqi: stopped: run the same command again to go on\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_ignores_a_hangup_goes_on_ignoring_it(tmp_path: Path) -> None:
+    script = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + STOPPED_INSIDE
+    script = script.replace("time.sleep(60)", "time.sleep(2)")
+    code, message = stopped(signal.SIGHUP, tmp_path / "new", script)
+    assert (code, message) == (0, "")
+    assert (tmp_path / "new" / "file").read_text() == "half"
+
+
+def test_an_import_that_was_killed_can_be_run_again(tmp_path: Path) -> None:
+    source = tmp_path / "a.xml"
+    source.write_text(f"<fcd-export>{''.join(FCD.format(t=t) for t in range(5))}</fcd-export>")
+    whole = tmp_path / "whole"
+    import_recordings(source, whole, quiet=True)
+    killed = tmp_path / "killed"
+    script = STOPPED_INSIDE.replace('"part"', '"episodes"').replace("exit_on_user_error(), ", "")
+    assert stopped(signal.SIGKILL, killed, script)[0] == -signal.SIGKILL
+    assert (killed / LOCK).exists()
+    assert any(child.name.startswith(".partial-") for child in killed.iterdir())
+    import_recordings(source, killed, quiet=True)
+    files = {path.relative_to(whole) for path in whole.rglob("*") if path.is_file()}
+    assert files == {path.relative_to(killed) for path in killed.rglob("*") if path.is_file()}
+    assert all((whole / file).read_bytes() == (killed / file).read_bytes() for file in files)
+
+
+def test_files_of_others_are_not_removed(tmp_path: Path) -> None:
+    folder = tmp_path / "killed"
+    script = STOPPED_INSIDE.replace("exit_on_user_error(), ", "")
+    stopped(signal.SIGKILL, folder, script)
+    (folder / "mine.txt").write_text("kept")
+    with pytest.raises(ValueError, match="found something there"), new_folder(folder):
+        pass
+    assert (folder / "mine.txt").read_text() == "kept"
