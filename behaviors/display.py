@@ -25,6 +25,23 @@ def html_table(caption: str, header: Sequence[object], rows: Iterable[Sequence[o
     return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
 
 
+def printable(text: str) -> str:
+    r"""Text that does nothing to a terminal: what is not printable is spelt as an escape.
+
+    Ids and file names come from outside. Raw, their control characters could clear the screen, or
+    begin a line that looks like a program's own.
+
+    Examples:
+        >>> printable("car\x1b[2J\n7 done")
+        'car\\x1b[2J\\n7 done'
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        one if one.isprintable() else one.encode("unicode_escape").decode() for one in text
+    )
+
+
 def counted(count: int, noun: str) -> str:
     """A count and its noun, in the plural unless the count is 1.
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from behaviors.display import printable
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from scenarios import get_scenario
@@ -149,10 +150,12 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         agents = sample_agents(scenario, options.seed)
         summary = _run(scenario, agents, options, given)
     except OSError as error:
-        sys.stderr.write(f"scenarios.{name}: error: {options.out}: {error.strerror}\n")
+        sys.stderr.write(
+            f"scenarios.{name}: error: {printable(str(options.out))}: {error.strerror}\n"
+        )
         return 2
     except InputError as error:
-        sys.stderr.write(f"scenarios.{name}: error: {error}\n")
+        sys.stderr.write(f"scenarios.{name}: error: {printable(str(error))}\n")
         return 2
     sys.stdout.write("\n".join([f"scenario: {name}", *summary.lines(agents)]) + "\n")
     return 0

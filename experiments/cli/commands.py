@@ -31,7 +31,7 @@ from experiments.cli.options import (
 )
 from experiments.cli.what_if import what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
-from experiments.console.notices import LOGGER, show_notices
+from experiments.console.notices import LOGGER, say, show_notices
 
 app = typer.Typer(
     name="graphrqi",
@@ -166,7 +166,7 @@ def generate(
     )
     manifest = make(chosen, out, jobs, quiet, read_cluster(config, cluster))
     steps = sum(e.agent_steps for e in manifest.episodes)
-    typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
+    say(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
 
 
 @app.command(epilog="example: graphrqi train data --method graphrqi-plus --out model")
@@ -192,7 +192,7 @@ def train(
         write_json(rows, json)
     if str(json) == "-":
         return
-    typer.echo(f"{out}: {method} trained on {dataset}")
+    say(f"{out}: {method} trained on {dataset}")
     if rows:
         show_table(scores_table(rows), title=f"after 10 s of observation, {rows[0]['split']} split")
     else:
@@ -274,7 +274,7 @@ def predict(
             # The challenge's own test recordings end where the futures begin.
             if submission is None or out is not None or json is not None:
                 raise
-            typer.echo(f"graphrqi: not scored: {reason}", err=True)
+            say(f"graphrqi: not scored: {reason}", err=True)
         else:
             if json is not None:
                 write_json(rows, json)
@@ -341,7 +341,7 @@ def replay(
         picture=picture,
     )  # fmt: skip
     for path in write_replay(source, out, options, quiet):
-        typer.echo(path)
+        say(str(path))
 
 
 app.command(
@@ -366,9 +366,9 @@ def report(
     from experiments.report import write_comparison, write_report
 
     for run in runs:
-        typer.echo(write_report(run, jobs, quiet))
+        say(str(write_report(run, jobs, quiet)))
     if len(runs) > 1:
-        typer.echo(write_comparison(runs, out))
+        say(str(write_comparison(runs, out)))
 
 
 @app.command("import", epilog="example: graphrqi import recordings --format ngsim --out data")
@@ -388,7 +388,7 @@ def import_(
 
     manifest = import_recordings(source, out, format, net, quiet=quiet, types=types)
     steps = sum(e.agent_steps for e in manifest.episodes)
-    typer.echo(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
+    say(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
 
 
 @app.command(epilog="example: graphrqi export data --format argoverse2 --out exported")
@@ -410,7 +410,7 @@ def export(
     from experiments.data.exchange import export_dataset
 
     written = export_dataset(dataset, out, format, quiet)
-    typer.echo(f"{out}: {len(written)} written")
+    say(f"{out}: {len(written)} written")
 
 
 @app.command(epilog="example: graphrqi verify data --repair")
@@ -429,10 +429,10 @@ def verify(
     if flaws or json is not None:
         show_table([{"file": str(f.path), "state": f.state} for f in flaws], json)
     if flaws:
-        typer.echo(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
+        say(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
         raise typer.Exit(2)
     if json is None:
-        typer.echo(f"{dataset}: every file is as its manifest says")
+        say(f"{dataset}: every file is as its manifest says")
 
 
 app.add_typer(
@@ -461,7 +461,7 @@ def doctor(json: Json = None) -> None:
     show_table([finding.row for finding in findings], json)
     broken = [finding for finding in findings if finding.state == "broken"]
     if broken:
-        typer.echo(f"graphrqi: error: {broken[0].what}: {broken[0].found}", err=True)
+        say(f"graphrqi: error: {broken[0].what}: {broken[0].found}", err=True)
         raise typer.Exit(2)
 
 

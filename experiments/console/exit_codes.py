@@ -74,7 +74,9 @@ def _stopping(received: list[int]) -> Iterator[None]:
 
 
 def _end(message: str, code: int) -> NoReturn:
-    sys.stderr.write(f"graphrqi: {' '.join(message.split())}\n")
+    from behaviors.display import printable  # which imports numpy
+
+    sys.stderr.write(f"graphrqi: {printable(' '.join(message.split()))}\n")
     raise SystemExit(code) from None
 
 

@@ -18,8 +18,22 @@ class _OnStderr(logging.Handler):
     """Writes to whatever stderr is at that moment."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        sys.stderr.write(f"graphrqi: {record.getMessage()}\n")
+        from behaviors.display import printable  # which imports numpy
+
+        sys.stderr.write(f"graphrqi: {printable(record.getMessage())}\n")
         sys.stderr.flush()
+
+
+def say(text: str, err: bool = False) -> None:
+    """Print a line about the user's files; nothing in their names reaches the terminal raw.
+
+    Args:
+        text: the line.
+        err: whether it goes to stderr.
+    """
+    from behaviors.display import printable
+
+    print(printable(text), file=sys.stderr if err else sys.stdout)
 
 
 def show_notices(quiet: bool = False, verbose: bool = False) -> None:

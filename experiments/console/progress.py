@@ -7,6 +7,8 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Final
 
+from behaviors.display import printable
+
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import TaskID
@@ -83,7 +85,7 @@ class Progress:
             words = self._words()
             told = f" ({words})" if words else ""
             of = f" of {self._total}" if self._total else ""
-            print(f"{self._what}: {self._done}{of}{told}", file=sys.stderr, flush=True)
+            print(f"{printable(self._what)}: {self._done}{of}{told}", file=sys.stderr, flush=True)
 
     def _words(self) -> str:
         """Agents, rate and time left."""

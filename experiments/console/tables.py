@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from behaviors.display import printable
 from experiments.rows import Cell, Row, write_json
 
 
@@ -44,9 +45,9 @@ def print_table(columns: Sequence[str], lines: Sequence[Sequence[str]], title: s
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(*columns, title=title or None)
+    table = Table(*map(printable, columns), title=printable(title) or None)
     for line in lines:
-        table.add_row(*line)
+        table.add_row(*map(printable, line))
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:
         console = Console(highlight=False, markup=False, width=200)

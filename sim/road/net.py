@@ -142,7 +142,8 @@ def _check(source: Path, road: Road) -> None:
     lanes = {lane.id for lane in road.lanes}
     require(len(lanes) == len(road.lanes), "lanes", "an id twice", "each id once")
     total_m = 0.0
-    for part in (*road.lanes, *road.crossings):
+    parts: tuple[Lane | Crossing, ...] = (*road.lanes, *road.crossings)
+    for part in parts:
         what = f"{'crossing' if isinstance(part, Crossing) else 'lane'} {part.id!r:.60}"
         line, width = part.centerline, part.width_m
         require(len(line) >= 2, what, f"{len(line)} points", "2 or more")
