@@ -8,12 +8,14 @@ driven, not in what was planned.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.driver_models import krauss_safe_speed
 from behaviors.labels import BEHAVIORS
@@ -21,10 +23,11 @@ from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import bootstrap, ratio
+from graphrqi.methods import Model, load_model
 from graphrqi.predict.planner import ACT_S, Plan, plan
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.scene.scene import make_scene
-from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, load_stream
+from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, BehaviorStream
 from sim.episode.buffer import FrameBuffer
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
@@ -68,6 +71,12 @@ METRICS: Final = (
 """What is measured of an episode."""
 
 
+@functools.lru_cache(maxsize=2)
+def _model(name: str) -> Model:
+    """A classifier, read once."""
+    return load_model(name)
+
+
 class BeliefTracker:
     """Sees every frame of an environment, and remembers and, if asked to, classifies what it saw.
 
@@ -83,7 +92,7 @@ class BeliefTracker:
         self._begin()
 
     def _begin(self) -> None:
-        self.stream = None if self.model is None else load_stream(self.model)
+        self.stream = None if self.model is None else BehaviorStream(_model(self.model))
         self.buffer = FrameBuffer(HISTORY_STEPS)
         self.frames: list[Frame] = []
 
@@ -134,6 +143,57 @@ def safe_accel(frame: Frame, road: Road, me: int) -> float:
     return (safe - speed) / EMERGENCY_S
 
 
+class PlannedEgo:
+    """The planner at the wheel, told nothing, beliefs or the truth of everybody else.
+
+    Args:
+        arm: one of `ARMS`.
+        tracker: has seen every frame of the environment; the last one is the present.
+        truth: code of the true behaviour by agent id.
+        road: where it is.
+        ego_id: agent id of the vehicle that is driven.
+
+    Attributes:
+        right: for each belief so far whether it was the truth.
+    """
+
+    def __init__(
+        self, arm: str, tracker: BeliefTracker, truth: Mapping[int, int], road: Road, ego_id: int
+    ) -> None:
+        self._arm, self._tracker, self._truth = arm, tracker, truth
+        self._road, self._ego_id = road, ego_id
+        self._current: Plan | None = None
+        self._next_s = 0.0
+        self.right: list[float] = []
+
+    def action(self, time_s: float) -> NDArray[np.float32]:
+        """(2,) acceleration and steering for highway-env's ``ContinuousAction``.
+
+        Args:
+            time_s: since the vehicle entered, s; a new plan is made every `ACT_S`.
+        """
+        frame = self._tracker.frames[-1]
+        row = np.flatnonzero(frame.ids == self._ego_id)
+        if time_s >= self._next_s - 1e-6 and row.size:
+            beliefs, hits = _beliefs(self._arm, self._tracker, frame, self._truth)
+            self.right += hits
+            history = self._tracker.buffer.tracks()
+            planned = _planned(history, self._road, self._ego_id, beliefs)
+            self._current = planned or self._current
+            self._next_s = time_s + ACT_S
+        action = np.zeros(2, dtype=np.float32)
+        if self._current is not None and row.size:
+            me = int(row[0])
+            turn = steering(
+                self._current, frame.xy[me], float(frame.heading[me]), float(frame.speed[me]),
+                float(frame.length[me]),
+            )  # fmt: skip
+            accel = min(self._current.accel, safe_accel(frame, self._road, me))
+            action[0] = accel / MOST_ACCEL_MPS2
+            action[1] = -turn / (math.pi / 4)  # highway-env's y points to the right
+        return np.clip(action, -1.0, 1.0)
+
+
 def drive(
     scenario: str, arm: str, seed: int, model: str = DEFAULT_MODEL,
     changes: Mapping[str, float] | None = None,
@@ -167,33 +227,14 @@ def drive(
     truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
     ego_id = max((a.id for a in agents), default=-1) + 1
     road: Road = inner.scenario.road
+    ego = PlannedEgo(arm, tracker, truth, road, ego_id)
     begun = len(tracker.frames)
     counts = {"env_near_misses": 0, "collisions": 0, "red_runs": 0}
     arrived = False
-    right: list[float] = []
-    current: Plan | None = None
-    next_s = 0.0
     ended = cut = False
     time_s = 0.0
     while not (ended or cut):
-        frame = tracker.frames[-1]
-        row = np.flatnonzero(frame.ids == ego_id)
-        if time_s >= next_s - 1e-6 and row.size:
-            beliefs, hits = _beliefs(arm, tracker, frame, truth)
-            right += hits
-            current = _planned(tracker.buffer.tracks(), road, ego_id, beliefs) or current
-            next_s = time_s + ACT_S
-        action = np.zeros(2, dtype=np.float32)
-        if current is not None and row.size:
-            me = int(row[0])
-            turn = steering(
-                current, frame.xy[me], float(frame.heading[me]), float(frame.speed[me]),
-                float(frame.length[me]),
-            )  # fmt: skip
-            accel = min(current.accel, safe_accel(frame, road, me))
-            action[0] = accel / MOST_ACCEL_MPS2
-            action[1] = -turn / (math.pi / 4)  # highway-env's y points to the right
-        _, _, ended, cut, info = env.step(np.clip(action, -1.0, 1.0))
+        _, _, ended, cut, info = env.step(ego.action(time_s))
         time_s = info["time_s"]
         counts["env_near_misses"] += info["near_misses"]
         counts["collisions"] += info["collisions"]
@@ -211,7 +252,7 @@ def drive(
         "mean_speed_mps": float(np.nanmean(driven.speed[me])),
         "arrived": float(arrived),
         "time_to_goal_s": float(time_s) if arrived else float("nan"),
-        "label_accuracy": float(np.mean(right)) if right else float("nan"),
+        "label_accuracy": float(np.mean(ego.right)) if ego.right else float("nan"),
     }
 
 

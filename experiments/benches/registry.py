@@ -22,6 +22,8 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "prediction": "experiments.benches.prediction.bench:BENCH",
         "navigation": "experiments.benches.navigation:BENCH",
         "loop": "experiments.benches.loop:BENCH",
+        "branches": "experiments.benches.branches:BENCH",
+        "drive": "experiments.benches.drive.bench:BENCH",
     },
 )
 """Every bench; its module is imported when it is asked for."""

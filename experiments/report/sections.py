@@ -90,6 +90,22 @@ LAYOUTS: Final[dict[str, Layout]] = {
         "Means per episode of an ego vehicle that knows nothing, beliefs or the truth of others; "
         "differences are paired by seed.",
     ),
+    "drive": Layout(
+        "Licence test", ("scenario", "crowd"), ("policy",), ("metric",),
+        ("rank", "score", "score_minus_diverse", "collisions", "collisions_caused", "near_misses",
+         "rules_broken", "progress", "uncomfortable_share", "swapped_pairs", "best_differs"),
+        "graphrqi bench drive",
+        "Means per episode; everybody departs alike in every crowd, and differences are paired by "
+        "seed. Score: 0 after a collision that the policy caused or off the road, otherwise "
+        "progress, no near miss, no rule broken and comfort. Among clones (homogeneous), "
+        "score_minus_diverse says by how much they flatter a policy, swapped_pairs how many pairs "
+        "of policies they rank the other way than drivers of every kind do (mixed), and "
+        "best_differs how often the best one is another when episodes are drawn again.",
+    ),
+    "branches": Layout(
+        "Exact branches", (), ("scenario",), ("metric",), (), "graphrqi bench branches",
+        "Branches of a running episode beside the episode itself.",
+    ),
     "highway": Layout(
         "The highway-env engine", (), ("cars", "road"), ("metric",), (),
         "graphrqi bench highway", "Its speed beside that of the stock road.",

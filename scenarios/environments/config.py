@@ -69,7 +69,7 @@ class TrafficConfig(BaseModel):
         }
     )
     """highway-env's "DiscreteMetaAction", "DiscreteAction" or "ContinuousAction" as ``type``, with
-    its options."""
+    its options; or "StockDriver": highway-env's IDM and MOBIL drive, whatever the action."""
 
     flow: Annotated[str | float, SkipValidation] = "medium"
     """Traffic: "light", "medium", "dense" or vehicles per hour."""

@@ -47,7 +47,7 @@ from sim.highway.network import LaneIndex
 from sim.highway.state import agent_of
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
-from sim.scenario import sample_agents
+from sim.scenario import AgentSpec, sample_agents
 
 NEAR_MISS_S: Final = 1.0
 """Time to collision below which a near miss is counted, s (Hayward 1972: 1 to 1.5 s)."""
@@ -188,7 +188,7 @@ class TrafficEnv(EgoEnv):
         traffic = config["seed"]
         if traffic is None:
             traffic = int(self.np_random.integers(2**31))
-        agents = sample_agents(self.scenario, traffic)
+        agents = self._draw_agents(traffic)
         network = network_of(self.scenario.road)
         self.road = TrafficRoad(network, compiled=config.get("compiled", False))
         self._demand = Demand(self.road, agents, traffic)
@@ -209,6 +209,10 @@ class TrafficEnv(EgoEnv):
         self._distance_left = distance_left_m(self.road, self.vehicle)
         self._events = []
         self.road.locate()
+
+    def _draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
+        """Everybody but the ego vehicle, in an episode whose traffic has this seed."""
+        return sample_agents(self.scenario, seed)
 
     def _classifier(self) -> Callable[[Frame], Belief] | None:
         """What classifies the drivers of this episode; None where nothing is classified."""

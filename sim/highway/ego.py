@@ -21,6 +21,7 @@ from highway_env.envs.common.action import (
     DiscreteAction,
     DiscreteMetaAction,
 )
+from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
@@ -33,12 +34,30 @@ from sim.highway.viewer import TrafficViewer
 
 Observation = dict[str, NDArray[Any]]
 
+
+class StockDriver(ActionType):  # type: ignore[misc]
+    """highway-env's own driver, IDM with MOBIL, drives the ego vehicle; the action does nothing."""
+
+    def space(self) -> spaces.Space[Any]:
+        """One action."""
+        return spaces.Discrete(1)
+
+    @property
+    def vehicle_class(self) -> Any:
+        """The class of the ego vehicle."""
+        return IDMVehicle
+
+    def act(self, action: Any) -> None:
+        """Do nothing: the vehicle decides."""
+
+
 ACTIONS: Final[dict[str, type[ActionType]]] = {
     "DiscreteMetaAction": DiscreteMetaAction,
     "DiscreteAction": DiscreteAction,
     "ContinuousAction": ContinuousAction,
+    "StockDriver": StockDriver,
 }
-"""highway-env's actions for one vehicle."""
+"""highway-env's actions for one vehicle, and its own driver."""
 
 
 class EgoEnv(AbstractEnv):  # type: ignore[misc]

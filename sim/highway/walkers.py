@@ -6,10 +6,10 @@ when they walk is decided by `sim.highway.rules.crossings`.
 
 from __future__ import annotations
 
+import functools
 import heapq
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -86,8 +86,11 @@ class Footway:
         return xy, math.atan2(direction[1], direction[0])
 
 
-def find_footway(road: Road, route: Sequence[str]) -> Footway:
+@functools.lru_cache(maxsize=256)
+def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
     """The way on foot along a route of edges: its sidewalks and the shortest way between them.
+
+    It is found once for each road and route, and kept.
 
     Args:
         road: where it is.

@@ -37,6 +37,9 @@ FRAMES_A_MESSAGE: Final = 20
 LAWS: Final[dict[str, CarFollowing]] = {"sumo": "Krauss", "sumo-idm": "IDM"}
 """The engines whose episodes can be branched, and the law by which their drivers follow."""
 
+_MEMORY: Final = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "PYTHONMALLOC": "malloc"}
+"""Memory in huge pages: a fork copies fewer page tables and takes half the time (measured)."""
+
 _PR_SET_PDEATHSIG: Final = 1
 """Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
 
@@ -108,6 +111,7 @@ class Trunk(_Closing):
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "sim.sumo.branches", str(there.fileno())],
                 pass_fds=[there.fileno()],
+                env={**os.environ, **_MEMORY},
             )
         self._connection: Connection = Connection(here.detach())
         self._drivers = {a.id: a for a in agents if a.profile is not None}

@@ -1,0 +1,181 @@
+"""The licence test: crowds differ by their drivers alone, scores, ranks, policies of one's own."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors import InputError
+from behaviors.labels import Behavior
+from experiments.benches.contract import Bench
+from experiments.benches.drive.bench import BENCH, Settings, measure
+from experiments.benches.drive.crowds import (
+    CROWDS,
+    HOMOGENEOUS,
+    MIXED,
+    RECORDED,
+    STANDARD,
+    recorded,
+    standard,
+)
+from experiments.benches.drive.episode import METRICS, ROADS, drive, score
+from experiments.benches.drive.policies import POLICIES, get_policy
+from experiments.benches.drive.ranking import ranking_rows, ranks, swapped
+from scenarios import SCENARIOS
+from sim.scenario import sample_agents
+
+SHORT = {"flow": "light", "duration_s": 3.0, "warmup_s": 2.0}
+
+
+def test_every_scenario_can_be_driven_in() -> None:
+    assert set(ROADS) == set(SCENARIOS)
+
+
+def test_crowds_depart_alike_and_differ_by_their_drivers() -> None:
+    def drawn(crowd: str):
+        mix = CROWDS[crowd].mix
+        scenario = SCENARIOS["straight_road"](flow="dense", duration_s=60.0, mix=mix)
+        return [CROWDS[crowd].changed(agent) for agent in sample_agents(scenario, 3)]
+
+    timid, mixed, clones = (drawn(name) for name in (Behavior.TIMID.value, MIXED, HOMOGENEOUS))
+    for one, two, three in zip(timid, mixed, clones, strict=True):
+        assert one.depart_s == two.depart_s == three.depart_s
+        assert one.route == two.route == three.route
+    assert {agent.behavior for agent in timid} == {Behavior.TIMID, None}  # None: pedestrians
+    assert {agent.behavior for agent in mixed} == {*Behavior, None}
+    assert {agent.profile for agent in clones} == {STANDARD, None}
+    assert all(agent.behavior is None for agent in clones)
+
+
+def test_recorded_medians_are_reached() -> None:
+    agents = sample_agents(SCENARIOS["straight_road"](flow=3000.0, duration_s=1800.0), 0)
+    shifted = [recorded(agent) for agent in agents if agent.profile]
+    for name, median in RECORDED.items():
+        found = np.median([getattr(agent.profile, name) for agent in shifted])
+        assert found == pytest.approx(median, rel=0.2)
+    walker = next(agent for agent in agents if agent.profile is None)
+    assert recorded(walker) == standard(walker) == walker
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_our_policies_drive_and_the_same_seed_is_the_same_episode(policy: str) -> None:
+    found = drive("four_way_intersection", MIXED, policy, 1, SHORT)
+    assert found == drive("four_way_intersection", MIXED, policy, 1, SHORT)
+    assert set(found) == set(METRICS)
+    assert 0.0 <= found["score"] <= 1.0
+    assert found["minutes"] == pytest.approx(0.05)
+
+
+def test_doing_nothing_behind_a_queue_ends_in_a_collision() -> None:
+    config = {"flow": "medium", "duration_s": 60.0, "warmup_s": 20.0}
+    found = drive("straight_road", MIXED, "do-nothing", 1, config)
+    assert found["collisions_caused"] == found["collisions"] == 1.0
+    assert found["score"] == 0.0
+    assert found["minutes"] < 1.0
+
+
+def test_the_score_is_nothing_after_a_collision_and_falls_with_each_flaw() -> None:
+    good = {
+        "collisions_caused": 0.0, "off_road": 0.0, "progress": 0.8, "near_misses": 0.0,
+        "rules_broken": 0.0, "uncomfortable_share": 0.1,
+    }  # fmt: skip
+    assert score({**good, "off_road": 1.0}) == 0.0
+    for flaw in ("near_misses", "rules_broken"):
+        assert score({**good, flaw: 1.0}) < score(good)
+    assert score(good) == pytest.approx((5 * 0.8 + 5 + 4 + 2 * 0.9) / 16)
+
+
+MINE = """
+def make(env):
+    assert env.action_space.n == 3
+    return lambda observation: 1 if observation["ego"].shape == (13,) else None
+
+make.config = {"action": {
+    "type": "DiscreteMetaAction", "lateral": False, "target_speeds": [0, 3, 6, 9, 12, 15]}}
+broken = 3
+"""
+
+
+@pytest.fixture
+def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "my_policy_of_this_test.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return "my_policy_of_this_test"
+
+
+def test_a_policy_of_ones_own_drives(own_policy: str) -> None:
+    mine = drive("straight_road", MIXED, f"{own_policy}:make", 2, SHORT)
+    idle = drive("straight_road", MIXED, "do-nothing", 2, SHORT)
+    assert mine == idle  # one of three speeds: nothing is the second
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("plannr", "unknown policy 'plannr': did you mean 'planner"),
+        ("nowhere_at_all:make", "expected 'module:function' that exists"),
+        ("{own}:nothing", "expected 'module:function' that exists"),
+        ("{own}:broken", "expected it to name a function"),
+    ],
+)
+def test_policies_that_are_none_are_refused(own_policy: str, name: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        get_policy(name.replace("{own}", own_policy))
+
+
+def test_a_stopped_test_goes_on_from_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = Settings(
+        policy=("do-nothing", "idm-mobil"), alone=True, scenarios=("straight_road",),
+        crowds=(MIXED, HOMOGENEOUS), seeds=2, duration_s=2.0, warmup_s=1.0, jobs=1,
+        out=str(tmp_path / "kept"),
+    )  # fmt: skip
+    first = [row for part in measure(settings) for row in part]
+    files = sorted((tmp_path / "kept").rglob("*.json"))
+    assert len(files) == 2 * 2 * 2
+    files[0].unlink()
+    files[1].write_text("{}")
+    driven = []
+
+    def counting(*arguments):
+        driven.append(arguments)
+        return drive_once(*arguments)
+
+    from experiments.benches.drive import episode
+
+    drive_once = episode._drive
+    monkeypatch.setattr(episode, "_drive", counting)
+    assert [row for part in measure(settings) for row in part] == first
+    assert len(driven) == 2
+    other = dataclasses.replace(settings, flow="light")
+    list(measure(other))
+    assert len(driven) == 2 + 8  # figures of another configuration are not taken
+
+
+def test_ranks_and_swaps() -> None:
+    assert ranks(np.array([0.5, 0.9, 0.1])).tolist() == [2.0, 1.0, 3.0]
+    assert swapped(np.array([1.0, 2.0, 3.0]), np.array([3.0, 2.0, 1.0])) == 3
+    clones = np.array([[0.9, 0.9, 0.9, 0.9], [0.5, 0.5, 0.5, 0.5]])
+    scores = {MIXED: clones[::-1] - 0.1, HOMOGENEOUS: clones}
+    rows = ranking_rows(scores, ("a", "b"), HOMOGENEOUS, MIXED)
+    value = {(r["crowd"], r["policy"], r["metric"]): r["value"] for r in rows}
+    assert value[MIXED, "a", "rank"] == 2.0
+    assert value[HOMOGENEOUS, "a", "rank"] == 1.0
+    assert value[HOMOGENEOUS, "a", "score_minus_diverse"] == pytest.approx(0.5)
+    assert value[HOMOGENEOUS, "all", "swapped_pairs"] == 1.0
+    assert value[HOMOGENEOUS, "all", "best_differs"] == 1.0
+
+
+def test_the_bench_refuses_unknown_words() -> None:
+    assert isinstance(BENCH, Bench)
+    for change, said in (
+        ({"scenarios": ("stright_road",)}, "unknown scenario"),
+        ({"crowds": ("timmid",)}, "unknown crowd"),
+    ):
+        with pytest.raises(InputError, match=said):
+            list(measure(dataclasses.replace(BENCH.quick, **change)))
