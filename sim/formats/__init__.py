@@ -123,7 +123,13 @@ FORMATS: Final[Registry[Format]] = Registry(
             _columns("track_id", "timestamp_ms", "agent_type"),
             "sim.formats.interaction:read",
             own_names=True,
-            beside=("pedestrian_tracks_*.csv",),
+            beside=(
+                "pedestrian_tracks_*.csv",
+                "map_*.xml",
+                "meta_data.csv",
+                "signal_phases_*.csv",
+                "log_map_archive_*.json",
+            ),
         ),
         "sumo-fcd": Format(
             ("*.xml",),
@@ -141,6 +147,15 @@ FORMATS: Final[Registry[Format]] = Registry(
             "sim.formats.traf:read",
             unit="px",
         ),
+        "kitti": Format(
+            ("*.txt",),
+            re.compile(
+                rb"^\d+ (?:-1|\d+) "
+                rb"(?:car|van|truck|tram|cyclist|pedestrian|person|person_sitting|misc|dontcare) "
+            ),
+            "sim.formats.kitti:read",
+            beside=("oxts/*.txt", "calib/*.txt"),
+        ),
         "argo": Format(
             ("*.csv",),
             re.compile(rb'^"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
@@ -150,6 +165,14 @@ FORMATS: Final[Registry[Format]] = Registry(
             ("*.csv",),
             _columns("t", "x_follower", "v_follower", "x_leader", "v_leader"),
             "sim.formats.pairs:read",
+        ),
+        "womd": Format(
+            ("*.tfrecord*", "*.json"),
+            re.compile(
+                rb"(?s)^.{4}\0{4}.{4}[\t\n\x12\x22\x2a\x30\x32\x3a\x42\x50\x5a\x62\x70\x7a]"
+                rb'|^\s*\{.*"(?:objects|tracks|timestamps_?seconds|map_?features)"\s*:\s*\['
+            ),
+            "sim.formats.waymo.scenario:read",
         ),
         "scenarionet": Format(
             ("*.pkl",), re.compile(rb"(?!)"), writer="sim.formats.scenarionet:write"
@@ -213,8 +236,13 @@ def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
 
 
 def _named(file: Path, patterns: tuple[str, ...]) -> bool:
-    """Whether a file's name, in lower case and as if it were not packed, has such a pattern."""
-    return any(fnmatchcase(plain_name(file).lower(), pattern) for pattern in patterns)
+    """Whether a file's name, in lower case and as if it were not packed, has such a pattern.
+
+    A pattern with a slash is one of the file's folder and name.
+    """
+    name = plain_name(file).lower()
+    within = f"{file.parent.name.lower()}/{name}"
+    return any(fnmatchcase(within if "/" in pattern else name, pattern) for pattern in patterns)
 
 
 def recognise(path: Path) -> str:
@@ -250,6 +278,9 @@ def formats_in(path: Path) -> list[str]:
     known: set[Path] = set()
     for name, entry in FORMATS.items():
         files = [file for file in _files(path, entry.files) if file not in known]
+        if path.is_dir():
+            accompanying = tuple(pattern for key in found for pattern in FORMATS[key].beside)
+            files = [file for file in files if not _named(file, accompanying)]
         here = {file for file in files if entry.head.search(_head(file))}
         if here:
             found.append(name)

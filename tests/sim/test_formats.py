@@ -23,7 +23,13 @@ from sim.formats.argoverse2 import SCHEMA
 from sim.formats.common.recording import hold_heading, motion
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road.maps.argoverse2 import offset_line
-from tests.sim.map_samples import COMMONROAD
+from tests.sim.map_samples import (
+    COMMONROAD,
+    KITTI_CALIB,
+    KITTI_LABELS,
+    KITTI_OXTS,
+    waymo_record,
+)
 
 FOOT = 0.3048
 
@@ -112,6 +118,8 @@ SAMPLES: dict[str, tuple[str, bytes]] = {
     "interaction": ("vehicle_tracks_000.csv", INTERACTION.encode()),
     "sumo-fcd": ("fcd.xml", FCD.encode()),
     "commonroad": ("scene.xml", COMMONROAD.encode()),
+    "kitti": ("label_02/0000.txt", KITTI_LABELS.encode()),
+    "womd": ("a.tfrecord", waymo_record()),
     "traf": ("TRAF_gt.txt", TRAF.encode()),
     "argo": ("argo1_tracks.csv", ARGO.encode()),
     "pairs": ("pairs.csv", PAIRS.encode()),
@@ -119,6 +127,8 @@ SAMPLES: dict[str, tuple[str, bytes]] = {
 for key, entry in FORMATS.items():
     if entry.example:  # formats added from outside bring their own sample
         SAMPLES[key] = (entry.files[0].replace("*", "example"), entry.example)
+BESIDE = {"kitti": {"oxts/0000.txt": KITTI_OXTS, "calib/0000.txt": KITTI_CALIB}}
+"""Files that must lie beside a format's sample."""
 READABLE = [name for name, entry in FORMATS.items() if entry.reader]
 WRITABLE = [name for name, entry in FORMATS.items() if entry.writer]
 WITH_HEADER = ("argoverse1", "ngsim", "ind", "round", "highd", "interaction", "argo", "pairs")
@@ -127,7 +137,11 @@ WITH_HEADER = ("argoverse1", "ngsim", "ind", "round", "highd", "interaction", "a
 
 def put(folder: Path, name: str, content: bytes | None = None) -> Path:
     file, sample = SAMPLES[name]
+    for beside, text in BESIDE.get(name, {}).items():
+        (folder / beside).parent.mkdir(exist_ok=True)
+        (folder / beside).write_text(text)
     path = folder / file
+    path.parent.mkdir(exist_ok=True)
     path.write_bytes(sample if content is None else content)
     return path
 
@@ -350,7 +364,7 @@ def test_the_order_of_rows_does_not_matter(tmp_path: Path, name: str) -> None:
     assert same(read(path, name), expected)
 
 
-TEXTS = [n for n in READABLE if n != "argoverse2"]
+TEXTS = [n for n in READABLE if n not in ("argoverse2", "womd")]
 
 
 def refused(path: Path, name: str, *told: str) -> None:

@@ -54,6 +54,9 @@ STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
 """A way that turns by less than the first goes straight, by more than the second goes back (our
 choice: about as SUMO's netconvert has it)."""
 
+COMPARED_POINTS: Final = 24
+"""Points of each line that are compared to find junctions (our choice: 2 m apart on a turn)."""
+
 CROSSING_RAD: Final = math.radians(12.0)
 """Centre lines that meet at a larger angle cross, so that their lanes are part of a junction (our
 choice: lanes of one carriageway that part or join stay below)."""
@@ -75,7 +78,7 @@ class Lanelet:
         limit_mps: speed limit, m/s; NaN where unknown.
         walking: whether it is for pedestrians only.
         cars: whether cars may drive on it.
-        signal: signal group that controls leaving it, -1 if none.
+        signal: signal group that controls it, or leaving it, -1 if none.
         must_yield: whether others have priority over those who are on it, or leave it.
         must_stop: whether a stop sign stands at its end.
         yields_to: ids of lanelets whose traffic has priority over them.
@@ -282,11 +285,12 @@ def _connection(chain: list[int], lanelets: Mapping[int, Lanelet]) -> Connection
     else:
         direction = "left" if turned > 0 else "right"
     names = [str(i) for i in chain]
+    held = chain if lanelets[chain[-1]].internal else chain[:-1]
     return Connection(
         names[0], names[-1], tuple(names[1:-1]), direction,
-        signal=first.signal,
-        must_yield=any(lanelets[i].must_yield for i in chain[:-1]),
-        must_stop=any(lanelets[i].must_stop for i in chain[:-1]),
+        signal=next((s for i in held if (s := lanelets[i].signal) >= 0), -1),
+        must_yield=any(lanelets[i].must_yield for i in held),
+        must_stop=any(lanelets[i].must_stop for i in held),
     )  # fmt: skip
 
 
@@ -326,7 +330,7 @@ def _crossing_ids(path: Path, lanelets: list[Lanelet]) -> set[int]:
     """Ids of the lanelets whose centre line crosses another's."""
     if len(lanelets) < 2:
         return set()
-    lines = [one.centerline for one in lanelets]
+    lines = [_thinned(one.centerline) for one in lanelets]
     low = np.array([line.min(axis=0) for line in lines])
     high = np.array([line.max(axis=0) for line in lines])
     compared, inside = 0, set[int]()
@@ -342,6 +346,12 @@ def _crossing_ids(path: Path, lanelets: list[Lanelet]) -> set[int]:
             if _cross(lines[i], lines[j]):
                 inside |= {one.id, lanelets[j].id}
     return inside
+
+
+def _thinned(line: FloatArray) -> FloatArray:
+    """A line with at most some `COMPARED_POINTS` of its points, both ends among them."""
+    step = max(len(line) // COMPARED_POINTS, 1)
+    return line if step == 1 else np.concatenate([line[:-1:step], line[-1:]])
 
 
 def _cross(one: FloatArray, other: FloatArray) -> bool:

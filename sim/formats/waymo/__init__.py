@@ -1,0 +1,1 @@
+"""Waymo Open Motion scenarios: their records, messages and JSON."""

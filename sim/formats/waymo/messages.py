@@ -1,0 +1,100 @@
+"""The messages of Waymo Open Motion scenarios, as protobuf classes without generated code.
+
+Only what is read has a field; everything else in a record is skipped by its tag.
+
+References:
+    Ettinger et al. (2021), Large scale interactive motion forecasting for autonomous driving: the
+    Waymo Open Motion Dataset, ICCV; ``scenario.proto`` and ``map.proto`` of the open dataset.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, Final
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+PACKAGE: Final = "waymo.open_dataset"
+
+_KINDS: Final = {
+    "double": descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE,
+    "float": descriptor_pb2.FieldDescriptorProto.TYPE_FLOAT,
+    "int32": descriptor_pb2.FieldDescriptorProto.TYPE_INT32,
+    "int64": descriptor_pb2.FieldDescriptorProto.TYPE_INT64,
+    "bool": descriptor_pb2.FieldDescriptorProto.TYPE_BOOL,
+    "string": descriptor_pb2.FieldDescriptorProto.TYPE_BYTES,  # UTF-8 is checked when it is used
+}
+
+MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
+    "ObjectState": {
+        "center_x": (2, "double"),
+        "center_y": (3, "double"),
+        "length": (5, "float"),
+        "width": (6, "float"),
+        "heading": (8, "float"),
+        "velocity_x": (9, "float"),
+        "velocity_y": (10, "float"),
+        "valid": (11, "bool"),
+    },
+    "Track": {"id": (1, "int32"), "object_type": (2, "int32"), "states": (3, "*ObjectState")},
+    "MapPoint": {"x": (1, "double"), "y": (2, "double")},
+    "LaneNeighbor": {"feature_id": (1, "int64")},
+    "LaneCenter": {
+        "speed_limit_mph": (1, "double"),
+        "type": (2, "int32"),
+        "interpolating": (3, "bool"),
+        "polyline": (8, "*MapPoint"),
+        "entry_lanes": (9, "*int64"),
+        "exit_lanes": (10, "*int64"),
+        "left_neighbors": (11, "*LaneNeighbor"),
+        "right_neighbors": (12, "*LaneNeighbor"),
+    },
+    "StopSign": {"lane": (1, "*int64")},
+    "Crosswalk": {"polygon": (1, "*MapPoint")},
+    "MapFeature": {
+        "id": (1, "int64"),
+        "lane": (3, "LaneCenter"),
+        "stop_sign": (7, "StopSign"),
+        "crosswalk": (8, "Crosswalk"),
+    },
+    "TrafficSignalLaneState": {"lane": (1, "int64"), "state": (2, "int32")},
+    "DynamicMapState": {"lane_states": (1, "*TrafficSignalLaneState")},
+    "Scenario": {
+        "timestamps_seconds": (1, "*double"),
+        "tracks": (2, "*Track"),
+        "scenario_id": (5, "string"),
+        "sdc_track_index": (6, "int32"),
+        "dynamic_map_states": (7, "*DynamicMapState"),
+        "map_features": (8, "*MapFeature"),
+    },
+}
+"""Number and kind of every field that is read, by message; ``*`` marks what repeats."""
+
+
+@functools.lru_cache(maxsize=1)
+def scenario_class() -> Any:
+    """The class of the message ``Scenario``."""
+    file = descriptor_pb2.FileDescriptorProto(
+        name="graphrqi/waymo_scenario.proto", package=PACKAGE, syntax="proto2"
+    )
+    for name, fields in MESSAGES.items():
+        message = file.message_type.add(name=name)
+        for label, (number, kind) in fields.items():
+            repeated, plain = kind.startswith("*"), kind.removeprefix("*")
+            field = message.field.add(
+                name=label,
+                number=number,
+                label=(
+                    descriptor_pb2.FieldDescriptorProto.LABEL_REPEATED
+                    if repeated
+                    else descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL
+                ),
+            )
+            if plain in _KINDS:
+                field.type = _KINDS[plain]
+            else:
+                field.type = descriptor_pb2.FieldDescriptorProto.TYPE_MESSAGE
+                field.type_name = f".{PACKAGE}.{plain}"
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{PACKAGE}.Scenario"))

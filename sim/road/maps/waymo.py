@@ -1,0 +1,223 @@
+"""The map of a Waymo Open Motion scenario as a `Road`.
+
+Lanes have centre lines, limits (miles per hour), neighbours and successors, but no widths: where a
+neighbour is known, its distance is the width. Lights are those that the recording car saw.
+
+References:
+    ``map.proto`` of the Waymo open dataset.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.road import Crossing, MapKnowledge, Road
+from sim.road.maps.lanelets import (
+    MAX_COORDINATE_M,
+    MAX_LANELETS,
+    MAX_POINTS,
+    Lanelet,
+    check_length,
+    connections_of,
+    lanes_of,
+    with_junctions,
+)
+
+FloatArray = NDArray[np.float64]
+
+MPS_PER_MPH: Final = 0.44704
+
+WIDTH_M: Final = 3.5
+"""Width of a lane without a neighbour, m (our choice: urban lanes have 3.3, freeways 3.7)."""
+
+NARROWEST_M, WIDEST_M = 2.5, 5.0
+"""Widths that the distance to a neighbour may give, m (our choice)."""
+
+BIKE_LANE: Final = 3
+"""The type of lanes for bicycles."""
+
+JOIN_M: Final = 0.5
+"""Lanes whose ends are this close follow each other where the map does not say it, m (our choice:
+the distance of its points)."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaymoLane:
+    """A lane of the map.
+
+    Attributes:
+        id: its number.
+        line: (P, 2) points in driving direction, m.
+        limit_mph: miles per hour; NaN or 0 where unknown.
+        type: 0 unknown, 1 freeway, 2 surface street, 3 bicycles.
+        interpolating: whether it joins two others, as the ways across junctions do; None where
+            the map does not say it.
+        before: ids of the lanes that it is entered from.
+        after: ids of the lanes that it leads to.
+        left: id of the lane beside it on the left, of its direction; None without one.
+        right: likewise on the right.
+        stops: whether a stop sign controls it.
+    """
+
+    id: int
+    line: FloatArray
+    limit_mph: float = math.nan
+    type: int = 0
+    interpolating: bool | None = None
+    before: tuple[int, ...] = ()
+    after: tuple[int, ...] = ()
+    left: int | None = None
+    right: int | None = None
+    stops: bool = False
+
+
+def waymo_road(
+    path: Path,
+    name: str,
+    lanes: Sequence[WaymoLane],
+    crosswalks: Mapping[str, FloatArray],
+    lights: Sequence[int],
+) -> Road | None:
+    """The road of a scenario.
+
+    Args:
+        path: its file, for messages.
+        name: what to call the road.
+        lanes: of the map.
+        crosswalks: (P, 2) outline of each, m, by id.
+        lights: ids of the lanes whose light was seen; each is a signal group.
+
+    Returns:
+        The road; None without a lane for cars.
+
+    Raises:
+        InputError: if an id is twice, or the map is larger than any.
+    """
+    if len(lanes) > MAX_LANELETS:
+        raise InputError(f"{path}: found {len(lanes)} lanes, expected at most {MAX_LANELETS}")
+    if sum(len(lane.line) for lane in lanes) > MAX_POINTS:
+        raise InputError(f"{path}: found more than {MAX_POINTS} points of lanes")
+    by_id = {lane.id: lane for lane in lanes if len(lane.line) >= 2}
+    if len({lane.id for lane in lanes}) != len(lanes):
+        raise InputError(f"{path}: map_features: found an id twice, expected each once")
+    if not any(lane.type != BIKE_LANE for lane in by_id.values()):
+        return None
+    for lane in by_id.values():
+        if not (np.abs(lane.line) <= MAX_COORDINATE_M).all():
+            raise InputError(f"{path}: lane {lane.id}: found a point beyond {MAX_COORDINATE_M:g} m")
+    signal = {lane: group for group, lane in enumerate(lights)}
+    following = _following(by_id)
+    found = {
+        i: Lanelet(
+            id=i,
+            centerline=_kept(by_id[i].line),
+            width_m=_width(by_id[i], by_id),
+            successors=following[i],
+            internal=bool(by_id[i].interpolating),
+            left=by_id[i].left,
+            right=by_id[i].right,
+            use="bicycles" if by_id[i].type == BIKE_LANE else "",
+            limit_mps=_limit(path, by_id[i]),
+            cars=by_id[i].type != BIKE_LANE,
+            signal=signal.get(i, -1),
+            must_stop=by_id[i].stops,
+        )
+        for i in sorted(by_id)
+    }
+    crossings = [_crossing(path, label, line) for label, line in crosswalks.items()]
+    check_length(
+        path, [one.centerline for one in found.values()] + [c.centerline for c in crossings]
+    )
+    if all(lane.interpolating is None for lane in by_id.values()):
+        found = with_junctions(path, found)
+    return Road(
+        name=name,
+        lanes=tuple(lanes_of(found)),
+        connections=tuple(connections_of(path, found)),
+        crossings=tuple(crossings),
+        signal_groups=tuple(str(lane) for lane in lights),
+        source=path,
+        knows=MapKnowledge(
+            limits=any(math.isfinite(one.limit_mps) for one in found.values()),
+            signals=bool(lights),
+            priority=False,
+        ),
+    )
+
+
+def _kept(line: FloatArray) -> FloatArray:
+    line = np.array(line, dtype=np.float64)
+    line.flags.writeable = False
+    return line
+
+
+def _limit(path: Path, lane: WaymoLane) -> float:
+    if math.isnan(lane.limit_mph) or lane.limit_mph == 0:
+        return math.nan
+    if not 0 < lane.limit_mph <= 200:
+        raise InputError(
+            f"{path}: lane {lane.id}: found speed limit {lane.limit_mph:g} mph, expected up to 200"
+        )
+    return lane.limit_mph * MPS_PER_MPH
+
+
+def _following(lanes: Mapping[int, WaymoLane]) -> dict[int, tuple[int, ...]]:
+    """The lanes after each: as the map says, or those that begin where it ends."""
+    after: dict[int, dict[int, None]] = {i: dict.fromkeys(lane.after) for i, lane in lanes.items()}
+    for i, lane in lanes.items():
+        for j in lane.before:
+            if j in after:
+                after[j][i] = None
+    if not any(after.values()):
+        begins = np.array([lane.line[0] for lane in lanes.values()])
+        ids = list(lanes)
+        for i, lane in lanes.items():
+            near = np.hypot(*(begins - lane.line[-1]).T) <= JOIN_M
+            after[i] = {ids[k]: None for k in np.flatnonzero(near)[:16] if ids[k] != i}
+    return {i: tuple(j for j in ways if j in lanes) for i, ways in after.items()}
+
+
+def _width(lane: WaymoLane, lanes: Mapping[int, WaymoLane]) -> float:
+    """The distance to a neighbour's line, or the usual width, m."""
+    for beside in (lane.left, lane.right):
+        other = lanes.get(beside) if beside is not None else None
+        if other is None:
+            continue
+        few = lane.line[:: max(len(lane.line) // 8, 1)]
+        apart = np.hypot(*np.moveaxis(few[:, None] - other.line[None, ::2], -1, 0)).min(axis=1)
+        width = float(np.median(apart))
+        if NARROWEST_M <= width <= WIDEST_M:
+            return width
+    return WIDTH_M
+
+
+def _crossing(path: Path, label: str, outline: FloatArray) -> Crossing:
+    """A crosswalk's middle line along its longer side, and its width."""
+    if len(outline) < 3 or not (np.abs(outline) <= MAX_COORDINATE_M).all():
+        raise InputError(f"{path}: crosswalk {label}: found {len(outline)} points, expected 3")
+    middle = outline.mean(axis=0)
+    _, _, axes = np.linalg.svd(outline - middle, full_matrices=False)
+    along, across = ((outline - middle) @ axis for axis in axes)
+    ends = np.array([along.min(), along.max()])
+    line = _kept(middle + ends[:, None] * axes[0])
+    return Crossing(label, line, float(np.ptp(across)), (), priority=False)
+
+
+def with_neighbours(lanes: Sequence[WaymoLane]) -> list[WaymoLane]:
+    """Lanes with the neighbours of each also told to the other."""
+    known = {lane.id: lane for lane in lanes}
+    told = dict(known)
+    for lane in lanes:
+        if lane.left in known and known[lane.left].right is None:
+            told[lane.left] = replace(told[lane.left], right=lane.id)
+        if lane.right in known and known[lane.right].left is None:
+            told[lane.right] = replace(told[lane.right], left=lane.id)
+    return [told[lane.id] for lane in lanes]

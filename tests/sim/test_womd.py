@@ -1,0 +1,261 @@
+"""Waymo scenarios: written by the published schema, read by us and by a decoder of its own."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from sim.formats import read_recordings, recognise
+from sim.formats.common.recording import Recording
+from sim.formats.waymo.tfrecord import write_record
+from sim.frames import KINDS, AgentKind
+from sim.road import Road
+from tests.sim.map_samples import waymo_message, waymo_record
+
+Value = int | float | bytes
+
+
+def read(path: Path, content: bytes | str) -> Recording:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    (recording,) = read_recordings(path)
+    return recording
+
+
+# --- a second reader, by the published schema and nothing of ours -------------------------------
+
+
+def crc32c(data: bytes) -> int:
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0x82F63B78 if crc & 1 else 0)
+    return crc ^ 0xFFFFFFFF
+
+
+def records(data: bytes) -> Iterator[bytes]:
+    while data:
+        (size,), body = struct.unpack("<Q", data[:8]), data[12:]
+        for part, told in ((data[:8], data[8:12]), (body[:size], body[size : size + 4])):
+            crc = crc32c(part)
+            masked = (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF
+            assert struct.pack("<I", masked) == told
+        yield body[:size]
+        data = body[size + 4 :]
+
+
+def varint(data: bytes, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        value |= (data[at] & 0x7F) << shift
+        shift, at = shift + 7, at + 1
+        if data[at - 1] < 0x80:
+            return value, at
+
+
+def fields(data: bytes) -> dict[int, list[Value]]:
+    found: dict[int, list[Value]] = {}
+    at = 0
+    while at < len(data):
+        key, at = varint(data, at)
+        value: Value
+        if key & 7 == 0:
+            value, at = varint(data, at)
+        elif key & 7 == 1:
+            value, at = struct.unpack("<d", data[at : at + 8])[0], at + 8
+        elif key & 7 == 5:
+            value, at = struct.unpack("<f", data[at : at + 4])[0], at + 4
+        else:
+            assert key & 7 == 2
+            size, at = varint(data, at)
+            value, at = data[at : at + size], at + size
+        found.setdefault(key >> 3, []).append(value)
+    return found
+
+
+def parts(message: dict[int, list[Value]], number: int) -> list[dict[int, list[Value]]]:
+    return [fields(value) for value in message.get(number, []) if isinstance(value, bytes)]
+
+
+def test_a_reader_of_its_own_finds_the_same(tmp_path: Path) -> None:
+    recording = read(tmp_path / "a.tfrecord", waymo_record())
+    (data,) = records(waymo_record())
+    scenario = fields(data)
+    assert scenario[5] == [recording.name.encode()]
+    times = scenario[1]
+    assert recording.tracks.time_s.tolist() == times
+    agents = [track for track in parts(scenario, 2) if track[2][0] in (1, 2, 3)]
+    assert [str(track[1][0]) for track in agents] == list(recording.tracks.names)
+    for row, track in enumerate(agents):
+        for t, state in enumerate(parts(track, 3)):
+            assert recording.tracks.valid[row, t] == bool(state[11][0])
+            if state[11][0]:
+                assert recording.tracks.xy[row, t].tolist() == [state[2][0], state[3][0]]
+                assert recording.tracks.heading[row, t] == pytest.approx(state[8][0])
+    road = recording.road
+    assert isinstance(road, Road)
+    lanes = {str(f[1][0]): parts(f, 3)[0] for f in parts(scenario, 8) if 3 in f}
+    assert {lane.id for lane in road.lanes} == set(lanes)
+    for lane in road.lanes:
+        points = [[p[1][0], p[2][0]] for p in parts(lanes[lane.id], 8)]
+        assert lane.centerline.tolist() == points
+
+
+# --- known answers ------------------------------------------------------------------------------
+
+
+def check(recording: Recording) -> None:
+    tracks, road = recording.tracks, recording.road
+    assert tracks.names == ("5", "9")
+    assert [KINDS[k] for k in tracks.kind] == [AgentKind.CAR, AgentKind.BICYCLE]
+    assert tracks.xy[0].tolist() == [[1.0, 2.0], [1.3, 2.4]]
+    assert tracks.speed[0].tolist() == [5.0, 5.0]
+    assert tracks.valid.tolist() == [[True, True], [False, True]]
+    assert (tracks.length[0], tracks.width[1]) == (4.5, 0.5)
+    assert tracks.signals.tolist() == [[0, 2]]
+    assert any("1 objects" in note for note in recording.notes)
+    assert isinstance(road, Road)
+    assert [lane.id for lane in road.lanes] == ["21", "22", "23"]
+    assert [crossing.id for crossing in road.crossings] == ["31"]
+
+
+def test_tfrecord(tmp_path: Path) -> None:
+    path = tmp_path / "training.tfrecord-00000-of-01000"
+    recording = read(path, waymo_record())
+    check(recording)
+    assert recognise(tmp_path) == "womd"
+    road = recording.road
+    assert isinstance(road, Road)
+    first, across, left = road.lanes
+    assert first.speed_limit_mps == pytest.approx(13.41, abs=0.01)
+    assert (first.width_m, across.internal, left.edge) == (3.5, True, first.edge)
+    (way,) = road.connections
+    assert (way.from_lane, way.to_lane, way.signal) == ("21", "22", 0)
+    assert road.crossings[0].width_m == pytest.approx(3.0)
+    assert road.knows.unknown == ("priority",)
+
+
+def test_several_scenarios_in_a_file(tmp_path: Path) -> None:
+    (tmp_path / "a.tfrecord").write_bytes(waymo_record() * 3)
+    assert len(list(read_recordings(tmp_path))) == 3
+
+
+def protobuf_json() -> dict[str, Any]:
+    from google.protobuf.json_format import MessageToDict
+
+    from sim.formats.waymo.messages import scenario_class
+
+    told: dict[str, Any] = MessageToDict(scenario_class().FromString(waymo_message()))
+    told["scenarioId"] = "abc123"
+    for track, word in zip(told["tracks"], ("VEHICLE", "CYCLIST", "OTHER"), strict=True):
+        track["objectType"] = f"TYPE_{word}"
+    for shown, word in zip(told["dynamicMapStates"], ("STOP", "GO"), strict=True):
+        shown["laneStates"][0]["state"] = f"LANE_STATE_{word}"
+    return told
+
+
+def test_protobufs_own_json(tmp_path: Path) -> None:
+    recording = read(tmp_path / "a.json", json.dumps(protobuf_json()))
+    check(recording)
+    assert isinstance(recording.road, Road)
+    assert recording.road.lanes[0].speed_limit_mps == pytest.approx(13.41, abs=0.01)
+
+
+@pytest.mark.parametrize("unit", [1.0, 180 / math.pi], ids=["radians", "degrees"])
+def test_the_json_of_nocturne_and_gpudrive(tmp_path: Path, unit: float) -> None:
+    def one(name: str, identity: int, *states: tuple[float, ...] | None) -> dict[str, Any]:
+        rows = [(-1e4,) * 5 if state is None else state for state in states]
+        size = {5: (4.5, 2.0), 9: (2.0, 0.5), 11: (1.0, 1.0)}[identity]
+        return {
+            "type": name, "id": identity, "length": size[0], "width": size[1],
+            "position": [{"x": r[0], "y": r[1], "z": 0.0} for r in rows],
+            "heading": [r[2] * unit for r in rows],
+            "velocity": [{"x": r[3], "y": r[4]} for r in rows],
+            "valid": [state is not None for state in states],
+            "goalPosition": {"x": 0, "y": 0},
+        }  # fmt: skip
+
+    lines = {21: (0, 0, 30), 22: (0, 30, 60), 23: (3.5, 0, 30)}
+    scenario = {
+        "name": "tfrecord-00000-of-01000_4.json", "scenario_id": "abc123",
+        "objects": [
+            one("vehicle", 5, (1, 2, 0.93, 3, 4), (1.3, 2.4, 0.93, 3, 4)),
+            one("cyclist", 9, None, (8, 9, 0.1, 2, 0)),
+            one("other", 11, (0, 0, 0, 0, 0), (0, 0, 0, 0, 0)),
+        ],
+        "roads": [
+            {"type": "lane", "id": i, "geometry": [{"x": a, "y": y}, {"x": b, "y": y}]}
+            for i, (y, a, b) in lines.items()
+        ] + [{"type": "road_edge", "id": 40, "geometry": [{"x": 0, "y": 9}]},
+             {"type": "crosswalk", "id": 31, "geometry": [
+                 {"x": 10, "y": -2}, {"x": 13, "y": -2}, {"x": 13, "y": 6}, {"x": 10, "y": 6}]}],
+        "tl_states": {"22": {"state": ["stop", "go"], "x": [0, 0], "y": [0, 0],
+                             "time_index": [0, 1]}},
+    }  # fmt: skip
+    recording = read(tmp_path / "a.json", json.dumps(scenario))
+    check(recording)
+    assert recording.name == "abc123"
+    np.testing.assert_allclose(recording.tracks.heading[0], 0.93)
+    assert isinstance(recording.road, Road)
+    assert [(w.from_lane, w.to_lane) for w in recording.road.connections] == [("21", "22")]
+    assert recording.road.knows.unknown == ("limits", "priority")
+
+
+# --- broken -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda data: data[:-3], "record 1: found the file's end"),
+        (lambda data: data[:5], "record 1: found the file's end"),
+        (lambda data: b"\xff" + data[1:], "checksum of its length"),
+        (lambda data: data[:40] + bytes([data[40] ^ 1]) + data[41:], "checksum of its data"),
+        (lambda data: data + data[:9], "record 2"),
+        (lambda _: write_record(b"\xff\xff\xff"), "expected a Waymo scenario"),
+        (lambda _: write_record(b""), "no timestamps"),
+        (lambda _: write_record(waymo_message().replace(struct.pack("<d", 0.1), b"\xff" * 8)),
+         "times"),
+        (lambda _: write_record(waymo_message().replace(struct.pack("<d", 30.0), b"\xff" * 8)),
+         "speed limit|beyond|no number"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(tmp_path: Path, change: Any, told: str) -> None:
+    path = tmp_path / "a.tfrecord"
+    path.write_bytes(change(waymo_record()))
+    with pytest.raises(InputError, match=r"a\.tfrecord") as caught:
+        list(read_recordings(path, "womd"))
+    assert any(word in str(caught.value) for word in told.split("|")), caught.value
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"tracks": [', '"tracks": 3, "x": ['),
+        ('"centerX": 1.0', '"centerX": "one"'),
+        ('"centerX": 1.0', '"centerX": NaN'),
+        ('"timestampsSeconds": [0.0, 0.1]', '"timestampsSeconds": [0.1, 0.0]'),
+        ('"timestampsSeconds": [0.0, 0.1]', '"timestampsSeconds": [0.0]'),
+        ('"speedLimitMph": 30.0', '"speedLimitMph": -30.0'),
+        ('"polyline": [{"x": 0.0', '"polyline": [{"x": null'),
+        ('"id": "22"', '"id": "21"'),
+        ("}]}", "}]"),
+    ],
+)
+def test_json_that_cannot_be_is_refused(tmp_path: Path, old: str, new: str) -> None:
+    text = json.dumps(protobuf_json())
+    assert old in text
+    path = tmp_path / "a.json"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=r"a\.json") as caught:
+        list(read_recordings(path, "womd"))
+    assert "\n" not in str(caught.value)
