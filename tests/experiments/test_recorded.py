@@ -107,6 +107,7 @@ def write_interaction(path: Path, beside_m: float, cars: int = 12, seconds: floa
 def test_places_are_measured_and_what_is_no_scene_is_unknown(tmp_path):
     write_interaction(tmp_path / "road" / "vehicle_tracks_000.csv", 3.5)
     write_interaction(tmp_path / "heap" / "vehicle_tracks_000.csv", 0.2)
+    (tmp_path / "road" / "vehicle_tracks_001.csv").write_text("track_id,timestamp_ms,agent_type\n")
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "read.me").write_text("nothing")
     assert list(places_in(tmp_path)) == ["heap", "notes", "road"]
@@ -116,8 +117,10 @@ def test_places_are_measured_and_what_is_no_scene_is_unknown(tmp_path):
         for part in recorded_rows(tmp_path, "graphrqi-plus", jobs=1, say=said.append)
         for row in part
     ]
-    assert len(said) == 1
+    assert len(said) == 2
     assert "notes skipped" in said[0]
+    assert "left out" in said[1]
+    assert "vehicle_tracks_001.csv" in said[1]
     found = {(row["scenario"], row["metric"]): row for row in rows}
     assert found["heap", "share_unknown"]["value"] == 1.0
     assert found["heap", "share_no_scene"]["value"] == 1.0

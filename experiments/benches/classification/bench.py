@@ -108,7 +108,10 @@ class Settings:
     )
     worlds: Mapping[str, Any] = field(default_factory=lambda: {"worlds": 200})
     sensed: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 4, "duration_s": 120.0})
-    recordings: int | None = None
+    recordings: int | None = option(
+        None,
+        "Most recordings of a place, and videos, of recorded and zero-shot [default: all].",
+    )
     rates_hz: tuple[float, ...] = tuple(RATES_HZ)
     axes: tuple[str, ...] = tuple(AXES)
     traffic: tuple[str, ...] = tuple(TRAFFIC)

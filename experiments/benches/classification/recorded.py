@@ -30,7 +30,7 @@ from experiments.rows import Row, tidy_row
 from graphrqi.methods import Model, load_model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
-from sim.formats import FORMATS, formats_in, read_recordings
+from sim.formats import FORMATS, formats_in, read_recordings, recording_files
 from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, Tracks
 from sim.store.catalogue import MANIFEST
@@ -184,18 +184,26 @@ def drivers_of(recording: Recording, unit: str, model: str) -> Drivers:
     return Drivers(found, measured(tracks), life[shown], unknown[shown], int(doubt is not None), 1)
 
 
-def recordings_of(folder: Path) -> Iterator[tuple[str, Recording, str]]:
+def recordings_of(folder: Path, say: Callable[[str], None]) -> Iterator[tuple[Recording, str]]:
     """Every recording of a folder, with its format's unit.
 
     Args:
         folder: of recordings, of one or several formats.
+        say: takes a line about each file that cannot be read, such as a map of nobody.
 
     Yields:
-        Format, recording and unit.
+        Recording and unit.
+
+    Raises:
+        InputError: if there is no file of any format.
     """
     for name in formats_in(folder):
-        for recording in read_recordings(folder, name):
-            yield name, recording, FORMATS[name].unit
+        for file in recording_files(folder, name)[0]:
+            try:
+                for recording in read_recordings(file, name):
+                    yield recording, FORMATS[name].unit
+            except InputError as reason:
+                say(f"{PROTOCOL}: left out {reason}")
 
 
 def places_in(folder: Path) -> dict[str, Path]:
@@ -321,7 +329,7 @@ def recorded_rows(
         The rows of each place.
 
     Raises:
-        InputError: if a recording is broken, or the model does not load.
+        InputError: if the folder is not there, or the model does not load.
     """
     load_model(model)  # refuses an unknown name before anything is read
     for place, inside in places_in(folder).items():
@@ -329,10 +337,12 @@ def recorded_rows(
             say(f"{PROTOCOL}: {place} skipped: found a dataset, expected recordings")
             continue
         try:
-            formats_in(inside)
+            found = list(islice(recordings_of(inside, say), most))
         except InputError as reason:
             say(f"{PROTOCOL}: {place} skipped: {reason}")
             continue
-        arguments = [(rec, unit, model) for _, rec, unit in islice(recordings_of(inside), most)]
+        if not found:
+            continue
+        arguments = [(recording, unit, model) for recording, unit in found]
         parts = list(in_parallel(drivers_of, arguments, jobs))
         yield place_rows(place, Drivers.join(parts), Path(model).name)
