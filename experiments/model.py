@@ -7,17 +7,22 @@ by the next run.
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import Final
 
 import graphrqi.predict
+from experiments.benches.real_data import DATA_VARIABLE
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
+from experiments.data.worlds.episode import read_worlds_config
 from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
 from experiments.training.predictor import calibrate_drivers, train_predictors
+from experiments.training.recorded import train_on_recordings
 from graphrqi.methods import MODELS
 from graphrqi.predict.rollout.driver_table import CARD
 
@@ -35,6 +40,16 @@ three times as many drivers in the same time; doubling the episodes of the four-
 still improved macro-F1 by .01. Drivers with another car-following law raise the accuracy of styles
 on a third engine from .84 to .89 at the intersection, and lower macro-F1 on drivers with Krauss's
 law by .004 to .009."""
+
+OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
+"""Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
+
+WORLDS, WORLDS_SEED = 100, 77
+"""Random worlds that the predictor for recordings is trained on, and their seed."""
+
+HOME_EPISODES: Final = 8
+HOME_LIMITS_MPS: Final = (13.89, 8.33, 16.67, 19.44)
+"""Episodes of each scenario that it is trained on, and the limits that they take in turn, m/s."""
 
 CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
@@ -80,6 +95,34 @@ def build_models(work: Path, quiet: bool = False) -> None:
     weights = Path(graphrqi.predict.__file__).parent / "weights"
     calibrate_drivers(data, weights / CARD, quiet=quiet)
     train_predictors(data, BEST_METHOD, weights, quiet=quiet)
+    train_for_recordings(work, weights, quiet)
+
+
+def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
+    """Train the predictor for recordings on random worlds, scenarios and open recordings.
+
+    Without the recordings, which are not part of the package, the weights that ship stay.
+
+    Args:
+        work: folder for the generated data.
+        out: folder of the weights.
+        quiet: whether to show no progress.
+    """
+    folder = os.environ.get(DATA_VARIABLE)
+    recordings = [] if folder is None else [Path(folder) / "real" / name for name in OPEN_DATA]
+    if not recordings or not all(path.is_dir() for path in recordings):
+        sys.stderr.write(
+            f"graphrqi: weights for recordings left as they are: found no recordings "
+            f"{', '.join(OPEN_DATA)} by {DATA_VARIABLE}\n"
+        )
+        return
+    worlds, home = work / "recorded-worlds", work / "recorded-home"
+    generate(read_worlds_config(None, WORLDS, seed=WORLDS_SEED), worlds, None, quiet)
+    config = GenerateConfig(
+        scenarios=SCENARIOS, episodes=HOME_EPISODES, seed=WORLDS_SEED, limits_mps=HOME_LIMITS_MPS
+    )
+    generate(config, home, None, quiet)
+    train_on_recordings([*recordings, worlds, home], out, quiet=quiet)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from behaviors.errors import InputError, lookup
 from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
 from experiments.benches.contract import Bench, option
+from experiments.benches.prediction.recordings import measure_recordings
 from experiments.data.parallel import in_parallel
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import (
@@ -384,7 +385,12 @@ class Settings:
     """Which recordings are scored, and how.
 
     Attributes:
-        data: folder with ``traf``; None for that in ``GRAPHRQI_DATA``.
+        data: folder with ``traf``, or for prediction of datasets; None for ``GRAPHRQI_DATA``.
+        task: ``behavior`` or ``prediction``.
+        leave_out: for prediction, what is left out of the training in turn: each ``dataset``,
+            each ``place``, or ``nothing``.
+        epochs: for prediction, of each training.
+        seed: for prediction, of trainings and noise.
         test_videos: names of videos never trained on; () leaves each one out in turn.
         views: keys of ``VIEWS``.
         tasks: keys of ``TASKS``.
@@ -392,6 +398,10 @@ class Settings:
     """
 
     data: Path | None = option(None, "Folder of recordings [default: GRAPHRQI_DATA].")
+    task: str = option("behavior", "behavior, or prediction: where vehicles go.")
+    leave_out: str = option("dataset", "For prediction: dataset, place or nothing.")
+    epochs: int = option(10, "For prediction: of each training.")
+    seed: int = 0
     test_videos: tuple[str, ...] = option((), "Videos that are only tested on.")
     views: tuple[str, ...] = tuple(VIEWS)
     tasks: tuple[int, ...] = tuple(TASKS)
@@ -407,6 +417,14 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     data = settings.data
     if data is None and os.environ.get(DATA_VARIABLE):
         data = Path(os.environ[DATA_VARIABLE])
+    if settings.task == "prediction":
+        if data is None:
+            sys.stderr.write(f"real-data: skipped: found no --data and no {DATA_VARIABLE}\n")
+            return
+        yield from measure_recordings(data, settings.leave_out, settings.epochs, settings.seed)
+        return
+    if settings.task != "behavior":
+        raise InputError(f"task: found {settings.task!r}, expected behavior or prediction")
     if data is None or not (data / "traf" / "tracks").is_dir():
         where = f"no --data and no {DATA_VARIABLE}" if data is None else f"no {data}/traf/tracks"
         print(f"real-data: traf skipped: found {where}", file=sys.stderr)

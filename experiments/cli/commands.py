@@ -29,6 +29,7 @@ from experiments.cli.options import (
     Spread,
     names_of,
 )
+from experiments.cli.predictors import train_predictor
 from experiments.cli.what_if import what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, say, show_notices
@@ -197,6 +198,11 @@ def train(
         show_table(scores_table(rows), title=f"after 10 s of observation, {rows[0]['split']} split")
     else:
         typer.echo("not scored: the dataset has no test episode with a driver seen for 10 s")
+
+
+app.command("train-predictor", epilog="example: graphrqi train-predictor recordings --out weights")(
+    train_predictor
+)
 
 
 @app.command(epilog="example: graphrqi classify data --out labels.parquet")

@@ -208,18 +208,18 @@ def evaluate(
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
             gap = distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
-            hit = _hits(history, prediction.best[:, at])[scored]
+            hit = hits(history, prediction.best[:, at])[scored]
             for h, horizon_s in enumerate(horizons_s):
                 last = round(horizon_s / SAMPLE_S)
                 values = [f(gap[:, :, :last], probability) for f in METRICS.values()]
-                values += _set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
+                values += set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
                 values.append(np.asarray(hit[:, :last].any(axis=1), dtype=np.float64))
-                values.append(_off_road(road, prediction, scored, at[last - 1]))
+                values.append(off_road(road, prediction, scored, at[last - 1]))
                 total[name][:, h] += member.T @ np.stack(values, axis=1)
     return {name: Errors(total[name], count) for name in predictors}
 
 
-def _hits(history: Tracks, xy: FloatArray) -> BoolArray:
+def hits(history: Tracks, xy: FloatArray) -> BoolArray:
     """(n, H) whether each agent's predicted outline overlaps another's at each time."""
     before = np.concatenate([history.xy[:, -1:], xy[:, :-1]], axis=1)
     moved = xy - before
@@ -235,7 +235,7 @@ def _hits(history: Tracks, xy: FloatArray) -> BoolArray:
     return out
 
 
-def _set_measures(
+def set_measures(
     prediction: Prediction, rows: IntArray, at: int, truth: FloatArray
 ) -> list[FloatArray]:
     """Whether each agent ended in its 90 % set, and minus the log density; NaN without a spread."""
@@ -247,7 +247,7 @@ def _set_measures(
     return [inside, -log_density(truth[:, None], xy, spread, probability)[:, 0]]
 
 
-def _off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
+def off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
     """(m,) 1 where the likeliest future is off every lane at a time; NaN without a map."""
     if road is None:
         return np.full(rows.size, np.nan)

@@ -24,7 +24,6 @@ from experiments.scoring.prediction_errors import (
 )
 from graphrqi.methods import load_model
 from graphrqi.predict.learned.inputs import predictor_inputs, to_own_frame, unlabelled_inputs
-from graphrqi.predict.map_free.predictor import map_free_inputs
 from graphrqi.predict.networks.futures import KNOT_S, KNOTS, Futures, PredictorInputs
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table, table_to_json
 from graphrqi.predict.rollout.following import shuffled_posterior
@@ -45,9 +44,6 @@ EXAMPLES_EVERY_S: Final = 1.5
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
 """Shares of instants at which, in an epoch, nobody is believed to be anything, and everybody what
 another driver is believed to be (our choice on episodes of a set apart)."""
-
-ALONE_SHARE: Final = 0.3
-"""Share of training instants in which the network without a map sees no neighbours (ours)."""
 
 
 def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:
@@ -175,9 +171,9 @@ class Told:
 
 
 def examples_of(
-    folder: Path, entry: EpisodeEntry, model: str, every_s: float, seed: int
-) -> tuple[Told, Examples, Examples]:
-    """What learned predictors are trained on, from one episode: with labels, without, without map.
+    folder: Path, entry: EpisodeEntry, model: str, every_s: float
+) -> tuple[Told, Examples]:
+    """What learned predictors are trained on, from one episode: with labels and without.
 
     Beliefs are the classifier's own.
     """
@@ -185,11 +181,10 @@ def examples_of(
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     if road is None:
         raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to train on")
-    rng = np.random.default_rng((seed, entry.seed))
     table = default_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
     told: list[list[Examples]] = [[], [], []]
-    label_free, mapless = [], []
+    label_free = []
     for stop, posterior in beliefs(tracks, load_model(model), stops).items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         scene = make_scene(history, road, LEARNED_S)
@@ -210,14 +205,11 @@ def examples_of(
         for found, belief in zip(told, (probability, unknown, others), strict=True):
             found.append(_examples(predictor_inputs(scene, belief, table), own, counts))
         label_free.append(_examples(unlabelled_inputs(scene), own, counts))
-        sees = bool(rng.random() >= ALONE_SHARE)
-        mapless.append(_examples(map_free_inputs(history, sees), own, counts))
     instant = np.repeat(np.arange(len(told[0])), [len(one.features) for one in told[0]])
     believed, unknown_too, shuffled = (Examples.join(found) for found in told)
     return (
         Told(believed, unknown_too, shuffled, instant),
         Examples.join(label_free),
-        Examples.join(mapless),
     )
 
 
@@ -263,28 +255,28 @@ def train_predictors(
     """
     dataset = open_dataset(source)
     load_model(model)
-    parts: dict[Split, tuple[Told, Examples, Examples]] = {}
+    parts: dict[Split, tuple[Told, Examples]] = {}
     splits: tuple[Split, ...] = ("train", "validation")
     for split in splits:
         entries = dataset.episodes(split)
         if not entries:
             raise InputError(f"{source}: found no {split} episode, expected at least 1")
-        arguments = [(source, entry, model, every_s, seed) for entry in entries]
+        arguments = [(source, entry, model, every_s) for entry in entries]
         found = []
         with Progress(f"predictors: observing {split} episodes", len(entries), quiet) as progress:
             for one in in_parallel(examples_of, arguments, jobs):
                 found.append(one)
                 progress.advance()
-        informed, label_free, mapless = (list(same) for same in zip(*found, strict=True))
-        parts[split] = Told.join(informed), Examples.join(label_free), Examples.join(mapless)
+        informed, label_free = (list(same) for same in zip(*found, strict=True))
+        parts[split] = Told.join(informed), Examples.join(label_free)
     card: dict[str, Any] = {
         "data": dict(dataset.manifest.configuration), "split": "train", "epochs": epochs,
         "examples": len(parts["train"][1].features), "seed": seed,
     }  # fmt: skip
-    told, train_free, train_mapless = parts["train"]
-    told_too, check_free, check_mapless = parts["validation"]
+    told, train_free = parts["train"]
+    told_too, check_free = parts["validation"]
     train, check = functools.partial(told.draw, seed), told_too.draw(seed, 0)
-    with Progress("predictors: training epochs", 4 * epochs, quiet) as progress:
+    with Progress("predictors: training epochs", 3 * epochs, quiet) as progress:
 
         def advance(epoch: int, ade_m: float) -> None:
             progress.advance()
@@ -292,21 +284,16 @@ def train_predictors(
         network = train_perceptron(train, check, epochs=epochs, seed=seed, on_epoch=advance)
         rival = train_lstm(train_free, check_free, epochs=epochs, seed=seed, on_epoch=advance)
         plain = train_perceptron(train_free, check_free, epochs=epochs, seed=seed, on_epoch=advance)
-        blind = train_perceptron(
-            train_mapless, check_mapless, epochs=epochs, seed=seed, on_epoch=advance
-        )
     scores = {
         "graphrqi-predict": guess_ade_m(network, check),
         "lstm": guess_ade_m(rival, check_free),
         "mlp": guess_ade_m(plain, check_free),
-        "mapless": guess_ade_m(blind, check_mapless),
     }
     out.mkdir(parents=True, exist_ok=True)
     for name, save in (
         ("graphrqi-predict", network.save),
         ("lstm", rival.save),
         ("mlp", plain.save),
-        ("mapless", blind.save),
     ):
         save(out / f"{name}.safetensors", card | {"validation_ade_m": round(scores[name], 4)})
     return scores

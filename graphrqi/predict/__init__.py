@@ -25,6 +25,9 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
     {
         "constant-velocity": "graphrqi.predict.constant:constant_velocity",
         "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
+        "fading": "graphrqi.predict.recorded.rivals:fading_predictor",
+        "turn-rate": "graphrqi.predict.recorded.rivals:turn_rate_predictor",
+        "kalman": "graphrqi.predict.recorded.rivals:kalman_predictor",
         "car-following-blind": "graphrqi.predict.rollout.following:blind",
         "car-following": "graphrqi.predict.rollout.following:aware",
         "car-following-wary": "graphrqi.predict.rollout.following:wary_following",
@@ -63,9 +66,9 @@ def predict(
     Args:
         history: tracks whose last column is the present.
         posterior: beliefs about the drivers; agents it does not name count as unknown.
-        road: where it happens; None where there is no map: then lanes are inferred from the
-            traffic and all predictors but ``constant-velocity`` come down to one
-            (`graphrqi.predict.map_free.predictor`).
+        road: where it happens; None where there is no map: then neighbours are inferred from
+            the traffic, and predictors that need a map come down to the one for recordings
+            (`graphrqi.predict.recorded.predictor`).
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
 
@@ -76,7 +79,7 @@ def predict(
         InputError: if the predictor is unknown, the horizon too short, or the history empty or with
             numbers that are not finite where agents were seen.
     """
-    from graphrqi.predict.map_free.predictor import predict_unmapped
+    from graphrqi.predict.recorded.predictor import predict_unmapped
     from graphrqi.predict.scene.scene import (
         LEARNED_S,
         check_history,

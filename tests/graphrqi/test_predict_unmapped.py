@@ -1,4 +1,4 @@
-"""Prediction without a map: leaders from the traffic, and nothing where gaps are implausible."""
+"""Prediction for recordings: the base, what noise does to it, neighbours, and the fallbacks."""
 
 from __future__ import annotations
 
@@ -7,22 +7,36 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
-from graphrqi.predict.map_free.motion import inferred_leaders, plausible, smooth
-from graphrqi.predict.map_free.predictor import map_free_inputs, trusted_model
+from graphrqi.predict.recorded.features import feature_count, features_of, neighbour_slots
+from graphrqi.predict.recorded.gaps import inferred_leaders, plausible
+from graphrqi.predict.recorded.motion import Motion, fading
+from graphrqi.predict.recorded.network import (
+    MODES,
+    PER_MODE,
+    RecordedNetwork,
+    TrainedRange,
+    load_network,
+    shipped_network,
+)
+from graphrqi.predict.recorded.predictor import predict_recorded
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Tracks
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+RULES = ("constant-velocity", "fading", "turn-rate", "kalman")
 
 
-def recording(x, speed, *, y=None, accel=0.0, kind=None, length=4.5) -> Tracks:
+def recording(
+    x, speed, *, y=None, accel=0.0, kind=None, length=4.5, step_s=0.1, seconds=3.0
+) -> Tracks:
     x, speed = np.array(x, dtype=float), np.array(speed, dtype=float)
     n = x.size
     frames = []
-    for ago in np.arange(30, -1, -1) / 10:
+    for ago in np.arange(seconds, -1e-9, -step_s):
         past = speed - accel * ago
         frames.append(
             Frame(
@@ -35,8 +49,40 @@ def recording(x, speed, *, y=None, accel=0.0, kind=None, length=4.5) -> Tracks:
     return Tracks.from_frames(frames)
 
 
-def ends(tracks: Tracks, predictor="car-following"):
+def turning(rate=0.3, speed=8.0, seconds=3.0) -> Tracks:
+    frames = []
+    for time_s in np.arange(-seconds, 1e-9, 0.1):
+        angle = rate * time_s
+        xy = speed / rate * np.array([[np.sin(angle), 1.0 - np.cos(angle)]])
+        frames.append(
+            Frame(time_s=time_s, ids=[0], xy=xy, heading=[angle], speed=[speed], length=[4.5],
+                  width=[1.8], kind=[0])
+        )  # fmt: skip
+    return Tracks.from_frames(frames)
+
+
+def shaken(tracks: Tracks, noise_m=0.1, seed=0) -> Tracks:
+    """Noisy positions, and the speeds and headings that follow from them."""
+    rng = np.random.default_rng(seed)
+    xy = tracks.xy + rng.normal(0.0, noise_m, tracks.xy.shape)
+    step = np.diff(xy, axis=1, prepend=xy[:, :1] - (xy[:, 1:2] - xy[:, :1])) / tracks.step_s
+    return replace(
+        tracks, xy=xy, speed=np.hypot(step[..., 0], step[..., 1]),
+        heading=np.arctan2(step[..., 1], step[..., 0]),
+    )  # fmt: skip
+
+
+def ends(tracks: Tracks, predictor="fading"):
     return predict(tracks, NOBODY, None, predictor=predictor).best[:, -1]
+
+
+def raw_network(raw, trained=None) -> RecordedNetwork:
+    """A network that always answers the same."""
+    count = feature_count()
+    return RecordedNetwork(
+        np.zeros(count), np.ones(count), (np.zeros((count, raw.size), np.float32),),
+        (raw.astype(np.float32).ravel(),), 1.0, trained or TrainedRange(40.0, 0.3, 5.0, 0.6),
+    )  # fmt: skip
 
 
 def test_leaders_are_found_in_the_own_line_only():
@@ -46,32 +92,186 @@ def test_leaders_are_found_in_the_own_line_only():
     assert gap[:2] == pytest.approx([25.5, 25.5])
 
 
-def test_steady_drivers_keep_their_speed():
-    assert ends(recording([0.0], [12.0]))[0] == pytest.approx([60.0, 0.0])
+def test_neighbours_are_told_apart():
+    tracks = recording([0, 30, -20, 10, -10, 15, -15], [10] * 7, y=[0, 0, 0, 3.5, 3.5, -3.5, -3.5])
+    rows, gaps = neighbour_slots(tracks, Motion.of(tracks))
+    assert rows[0].tolist() == [1, 2, 3, 4, 5, 6]
+    assert gaps[0] == pytest.approx([25.5, 15.5, 5.5, 5.5, 10.5, 10.5], abs=0.1)
+
+
+def test_a_vehicle_that_is_overtaken_by_nobody_has_no_neighbours():
+    rows, gaps = neighbour_slots(recording([0.0], [10.0]), Motion.of(recording([0.0], [10.0])))
+    assert (rows == -1).all()
+    assert np.isinf(gaps).all()
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_steady_drivers_keep_their_speed(rule):
+    assert ends(recording([0.0], [12.0]), rule)[0] == pytest.approx([60.0, 0.0], abs=1e-3)
 
 
 def test_an_acceleration_fades():
     end = ends(recording([0.0], [8.0], accel=1.0))[0, 0]
-    assert 40.0 < end < 40.0 + 0.5 * 1.0 * 25.0
+    # .7 m/s2 that fades in 1.5 s
+    expected = 40.0 + 0.7 * 1.5 * (5.0 - 1.5 * (1.0 - np.exp(-5.0 / 1.5)))
+    assert end == pytest.approx(expected, abs=0.3)
 
 
-def test_who_brakes_does_not_reverse():
-    told = predict(recording([0.0], [1.0], accel=-3.0), NOBODY, None)
+def test_constant_acceleration_is_what_the_kalman_filter_keeps():
+    end = ends(recording([0.0], [8.0], accel=1.0), "kalman")[0, 0]
+    assert end == pytest.approx(40.0 + 12.5, abs=1.0)
+
+
+@pytest.mark.parametrize("rule", [*RULES, "graphrqi-predict"])
+def test_who_brakes_does_not_reverse(rule):
+    told = predict(recording([0.0], [1.0], accel=-3.0), NOBODY, None, predictor=rule)
     assert (told.xy[0, :, -1, 0] > -0.5).all()
 
 
-def test_a_slower_leader_slows_its_follower():
-    just_met = slice(-11, None)
-    alone = ends(recording([0.0], [12.0]).part(np.arange(1), just_met))[0, 0]
-    behind = ends(recording([0.0, 25.0], [12.0, 5.0]).part(np.arange(2), just_met))[0, 0]
-    assert behind < alone - 5.0
+@pytest.mark.parametrize("rule", ["fading", "turn-rate"])
+def test_a_turn_goes_on_and_fades(rule):
+    end = ends(turning(), rule)[0]
+    turned = 0.5 * 0.3 * 1.0  # half of the rate, fading in 1 s: rad
+    assert np.arctan2(end[1], end[0]) == pytest.approx(turned, rel=0.35)
+    assert ends(turning(-0.3), rule)[0, 1] == pytest.approx(-end[1])
 
 
-def test_implausible_gaps_switch_leaders_off():
+def test_yaw_rates_are_measured():
+    assert Motion.of(turning(0.3)).yaw_rate == pytest.approx([0.3], abs=0.03)
+    assert Motion.of(recording([0.0], [10.0])).yaw_rate == pytest.approx([0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("missing", [(), (5, 11, 12, 20)])
+def test_noise_is_measured(missing):
+    tracks = recording([0.0, 40.0, 80.0], [12.0, 11.0, 10.0], accel=0.5)
+    keep = np.setdiff1d(np.arange(tracks.time_s.size), missing)
+    clean = tracks.part(np.arange(3), keep)
+    assert Motion.of(clean).noise_m == pytest.approx(0.01)
+    measured = [Motion.of(shaken(tracks, 0.1, k).part(np.arange(3), keep)) for k in range(20)]
+    assert np.mean([one.noise_m for one in measured]) == pytest.approx(0.1, rel=0.15)
+
+
+def test_noise_moves_the_base_less_than_constant_velocity():
+    tracks = recording([0.0, 60.0, 120.0], [12.0, 12.0, 12.0])
+    time_s = np.array([5.0])
+    off_base, off_steady = [], []
+    for seed in range(20):
+        noisy = shaken(tracks, 0.1, seed)
+        motion = Motion.of(noisy)
+        at = motion.from_own_frame(fading(motion, time_s))[:, 0]
+        off_base.append(at - tracks.xy[:, -1] - [60.0, 0.0])
+        last, before = noisy.xy[:, -1], noisy.xy[:, -6]
+        off_steady.append(last + 10.0 * (last - before) - tracks.xy[:, -1] - [60.0, 0.0])
+    assert np.square(off_base).mean() < 0.85 * np.square(off_steady).mean()
+
+
+def test_wrong_speeds_do_not_count():
+    tracks = recording([0.0], [12.0])
+    wrong = replace(tracks, speed=np.full_like(tracks.speed, 3.0))
+    assert Motion.of(wrong).speed == pytest.approx([12.0], rel=0.05)
+
+
+def test_coarse_recordings_are_read():
+    fine = recording([0.0], [10.0], accel=1.0)
+    coarse = recording([0.0], [10.0], accel=1.0, step_s=0.5)
+    assert ends(coarse)[0] == pytest.approx(ends(fine)[0], abs=0.5)
+
+
+def test_gaps_in_a_track_are_bridged():
+    tracks = recording([0.0, 60.0], [10.0, 10.0])
+    valid = tracks.valid.copy()
+    valid[0, [3, 4, 18, 19]] = False
+    gappy = replace(tracks, valid=valid, xy=np.where(valid[..., None], tracks.xy, np.nan))
+    assert ends(gappy)[0] == pytest.approx([50.0, 0.0], abs=1e-3)
+    assert np.isfinite(features_of(gappy, Motion.of(gappy))).all()
+
+
+def test_implausible_gaps_switch_neighbours_off():
     overlapping = recording([0.0, 2.0, 50.0, 52.0], [12.0, 5.0, 12.0, 5.0])
     assert not plausible(overlapping)
     assert plausible(recording([0.0, 25.0], [12.0, 5.0]))
-    assert ends(overlapping)[0, 0] == pytest.approx(60.0)
+    motion = Motion.of(overlapping)
+    alone = features_of(overlapping, motion, believable=False)
+    assert not np.allclose(features_of(overlapping, motion)[0], alone[0])
+    single = recording([0.0], [12.0])
+    assert np.allclose(features_of(single, Motion.of(single), believable=False)[0], alone[0])
+
+
+def test_parked_vehicles_tell_nothing_of_clocks():
+    assert plausible(recording([0.0, 3.0], [0.0, 0.0]))
+    assert not plausible(recording([0.0, 3.0], [5.0, 0.0]))
+
+
+def test_features_are_as_many_as_told():
+    tracks = recording([0.0, 25.0], [12.0, 5.0])
+    assert features_of(tracks, Motion.of(tracks)).shape == (2, feature_count())
+
+
+def test_a_scene_that_is_turned_and_moved_is_predicted_the_same():
+    tracks = recording([0.0, 25.0, 8.0], [12.0, 9.0, 10.0], y=[0.0, 0.0, 3.5], accel=-0.5)
+    told = predict(tracks, NOBODY, None)
+    angle, shift = 2.1, np.array([500.0, -80.0])
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    heading = (tracks.heading + angle + np.pi) % (2 * np.pi) - np.pi
+    moved = replace(tracks, xy=tracks.xy @ turn.T + shift, heading=heading)
+    again = predict(moved, NOBODY, None)
+    assert again.xy == pytest.approx(told.xy @ turn.T + shift, abs=1e-3)
+    assert again.probability == pytest.approx(told.probability, abs=1e-4)
+
+
+def test_a_slower_leader_slows_its_follower():
+    alone = ends(recording([0.0], [12.0]), "graphrqi-predict")[0, 0]
+    behind = ends(recording([0.0, 25.0], [12.0, 5.0]), "graphrqi-predict")[0, 0]
+    assert behind < alone - 5.0
+
+
+def test_the_first_future_is_the_likeliest():
+    told = predict(recording([0.0, 25.0], [12.0, 9.0]), NOBODY, None)
+    assert told.xy.shape[1] == MODES
+    assert told.probability.argmax(axis=1).tolist() == [0, 0]
+    assert told.probability.sum(axis=1) == pytest.approx(1.0)
+    assert (np.diff(told.spread, axis=2) > -1e-9).all()
+
+
+@pytest.mark.parametrize(
+    "tracks",
+    [
+        recording([0.0], [60.0]),
+        recording([0.0], [12.0], step_s=1.0, seconds=5.0),
+        shaken(recording([0.0], [12.0]), noise_m=1.0),
+    ],
+    ids=["fast", "coarse", "noisy"],
+)
+def test_outside_the_trained_range_the_base_answers(tracks):
+    told = predict_recorded(tracks, 50, raw_network(np.full((MODES, PER_MODE), 3.0)))
+    base = ends(tracks, "fading")
+    assert told.best[:, -1] == pytest.approx(np.maximum(base, [[0.0, -np.inf]]), abs=1e-6)
+    assert np.ptp(told.xy[0, :, -1, 0]) > 1.0  # the fan says what else may happen
+
+
+def test_inside_it_the_network_corrects_the_base():
+    raw = np.zeros((MODES, PER_MODE))
+    raw[0, 0] = 1.0  # the first power of time, ahead
+    told = predict_recorded(recording([0.0], [20.0]), 50, raw_network(raw))
+    assert told.best[0, -1] == pytest.approx([100.0 + 2.8, 0.0], abs=0.05)
+
+
+def test_what_is_saved_loads_back_equal(tmp_path):
+    network = shipped_network()
+    network.save(tmp_path / "again.safetensors", {"why": "test"})
+    again = load_network(tmp_path / "again.safetensors")
+    tracks = recording([0.0, 25.0], [12.0, 9.0])
+    one, two = (predict_recorded(tracks, 50, each) for each in (network, again))
+    assert np.array_equal(one.xy, two.xy)
+    assert again.trained == network.trained
+
+
+def test_a_file_that_is_no_network_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"no\.safetensors: found no file"):
+        load_network(tmp_path / "no.safetensors")
+    (tmp_path / "broken.safetensors").write_bytes(b"x" * 40)
+    with pytest.raises(InputError, match=r"broken\.safetensors: expected a trained predictor"):
+        load_network(tmp_path / "broken.safetensors")
 
 
 def test_constant_velocity_keeps_its_meaning():
@@ -82,60 +282,15 @@ def test_constant_velocity_keeps_its_meaning():
 def test_pedestrians_walk_on():
     tracks = recording([0.0, 3.0], [1.4, 0.0], kind=[PEDESTRIAN, 0])
     told = predict(tracks, NOBODY, None)
-    assert told.xy[0, :, -1, 0] == pytest.approx(7.0)
+    assert told.best[0, -1, 0] == pytest.approx(7.0)
     assert told.probability.sum(axis=1) == pytest.approx(1.0)
 
 
-def jumping(seconds=5.0) -> Tracks:
-    """Two vehicles that go on at 10 m/s on average while their accelerations mean nothing."""
-    frames = []
-    for step, time_s in enumerate(np.arange(0.0, seconds + 1e-9, 0.1)):
-        speed = np.full(2, 10.0 + (1.5 if (step // 8) % 2 else -1.5))
-        speed[:] = 10.0 if step >= seconds * 10 or step in (25, 26) else speed
-        frames.append(
-            Frame(
-                time_s=time_s, ids=[0, 1], xy=[[10.0 * time_s, 0.0], [10.0 * time_s, 40.0]],
-                heading=[0.0, 0.0], speed=speed, length=[4.5] * 2, width=[1.8] * 2, kind=[0, 0],
-            )
-        )  # fmt: skip
-    return Tracks.from_frames(frames)
-
-
-def test_a_past_that_only_steady_motion_explains_is_predicted_by_it():
-    tracks = jumping()
-    assert trusted_model(tracks, believable=False) == "steady"
-    assert ends(tracks)[:, 0] == pytest.approx([100.0, 100.0])
-
-
-def test_a_short_past_is_not_tried():
-    assert trusted_model(recording([0.0], [12.0]), believable=True) == "own past"
+@pytest.mark.parametrize("name", [*RULES, "graphrqi-predict"])
+def test_a_single_frame_is_predicted(name):
     frame = next(iter(recording([0.0], [12.0]).frames()))
-    alone = Tracks.from_frames([frame])
-    assert trusted_model(alone, believable=True) == "own past"
-    assert trusted_model(alone, believable=False) == "steady"
-
-
-def test_shaken_tracks_are_taken_to_go_on_as_they_do():
-    tracks = recording([0.0, 60.0, 120.0], [12.0, 11.0, 10.0], accel=1.0)
-    assert smooth(tracks)
-    shaken = replace(tracks, heading=tracks.heading + 0.1 * (np.arange(31) % 2))
-    assert not smooth(shaken)
-    assert trusted_model(shaken, believable=True) == "steady"
-    slow = replace(shaken, speed=np.minimum(shaken.speed, 1.0))
-    assert smooth(slow)
-
-
-def test_parked_vehicles_tell_nothing_of_clocks():
-    assert plausible(recording([0.0, 3.0], [0.0, 0.0]))
-    assert not plausible(recording([0.0, 3.0], [5.0, 0.0]))
-
-
-def test_the_network_sees_no_neighbours_where_gaps_are_implausible():
-    tracks = recording([0.0, 25.0], [12.0, 5.0])
-    seen, alone = (map_free_inputs(tracks, believable).features for believable in (True, False))
-    follower = recording([0.0], [12.0])
-    assert not np.allclose(seen[0], alone[0])
-    assert np.allclose(alone[0], map_free_inputs(follower, believable=False).features[0])
+    end = ends(Tracks.from_frames([frame]), name)
+    assert end[0] == pytest.approx([24.0, 0.0], abs=8.0)  # it was 36 m back
 
 
 @pytest.fixture(scope="module")
@@ -145,12 +300,22 @@ def told_no_limits():
     return replace(road, lanes=tuple(replace(x, speed_limit_mps=np.nan) for x in road.lanes))
 
 
+@pytest.fixture(scope="module")
+def told_no_signals():
+    """The same with limits, as a map that knows no lights tells it."""
+    road = SCENARIOS["straight_road"]().road
+    return replace(road, knows=replace(road.knows, signals=False))
+
+
 @pytest.mark.parametrize("name", ["graphrqi-predict", "graphrqi-predict-unlabelled", "lstm", "mlp"])
-def test_networks_take_a_road_without_limits_for_none(name, told_no_limits):
+def test_networks_for_home_leave_other_maps_to_the_one_for_recordings(
+    name, told_no_limits, told_no_signals
+):
     y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
     tracks = recording([50, 80], [10, 8], y=[y, y])
-    with_road = predict(tracks, NOBODY, told_no_limits, predictor=name)
-    assert np.array_equal(with_road.xy, predict(tracks, NOBODY, None, predictor=name).xy)
+    expected = predict(tracks, NOBODY, None, predictor=name).xy
+    for road in (told_no_limits, told_no_signals):
+        assert np.array_equal(predict(tracks, NOBODY, road, predictor=name).xy, expected)
 
 
 @pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])

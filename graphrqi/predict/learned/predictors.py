@@ -16,10 +16,10 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
 from graphrqi.predict.learned.lstm import shipped_lstm
-from graphrqi.predict.map_free.predictor import predict_unmapped
 from graphrqi.predict.networks.futures import spread_out
 from graphrqi.predict.networks.perceptron import shipped_perceptron
-from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.recorded.predictor import predict_recorded
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.rollout.following import shuffled_posterior, true_behavior
 from graphrqi.predict.scene.paths import limits_known
@@ -28,24 +28,30 @@ from graphrqi.predict.scene.scene import Scene
 Predictor = Callable[[Scene, Posterior], Prediction]
 
 
-def where_limits_are_known(predictor: Predictor) -> Predictor:
-    """A learned predictor that falls back to the map-free one where speed limits are unknown.
+def at_home(predictor: Predictor) -> Predictor:
+    """A learned predictor that leaves recordings to the predictor for these.
 
-    A road without limits is a recording's map, which lacks lights and priority too. The networks
-    were trained where all of these are known, and would predict that a vehicle waiting at a light,
-    or parked, is about to drive off.
+    The networks were trained where limits, lights and priority are known and traffic drives as
+    the limits say. A recording's map rarely knows all of these; there they would predict that a
+    vehicle waiting at a light, or parked, is about to drive off.
     """
 
     @functools.wraps(predictor)
     def predict(scene: Scene, posterior: Posterior) -> Prediction:
-        if not limits_known(scene.graph):
-            return predict_unmapped(scene.history, scene.steps * STEP_S, "graphrqi-predict")
+        if not knows_everything(scene):
+            return predict_recorded(scene.history, scene.steps)
         return predictor(scene, posterior)
 
     return predict
 
 
-@where_limits_are_known
+def knows_everything(scene: Scene) -> bool:
+    """Whether the road tells limits that rule, lights and priority."""
+    knows = scene.road.knows
+    return not knows.unknown and knows.limits_rule and limits_known(scene.graph)
+
+
+@at_home
 def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
     """Rollouts of the believed behaviours, corrected by a network: the best predictor here."""
     inputs = predictor_inputs(scene, posterior.of(scene.ids), default_table())
@@ -53,14 +59,14 @@ def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
     return spread_out(scene.history, network(inputs), scene.steps)
 
 
-@where_limits_are_known
+@at_home
 def mlp(scene: Scene, posterior: Posterior) -> Prediction:
     """A perceptron with the inputs, data and budget of the label-free ``lstm``, for comparison."""
     network = shipped_perceptron("mlp.safetensors")
     return spread_out(scene.history, network(unlabelled_inputs(scene)), scene.steps)
 
 
-@where_limits_are_known
+@at_home
 def lstm(scene: Scene, posterior: Posterior) -> Prediction:
     """A recurrent network that is given neither beliefs nor a driver model."""
     return spread_out(scene.history, shipped_lstm()(unlabelled_inputs(scene)), scene.steps)

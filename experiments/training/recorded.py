@@ -1,0 +1,301 @@
+"""Trains the predictor for recordings: ``graphrqi train-predictor DATA... --out FOLDER``.
+
+Every instant of a recording is learned from several times: as recorded, with noise added to the
+past, with fewer frames, and with a shorter past, so that what the network learns holds on
+recordings that are shakier, coarser or younger. The future is never altered.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from experiments.console.progress import Progress
+from experiments.scoring.recordings import (
+    PAST_S,
+    RecordedPlace,
+    happened,
+    history_of,
+    moving,
+    read_sources,
+    recorded_instants,
+    steady_motion,
+)
+from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.predict.recorded.features import features_of
+from graphrqi.predict.recorded.gaps import plausible
+from graphrqi.predict.recorded.motion import Motion, fading
+from graphrqi.predict.recorded.network import SHIPPED, RecordedNetwork
+from graphrqi.predict.training.recorded import RecordedExamples, guesses, train_recorded
+from sim.frames import BoolArray, FloatArray, Tracks
+
+PER_DATASET: Final = 6_000
+"""About so many moving agents at instants are taken from each dataset."""
+
+LEAST_EVERY_S, MOST_EVERY_S = 0.4, 30.0
+"""Shortest and longest time between the instants of a recording, s."""
+
+NOISE_M: Final = (0.02, 0.25)
+"""Range of the noise added to the past, standard deviation of each coordinate, m, log-uniform."""
+
+NOISY_COPIES: Final = 2
+"""Noisy versions of each instant."""
+
+COARSER: Final = (2, 3, 5)
+"""Every second, third or fifth frame is kept in another version, where frames are denser than
+`DENSE_S`."""
+
+DENSE_S: Final = 0.15
+
+SHORTEST_PAST_S: Final = 0.4
+"""The shortest past that is learned from, s."""
+
+ALONE_SHARE: Final = 0.08
+"""Share of versions without neighbours, as where gaps are implausible."""
+
+VALIDATION_EVERY: Final = 10
+"""Every tenth recording scales the spreads and is not trained on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DatasetExamples:
+    """What one dataset gives.
+
+    Attributes:
+        dataset: its name.
+        training: examples in all versions.
+        validation: of other recordings, as recorded.
+    """
+
+    dataset: str
+    training: RecordedExamples
+    validation: RecordedExamples | None
+
+
+def with_noise(history: Tracks, deviation_m: float, rng: np.random.Generator, style: int) -> Tracks:
+    """A history with noise added to its positions.
+
+    Args:
+        history: tracks.
+        deviation_m: of each coordinate, m.
+        rng: draws the noise.
+        style: 0: velocities stay as recorded; 1: speeds and headings follow from the noisy
+            positions; 2: the noise is correlated over half a second, and speeds follow.
+    """
+    noise = rng.normal(0.0, deviation_m, history.xy.shape)
+    if style == 2 and history.time_s.size > 1:
+        keep = float(np.exp(-history.step_s / 0.5))
+        for t in range(1, history.time_s.size):
+            noise[:, t] = keep * noise[:, t - 1] + np.sqrt(1 - keep**2) * noise[:, t]
+    xy = history.xy + noise
+    if style == 0 or history.time_s.size < 2:
+        return dataclasses.replace(history, xy=xy)
+    step = np.diff(xy, axis=1) / np.diff(history.time_s)[None, :, None]
+    before = np.concatenate([step[:, :1], step], axis=1)
+    after = np.concatenate([step, step[:, -1:]], axis=1)
+    velocity = np.where(np.isfinite(before), before, after)
+    speed = np.hypot(velocity[..., 0], velocity[..., 1])
+    known = history.valid & np.isfinite(speed)
+    turns = known & (speed > 0.5)
+    with np.errstate(invalid="ignore"):
+        heading = np.arctan2(velocity[..., 1], velocity[..., 0])
+    return dataclasses.replace(
+        history,
+        xy=xy,
+        speed=np.where(known, speed, history.speed),
+        heading=np.where(turns, heading, history.heading),
+    )
+
+
+def coarser(history: Tracks, every: int) -> Tracks:
+    """A history with every so many-th frame, the last one among them."""
+    columns = np.arange(history.time_s.size - 1, -1, -every)[::-1]
+    return history.part(np.arange(history.ids.size), columns)
+
+
+def shorter(history: Tracks, past_s: float) -> Tracks:
+    """A history of at most this duration, s."""
+    first = int(np.searchsorted(history.time_s, history.time_s[-1] - past_s - 1e-6))
+    return history.part(np.arange(history.ids.size), slice(first, None))
+
+
+def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:
+    """The same instant as other sensors would have seen it."""
+    low, high = np.log(NOISE_M)
+    found = [history]
+    for _ in range(NOISY_COPIES):
+        noise_m = float(np.exp(rng.uniform(low, high)))
+        found.append(with_noise(history, noise_m, rng, int(rng.integers(3))))
+    if history.step_s < DENSE_S:
+        found.append(coarser(history, int(rng.choice(COARSER))))
+    found.append(shorter(found[-1], float(rng.uniform(SHORTEST_PAST_S, PAST_S))))
+    return found
+
+
+def recorded_examples(
+    history: Tracks, truth: FloatArray, counts: BoolArray, group: int, believable: bool
+) -> RecordedExamples:
+    """What is learned from one instant.
+
+    Args:
+        history: the past, everyone seen in its last column.
+        truth: (n, KNOTS, 2) where they went, m.
+        counts: (n,) whom to learn from.
+        group: number of the dataset.
+        believable: whether neighbours are seen.
+    """
+    motion = Motion.of(history)
+    step_s = history.step_s if history.time_s.size > 1 else 0.1
+    measured = np.stack(
+        [motion.speed, motion.noise_m, motion.noise_mps, np.full_like(motion.speed, step_s)], axis=1
+    )
+    steady = np.linalg.norm(steady_motion(history, TIME_S) - truth, axis=-1).mean(axis=1)
+    return RecordedExamples(
+        features_of(history, motion, believable)[counts].astype(np.float32),
+        fading(motion, TIME_S)[counts].astype(np.float32),
+        motion.to_own_frame(truth)[counts].astype(np.float32),
+        measured[counts].astype(np.float32),
+        steady[counts].astype(np.float32),
+        np.full(int(counts.sum()), group),
+    )
+
+
+def examples_of_tracks(
+    tracks: Tracks, every_s: float, group: int, rng: np.random.Generator, versions: bool
+) -> list[RecordedExamples]:
+    """What is learned from one recording.
+
+    Args:
+        tracks: the recording.
+        every_s: time between instants, s.
+        group: number of its dataset.
+        rng: draws noise and the rest.
+        versions: whether other versions than the recorded one are wanted.
+    """
+    found = []
+    for stop in recorded_instants(tracks, every_s):
+        history = history_of(tracks, stop)
+        truth = happened(tracks, history, stop)
+        counts = moving(history) & np.isfinite(truth).all(axis=(1, 2))
+        if not counts.any():
+            continue
+        believable = plausible(history)
+        for one in _versions(history, rng) if versions else [history]:
+            seen = believable and (not versions or rng.random() >= ALONE_SHARE)
+            found.append(recorded_examples(one, truth, counts, group, seen))
+    return found
+
+
+def gather_examples(
+    places: Sequence[RecordedPlace], group: int, seed: int = 0, per_dataset: int = PER_DATASET
+) -> DatasetExamples | None:
+    """What is learned from one dataset; None where nobody moves for long enough.
+
+    Args:
+        places: its recordings.
+        group: number of the dataset.
+        seed: of noise and the rest.
+        per_dataset: about how many agents at instants are wanted.
+    """
+    seconds = 0.0
+    for one in places:
+        if one.tracks.time_s.size > 1:
+            fast = one.tracks.valid & (np.nan_to_num(one.tracks.speed) >= 1.0)
+            seconds += float(fast.sum()) * one.tracks.step_s
+    every_s = float(np.clip(0.7 * seconds / per_dataset, LEAST_EVERY_S, MOST_EVERY_S))
+    training: list[RecordedExamples] = []
+    validation: list[RecordedExamples] = []
+    for index, one in enumerate(places):
+        rng = np.random.default_rng((seed, group, index))
+        apart = index % VALIDATION_EVERY == VALIDATION_EVERY - 1
+        found = examples_of_tracks(one.tracks, every_s, group, rng, not apart)
+        (validation if apart else training).extend(found)
+    if not training:
+        return None
+    return DatasetExamples(
+        places[0].dataset,
+        RecordedExamples.join(training),
+        RecordedExamples.join(validation) if validation else None,
+    )
+
+
+def train_on_recordings(
+    sources: Sequence[Path],
+    out: Path,
+    *,
+    epochs: int = 16,
+    seed: int = 0,
+    per_dataset: int = PER_DATASET,
+    quiet: bool = False,
+) -> dict[str, float]:
+    """Train the predictor for recordings and save it with its card.
+
+    Args:
+        sources: as `experiments.scoring.recordings.read_sources` takes them.
+        out: the folder to write ``recorded.safetensors`` into.
+        epochs: draws of the training examples.
+        seed: of weights, order and noise.
+        per_dataset: about how many agents at instants are taken from each dataset.
+        quiet: whether to show no progress.
+
+    Returns:
+        By dataset, the mean error of the best guesses on its recordings apart, over that of
+        constant velocity; on its training recordings where it has too few.
+
+    Raises:
+        InputError: if there is nothing to learn from.
+    """
+    by_dataset: dict[str, list[RecordedPlace]] = {}
+    with Progress("reading recordings", 0, quiet) as progress:
+        for one in read_sources(sources, maps=False):
+            by_dataset.setdefault(one.dataset, []).append(one)
+            progress.advance(one.tracks.ids.size, int(one.tracks.valid.sum()))
+    found: list[DatasetExamples] = []
+    with Progress("observing recordings", len(by_dataset), quiet) as progress:
+        for name in sorted(by_dataset):
+            examples = gather_examples(by_dataset[name], len(found), seed, per_dataset)
+            if examples is not None:
+                found.append(examples)
+            progress.advance()
+    if not found:
+        raise InputError(
+            f"{', '.join(map(str, sources))}: found no moving vehicle seen for 8 s, expected one "
+            "to train on"
+        )
+    network = fit_network(found, epochs, seed, quiet)
+    scores = {one.dataset: over_steady(network, one.validation or one.training) for one in found}
+    card: dict[str, Any] = {
+        "data": {one.dataset: len(one.training) for one in found}, "epochs": epochs, "seed": seed,
+        "ade_over_constant_velocity": {name: round(value, 3) for name, value in scores.items()},
+    }  # fmt: skip
+    out.mkdir(parents=True, exist_ok=True)
+    network.save(out / SHIPPED, card)
+    return scores
+
+
+def fit_network(
+    found: Sequence[DatasetExamples], epochs: int, seed: int, quiet: bool = True
+) -> RecordedNetwork:
+    """Train on what datasets give; their validation parts scale the spreads."""
+    training = RecordedExamples.join([one.training for one in found])
+    apart = [one.validation for one in found if one.validation is not None]
+    with Progress("training epochs", epochs, quiet) as progress:
+        return train_recorded(
+            training,
+            RecordedExamples.join(apart) if apart else training,
+            epochs=epochs,
+            seed=seed,
+            on_epoch=lambda epoch: progress.advance(),
+        )
+
+
+def over_steady(network: RecordedNetwork, examples: RecordedExamples) -> float:
+    """Mean error of a network's best guesses over that of constant velocity."""
+    apart = np.linalg.norm(guesses(network, examples) - examples.truth, axis=-1)
+    return float(apart.mean() / max(float(examples.steady.mean()), 1e-9))

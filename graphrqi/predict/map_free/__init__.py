@@ -1,1 +1,0 @@
-"""Prediction for recordings that come without a map."""

@@ -1,0 +1,1 @@
+"""Prediction on recordings: base, neighbours, the network that corrects the base, and rivals."""

@@ -1,0 +1,221 @@
+"""The network that corrects the base on recordings, in numpy, and its file.
+
+A small perceptron gives `MODES` futures per agent. Each is the base plus a polynomial of time along
+each axis of the agent's frame, times `scale_of` its speed. The first is the single best guess; the
+others cover what else may happen. Outside the range of speed, noise and rate that it was trained
+on, the futures come down to the base.
+
+References:
+    Guzman-Rivera et al. (2012), "Multiple choice learning", NeurIPS (winner takes all).
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.predict.recorded.features import scale_of
+
+FloatArray = NDArray[np.float64]
+
+SCHEMA_VERSION: Final = 1
+
+MODES: Final = 6
+"""Futures per agent: what Argoverse 2 scores."""
+
+POWERS: Final = 4
+"""Powers of time, from 1 on, in the polynomial of each axis."""
+
+HORIZON_S: Final = 5.0
+"""What the network was trained for, s; later corrections stay as they are then."""
+
+PER_MODE: Final = 2 * POWERS + 3
+"""Numbers per future: coefficients, two for the spread, a score."""
+
+CLIP: Final = 3.0
+"""Standardised inputs are cut off here: farther ones mislead at places never seen."""
+
+LEAST_SPREAD_M: Final = 0.05
+"""Spreads are no smaller, m (our choice)."""
+
+MARGIN: Final = 0.15
+"""Share of a range's end over which the network gives way to the base beyond it (our choice)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedRange:
+    """What the network was trained on.
+
+    Attributes:
+        speed_mps: highest speed, m/s.
+        noise_m: largest noise of positions, m.
+        noise_mps: largest noise of recorded velocities, m/s.
+        step_s: longest time between frames, s.
+    """
+
+    speed_mps: float
+    noise_m: float
+    noise_mps: float
+    step_s: float
+
+    def trust(
+        self, speed: FloatArray, noise_m: FloatArray, noise_mps: FloatArray, step_s: float
+    ) -> FloatArray:
+        """(n,) 1 inside the range, 0 beyond its margin."""
+        out = np.ones_like(speed)
+        for value, most in (
+            (speed, self.speed_mps), (noise_m, self.noise_m), (noise_mps, self.noise_mps),
+            (np.full_like(speed, step_s), self.step_s),
+        ):  # fmt: skip
+            out = np.minimum(out, np.clip(1.0 - (value / most - 1.0) / MARGIN, 0.0, 1.0))
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedNetwork:
+    """A trained network.
+
+    Attributes:
+        mean: (F,) of the training features.
+        scale: (F,) their standard deviations.
+        weights: one (in, out) float32 matrix per layer.
+        biases: one (out,) float32 vector per layer.
+        spread_scale: factor that makes the sets' coverage right, found on recordings apart.
+        trained: the range that it was trained on.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+    spread_scale: float
+    trained: TrainedRange
+
+    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(n, MODES, PER_MODE) raw numbers."""
+        hidden = standardized(features, self.mean, self.scale)
+        last = len(self.weights) - 1
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = hidden @ weight + bias
+            if i < last:
+                hidden /= 1.0 + np.exp(np.minimum(-hidden, np.float32(80.0)))  # SiLU
+        return hidden.reshape(len(features), MODES, PER_MODE)
+
+    def save(self, path: Path, card: dict[str, Any]) -> None:
+        """Write the network with its card (data, split, scores) in the file's metadata."""
+        from safetensors.numpy import save_file
+
+        arrays: dict[str, NDArray[np.floating]] = {"mean": self.mean, "scale": self.scale}
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
+        content = {
+            "schema_version": SCHEMA_VERSION,
+            "spread_scale": self.spread_scale,
+            "trained": {name: getattr(self.trained, name) for name in TrainedRange.__slots__},
+            "card": card,
+        }
+        save_file(
+            {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()},
+            path,
+            {"about": json.dumps(content, sort_keys=True)},
+        )
+
+
+def standardized(
+    features: NDArray[Any], mean: FloatArray, scale: FloatArray
+) -> NDArray[np.float32]:
+    """(n, F) features as the network takes them; outliers are cut off at `CLIP`."""
+    return np.clip((features - mean) / scale, -CLIP, CLIP).astype(np.float32)
+
+
+def powers(time_s: FloatArray) -> FloatArray:
+    """(POWERS, H) of time over the horizon; constant beyond it."""
+    share = np.minimum(time_s / HORIZON_S, 1.0)
+    return np.asarray(share ** np.arange(1, POWERS + 1)[:, None])
+
+
+def decode(
+    raw: NDArray[np.floating], base: FloatArray, speed: FloatArray, trust: FloatArray,
+    spread_scale: float, time_s: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """The network's numbers as futures in each agent's frame.
+
+    Args:
+        raw: (n, MODES, PER_MODE).
+        base: (n, H, 2) the base, m.
+        speed: (n,) m/s.
+        trust: (n,) how much of each correction counts, 0 to 1.
+        spread_scale: factor of all spreads.
+        time_s: (H,) s.
+
+    Returns:
+        (n, MODES, H, 2) positions, m; (n, MODES, H) spreads, m; (n, MODES) probabilities, the
+        first future being the likeliest.
+    """
+    n = len(raw)
+    size = scale_of(speed)[:, None, None, None] * trust[:, None, None, None]
+    bend = raw[..., : 2 * POWERS].reshape(n, MODES, POWERS, 2).astype(np.float64)
+    own = base[:, None] + size * np.einsum("nkpc,pt->nktc", bend, powers(time_s), optimize=True)
+    low, slope = raw[..., -3].astype(np.float64), raw[..., -2].astype(np.float64)
+    log_time = np.log(np.maximum(time_s, 0.05) / HORIZON_S)
+    spread = np.exp(
+        np.clip(low, -4.0, 4.0)[..., None] + np.clip(1.2 + slope, 0.3, 3.0)[..., None] * log_time
+    )
+    spread = np.maximum(spread * spread_scale * scale_of(speed)[:, None, None], LEAST_SPREAD_M)
+    score = raw[..., 1:, -1].astype(np.float64)
+    other = np.exp(score - score.max(axis=1, keepdims=True))
+    other /= other.sum(axis=1, keepdims=True)
+    chance = np.concatenate([other.max(axis=1, keepdims=True), other], axis=1)
+    return own, spread, chance / chance.sum(axis=1, keepdims=True)
+
+
+def load_network(path: Path) -> RecordedNetwork:
+    """Read a network.
+
+    Raises:
+        InputError: if the file is missing, broken or newer than this version reads.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, "np") as file:
+            about = json.loads((file.metadata() or {})["about"])
+            if about["schema_version"] != SCHEMA_VERSION:
+                raise InputError(
+                    f"{path}: schema_version: found {about['schema_version']}, "
+                    f"expected {SCHEMA_VERSION}"
+                )
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        layers = sum(name.startswith("weight_") for name in arrays)
+        return RecordedNetwork(
+            arrays["mean"].astype(np.float64),
+            arrays["scale"].astype(np.float64),
+            tuple(arrays[f"weight_{i}"] for i in range(layers)),
+            tuple(arrays[f"bias_{i}"] for i in range(layers)),
+            float(about["spread_scale"]),
+            TrainedRange(**about["trained"]),
+        )
+    except FileNotFoundError:
+        raise InputError(f"{path}: found no file, expected a trained predictor") from None
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+
+
+SHIPPED: Final = "recorded.safetensors"
+"""The file of the weights that ship."""
+
+
+@functools.cache
+def shipped_network() -> RecordedNetwork:
+    """The network that ships in the package."""
+    found = resources.files("graphrqi.predict").joinpath("weights", SHIPPED)
+    with resources.as_file(found) as path:
+        return load_network(path)

@@ -1,0 +1,111 @@
+"""The predictor for recordings: a base that nobody has to train, and a network that corrects it.
+
+The base lets acceleration and yaw rate fade (`graphrqi.predict.recorded.motion`). It is also the
+fallback: outside the range of speed, noise and rate that the network was trained on, the futures
+come down to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.recorded import rivals
+from graphrqi.predict.recorded.features import features_of
+from graphrqi.predict.recorded.gaps import plausible
+from graphrqi.predict.recorded.motion import Motion, bent, fading
+from graphrqi.predict.recorded.network import (
+    MODES,
+    RecordedNetwork,
+    decode,
+    shipped_network,
+)
+from sim.frames import PEDESTRIAN, Tracks
+
+FloatArray = NDArray[np.float64]
+
+FAN_MPS2: Final = (0.0, 0.0, -1.0, 1.0, -2.5, 2.0)
+"""Acceleration that each future adds to the base's, where the network is not believed."""
+
+FAN_PROBABILITY: Final = (0.3, 0.3, 0.13, 0.13, 0.07, 0.07)
+"""Probability of each (our choice)."""
+
+FAN_FADE_S: Final = 1.5
+"""Time in which the added acceleration falls to 1/e, s (as the base's)."""
+
+BACK_M: Final = 2.0
+"""Futures that lead this far aside may also lead back; others do not reverse (our choice)."""
+
+
+def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Prediction:
+    """Predict without a map.
+
+    Args:
+        history: tracks whose last column is the present.
+        horizon_s: how far ahead, s.
+        predictor: those of `graphrqi.predict.recorded.rivals` and ``constant-velocity`` keep their
+            meaning; every other one becomes the predictor for recordings.
+
+    Returns:
+        Futures of the agents present now.
+
+    Raises:
+        InputError: if the history is empty.
+    """
+    if history.time_s.size == 0:
+        raise InputError("history: found no frame, expected at least 1")
+    present = history.window(history.time_s.size, history.time_s.size)
+    steps = round(horizon_s / STEP_S)
+    if predictor in rivals.WITHOUT_MAP:
+        return rivals.WITHOUT_MAP[predictor](present, steps)
+    return predict_recorded(present, steps)
+
+
+def predict_recorded(
+    history: Tracks, steps: int, network: RecordedNetwork | None = None
+) -> Prediction:
+    """Futures from the past of the agents and their neighbours.
+
+    Args:
+        history: tracks whose last column is the present, everyone seen there.
+        steps: how many predicted positions, `STEP_S` apart.
+        network: which network; None for the one that ships.
+    """
+    network = network or shipped_network()
+    time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
+    motion = Motion.of(history)
+    base = fading(motion, time_s)
+    raw = network(features_of(history, motion, plausible(history)))
+    trust = network.trained.trust(
+        motion.speed, motion.noise_m, motion.noise_mps,
+        history.step_s if history.time_s.size > 1 else STEP_S,
+    )  # fmt: skip
+    drives = history.kind != PEDESTRIAN
+    trust = np.where(drives, trust, 0.0)
+    own, spread, probability = decode(raw, base, motion.speed, trust, network.spread_scale, time_s)
+    doubt = 1.0 - trust
+    if doubt.any():
+        own += doubt[:, None, None, None] * (_fan(motion, time_s) - base[:, None])
+        probability = trust[:, None] * probability + doubt[:, None] * np.asarray(FAN_PROBABILITY)
+    aside = np.abs(own[..., 1]) > BACK_M
+    own[..., 0] = np.where(aside, own[..., 0], np.maximum(own[..., 0], 0.0))
+    return Prediction(history.ids, time_s, motion.from_own_frame(own), probability, spread)
+
+
+def _fan(motion: Motion, time_s: FloatArray) -> FloatArray:
+    """(n, MODES, H, 2) the base with other accelerations, in each agent's frame, m."""
+    base = fading(motion, time_s)
+    out = np.repeat(base[:, None], MODES, axis=1)
+    for k, extra in enumerate(FAN_MPS2):
+        if extra:
+            other = replace(motion, accel=np.clip(motion.accel + extra, -6.0, 6.0))
+            out[:, k] = fading(other, time_s)
+    return out
+
+
+__all__ = ["bent", "predict_recorded", "predict_unmapped"]
