@@ -149,7 +149,7 @@ def score_part(
     for noise_m in NOISES_M:
         scored = _scored(places, predictors, noise_m, seed)
         for predictor, one in scored.items():
-            keys = {
+            keys: dict[str, str | float] = {
                 "dataset": places[0].dataset, "family": places[0].family, "place": name,
                 "predictor": predictor, "noise_m": noise_m, "horizon_s": float(TIME_S[-1]),
             }  # fmt: skip
