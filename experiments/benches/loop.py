@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
+from experiments.benches.city import STAGES, measure_cities, timed
 from experiments.benches.contract import Bench, option
 from experiments.rows import Cell, Row, tidy_row
 from graphrqi.predict import predict
@@ -19,15 +19,10 @@ from sim.engines import get_engine
 from sim.frames import FloatArray, IntArray
 from sim.scenario import Scenario, sample_agents
 
-T = TypeVar("T")
-
 SCENARIO: Final = "straight_road"
 
 WARM_UP_S: Final = 60.0
 """The road fills first; steps before this are not timed (a third of the time, if that is less)."""
-
-STAGES: Final = ("simulate", "classify", "remember", "predict")
-"""What a step consists of: the engine's frame, the stream's posterior, the history, the futures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +37,9 @@ class Settings:
         duration_s: simulated, s.
         repeats: how often the same frames are gone through. Of each stage of each frame the least
             time counts: whatever else the machine does only adds to it.
+        city: whether cities are measured (`experiments.benches.city`) rather than a straight road.
+        blocks: sizes of the cities; all but that of 3 need netgenerate.
+        vehicles: sizes of the crowds in them.
     """
 
     engines: tuple[str, ...] = option(("sumo", "highway"), "Simulators.")
@@ -50,6 +48,9 @@ class Settings:
     flow_per_h: float = option(2700.0, "Vehicles per hour.")
     duration_s: float = option(180.0, "Simulated time, s.")
     repeats: int = option(3, "How often the same frames are gone through.")
+    city: bool = option(False, "Measure in cities instead: grids of blocks of several sizes.")
+    blocks: tuple[int, ...] = option((3, 8, 20, 60), "With --city: junctions along a grid's side.")
+    vehicles: tuple[int, ...] = option((300, 1000, 3000), "With --city: vehicles at a time.")
 
 
 def measure(settings: Settings) -> Iterator[list[Row]]:
@@ -57,8 +58,13 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
 
     Yields:
         Rows of each engine: ms_median, ms_p99 and real_time_factor of each stage and of all
-        together.
+        together; of cities as `experiments.benches.city` says.
     """
+    if settings.city:
+        yield from measure_cities(
+            settings.blocks, settings.vehicles, settings.model, settings.predictor, settings.repeats
+        )
+        return
     flow, duration_s = settings.flow_per_h, settings.duration_s
     scenario = get_scenario(SCENARIO)(flow=flow, duration_s=duration_s)
     for engine in settings.engines:
@@ -72,7 +78,10 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         for stage, spans in (
             dict(zip(STAGES, least.T, strict=True)) | {"all": least.sum(axis=1)}
         ).items():
-            keys: dict[str, Cell] = {"engine": engine, "stage": stage, "agents": agents}
+            keys: dict[str, Cell] = {
+                "engine": engine, "stage": stage, "agents": agents,
+                "lanes": len(scenario.road.lanes), "vehicles": None,
+            }  # fmt: skip
             for metric, value in (
                 ("ms_median", np.median(spans)),
                 ("ms_p99", np.quantile(spans, 0.99)),
@@ -115,18 +124,11 @@ def run_loop(
             taken.append((simulate_ms, classify_ms, remember_ms, predict_ms))
 
 
-def timed(work: Callable[[], T]) -> tuple[T, float]:
-    """What a piece of work gives, and how many ms of the processor it took."""
-    begin = time.process_time()
-    result = work()
-    return result, 1e3 * (time.process_time() - begin)
-
-
 BENCH: Final = Bench(
     name="loop",
     summary="Time classifying and predicting while a simulation runs, stage by stage.",
-    keys=("engine", "stage", "agents"),
+    keys=("engine", "stage", "agents", "lanes", "vehicles"),
     full=Settings(),
-    quick=Settings(duration_s=20.0, repeats=1),
+    quick=Settings(duration_s=20.0, repeats=1, blocks=(3,), vehicles=(30, 90)),
     measure=measure,
 )

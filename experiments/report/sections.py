@@ -15,6 +15,9 @@ from experiments.rows import Row
 
 OURS: Final = "graphrqi-predict"
 
+REAL_TIME_MS: Final = 100.0
+"""Time from one frame to the next, ms."""
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -77,7 +80,7 @@ LAYOUTS: Final[dict[str, Layout]] = {
         "CPU time per step for the same graphs in one process, d vehicles.",
     ),
     "loop": Layout(
-        "While it drives", ("engine",), ("stage", "agents"), ("metric",), (),
+        "While it drives", ("engine", "lanes"), ("stage", "agents", "vehicles"), ("metric",), (),
         "graphrqi bench loop", "Time of each stage per frame of a running simulation.",
     ),
     "generate": Layout(
@@ -216,6 +219,8 @@ def _charts(bench: str, rows: Sequence[Row]) -> list[Markup]:
         return _prediction_charts(rows)
     if bench == "classification":
         return _early_charts(rows)
+    if bench == "loop":
+        return _loop_charts(rows)
     return _runtime_charts(rows) if bench == "spectrum" else []
 
 
@@ -281,6 +286,28 @@ def _early_charts(rows: Sequence[Row]) -> list[Markup]:
         charts.append(
             line_chart(title, Axis("watched, s"), Axis("balanced accuracy", low=0.0), lines)
         )
+    return charts
+
+
+def _loop_charts(rows: Sequence[Row]) -> list[Markup]:
+    """Cost of a frame against vehicles on each map, and against lanes, beside real time."""
+    wanted = [
+        r for r in rows
+        if r["metric"] == "ms_median" and r.get("vehicles")
+    ]  # fmt: skip
+    charts = []
+    for key, label, kept in (("agents", "vehicles", "lanes"), ("lanes", "lanes", "vehicles")):
+        for (fixed,), here in grouped(wanted, [kept]).items():
+            sizes = sorted({_number(r[key]) for r in here})
+            if len(sizes) < 2:
+                continue
+            lines = [line_of(name, part, key) for (name,), part in grouped(here, ["stage"]).items()]
+            real = (Point(sizes[0], REAL_TIME_MS), Point(sizes[-1], REAL_TIME_MS))
+            lines.append(Line("real time", real, thin=True))
+            other = "lanes" if kept == "lanes" else "vehicles"
+            title = f"Cost of a frame against {label}: {fixed} {other}"
+            x, y = Axis(label, log=True), Axis("CPU per frame, ms", log=True)
+            charts.append(line_chart(title, x, y, lines))
     return charts
 
 

@@ -66,23 +66,21 @@ SHIPPED: Final[dict[str, Geometry]] = {
 """The geometries whose nets are shipped, by folder name."""
 
 
-def find_netconvert() -> str:
-    """The netconvert program of the ``networks`` extra, else the one on the path.
+def find_program(name: str) -> str:
+    """A program of the ``networks`` extra, such as netconvert, else the one on the path.
 
     Raises:
         InputError: if there is none.
     """
     spec = importlib.util.find_spec("sumo")
     if spec is not None and spec.submodule_search_locations:
-        for name in ("netconvert", "netconvert.exe"):
-            program = Path(next(iter(spec.submodule_search_locations))) / "bin" / name
+        for file in (name, f"{name}.exe"):
+            program = Path(next(iter(spec.submodule_search_locations))) / "bin" / file
             if program.is_file():
                 return str(program)
-    found = shutil.which("netconvert")
+    found = shutil.which(name)
     if found is None:
-        raise InputError(
-            "netconvert: not found, expected on the path: pip install graphrqi[networks]"
-        )
+        raise InputError(f"{name}: not found, expected on the path: pip install graphrqi[networks]")
     return found
 
 
@@ -105,7 +103,7 @@ def net_of(geometry: Geometry) -> Path:
     text = "".join(geometry.sources().values())
     folder = cache_folder() / hashlib.sha256(text.encode()).hexdigest()[:16]
     if not (folder / NET).is_file():
-        find_netconvert()
+        find_program("netconvert")
         write_sources(geometry, folder)
         build(folder)
     return folder / NET
@@ -136,19 +134,36 @@ def build(folder: Path) -> Path:
     Raises:
         InputError: if netconvert is missing or refuses the sources.
     """
-    program = find_netconvert()
+    program = find_program("netconvert")
     net = folder / NET
+    run_program([program, "--configuration-file", SETTINGS], folder, net)
+    return net
+
+
+def run_program(command: list[str], folder: Path, net: Path) -> None:
+    """Run netconvert or netgenerate in a folder; the net appears whole or not at all.
+
+    Args:
+        command: the program and its options, without the output file.
+        folder: where it runs.
+        net: the net that it is to make.
+
+    Raises:
+        InputError: if the program refuses.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch) / net.name
-        command = [program, "--configuration-file", SETTINGS, "--output-file", str(made)]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [*command, "--output-file", str(made)],
+            cwd=folder, capture_output=True, text=True, check=False,
+        )  # fmt: skip
         if done.returncode != 0 or not made.is_file():
             reason = (done.stderr.strip() or "no reason given").splitlines()[0]
-            raise InputError(f"{folder.name}: netconvert refused the sources: {reason}")
+            name = Path(command[0]).stem
+            raise InputError(f"{folder.name}: {name} refused the sources: {reason}")
         partial = folder / f".{net.name}.partial"
         partial.write_text(_without_header(made.read_text(encoding="utf-8")), encoding="utf-8")
         partial.replace(net)
-    return net
 
 
 def _without_header(text: str) -> str:

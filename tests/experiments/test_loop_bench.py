@@ -6,7 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from experiments.benches.loop import BENCH, STAGES
+from experiments.benches.city import STAGES, City, city_rows, measure_city, slopes
+from experiments.benches.loop import BENCH
+from experiments.report.sections import sections
 
 
 def test_every_stage_of_the_real_loop_is_timed():
@@ -19,3 +21,19 @@ def test_every_stage_of_the_real_loop_is_timed():
     assert all(0.0 < value[s, "ms_median"] <= value[s, "ms_p99"] for s in stages - {"remember"})
     together = sum(1 / value[s, "real_time_factor"] for s in STAGES)
     assert np.isclose(together, 1 / value["all", "real_time_factor"])
+
+
+def test_a_city_is_measured_and_costs_are_compared():
+    small = measure_city(City(3, 12), BENCH.quick.model, BENCH.quick.predictor, 1)
+    assert small.lanes == 276
+    assert 0.0 < small.agents <= 12.0
+    assert small.spent_ms.shape[1] == len(STAGES)
+    assert 0.0 < small.open_s < small.memory_mb
+    large = small._replace(city=City(3, 24), agents=2 * small.agents, spent_ms=4 * small.spent_ms)
+    rows = slopes([small, large])
+    assert {row["metric"] for row in rows} == {"slope_agents"}
+    assert all(np.isclose(row["value"], 2.0) for row in rows)
+    assert {row["stage"] for row in city_rows(small)} == {*STAGES, "all", "open"}
+    charts = sections({"loop": [*city_rows(small), *city_rows(large)]})[0].charts
+    assert len(charts) == 1
+    assert "real time" in charts[0]

@@ -213,7 +213,7 @@ def test_another_geometry_says_what_to_install_or_is_built_and_kept(tmp_path, mo
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     geometry = FourWayGeometry(lanes=3, arm_m=120.0)
     try:
-        build.find_netconvert()
+        build.find_program("netconvert")
     except InputError:
         with pytest.raises(InputError, match=r"pip install graphrqi\[networks\]"):
             build.net_of(geometry)
@@ -229,7 +229,7 @@ def test_a_netconvert_that_fails_is_one_line(tmp_path, monkeypatch):
     failing.write_text("#!/bin/sh\necho 'Error: no good' >&2\nexit 1\n")
     failing.chmod(0o755)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(build, "find_netconvert", lambda: str(failing))
+    monkeypatch.setattr(build, "find_program", lambda name: str(failing))
     with pytest.raises(InputError, match="netconvert refused the sources: Error: no good"):
         build.net_of(StraightGeometry(length_m=333.0))
     assert os.listdir(tmp_path / "cache" / "graphrqi" / "networks")

@@ -1,0 +1,105 @@
+"""A city to drive in: a grid of blocks, and vehicles that go round it.
+
+How many vehicles there are is given rather than their flow, because what a city costs is asked per
+vehicle. It has no name among ``SCENARIOS`` for that reason.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from scenarios.networks.grid import grid_net
+from sim.road import Road
+from sim.road.net import read_road
+from sim.scenario import MAX_PER_HOUR, AgentSpec, RouteFlow, Scenario, sample_agents
+
+ROUTE_EDGES: Final = 30
+"""Edges of a route, where the city does not end before (our choice: 4.5 km, ten minutes)."""
+
+MOST_ROUTES: Final = 2000
+"""Different routes at most; vehicles share them (our choice: enough to fill every street)."""
+
+_PER_HOUR: Final = 0.8 * MAX_PER_HOUR
+
+
+def city_scenario(blocks: int, vehicles: int, seed: int, duration_s: float = 60.0) -> Scenario:
+    """A grid of blocks with random routes.
+
+    Args:
+        blocks: junctions along each side of the grid.
+        vehicles: how many are to drive at a time.
+        seed: of the routes.
+        duration_s: length of an episode, s.
+
+    Returns:
+        The scenario; `city_agents` draws its vehicles.
+
+    Raises:
+        InputError: if a number is out of range, or netgenerate is needed and missing.
+
+    Examples:
+        >>> scenario = city_scenario(3, 20, seed=0)
+        >>> len(scenario.road.signal_plans), len(city_agents(scenario, 20, seed=0))
+        (9, 20)
+    """
+    if vehicles < 1:
+        raise InputError(f"vehicles: found {vehicles}, expected at least 1")
+    road = read_road(grid_net(blocks), f"grid_{blocks}")
+    routes = random_routes(road, min(vehicles, MOST_ROUTES), seed)
+    flows = tuple(RouteFlow(route, _PER_HOUR / len(routes)) for route in routes)
+    return Scenario("city", road, flows, duration_s=duration_s)
+
+
+def city_agents(
+    scenario: Scenario, vehicles: int, seed: int, within_s: float = 30.0
+) -> tuple[AgentSpec, ...]:
+    """The vehicles of a city, which all enter in the first seconds.
+
+    Args:
+        scenario: of `city_scenario`.
+        vehicles: how many.
+        seed: of the drivers and their departures.
+        within_s: they enter within this time, s.
+
+    Returns:
+        Agents in order of departure.
+    """
+    long_s = 1.3 * 3600.0 * vehicles / _PER_HOUR + 10.0  # enough of them, however they are drawn
+    drawn = sample_agents(dataclasses.replace(scenario, duration_s=long_s), seed)[:vehicles]
+    departs_s = np.sort(np.random.default_rng((seed, 1)).uniform(0.0, within_s, len(drawn)))
+    return tuple(
+        dataclasses.replace(agent, depart_s=float(depart_s))
+        for agent, depart_s in zip(drawn, departs_s, strict=True)
+    )
+
+
+def random_routes(road: Road, count: int, seed: int) -> list[tuple[str, ...]]:
+    """Routes that turn at random, and leave the road only where nothing else is left.
+
+    Args:
+        road: where.
+        count: how many.
+        seed: the same seed draws the same routes.
+
+    Returns:
+        Edges of each route, `ROUTE_EDGES` at most.
+    """
+    edge = {lane.id: lane.edge for lane in road.lanes}
+    found: dict[str, set[str]] = {}
+    for link in road.connections:
+        found.setdefault(edge[link.from_lane], set()).add(edge[link.to_lane])
+    onward = {start: sorted(ways) for start, ways in found.items()}
+    starts, rng = sorted(onward), np.random.default_rng((seed, 0))
+    routes = []
+    for _ in range(count):
+        route = [starts[int(rng.integers(len(starts)))]]
+        while len(route) < ROUTE_EDGES and route[-1] in onward:
+            ways = onward[route[-1]]
+            staying = [way for way in ways if way in onward] or ways
+            route.append(staying[int(rng.integers(len(staying)))])
+        routes.append(tuple(route))
+    return routes

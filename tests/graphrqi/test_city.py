@@ -1,0 +1,149 @@
+"""Prediction on a grid of streets: the same answers as if everything were worked out at once."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from graphrqi.posterior import Posterior
+from graphrqi.predict import predict
+from graphrqi.predict.scene.paths import MOST_LANES, REACH_M, PathTable
+from graphrqi.predict.scene.priority import crossing_places, priority_of
+from graphrqi.predict.scene.scene import make_scene
+from scenarios import SCENARIOS
+from scenarios.city import city_agents, city_scenario
+from sim.engines import get_engine
+from sim.episode.buffer import FrameBuffer
+from sim.frames import Tracks
+from sim.road import Road
+from sim.road.lane_graph import LaneGraph
+
+NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, 6)))
+
+
+@pytest.fixture(scope="module")
+def city() -> tuple[Road, Tracks]:
+    scenario = city_scenario(3, 60, seed=0, duration_s=30.0)
+    buffer = FrameBuffer(50)
+    for frame in get_engine("sumo")(scenario, city_agents(scenario, 60, 0, within_s=20.0), 0):
+        buffer.push(frame)
+    return scenario.road, buffer.tracks()
+
+
+def meets(line: np.ndarray, other: np.ndarray) -> float | None:
+    """Distance along a line at which another crosses it, by solving for every two pieces."""
+    before = 0.0
+    for a, b in itertools.pairwise(line):
+        for c, d in itertools.pairwise(other):
+            sides = np.stack([b - a, c - d], axis=1)
+            if abs(np.linalg.det(sides)) > 1e-9:
+                t, u = np.linalg.solve(sides, c - a)
+                if -1e-12 <= t <= 1 + 1e-12 and -1e-12 <= u <= 1 + 1e-12:
+                    return before + float(t * np.hypot(*(b - a)))
+        before += float(np.hypot(*(b - a)))
+    return None
+
+
+def all_conflicts(road: Road) -> set[tuple[int, int]]:
+    """Yielding lanes and lanes with priority over them, from all pairs of junction paths."""
+    ways = {}
+    for link in road.connections:
+        turns = link.direction != "straight"
+        for name in link.via:
+            yields = turns if link.signal >= 0 else link.must_yield
+            ways[road.lane_index[name]] = (link, yields)
+    found = set()
+    for lane, (link, yields) in ways.items():
+        for other, (rival, also) in ways.items():
+            right_first = rival.direction == "right" and link.direction == "left"
+            if not yields or (also and not right_first) or rival.from_lane == link.from_lane:
+                continue
+            crosses = meets(road.lanes[other].centerline, road.lanes[lane].centerline) is not None
+            if crosses or rival.to_lane == link.to_lane:
+                found.add((lane, other))
+    return found
+
+
+@pytest.mark.parametrize("name", ["grid", "priority_intersection", "right_before_left"])
+def test_conflicts_found_nearby_are_those_of_all_pairs(name, city) -> None:
+    road = city[0] if name == "grid" else SCENARIOS[name]().road
+    if name == "grid":  # one junction and its neighbours: all pairs of all are too many for a test
+        names = {link.via[0] for link in road.connections if link.via[0].startswith((":A", ":B0"))}
+        links = tuple(link for link in road.connections if link.via[0] in names)
+        road = Road(road.name, road.lanes, links, (), road.signal_groups, road.source)
+    priority = priority_of(road, LaneGraph.of(road))
+    foe = np.repeat(np.arange(len(road.lanes)), np.diff(priority.foe_first))
+    pairs = set(zip(priority.lane[priority.foe_place].tolist(), foe.tolist(), strict=True))
+    assert pairs == all_conflicts(road)
+    assert len(pairs) > 3
+
+
+def test_lines_that_touch_cross_and_parallel_ones_do_not() -> None:
+    lines = [np.array(line) for line in (
+        [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0]], [[0.0, 1.0], [4.0, 1.0]], [[5.0, 0.0], [5.0, 9.0]],
+    )]  # fmt: skip
+    at = crossing_places(lines, np.array([[0, 1], [1, 0], [0, 2]]))
+    assert at[:2].tolist() == [3.0, 2.0]
+    assert np.isnan(at[2])
+
+
+def test_paths_of_a_lane_do_not_depend_on_who_came_before(city) -> None:
+    road, _ = city
+    whole, bit_by_bit = PathTable(road), PathTable(road)
+    lanes = np.arange(len(road.lanes))
+    whole.cover(lanes, 0.0)
+    for lane in np.random.default_rng(0).permutation(lanes)[:40]:
+        bit_by_bit.cover(np.array([lane, -1]), 200.0)
+    known = np.flatnonzero(bit_by_bit.options)
+    assert known.size >= 40
+    for lane in known:
+        one = whole.first[lane] + np.arange(whole.options[lane])
+        two = bit_by_bit.first[lane] + np.arange(bit_by_bit.options[lane])
+        for name in ("lane", "start", "limit", "probability", "turn", "stop_x", "stop_row"):
+            width = [
+                slice(n)
+                for n in np.minimum(getattr(whole, name).shape, getattr(bit_by_bit, name).shape)[1:]
+            ]
+            mine, its = getattr(whole, name)[one], getattr(bit_by_bit, name)[two]
+            assert np.array_equal(mine[:, *width], its[:, *width])
+        assert bit_by_bit.likeliest[lane] - two[0] == whole.likeliest[lane] - one[0]
+        assert bit_by_bit.probability[two].sum() == pytest.approx(1.0)
+        for q in two:
+            chain = [i for i in bit_by_bit.lane[q] if i >= 0]
+            far = bit_by_bit.start[q, len(chain) - 1] + road.lanes[chain[-1]].length_m
+            ends = not (LaneGraph.of(road).successors[chain[-1]] >= 0).any()
+            gone_m = far - road.lanes[chain[0]].length_m
+            assert ends or len(chain) == MOST_LANES or gone_m >= REACH_M - 1e-6
+
+
+def test_predictions_do_not_depend_on_what_is_known_of_the_road(city) -> None:
+    road, history = city
+    PathTable.of.cache_clear()
+    fresh = predict(history, NOBODY, road)
+    assert (PathTable.of(road).options > 0).sum() < len(road.lanes)
+    PathTable.of(road).cover(np.arange(len(road.lanes)), 1000.0)
+    again = predict(history, NOBODY, road)
+    assert np.array_equal(fresh.xy, again.xy)
+    assert np.array_equal(fresh.probability, again.probability)
+
+
+def test_signals_on_the_way_follow_their_programme(city) -> None:
+    road, history = city
+    scene = make_scene(history, road)
+    plans_met = {
+        plan
+        for lane in scene.lane[scene.on_path]
+        for plan in scene.paths.plans_near[lane].tolist()
+        if plan >= 0
+    }
+    assert plans_met
+    now = float(history.time_s[-1])
+    stop_of = {0: 2, 1: 1, 2: 0, 3: 0}
+    for number in plans_met:
+        plan = road.signal_plans[number]
+        for h in (0, 30, scene.steps):
+            states = {lag: plan.state_at(now - lag + 0.1 * h) for lag in (0.0, 0.1)}
+            found = tuple(scene.stop_state[list(plan.groups), h].tolist())
+            assert found in {tuple(stop_of[code] for code in each) for each in states.values()}
