@@ -22,6 +22,19 @@ Row = Mapping[str, Cell]
 FIGURE: Final = frozenset({"metric", "value", "low", "high", "n"})
 """Keys that every row has beside those that say what was measured."""
 
+LARGEST: Final = 1e300
+"""Largest absolute number of a row (our choice: what is computed from it stays finite)."""
+
+POSITIVE: Final = ("horizon_s", "window_s", "d")
+"""Keys that charts are drawn over."""
+
+NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
+    "prediction": ("scenario", "predictor", "behavior", "horizon_s"),
+    "classification": ("protocol", "scenario", "method"),
+    "spectrum": ("solver", "graph", "kind", "end"),
+}
+"""Keys without which rows of a bench cannot be drawn."""
+
 MAX_BYTES: Final = 2**28
 """Largest file of rows that is read; a full study's are some megabytes."""
 
@@ -85,6 +98,8 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         InputError: if the file is not a list of flat rows with a bench, a metric and a value.
     """
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected a list of rows")
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise InputError(f"{path}: found {size} bytes, expected at most {MAX_BYTES}")
@@ -103,10 +118,17 @@ def read_rows(path: Path) -> list[Row]:
                 f"{where}: found no bench, expected its name; files of older versions have none: "
                 "measure again"
             )
-        for name in ("value", "low", "high"):
-            value = row.get(name)
-            if value is not None and type(value) not in (int, float):
-                raise InputError(f"{where}: {name}: found {value!r}, expected a number")
         if any(isinstance(value, dict | list) for value in row.values()):
             raise InputError(f"{where}: found a nested value, expected flat rows")
+        for name in ("value", "low", "high", *POSITIVE):
+            value = row.get(name)
+            if value is None:
+                continue
+            if type(value) not in (int, float) or not abs(value) <= LARGEST:
+                raise InputError(f"{where}: {name}: found {value!r:.40}, expected a number")
+            if name in POSITIVE and value <= 0:
+                raise InputError(f"{where}: {name}: found {value!r:.40}, expected more than 0")
+        missing = [name for name in NEEDED.get(row["bench"], ()) if row.get(name) is None]
+        if missing:
+            raise InputError(f"{where}: found no {missing[0]}, which rows of {row['bench']} have")
     return cast("list[Row]", found)

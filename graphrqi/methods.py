@@ -40,6 +40,12 @@ from sim.store.atomic import whole_folder
 
 FloatArray = NDArray[np.float64]
 
+MAX_CARD_BYTES: Final = 2**24
+"""Largest ``model.json`` that is read (our choice: 16 MiB; the shipped one has some kilobytes)."""
+
+MAX_WEIGHTS_BYTES: Final = 2**30
+"""Largest file of weights that is read (our choice: 1 GiB; the shipped one has 3 MB)."""
+
 SCHEMA_VERSION: Final = 2
 """Version of model folders; other versions are refused."""
 
@@ -321,6 +327,10 @@ def load_model(name_or_folder: str | Path) -> Model:
     folder = _model_folder(name_or_folder)
     file, method = _description(folder / "model.json")
     weights = folder / "weights.safetensors"
+    if not weights.is_file() or weights.stat().st_size > MAX_WEIGHTS_BYTES:
+        raise InputError(
+            f"{weights}: found no file of up to {MAX_WEIGHTS_BYTES} bytes, expected weights"
+        )
     try:
         arrays = load_file(weights)
         classifier = restore_classifier(
@@ -331,7 +341,18 @@ def load_model(name_or_folder: str | Path) -> Model:
         raise InputError(
             f"{weights}: found weights that do not load ({reason}), expected those of {file.method}"
         ) from None
+    if folder.parent != MODELS:
+        _check_answers(weights, classifier, len(file.features))
     return Model(method, file.solver, classifier, file.shares, file.card)
+
+
+def _check_answers(weights: Path, classifier: Classifier, features: int) -> None:
+    """Refuse weights with which a classifier's answers are no probabilities."""
+    probes = np.array([np.zeros(features), np.ones(features), np.full(features, -30.0)])
+    with np.errstate(all="ignore"):
+        answers = classifier.posterior(probes)
+    if not np.isfinite(answers).all() or (np.abs(answers.sum(axis=1) - 1.0) > 1e-3).any():
+        raise InputError(f"{weights}: found weights whose answers are no probabilities")
 
 
 def _model_folder(name_or_folder: str | Path) -> Path:
@@ -349,6 +370,9 @@ def _model_folder(name_or_folder: str | Path) -> Path:
 
 def _description(path: Path) -> tuple[_ModelFile, Method]:
     """A checked ``model.json`` and its method."""
+    size = path.stat().st_size
+    if size > MAX_CARD_BYTES:
+        raise InputError(f"{path}: found {size} bytes, expected at most {MAX_CARD_BYTES}")
     try:
         file = _ModelFile.model_validate_json(path.read_bytes())
     except ValidationError as error:

@@ -10,10 +10,12 @@ References:
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlsplit
 
 import behaviors
 import experiments
@@ -55,18 +57,51 @@ def _answers(client: Client, ask: Callable[..., Any], *arguments: object) -> dic
     return {worker: one for worker, one in found.items() if not isinstance(one, OSError)}
 
 
+def _check_address(address: str) -> None:
+    """Refuse an address at which others could listen, or run code as this user."""
+    protocol, separator, rest = address.partition("://")
+    try:
+        host = urlsplit(f"//{rest}").hostname or ""
+    except ValueError:
+        separator = host = ""
+    if not separator or protocol not in ("tcp", "tls", "inproc"):
+        raise InputError(f"cluster {address}: expected tls://HOST:PORT, or tcp://127.0.0.1:PORT")
+    if protocol == "tcp" and not _is_loopback(host):
+        raise InputError(
+            f"cluster {address}: found an unencrypted address of another machine, expected "
+            "tls://HOST:PORT: who reaches such a scheduler runs code as you"
+        )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
 @contextmanager
 def _connected(address: str, folder: Path, engine: str) -> Iterator[Client]:
     """A client of a cluster whose workers can do the work."""
+    _check_address(address)
     try:
         from distributed import Client
+        from distributed.security import Security
     except ImportError:
         raise InputError(
             "cluster: found no distributed, expected it: pip install 'graphrqi[cluster]'"
         ) from None
     try:
-        client = Client(address, timeout=CONNECT_S)
-    except (OSError, ValueError) as error:
+        # certificates are those of Dask's own configuration
+        encrypted = Security(require_encryption=True) if address.startswith("tls://") else None
+        client = Client(address, timeout=CONNECT_S, security=encrypted)
+    except TypeError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"cluster {address}: found no certificates, expected those of Dask's configuration, "
+            f"distributed.comm.tls, as docs/cluster.md says ({reason:.100})"
+        ) from None
+    except (OSError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"cluster {address}: found no scheduler there ({reason})") from None
     with client:
@@ -112,7 +147,7 @@ def make_on_cluster(
         make: makes one episode.
         folder: the dataset.
         tasks: the episodes.
-        address: of the scheduler, ``tcp://host:port``.
+        address: of the scheduler, ``tls://host:port``; without encryption on this machine only.
         shown: advances with each episode made.
 
     Returns:

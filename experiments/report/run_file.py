@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationErr
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.rows import MAX_BYTES
 from sim.invalid_fields import first_wrong_field
 from sim.store.atomic import write_whole
 
@@ -25,14 +26,19 @@ Matrix = Annotated[list[Annotated[list[NonNegativeInt], _AS_MANY]], _AS_MANY]
 """Counts of answers (columns) by true behaviour (rows)."""
 
 
+Finite = Annotated[float, Field(ge=-1e300, le=1e300, allow_inf_nan=False)]
+Horizon = Annotated[str, Field(pattern=r"^[0-9]{1,4}(\.[0-9]{1,6})?s$")]
+"""A horizon in words: ``5s``."""
+
+
 class Score(BaseModel):
     """A number with its 95 % interval (null with a single episode)."""
 
     model_config = ConfigDict(extra="forbid")
 
-    value: float
-    low: float | None
-    high: float | None
+    value: Finite
+    low: Finite | None
+    high: Finite | None
     n: int
     split: str
 
@@ -47,7 +53,7 @@ class Metrics(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     classification: dict[str, dict[str, dict[str, Score]]]
-    prediction: dict[str, dict[str, dict[str, dict[str, Score]]]]
+    prediction: dict[str, dict[str, dict[str, dict[Horizon, Score]]]]
 
 
 class RunFile(BaseModel):
@@ -90,6 +96,9 @@ def read_run(folder: Path) -> tuple[RunFile, Metrics]:
         path = folder / name
         if not path.is_file():
             raise InputError(f"{path}: found no file, expected a run made by make demo")
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise InputError(f"{path}: found {size} bytes, expected at most {MAX_BYTES}")
         try:
             found.append(kind.model_validate_json(path.read_bytes()))
         except ValidationError as error:

@@ -7,12 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from pydantic import TypeAdapter, ValidationError
+
 from behaviors.errors import InputError
 from experiments.data.windows import OBSERVED_S
 from experiments.report.run_file import Metrics, RunFile, read_run
 from experiments.rows import Cell, Row, of_bench, read_rows
 from experiments.scoring.prediction_errors import prediction_keys
 from graphrqi.methods import load_model
+
+_SCORES: Final = TypeAdapter(dict[str, dict[str, dict[str, str | int | float | None]]])
+"""Scores in a model's card: by scenario and metric."""
 
 _NOT_ROWS: Final = frozenset({"run.json", "metrics.json", "model.json"})
 
@@ -51,6 +56,8 @@ def read_source(path: Path) -> Source:
     """
     if path.is_file():
         return Source(path, path.stem, None, by_bench(read_rows(path)))
+    if not path.is_dir():
+        raise InputError(f"{path}: found no file and no folder, expected a run or files of rows")
     files = [p for p in sorted(path.glob("*.json")) if p.name not in _NOT_ROWS]
     if (path / "run.json").is_file():
         run, metrics = read_run(path)
@@ -74,7 +81,12 @@ def read_source(path: Path) -> Source:
 def _read_model(path: Path) -> Source:
     """The scores in a model's card."""
     model = load_model(path)
-    scores = model.card.get("scores", {})
+    try:
+        scores = _SCORES.validate_python(model.card.get("scores", {}))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(("card", "scores", *map(str, first["loc"])))
+        raise InputError(f"{path / 'model.json'}: {where}: {first['msg']}") from None
     rows: list[Row] = [
         {
             **_classification_keys(scenario, model.method.name), "metric": metric,

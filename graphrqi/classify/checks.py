@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 
+LEAST_TEMPERATURE, LARGEST_TEMPERATURE = 1e-3, 1e3
+"""Temperatures that a model may have (our choice: 0.25 to 4 are tried in training; far smaller ones
+make probabilities that are not numbers)."""
+
 
 def of_trained_classes(validation: HeldOut, codes: CodeArray) -> HeldOut:
     """Validation data without rows of classes that are not trained; None if no row is left.
@@ -73,9 +77,12 @@ def saved_temperature(arrays: dict[str, NDArray[Any]]) -> float:
         arrays: all saved arrays by name.
 
     Raises:
-        InputError: if it is missing or not positive.
+        InputError: if it is missing or no divisor of logits.
     """
     found = float(saved(arrays, "temperature", (1,))[0])
-    if found <= 0.0:
-        raise InputError(f"temperature: found {found:g}, expected a positive number")
+    if not LEAST_TEMPERATURE <= found <= LARGEST_TEMPERATURE:
+        raise InputError(
+            f"temperature: found {found:g}, expected a number from {LEAST_TEMPERATURE:g} to "
+            f"{LARGEST_TEMPERATURE:g}"
+        )
     return found

@@ -191,6 +191,8 @@ class _Versioned(BaseModel):
 def validated(model: type[M], path: Path) -> M:
     """A JSON file as a model; everything that can be wrong with it is one `InputError`."""
     size = path.stat().st_size
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected one")
     if size > MAX_JSON_BYTES:
         raise InputError(f"{path}: found {size} bytes, expected at most {MAX_JSON_BYTES}")
     try:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import signal
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask
 import pytest
 from distributed import Client, LocalCluster
+from distributed.security import Security
 
 import experiments.data.cluster
 from behaviors import InputError
@@ -94,6 +98,52 @@ def test_a_worker_with_other_code_is_refused(cluster: LocalCluster, tmp_path: Pa
                 generate(CONFIG, tmp_path, quiet=True, cluster=cluster.scheduler_address)
         finally:
             client.run(restore)
+
+
+@pytest.mark.parametrize(
+    ("address", "found"),
+    [
+        ("tcp://head:8786", "an unencrypted address of another machine"),
+        ("tcp://10.0.0.1:8786", "an unencrypted address of another machine"),
+        ("tcp://localhost.evil.org:1", "an unencrypted address of another machine"),
+        ("tcp://[::ffff:1]:8786", "an unencrypted address of another machine"),
+        ("ws://127.0.0.1:1", "expected tls://HOST:PORT"),
+        ("head:8786", "expected tls://HOST:PORT"),
+        ("tcp://[::", "expected tls://HOST:PORT"),
+        ("tls://127.0.0.1:9", "found no certificates"),
+    ],
+)
+def test_addresses_that_others_could_reach_are_refused(
+    tmp_path: Path, address: str, found: str
+) -> None:
+    with pytest.raises(InputError, match=found):
+        generate(CONFIG, tmp_path, quiet=True, cluster=address)
+
+
+def test_an_encrypted_cluster_makes_the_same_bytes(
+    undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("found no openssl to make a certificate with")
+    key, cert = tmp_path / "key.pem", tmp_path / "cert.pem"
+    command = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=dask"]
+    subprocess.run(
+        [openssl, *command, "-keyout", key, "-out", cert], check=True, capture_output=True
+    )
+    roles = {f"{role}.{part}": str(file) for role in ("scheduler", "worker", "client")
+             for part, file in (("cert", cert), ("key", key))}  # fmt: skip
+    settings = {f"distributed.comm.tls.{name}": file for name, file in roles.items()}
+    with (
+        dask.config.set({**settings, "distributed.comm.tls.ca-file": str(cert)}),
+        LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None,
+            protocol="tls://", security=Security(require_encryption=True),
+        ) as running,
+    ):  # fmt: skip
+        assert running.scheduler_address.startswith("tls://")
+        generate(CONFIG, tmp_path / "data", quiet=True, cluster=running.scheduler_address)
+    assert content(tmp_path / "data") == undisturbed
 
 
 def test_the_address_may_stand_in_the_file(tmp_path: Path) -> None:

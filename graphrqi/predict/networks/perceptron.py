@@ -102,6 +102,8 @@ def read_network(path: Path, framework: str) -> tuple[dict[str, Any], float]:
     """
     from safetensors import SafetensorError, safe_open
 
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected a trained predictor")
     try:
         with safe_open(path, framework) as file:
             content = json.loads((file.metadata() or {})["about"])
@@ -111,11 +113,19 @@ def read_network(path: Path, framework: str) -> tuple[dict[str, Any], float]:
                     f"expected {SCHEMA_VERSION}"
                 )
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            return arrays, float(content["spread_scale"])
+            spread_scale = float(content["spread_scale"])
     except FileNotFoundError:
         raise InputError(f"{path}: found no file, expected a trained predictor") from None
-    except (SafetensorError, KeyError, json.JSONDecodeError) as error:
+    except InputError:
+        raise
+    except (SafetensorError, LookupError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+    if not 0 < spread_scale < 1e6:
+        raise InputError(f"{path}: spread_scale: found {spread_scale:g}, expected a usual number")
+    for name, array in arrays.items():
+        if not bool((abs(array) < float("inf")).all()):
+            raise InputError(f"{path}: {name}: found numbers that are not finite")
+    return arrays, spread_scale
 
 
 def load_perceptron(path: Path) -> Perceptron:
