@@ -24,7 +24,9 @@ from sim.store.dataset import open_dataset
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 METHODS: Final = ("majority", "graphrqi", "graphrqi-invariant", "graphrqi-plus")
-PREDICTORS: Final = ("constant-velocity", "car-following-blind", "car-following")
+PREDICTORS: Final = (
+    "constant-velocity", "car-following-blind", "car-following", "graphrqi-predict",
+)  # fmt: skip
 BEST_METHOD: Final = "graphrqi-plus"
 EPISODES: Final = 20
 """Per scenario: 12 to train, 4 to validate, 4 to test."""
@@ -140,6 +142,12 @@ def findings(metrics: Metrics) -> list[str]:
             f"{scenario}: knowing the behaviour makes the mean displacement error over 5 s "
             f"{abs(change):.1f} % {'smaller' if change > 0 else 'larger'} than one average driver "
             f"does ({aware:.2f} m against {blind:.2f} m)."
+        )
+        best = predictors["graphrqi-predict"]["ade_m"]["5s"].value
+        straight = predictors["constant-velocity"]["ade_m"]["5s"].value
+        said.append(
+            f"{scenario}: graphrqi-predict is off by {best:.2f} m on average over 5 s, "
+            f"constant velocity by {straight:.2f} m."
         )
     return said
 

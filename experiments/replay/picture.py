@@ -74,13 +74,21 @@ class Panel:
         return np.asarray(xy @ self.matrix[:, :2].T + self.matrix[:, 2])
 
 
-def lay_out(extent: tuple[float, float, float, float], width: int, height: int) -> list[Panel]:
+def lay_out(
+    extent: tuple[float, float, float, float],
+    width: int,
+    height: int,
+    head: int = HEAD_PX,
+    foot: int = FOOT_PX,
+) -> list[Panel]:
     """Panels that show an extent as large as fits: one, or the rows of a long road.
 
     Args:
         extent: x0, y0, x1, y1 in the world.
         width: of the picture, pixels.
         height: of the picture, pixels.
+        head: free above them, pixels.
+        foot: free below them, pixels.
 
     Returns:
         The panels, top to bottom.
@@ -93,7 +101,7 @@ def lay_out(extent: tuple[float, float, float, float], width: int, height: int) 
     turned = y1 - y0 > LONG * (x1 - x0)
     u0, v0, u1, v1 = (y0, -x1, y1, -x0) if turned else (x0, y0, x1, y1)
     axes = np.array([[0.0, 1.0], [1.0, 0.0]]) if turned else np.array([[1.0, 0.0], [0.0, -1.0]])
-    tall = height - HEAD_PX - FOOT_PX
+    tall = height - head - foot
     many = range(1, 11) if u1 - u0 > LONG * (v1 - v0) else range(1, 2)
     sizes = {
         n: min(width / ((u1 - u0) / n), (tall - GAP_PX * (n - 1)) / n / (v1 - v0)) for n in many
@@ -102,7 +110,7 @@ def lay_out(extent: tuple[float, float, float, float], width: int, height: int) 
     scale, each, length = sizes[rows], (tall - GAP_PX * (rows - 1)) / rows, (u1 - u0) / rows
     panels = []
     for row in range(rows):
-        top = HEAD_PX + row * (each + GAP_PX)
+        top = head + row * (each + GAP_PX)
         u, v = u0 + (row + 0.5) * length, 0.5 * (v0 + v1)
         shift = np.array([[width / 2 - u * scale], [top + each / 2 + v * scale]])
         matrix = np.concatenate([scale * axes, shift], axis=1)
@@ -139,10 +147,15 @@ class Painter:
         mode: what agents are coloured by: true, predicted, confidence, speed or w.
         width: pixels.
         height: pixels.
+        words: whether title, time and legend are drawn; shrunk pictures are captioned instead.
     """
 
-    def __init__(self, scene: ReplayScene, mode: str, width: int = 1280, height: int = 720) -> None:
-        self.scene, self.mode = scene, mode
+    def __init__(
+        self, scene: ReplayScene, mode: str, width: int = 1280, height: int = 720,
+        words: bool = True,
+    ) -> None:  # fmt: skip
+        self.scene, self.mode, self.words = scene, mode, words
+        margins = (HEAD_PX, FOOT_PX) if words else (0, 0)
         self.width, self.height = width * FINE, height * FINE
         self.panels = [
             Panel(
@@ -150,7 +163,7 @@ class Painter:
                 FINE * panel.scale,
                 FINE * panel.matrix,
             )
-            for panel in lay_out(shown_extent(scene), width, height)
+            for panel in lay_out(shown_extent(scene), width, height, *margins)
         ]
         speeds = scene.tracks.speed[scene.tracks.valid]
         self.fastest = max(1.0, float(np.quantile(speeds, 0.995)))
@@ -175,9 +188,10 @@ class Painter:
             self._draw_agents(pen, panel, offset, rows, xy, heading, colors)
             self._draw_events(pen, panel, offset, time_s)
             image.paste(part, (int(offset[0]), int(offset[1])))
-        clock, font = f"{time_s:.1f} s", _font(15 * FINE)
-        pen = ImageDraw.Draw(image)
-        pen.text((self.width - 16 * FINE, HEAD_PX * FINE / 2), clock, INK, font, anchor="rm")
+        if self.words:
+            clock, font = f"{time_s:.1f} s", _font(15 * FINE)
+            pen = ImageDraw.Draw(image)
+            pen.text((self.width - 16 * FINE, HEAD_PX * FINE / 2), clock, INK, font, anchor="rm")
         return image.reduce(FINE)
 
     def _draw_background(self) -> Image.Image:
@@ -191,7 +205,8 @@ class Painter:
             else:
                 _draw_road(pen, panel, offset, self._shapes)
             image.paste(part, (left, top))
-        self._draw_words(ImageDraw.Draw(image))
+        if self.words:
+            self._draw_words(ImageDraw.Draw(image))
         return image
 
     def _draw_tracks(self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray) -> None:

@@ -167,8 +167,8 @@ def excerpt_of(
         drivers=drivers,
         w=(_mean_w(scene, truth, Style.AGGRESSIVE), _mean_w(scene, truth, Style.CONSERVATIVE)),
         pictures=(
-            png_bytes(Painter(scene, "predicted").draw(moment)),
-            png_bytes(Painter(scene, "w").draw(moment)),
+            png_bytes(Painter(scene, "predicted", words=False).draw(moment)),
+            png_bytes(Painter(scene, "w", words=False).draw(moment)),
         ),
         href=_link(page, moment),
     )
@@ -347,8 +347,7 @@ def _trait_table(shown: IntArray, drivers: IntArray) -> Table | None:
             tuple(
                 Cell(
                     f"{100 * shown[b.code, t] / drivers[b.code]:.0f} %" if drivers[b.code] else "",
-                    "",
-                    TRAITS[traits[t]] is b,
+                    expected=TRAITS[traits[t]] is b,
                 )
                 for b in BEHAVIORS
             ),
@@ -358,7 +357,7 @@ def _trait_table(shown: IntArray, drivers: IntArray) -> Table | None:
     return Table(
         "Traits shown",
         "Drivers of each true behaviour that showed a trait often enough to be characteristic. "
-        "Bold: the behaviour to which the paper's trait table assigns it.",
+        "Framed: the behaviour to which the paper's trait table assigns it.",
         "trait",
         tuple(f"{b} ({drivers[b.code]})" for b in BEHAVIORS),
         rows,

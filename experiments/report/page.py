@@ -9,8 +9,10 @@ from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.replay.ramp import ramp_color
 from experiments.report.excerpts import take_excerpts
 from experiments.report.run_file import Metrics
 from experiments.report.sections import (
@@ -89,6 +91,11 @@ def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Pat
     out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
     _write(
         out, "page.html", source=source, run=run, sections=sections(source.rows),
+        behavior_colors=[*((COLORS[b], b.value) for b in BEHAVIORS), (UNKNOWN_COLOR, "not known")],
+        ramp_colors=[
+            (ramp_color(0.0), "none"), (ramp_color(0.5), "a quarter"),
+            (ramp_color(1.0), "the largest"),
+        ],
         confusions=confusions, behaviors=[str(b) for b in BEHAVIORS], excerpts=excerpts,
         missing=[
             (layout.title, layout.made_by)

@@ -52,10 +52,10 @@ LAYOUTS: Final[dict[str, Layout]] = {
         ("weighted_accuracy", "majority_weighted_accuracy", "balanced_accuracy", "macro_f1",
          "style_balanced_accuracy", "ece", "auc", "ms_per_frame"),
         "graphrqi bench classification",
-        "Below each figure its 95 % interval over episodes, if there are several; beside every "
-        "accuracy that of the majority class. n counts windows: the last 10 s of "
-        "one driver, one a second. Style: aggressive or conservative. Inductive: unseen episodes; "
-        "transductive: windows of seen episodes too.",
+        "Majority class: the accuracy of always naming the most frequent behaviour. n counts "
+        "windows: the last 10 s of one driver, one a second. Style: aggressive or conservative. "
+        "Inductive: unseen episodes; transductive: windows of seen episodes too. Intervals, where "
+        "there are some, are over episodes.",
     ),
     "real-data": Layout(
         "Real drivers", ("dataset", "protocol", "classes"), ("method", "fold"), ("metric",),
@@ -67,8 +67,9 @@ LAYOUTS: Final[dict[str, Layout]] = {
     "prediction": Layout(
         "Where everyone goes next", ("scenario", "behavior"), ("predictor",),
         ("metric", "horizon_s"), ("ade_m", "fde_m", "miss_rate"), "graphrqi predict",
-        "Drivers of unseen episodes, behaviours as classified, never the truth; 95 % intervals "
-        "over episodes. ADE: mean distance from what happened up to a horizon; FDE: at it.",
+        "Drivers of unseen episodes, behaviours as classified, never the truth. ADE: mean distance "
+        "from what happened up to a horizon; FDE: at it. Intervals, where there are some, are over "
+        "episodes.",
     ),
     "behaviors": Layout(
         "Traits shown", ("engine", "scenario"), ("metric",), ("behavior",), (),

@@ -54,11 +54,13 @@ class Cell:
         value: in words; "" where it was not measured.
         interval: its 95 % interval in words, "" where there is none.
         best: whether it is the best of its column.
+        expected: whether it stands where theory, or the truth, expects the largest figure.
     """
 
     value: str
     interval: str = ""
     best: bool = False
+    expected: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,8 @@ def pivot(
         title: what the table is about.
         down: keys that tell its lines apart.
         across: keys that tell its columns apart; may hold ``metric``.
-        caption: what to say above it; how many cases the figures rest on is added.
+        caption: what to say above it. How many cases the figures rest on is added, and what
+            intervals and bold figures mean, if there are any.
 
     Returns:
         The table. A key that is the same in all lines is not repeated in each.
@@ -153,7 +156,14 @@ def pivot(
         else f"n = {min(counts)}" + (f" to {max(counts)}" if max(counts) > min(counts) else "")
     )
     split = {str(r["split"]) for r in rows if r.get("split")}
-    said = [caption, *(f"split: {s}" for s in sorted(split)), many]
+    cells = [cell for _, line in body for cell in line]
+    said = [
+        caption,
+        *(f"split: {s}" for s in sorted(split)),
+        many,
+        "small: 95 % intervals" if any(cell.interval for cell in cells) else "",
+        "bold: best of its column" if any(cell.best for cell in cells) else "",
+    ]
     return Table(
         title,
         "; ".join(part for part in said if part),

@@ -100,7 +100,7 @@ def test_labels_of_another_episode_are_refused_by_name(dataset, tmp_path):
         read_beliefs(tmp_path / "broken.parquet", entry.id, tracks)
     few = pa.table({"episode": [entry.id], "agent": [2]})
     pq.write_table(few, tmp_path / "few.parquet")
-    with pytest.raises(InputError, match="found no column time_s"):
+    with pytest.raises(InputError, match="found column time_s 0 times"):
         read_beliefs(tmp_path / "few.parquet", entry.id, tracks)
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import re
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, TRAITS
 from experiments.report import write_comparison, write_report
 from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.excerpts import _trait_table
 from experiments.report.run_file import RunFile
 from experiments.report.sections import LAYOUTS
 from experiments.report.source import read_source
@@ -136,6 +138,55 @@ def test_the_best_of_a_column_is_marked_but_never_the_majority():
     ]
     table = pivot(rows, "t", ["method"], ["metric"])
     assert [cells[0].best for _, cells in table.rows] == [False, True, False]
+
+
+def test_captions_promise_intervals_and_bold_figures_only_where_there_are_some():
+    rows = [
+        {"method": name, "metric": "weighted_accuracy", "value": value, "low": low, "high": low}
+        for name, value, low in (("ours", 0.6, None), ("theirs", 0.5, None))
+    ]
+    plain = pivot(rows[:1], "t", ["method"], ["metric"])
+    assert "interval" not in plain.caption
+    assert "bold" not in plain.caption
+    assert "bold: best of its column" in pivot(rows, "t", ["method"], ["metric"]).caption
+    rows[0] |= {"low": 0.5, "high": 0.7}
+    assert "95 % intervals" in pivot(rows, "t", ["method"], ["metric"]).caption
+
+
+def test_a_wide_table_keeps_its_first_column_and_says_that_it_goes_on(browser, tmp_path):
+    metrics = ("weighted_accuracy", "balanced_accuracy", "macro_f1", "ece", "auc", "ms_per_frame")
+    keys = {"bench": "classification", "protocol": "inductive", "scenario": "straight_road"}
+    rows = [
+        {**keys, "method": name, "window_s": 10, "variation": "", "metric": m, "value": 0.5,
+         "low": 0.4, "high": 0.6, "n": 9}
+        for name in ("graphrqi-invariant", "majority") for m in metrics
+    ]  # fmt: skip
+    (tmp_path / "rows.json").write_text(json.dumps(rows))
+    report = write_report(tmp_path / "rows.json")
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    page.goto(report.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.locator(".hint").first.is_visible()
+    scroll, name = page.locator(".scroll").first, page.locator("tbody th").first
+    before = name.bounding_box()
+    assert before["width"] >= 90
+    assert before["height"] < 60, "words are not broken letter by letter"
+    moved = scroll.evaluate("(e) => { e.scrollLeft = 200; return e.scrollLeft; }")
+    assert moved == 200
+    assert name.bounding_box()["x"] == before["x"]
+    page.set_viewport_size({"width": 1280, "height": 800})
+    assert not page.locator(".hint").first.is_visible()
+    page.close()
+
+
+def test_one_style_means_the_best_and_another_what_was_expected():
+    shown, drivers = np.eye(len(BEHAVIORS), len(TRAITS), dtype=int), np.full(len(BEHAVIORS), 2)
+    table = _trait_table(shown, drivers)
+    cells = [cell for _, line in table.rows for cell in line]
+    assert any(cell.expected for cell in cells)
+    assert not any(cell.best for cell in cells)
+    assert "Framed" in table.caption
+    assert "Bold" not in table.caption
 
 
 def test_runs_are_compared_column_by_column(study, tmp_path):
