@@ -48,9 +48,10 @@ FORESHORTENED: Final = 1.5
 """Displacements towards the camera or away from it are longer by this than they look (our choice:
 it looks down at some 40 degrees, as from a bridge or a mast)."""
 
-LENGTH_OF_SIZE, WIDTH_OF_SIZE = 1.7, 0.7
+LENGTH_OF_SIZE: Final = 0.85
+WIDTH_OF_SIZE: Final = 0.35
 """Length and width of an agent's outline on the ground, over the root of the area of its box in the
-image: those of a car that is seen from the side."""
+image: half those of a car that is seen from the side, since a box shows height, too."""
 
 MOVING: Final = 0.5
 """Agents that cover this many of their own sizes in a second move (our choice: a walking pace)."""

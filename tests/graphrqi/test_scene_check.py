@@ -182,3 +182,12 @@ def test_evidence_does_not_depend_on_the_order_of_ids():
     one, two = check_scene(tracks), check_scene(renamed)
     assert one.overlapping == pytest.approx(two.overlapping)
     assert one.is_scene == two.is_scene
+
+
+def test_without_outlines_only_coinciding_centres_count():
+    """Boxes in an image overlap; half of the centres within a metre of another never do."""
+    one = road()
+    near = dataclasses.replace(road(first=100), xy=one.xy + np.array([0.5, 0.45]))
+    assert not check_scene(together(one, near), outlines=False).is_scene
+    wide = dataclasses.replace(one, length=np.full(24, 14.0), width=np.full(24, 14.0))
+    assert check_scene(wide, outlines=False).is_scene

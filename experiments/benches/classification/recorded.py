@@ -61,7 +61,7 @@ class Drivers:
         halves: (n, 2, 6) beliefs at the end of each half; NaN where the stream gave none.
         does: (n, 2, 4) ``MEASURES`` in each half.
         life: (m, 6) beliefs about everyone seen for ``LEAST_SEEN_S`` at the end of its life.
-        unknown: (m,) probability that none of them is earned.
+        unknown: (m,) 1 for those of them who have no answer, else 0.
         doubted: how many of all recordings are no scene.
         recordings: how many there are.
     """
@@ -144,8 +144,9 @@ def last_beliefs(tracks: Tracks, model: Model) -> tuple[FloatArray, FloatArray]:
 
 
 def unknown_of(posterior: Posterior) -> FloatArray:
-    """(n,) probability that no answer is earned; 0 from models that do not tell it."""
-    return np.asarray(getattr(posterior, "unknown", np.zeros(posterior.ids.size)))
+    """(n,) 1 for drivers without an answer that is earned; 0 for all of models that do not tell."""
+    told = getattr(posterior, "told", np.ones(posterior.ids.size, dtype=bool))
+    return 1.0 - np.asarray(told, dtype=np.float64)
 
 
 @lru_cache(maxsize=1)
