@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from behaviors.errors import InputError
 from sim.frames import Tracks
@@ -40,6 +41,44 @@ def correlated_noise(
     for step, share in enumerate(kept, start=1):
         error[:, step] = share * error[:, step - 1] + (1 - share**2) ** 0.5 * error[:, step]
     return dataclasses.replace(tracks, xy=tracks.xy + error)
+
+
+def frame_rate(tracks: Tracks, rate_hz: float, rng: np.random.Generator) -> Tracks:
+    """The recording at another frame rate: of a whole fraction of its own, every so many frames.
+
+    At other rates, positions lie on a cubic spline through those that were recorded.
+    """
+    every = 1.0 / (rate_hz * tracks.step_s)
+    if every >= 0.999 and abs(every - round(every)) < 1e-6:
+        columns = np.arange(0, tracks.time_s.size, round(every))
+        return dataclasses.replace(
+            tracks.part(np.arange(tracks.ids.size), columns), events=tracks.events
+        )
+    begin_s, end_s = tracks.time_s[[0, -1]]
+    time_s = begin_s + np.arange(int((end_s - begin_s) * rate_hz + 1e-6) + 1) / rate_hz
+    n = tracks.ids.size
+    motion = np.full((n, time_s.size, 4), np.nan)  # x, y, heading, speed
+    for row in range(n):
+        seen = np.flatnonzero(tracks.valid[row])
+        for run in np.split(seen, np.flatnonzero(np.diff(seen) > 1) + 1):
+            if run.size < 2:
+                continue
+            known_s = tracks.time_s[run]
+            inside = (time_s >= known_s[0] - 1e-9) & (time_s <= known_s[-1] + 1e-9)
+            heading = np.unwrap(tracks.heading[row, run])
+            known = np.column_stack([tracks.xy[row, run], heading, tracks.speed[row, run]])
+            motion[row, inside] = CubicSpline(known_s, known)(time_s[inside])
+    before = np.searchsorted(tracks.time_s, time_s + 1e-9, side="right") - 1
+    turned = np.pi - np.mod(np.pi - motion[..., 2], 2 * np.pi)
+    return dataclasses.replace(
+        tracks,
+        time_s=time_s,
+        xy=motion[..., :2],
+        heading=turned,
+        speed=motion[..., 3],
+        valid=np.isfinite(motion[..., 0]),
+        signals=tracks.signals[:, before],
+    )
 
 
 def dropped_frames(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
@@ -183,6 +222,7 @@ DISTURBANCES: Final[dict[str, tuple[Disturbance, tuple[float, ...], str]]] = {
     "position noise": (position_noise, (0.1, 0.3, 1.0), "m"),
     "correlated noise": (correlated_noise, (0.1, 0.25, 0.5), "m"),
     "dropped frames": (dropped_frames, (0.1, 0.3, 0.5), "of all"),
+    "frame rate": (frame_rate, (25.0, 5.0, 2.5), "Hz"),
     "lost detections": (lost_detections, (0.1, 0.3), "of all"),
     "lost tracks": (lost_tracks, (2.0,), "per agent and minute"),
     "identity switches": (identity_switches, (0.5, 2.0), "per agent and minute"),

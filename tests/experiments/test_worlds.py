@@ -1,5 +1,6 @@
 """Random worlds: drawn by seed, driven, stored as seen, and usable like any dataset."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,12 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.data.disturbances import correlated_noise, lost_detections, renamed_tracks
+from experiments.data.disturbances import (
+    correlated_noise,
+    frame_rate,
+    lost_detections,
+    renamed_tracks,
+)
 from experiments.data.generate import generate
 from experiments.data.verify import find_flaws
 from experiments.data.windows import gather
@@ -171,6 +177,25 @@ def test_speeds_and_headings_are_measured_from_the_positions_seen():
     assert set(image.length) == {40.0}
     unknown = Sensor(step_s=0.1, has_map=False, has_sizes=False).seen(driving(), rng)
     assert set(unknown.length) == {4.5}
+
+
+@pytest.mark.parametrize(("rate_hz", "frames"), [(25.0, 998), (10.0, 400), (5.0, 200), (2.5, 100)])
+def test_other_frame_rates_show_the_same_motion(rate_hz: float, frames: int):
+    tracks = driving(n=3)
+    swerving = tracks.xy + np.sin(tracks.time_s)[None, :, None] * np.array([0.0, 2.0])
+    shown = np.ones((3, 400), dtype=bool)
+    shown[1, 100:150] = False
+    tracks = dataclasses.replace(
+        tracks, xy=np.where(shown[..., None], swerving, np.nan), valid=shown
+    )
+    seen = frame_rate(tracks, rate_hz, np.random.default_rng(0))
+    assert seen.time_s.size == frames
+    assert np.diff(seen.time_s) == pytest.approx(np.full(frames - 1, 1 / rate_hz))
+    assert seen.xy[0, :, 0] == pytest.approx(seen.time_s * 10.0)
+    assert seen.xy[0, :, 1] == pytest.approx(2.0 * np.sin(seen.time_s), abs=1e-3)
+    hidden = (seen.time_s > 9.91) & (seen.time_s < 14.99)
+    assert not seen.valid[1, hidden].any()
+    assert seen.valid[1, ~hidden].all()
 
 
 def test_frames_that_are_lost_leave_gaps_in_time():

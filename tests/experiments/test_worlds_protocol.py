@@ -135,5 +135,6 @@ def test_worlds_are_answered_by_models_that_did_not_know_their_group(dataset: Da
     assert all(dataclasses.is_dataclass(d) for d in disturbances(1))
     assert [str(d) for d in disturbances(1)] == [
         "", "position noise 0.03 m", "correlated noise 0.03 m", "dropped frames 0.05 of all",
+        "frame rate 25 Hz",
     ]  # fmt: skip
     assert len(BEHAVIORS) == 6

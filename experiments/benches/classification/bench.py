@@ -18,7 +18,7 @@ from experiments.benches.classification.controls import (
     leak_probe,
     random_rows,
 )
-from experiments.benches.classification.noise import RATES_HZ, noise_rows
+from experiments.benches.classification.noise import FINE_STEP_S, noise_rows
 from experiments.benches.classification.protocols import (
     ablation,
     across_datasets,
@@ -77,7 +77,6 @@ class Settings:
         worlds: options of `WorldsConfig` for worlds that are left out in turn.
         sensed: the same as ``base`` for usual traffic that is seen by worse sensors.
         recordings: most recordings of a place, and most videos; None for all.
-        rates_hz: frame rates of these; keys of ``RATES_HZ``.
         axes: by what worlds are left out; keys of ``AXES``.
         traffic: which of ``TRAFFIC``.
         methods: compared with one another.
@@ -112,7 +111,6 @@ class Settings:
         None,
         "Most recordings of a place, and videos, of recorded and zero-shot [default: all].",
     )
-    rates_hz: tuple[float, ...] = tuple(RATES_HZ)
     axes: tuple[str, ...] = tuple(AXES)
     traffic: tuple[str, ...] = tuple(TRAFFIC)
     methods: tuple[str, ...] = (OURS, *(name for name in METHODS if name != OURS))
@@ -171,14 +169,14 @@ class Datasets:
         return open_dataset(where)
 
     @cached_property
-    def sensed(self) -> dict[float, Recordings]:
-        """Usual traffic at each frame rate that nothing was ever trained on."""
-        return {
-            rate: self._made(
-                f"sensed {rate:g} Hz", **self.settings.sensed, step_s=RATES_HZ[rate], seed=19
-            )
-            for rate in self.settings.rates_hz
-        }
+    def sensed(self) -> Recordings:
+        """Usual traffic that nothing was ever trained on."""
+        return self._made("sensed", **self.settings.sensed, seed=19)
+
+    @cached_property
+    def fine(self) -> Recordings:
+        """The same drivers in a finer simulation."""
+        return self._made("fine", **{**self.settings.sensed, "step_s": FINE_STEP_S}, seed=19)
 
     @cached_property
     def idm(self) -> Recordings:
@@ -248,7 +246,7 @@ def _noise(data: Datasets) -> list[Row]:
         models["trained on worlds too"] = method, learned.model()
         if method == OURS:
             models["shipped"] = method, load_model(method)
-    return noise_rows(models, data.sensed, settings.jobs, settings.levels)
+    return noise_rows(models, data.sensed, data.fine, settings.jobs, settings.levels)
 
 
 def _recordings(data: Datasets, protocol: str, inner: str) -> Path | None:
@@ -369,9 +367,8 @@ BENCH: Final = Bench(
         fresh={"episodes": 1, "duration_s": 30.0},
         many=None,
         worlds={"worlds": 5, "duration_s": 20.0},
-        sensed={"episodes": 1, "duration_s": 20.0},
+        sensed={"episodes": 1, "duration_s": 15.0},
         recordings=1,
-        rates_hz=(10.0,),
         axes=("noise",),
         traffic=("dense flow",),
         methods=("cheung",),

@@ -21,16 +21,21 @@ NOISE_M: Final = (0.03, 0.1, 0.25, 0.5)
 LOST: Final = (0.05, 0.15, 0.3)
 """Shares of frames lost."""
 
-RATES_HZ: Final[dict[float, float]] = {25.0: 0.04, 10.0: 0.1, 5.0: 0.2, 2.5: 0.4}
-"""Time between frames, s, of each frame rate."""
+RATES_HZ: Final = (25.0, 5.0, 2.5)
+"""Frame rates, beside the usual 10 Hz. More than is simulated lies on splines."""
 
-USUAL_HZ: Final = 10.0
-"""The frame rate that noise and losses are measured at."""
+FINE_STEP_S: Final = 0.04
+"""A simulation that itself steps at 25 Hz, s: its drivers react more often than usual ones."""
 
 
 def disturbances(levels: int | None = None) -> list[Disturbed]:
     """What the usual recordings are disturbed by, at the first levels of each kind."""
-    kinds = {"position noise": NOISE_M, "correlated noise": NOISE_M, "dropped frames": LOST}
+    kinds = {
+        "position noise": NOISE_M,
+        "correlated noise": NOISE_M,
+        "dropped frames": LOST,
+        "frame rate": RATES_HZ,
+    }
     return [
         UNDISTURBED,
         *(Disturbed(name, level) for name, found in kinds.items() for level in found[:levels]),
@@ -39,7 +44,8 @@ def disturbances(levels: int | None = None) -> list[Disturbed]:
 
 def noise_rows(
     models: Mapping[str, tuple[str, Model]],
-    rates: Mapping[float, Recordings],
+    usual: Recordings,
+    fine: Recordings,
     jobs: int | None = None,
     levels: int | None = None,
 ) -> list[Row]:
@@ -47,7 +53,8 @@ def noise_rows(
 
     Args:
         models: by the words that say how each was trained: its method's name and the model.
-        rates: the same scenarios at each frame rate; nothing was trained on them.
+        usual: usual traffic that nothing was trained on.
+        fine: the same drivers in a simulation that steps at ``FINE_STEP_S``.
         jobs: processes; None for one per core.
         levels: of each disturbance; None for all.
 
@@ -55,12 +62,12 @@ def noise_rows(
         By model, scenario, disturbance and age.
     """
     rows: list[Row] = []
-    for rate, recordings in rates.items():
-        found = disturbances(levels) if rate == USUAL_HZ else [UNDISTURBED]
-        for trained, (method, model) in models.items():
-            for disturbed in found:
-                about = str(disturbed) or f"{rate:g} Hz"
-                rows += _rows(recordings, method, model, disturbed, f"{trained}, {about}", jobs)
+    for trained, (method, model) in models.items():
+        for disturbed in disturbances(levels):
+            about = str(disturbed) or "undisturbed"
+            rows += _rows(usual, method, model, disturbed, f"{trained}, {about}", jobs)
+        about = f"{trained}, simulated at {1 / FINE_STEP_S:g} Hz"
+        rows += _rows(fine, method, model, UNDISTURBED, about, jobs)
     return rows
 
 
