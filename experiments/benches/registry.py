@@ -23,6 +23,7 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "navigation": "experiments.benches.navigation:BENCH",
         "loop": "experiments.benches.loop:BENCH",
         "branches": "experiments.benches.branches:BENCH",
+        "blame": "experiments.benches.blame:BENCH",
         "drive": "experiments.benches.drive.bench:BENCH",
     },
 )

@@ -30,7 +30,7 @@ from experiments.cli.options import (
     names_of,
 )
 from experiments.cli.predictors import train_predictor
-from experiments.cli.what_if import what_if
+from experiments.cli.what_if import blame, what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, say, show_notices
 
@@ -355,6 +355,7 @@ app.command(
     epilog="example: "
     "graphrqi what-if straight_road --at-s 30 --agent 8 --behavior timid --out what-if",
 )(what_if)
+app.command(epilog="example: graphrqi blame straight_road --flow dense --duration-s 60")(blame)
 
 
 @app.command(epilog="example: graphrqi report runs/demo runs/other --out comparison.html")

@@ -93,3 +93,37 @@ def what_if(
     show_table(outcomes(dataset), json)
     if picture is not None:
         write_paths(dataset, picture)
+
+
+def blame(
+    scenario: ScenarioName,
+    episode: Episode = 0,
+    engine: Engine = "sumo",
+    seed: Seed = 0,
+    flow: Flow = None,
+    mix: Mix = None,
+    spread: Spread = None,
+    duration_s: DurationS = None,
+    bystanders: Annotated[
+        int, typer.Option(min=0, help="How many drivers beside the two parties are tried.")
+    ] = 4,
+    json: Json = None,
+) -> None:
+    """Say whose careful driving would have prevented each collision and near miss (Linux only)."""
+    from experiments.console.tables import show_table
+    from experiments.data.configuration import read_config
+    from experiments.data.episode import Task
+    from experiments.scoring.blame import judge, verdict_rows
+    from sim.scenario import sample_agents
+
+    config = read_config(
+        None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
+        mix=mix, spread=spread, duration_s=duration_s,
+    )  # fmt: skip
+    made = config.scenario(scenario, episode)
+    drawn = Task(config, scenario, episode).seed
+    verdicts = list(judge(made, sample_agents(made, drawn), drawn, engine, bystanders))
+    if verdicts or json is not None:
+        show_table(verdict_rows(verdicts), json)
+    else:
+        typer.echo(f"{scenario}: no collision and no near miss in {made.duration_s:g} s")

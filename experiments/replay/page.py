@@ -117,6 +117,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
     meta = _places(scene, arrays)
     _beliefs(scene, arrays)
     meta |= _graph(scene, arrays)
+    meta |= _ghosts(scene, arrays)
     meta |= _forecasts(scene, arrays, meta["quantum"])
     if tracks.signals.size:
         meta["signals"] = _signal_changes(tracks.signals)
@@ -273,6 +274,25 @@ def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any
         arrays[name] = edges[:, i].astype("u2")
     arrays["edgeBegin"], arrays["edgeEnd"] = edges[:, 2].astype("i4"), edges[:, 3].astype("i4")
     return {}
+
+
+def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Where everyone factually was, place by place."""
+    ghosts = scene.ghosts
+    if ghosts is None:
+        return {"ghosts": []}
+    origin = scene.tracks.xy[scene.tracks.valid].min(axis=0)
+    arrays["ghostOf"] = ghosts.ghost.astype("u2")
+    arrays["ghostStep"] = ghosts.step.astype("i4")
+    arrays["ghostXY"] = (ghosts.xy - origin).astype("f4").ravel()
+    arrays["ghostHeading"] = ghosts.heading.astype("f4")
+    sizes = zip(ghosts.kind, ghosts.length, ghosts.width, strict=True)
+    return {
+        "ghosts": [
+            {"kind": int(k), "length": round(float(a), 2), "width": round(float(b), 2)}
+            for k, a, b in sizes
+        ]
+    }
 
 
 def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]], unit: float) -> dict[str, Any]:

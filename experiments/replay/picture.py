@@ -185,6 +185,7 @@ class Painter:
                 self._draw_edges(pen, panel, offset, rows, xy, time_s)
             elif self.mode == "predicted":
                 self._draw_paths(pen, panel, offset, rows, xy, colors, time_s)
+            self._draw_ghosts(pen, panel, offset, time_s)
             self._draw_agents(pen, panel, offset, rows, xy, heading, colors)
             self._draw_events(pen, panel, offset, time_s)
             image.paste(part, (int(offset[0]), int(offset[1])))
@@ -362,6 +363,26 @@ class Painter:
             pen.polygon(_points(c + BODY @ np.stack([a, b])), colors[i], INK, FINE)
             if np.hypot(*a) > 6 * FINE:
                 pen.polygon(_points(c + GLASS @ np.stack([a, b])), INK)
+
+    def _draw_ghosts(
+        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, time_s: float
+    ) -> None:
+        """Outlines of where everyone factually was."""
+        ghosts, tracks = self.scene.ghosts, self.scene.tracks
+        if ghosts is None:
+            return
+        step = max(int(np.searchsorted(tracks.time_s, time_s + 1e-6)) - 1, 0)
+        for i in ghosts.at(step):
+            facing = np.array([np.cos(ghosts.heading[i]), np.sin(ghosts.heading[i])])
+            left = np.array([-facing[1], facing[0]])
+            half = np.stack(
+                [
+                    facing * ghosts.length[ghosts.ghost[i]] / 2,
+                    left * ghosts.width[ghosts.ghost[i]] / 2,
+                ]
+            )
+            outline = panel.pixels(ghosts.xy[i] + BODY @ half) - offset
+            pen.polygon(_points(outline), None, MUTED, FINE)
 
     def _draw_events(
         self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, time_s: float

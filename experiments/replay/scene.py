@@ -15,6 +15,7 @@ from experiments.console.progress import Progress
 from experiments.data.admission import SCALED
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, read_forecasts
+from experiments.replay.ghosts import Ghosts, ghosts_of
 from experiments.replay.graph_history import GraphHistory, graph_history
 from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.methods import load_model
@@ -56,6 +57,7 @@ class ReplayScene:
         forecasts: predictions, in order of time.
         predictor: whose; "" if there are none.
         notes: what a reader should know of the data, one sentence each.
+        ghosts: of a counterfactual episode, where everyone factually was.
     """
 
     entry: EpisodeEntry
@@ -70,6 +72,7 @@ class ReplayScene:
     forecasts: tuple[Forecast, ...]
     predictor: str
     notes: tuple[str, ...]
+    ghosts: Ghosts | None = None
 
     @property
     def name(self) -> str:
@@ -169,11 +172,13 @@ def gather(
     tracks = dataclasses.replace(tracks, events=shown_events(tracks))
     if unit == "px":
         tracks = with_drawn_sizes(tracks)
+    kept = tracks.part(np.arange(tracks.ids.size), slice(None, None, stride))
+    ghosts, said = ghosts_of(dataset, entry, kept)
     return ReplayScene(
         entry=entry,
         unit=unit,
         road=road,
-        tracks=tracks.part(np.arange(tracks.ids.size), slice(None, None, stride)),
+        tracks=kept,
         agents={spec.id: spec for spec in episode.agents},
         shown_traits=shown_traits,
         beliefs=beliefs,
@@ -181,7 +186,8 @@ def gather(
         graph=graph,
         forecasts=tuple(forecasts),
         predictor=shown if forecasts else "",
-        notes=_notes(episode, road, unit, stride),
+        notes=(*said, *_notes(episode, road, unit, stride)),
+        ghosts=ghosts,
     )
 
 

@@ -173,6 +173,10 @@ class Trunk(_Closing):
             send_handle(self._connection, there.fileno(), self.process_id)
         return Branch(Connection(here.detach()))
 
+    def drives(self, agent: int) -> bool:
+        """Whether somebody of that id drives in the episode, at whatever time."""
+        return agent in self._drivers
+
     def driver(self, agent: int) -> AgentSpec:
         """A driver of the episode.
 

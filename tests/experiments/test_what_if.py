@@ -16,6 +16,7 @@ from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
 from experiments.data.what_if import WhatIf, branch_of, change_of, make_what_if
+from experiments.replay.ghosts import find_ghosts, ghosts_of
 from experiments.scoring.what_if import (
     branches_of,
     delays,
@@ -220,3 +221,26 @@ def test_who_enters_in_one_continuation_only_is_late_by_what_is_left() -> None:
     factual = moving({1: [10.0] * 6, 2: [5.0] * 6})
     changed = moving({1: [10.0] * 6}, since=3)
     assert delays(factual, changed, since_s=2.0) == pytest.approx({1: 0.0, 2: 4.0})
+
+
+def test_ghosts_stand_where_the_factual_episode_differs() -> None:
+    factual = moving({1: [10.0] * 6, 2: [5.0] * 6, 3: [1.0] * 6})
+    changed = moving({1: [10, 10, 5, 5, 5, 5], 2: [5.0] * 6}, since=3)
+    ghosts = find_ghosts(factual, changed)
+    assert ghosts.length.tolist() == [4.0, 4.0]  # of 1, who falls back, and of 3, who is not there
+    first = ghosts.at(0)
+    assert ghosts.ghost[first].tolist() == [0, 1]
+    assert ghosts.xy[first].tolist() == [[30.0, 0.0], [3.0, 0.0]]
+    assert ghosts.at(3).size == 2
+
+
+def test_the_replay_of_a_branch_has_ghosts(made: Path) -> None:
+    dataset = open_dataset(made)
+    *_, braked = branches_of(dataset)
+    tracks = dataset.read(braked).tracks
+    ghosts, said = ghosts_of(dataset, braked, tracks)
+    assert ghosts is not None
+    assert ghosts.at(0).size == 0
+    assert ghosts.at(tracks.time_s.size - 1).size > 0
+    assert said[0].startswith("what if driver 4 had changed at 14.0 s: brake")
+    assert ghosts_of(dataset, factual_of(dataset), tracks) == (None, ())

@@ -64,6 +64,21 @@ function readFutures(arrays) {
   return { xy, ahead: data.ahead, agent: arrays.futureAgent, probability: arrays.futureProbability, time: arrays.forecastTime, begin: arrays.forecastBegin };
 }
 
+// By frame, where everyone factually was who is elsewhere now: of a counterfactual episode.
+function readGhosts(arrays) {
+  const found = new Map();
+  if (!data.ghosts.length) return found;
+  for (let i = 0; i < arrays.ghostOf.length; i++) {
+    const place = {
+      ...data.ghosts[arrays.ghostOf[i]], heading: arrays.ghostHeading[i],
+      x: data.origin[0] + arrays.ghostXY[2 * i], y: data.origin[1] + arrays.ghostXY[2 * i + 1],
+    };
+    if (!found.has(arrays.ghostStep[i])) found.set(arrays.ghostStep[i], []);
+    found.get(arrays.ghostStep[i]).push(place);
+  }
+  return found;
+}
+
 // Index of the last entry that is not after the time; -1 if all are.
 function latest(times, time) {
   let low = 0, high = times.length;
@@ -74,7 +89,7 @@ function latest(times, time) {
   return low - 1;
 }
 
-let arrays, places, futures, duration;
+let arrays, places, futures, ghosts, duration;
 
 // Where an agent is at a time, between two frames on the straight line; null if it is not there.
 function placeOf(index, time, frame = latest(arrays.time, time)) {

@@ -186,6 +186,18 @@ function drawAgent(ctx, panel, dpr, index, place, color) {
   ctx.fill();
 }
 
+// A dashed outline where somebody factually was.
+function drawGhost(ctx, panel, dpr, ghost) {
+  const kind = data.kinds[ghost.kind], [x, y] = toScreen(panel, ghost.x, ghost.y);
+  const long = Math.max(ghost.length * panel.scale, 6), wide = Math.max(ghost.width * panel.scale, 3.6);
+  const angle = view.turned ? Math.atan2(Math.cos(ghost.heading), Math.sin(ghost.heading)) : -ghost.heading;
+  ctx.setTransform(dpr * Math.cos(angle), dpr * Math.sin(angle), -dpr * Math.sin(angle), dpr * Math.cos(angle), dpr * x, dpr * y);
+  outlinePath(ctx, kind, long, wide);
+  ctx.setLineDash([3, 2]);
+  ctx.strokeStyle = theme.muted; ctx.lineWidth = 1.2; ctx.stroke();
+  ctx.setLineDash([]);
+}
+
 function line(ctx, panel, points) {
   ctx.beginPath();
   points.forEach(([x, y], i) => (i ? ctx.lineTo(...toScreen(panel, x, y)) : ctx.moveTo(...toScreen(panel, x, y))));
@@ -358,6 +370,7 @@ function draw(canvas) {
     plain();
     if (player.layers.graph) drawGraph(ctx, panel, present);
     if (player.layers.paths && futures) for (const [index, place] of present) drawFutures(ctx, panel, index, colorOf(index, place), true);
+    for (const ghost of ghosts.get(frame) || []) drawGhost(ctx, panel, dpr, ghost);
     for (const [index, place] of present) drawAgent(ctx, panel, dpr, index, place, colorOf(index, place));
     plain();
     labels.begin(panel, present);

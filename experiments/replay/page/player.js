@@ -262,6 +262,7 @@ async function start() {
   arrays = await readArrays();
   places = readPlaces(arrays);
   futures = readFutures(arrays);
+  ghosts = readGhosts(arrays);
   duration = arrays.time[arrays.time.length - 1];
   $("scrub").max = String(duration);
   if (data.agents.every((agent) => agent.truth < 0)) document.querySelector('#modes input[value="true"]').disabled = true;
