@@ -260,6 +260,10 @@ def predict(
             "them: of 6 s, 5 s after the beginning of each recording.",
         ),
     ] = None,
+    weights: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="From train-predictor [default: those that ship]."),
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -274,7 +278,7 @@ def predict(
     with as_dataset(source, format, net) as dataset:
         try:
             rows = predict_dataset(
-                dataset, names, horizon_s, model, out=out, jobs=jobs, quiet=quiet
+                dataset, names, horizon_s, model, out=out, weights=weights, jobs=jobs, quiet=quiet
             )
         except NothingToScore as reason:
             # The challenge's own test recordings end where the futures begin.

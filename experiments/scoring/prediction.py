@@ -30,6 +30,7 @@ from graphrqi.methods import load_model
 from graphrqi.predict import get_predictor
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.recorded.network import trained_network
 from graphrqi.predict.scene.scene import LONGEST_S
 from graphrqi.stream import DEFAULT_MODEL
 from sim.frames import Tracks
@@ -82,7 +83,7 @@ def metrics_tree(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
-    model: str, keep: bool = False,
+    model: str, keep: bool = False, weights: Path | None = None,
 ) -> EpisodePrediction:  # fmt: skip
     """Predict one episode of a dataset with a classifier's beliefs.
 
@@ -93,6 +94,7 @@ def evaluate_episode(
         horizons_s: ascending, s.
         model: the classifier: a shipped one's name or a folder.
         keep: whether the futures themselves are wanted.
+        weights: as `experiments.scoring.prediction_errors.evaluate` takes them.
 
     Returns:
         Its errors and futures; neither if it is too short.
@@ -113,7 +115,7 @@ def evaluate_episode(
 
     errors = evaluate(
         tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s,
-        keep_futures if keep else None,
+        keep_futures if keep else None, weights,
     )  # fmt: skip
     futures = pa.concat_tables(tables).unify_dictionaries()
     return EpisodePrediction(errors, futures, length_s)
@@ -139,6 +141,7 @@ def predict_dataset(
     model: str = DEFAULT_MODEL,
     *,
     out: Path | None = None,
+    weights: Path | None = None,
     split: Split = "test",
     jobs: int | None = None,
     quiet: bool = False,
@@ -153,6 +156,7 @@ def predict_dataset(
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         out: where to write the futures (`experiments.scoring.prediction_file`); None: nowhere.
+        weights: as `experiments.scoring.prediction_errors.evaluate` takes them.
         split: which part of the dataset; all of a scenario that has no such part.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
@@ -165,6 +169,8 @@ def predict_dataset(
         NothingToScore: if every episode is too short, or nobody is seen for long enough in any.
     """
     _check_request(predictors, horizon_s)
+    if weights is not None:
+        trained_network(weights)
     load_model(model)
     horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
     dataset = open_dataset(source)
@@ -180,7 +186,9 @@ def predict_dataset(
     short: list[tuple[EpisodeEntry, float]] = []
     least_s = shortest_s(horizon_s)
     keep = out is not None
-    arguments = [(source, entry, predictors, horizons_s, model, keep) for _, entry in entries]
+    arguments = [
+        (source, entry, predictors, horizons_s, model, keep, weights) for _, entry in entries
+    ]
     with (
         Progress("predicting episodes", len(entries), quiet) as progress,
         nullcontext() if out is None else predictions_file(out) as file,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from experiments.scoring.metrics import Statistic, bootstrap, ratio
 from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor, predict
+from graphrqi.predict.learned.predictors import with_weights
 from graphrqi.predict.metrics import METRICS, SAMPLE_S, covered, distances, log_density, overlap
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene
@@ -163,6 +165,7 @@ def evaluate(
     predictors: Sequence[str],
     horizons_s: Sequence[float] = HORIZONS_S,
     on_prediction: Callable[[str, Tracks, Prediction], None] | None = None,
+    weights: Path | None = None,
 ) -> dict[str, Errors]:
     """Errors of predictors in one episode.
 
@@ -173,6 +176,8 @@ def evaluate(
         predictors: keys of ``PREDICTORS``.
         horizons_s: ascending, s.
         on_prediction: called with each predictor's name, the history it was given and its futures.
+        weights: folder of the network that ``graphrqi-predict`` uses on recordings; None for the
+            one that ships.
 
     Returns:
         Errors by predictor.
@@ -181,6 +186,8 @@ def evaluate(
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
     steps = max(1, round(HISTORY_S / tracks.step_s))
     functions = {name: get_predictor(name) for name in predictors}
+    if weights is not None and "graphrqi-predict" in functions:
+        functions["graphrqi-predict"] = with_weights(weights)
     ahead_s = max(longest, LEARNED_S)
     shape = (len(GROUPS), len(horizons_s), len(MEASURES))
     total = {name: np.zeros(shape) for name in predictors}
@@ -200,7 +207,7 @@ def evaluate(
         count += member.sum(axis=0)
         for name, function in functions.items():
             if scene is None:
-                prediction = predict(history, posterior, None, ahead_s, name)
+                prediction = predict(history, posterior, None, ahead_s, name, weights)
             else:
                 prediction = function(scene, posterior)
             if on_prediction is not None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from behaviors.registry import Registry
@@ -60,6 +61,7 @@ def predict(
     road: Road | None,
     horizon_s: float = 5.0,
     predictor: str = "graphrqi-predict",
+    weights: Path | None = None,
 ) -> Prediction:
     """Predict where every agent of a history will be.
 
@@ -71,6 +73,8 @@ def predict(
             (`graphrqi.predict.recorded.predictor`).
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
+        weights: folder of ``graphrqi train-predictor`` whose network ``graphrqi-predict`` uses on
+            recordings; None for the one that ships.
 
     Returns:
         Futures of every agent present now, every 0.1 s up to the horizon.
@@ -92,8 +96,14 @@ def predict(
     check_horizon(horizon_s)
     check_history(history)
     history = since_break(history)
+    network = None
+    if weights is not None and predictor == "graphrqi-predict":
+        from graphrqi.predict.learned.predictors import with_weights
+        from graphrqi.predict.recorded.network import trained_network
+
+        network, function = trained_network(weights), with_weights(weights)
     if road is None:
-        return predict_unmapped(history, horizon_s, predictor)
+        return predict_unmapped(history, horizon_s, predictor, network)
     scene = make_scene(history, road, max(horizon_s, LEARNED_S))
     return function(scene, posterior).until(horizon_s)
 

@@ -1,164 +1,172 @@
-"""Recordings without labels, and videos whose labels were never seen."""
+"""Training and scoring on recordings: instants, who counts, what is left out, what is saved."""
 
 from __future__ import annotations
 
-import os
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from behaviors import InputError
-from experiments.benches.classification.recorded import (
-    cut_in_half,
-    places_in,
-    recorded_rows,
-    spearman,
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.benches.prediction.recordings import RATIOS, measure_recordings
+from experiments.scoring.recordings import (
+    family_of,
+    happened,
+    history_of,
+    moving,
+    read_sources,
+    recorded_instants,
+    steady_motion,
 )
-from experiments.benches.classification.second_half import MEASURES, halves, measured
-from experiments.benches.classification.zero_shot import mean_rank, mean_row, zero_shot_rows
-from graphrqi.features.unit_free import NAMES
-from sim.frames import Tracks
+from experiments.training.recorded import coarser, shorter, train_on_recordings, with_noise
+from graphrqi.posterior import Posterior
+from graphrqi.predict import predict
+from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.predict.recorded.network import SHIPPED
+from sim.frames import Frame, Tracks
 
-STEP_S = 0.1
-
-
-def drive(along: np.ndarray, across: np.ndarray | None = None) -> Tracks:
-    """Cars at these places (n, T) along and across a road."""
-    across = np.zeros_like(along) if across is None else across
-    n, t = along.shape
-    speed = np.gradient(along, STEP_S, axis=1)
-    return Tracks(
-        ids=np.arange(n),
-        names=tuple(map(str, range(n))),
-        kind=np.zeros(n, dtype=np.int8),
-        length=np.full(n, 4.0),
-        width=np.full(n, 1.8),
-        time_s=STEP_S * np.arange(t),
-        xy=np.stack([along, across], axis=2),
-        heading=np.zeros((n, t)),
-        speed=speed,
-        valid=np.ones((n, t), dtype=bool),
-        signals=np.empty((0, t), dtype=np.int8),
-    )
+NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 
 
-TIME_S = STEP_S * np.arange(301)
+def traffic(seed=0, step_s=0.1, seconds=9.0, n=6) -> Tracks:
+    """Vehicles that accelerate by waves; the last one is parked."""
+    rng = np.random.default_rng(seed)
+    phase, speed = rng.uniform(0, 6, n), rng.uniform(6, 14, n)
+    x = np.cumsum(rng.uniform(30, 50, n))[::-1].copy()
+    frames = []
+    for step in range(round(seconds / step_s) + 1):
+        now = step * step_s
+        fast = np.maximum(speed + 2.0 * np.sin(0.8 * now + phase), 0.0)
+        fast[-1] = 0.0
+        frames.append(
+            Frame(time_s=now, ids=np.arange(n), xy=np.column_stack([x, np.zeros(n)]),
+                  heading=np.zeros(n), speed=fast, length=np.full(n, 4.5),
+                  width=np.full(n, 1.8), kind=np.zeros(n))
+        )  # fmt: skip
+        x = x + fast * step_s
+    return Tracks.from_frames(frames)
 
 
-def test_headway_pace_and_braking_of_each_half():
-    """A follower 24 m behind at 10 m/s is 2 s behind; then the leader brakes and all are slower."""
-    leader = 10.0 * TIME_S
-    leader[230:] = leader[230] + 5.0 * (TIME_S[230:] - TIME_S[230])
-    follower = leader - 24.0
-    does = measured(drive(np.stack([leader, follower])))
-    assert does.shape == (2, 2, len(MEASURES))
-    assert np.isnan(does[0, :, 0]).all()
-    np.testing.assert_allclose(does[1, :, 0], [2.0, 3.0], rtol=0.05)
-    np.testing.assert_allclose(does[:, :, 1], 1.0, rtol=0.01)
-    assert does[1, 0, 3] < 0.5
-    assert does[1, 1, 3] > 3.0
+def write_interaction(folder: Path, tracks: Tracks, number: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = ["track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"]
+    for i in range(tracks.ids.size):
+        for t, time_s in enumerate(tracks.time_s):
+            x, y = tracks.xy[i, t]
+            rows.append(
+                f"{i + 1},{t + 1},{round(time_s * 1000)},car,{x:.3f},{y:.3f},"
+                f"{tracks.speed[i, t]:.3f},0.0,0.0,4.5,1.8"
+            )
+    (folder / f"vehicle_tracks_{number:03d}.csv").write_text("\n".join(rows) + "\n")
 
 
-def test_a_change_of_lane_is_counted_and_weaving_and_turning_are_not():
-    along = np.broadcast_to(15.0 * TIME_S, (3, TIME_S.size)) + 60.0 * np.arange(3)[:, None]
-    across = np.zeros((3, TIME_S.size))
-    across[0] = 3.5 / (1.0 + np.exp(-3.0 * (TIME_S - 24.0)))
-    across[1] = 0.5 * np.sin(TIME_S)
-    across[2] = 0.01 * np.maximum(TIME_S - 15.0, 0.0) ** 3
-    changes = measured(drive(along, across))[:, :, 2] * 14.0 / 60.0  # per minute, of 14 s
-    np.testing.assert_allclose(changes[0], [0.0, 1.0], atol=0.02)
-    assert changes[1].max() == 0.0
-    assert changes[2, 0] == 0.0
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    for name, seeds in (("ngsim_us101", range(3)), ("some_junction", range(10, 13))):
+        for number, seed in enumerate(seeds):
+            write_interaction(folder / name, traffic(seed), number)
+    (folder / "pairs").mkdir()
+    (folder / "pairs" / "numbers.csv").write_text("a,b\n1,2\n")
+    return folder
 
 
-def test_halves_are_new_drivers_in_the_same_scene():
-    tracks = drive(np.stack([10.0 * TIME_S, 10.0 * TIME_S - 30.0]))
-    rows, begins, last = halves(tracks)
-    assert rows.tolist() == [0, 1]
-    assert begins.tolist() == [[0, 150], [0, 150]]
-    assert last.tolist() == [300, 300]
-    cut = cut_in_half(tracks, rows, begins[:, 1])
-    assert cut.ids.tolist() == [0, 1, 2, 3]
-    assert (cut.valid.sum(axis=0) == 2).all()
-    assert np.nanmax(cut.xy[0, :, 0]) < np.nanmin(cut.xy[1, :, 0])
-    assert not halves(drive(10.0 * TIME_S[None, :90]))[0].size
+def test_instants_are_samples_with_a_past_and_a_future():
+    tracks = traffic(step_s=0.5)
+    stops = recorded_instants(tracks, 0.7)
+    now = tracks.time_s[np.array(stops) - 1]
+    assert now.tolist() == [3.0, 4.0]
+    assert recorded_instants(traffic(seconds=7.0), 1.0) == []
 
 
-def test_rank_correlations_have_intervals():
+def test_who_is_parked_does_not_count():
+    tracks = traffic()
+    history = history_of(tracks, 31)
+    assert moving(history).tolist() == [True] * 5 + [False]
+    assert not moving(history_of(tracks, 20)).any()
+
+
+def test_constant_velocity_averages_half_a_second():
+    tracks = traffic()
+    history = history_of(tracks, 41)
+    velocity = (tracks.xy[:, 40] - tracks.xy[:, 35]) / 0.5
+    expected = tracks.xy[:, 40] + 5.0 * velocity
+    assert steady_motion(history, TIME_S)[:, -1] == pytest.approx(expected)
+    assert happened(tracks, history, 41)[:, -1] == pytest.approx(tracks.xy[:, 90])
+
+
+def test_families_are_told_by_name_or_file(tmp_path):
+    assert family_of("ngsim_lankershim") == "junction"
+    assert family_of("kitti") == "urban from a car"
+    assert family_of("nowhere") == "other"
+    (tmp_path / "family.txt").write_text("ramp\n")
+    assert family_of("nowhere", tmp_path) == "ramp"
+
+
+def test_only_the_past_is_altered():
+    history = history_of(traffic(), 41)
     rng = np.random.default_rng(0)
-    one = rng.normal(size=300)
-    value, low, high = spearman(one, -one + rng.normal(size=300))
-    assert low < value < high < -0.5
-    assert np.isnan(spearman(one, np.ones(300))).all()
+    for style in range(3):
+        noisy = with_noise(history, 0.1, rng, style)
+        assert np.std(noisy.xy - history.xy) == pytest.approx(0.1, rel=0.25)
+        assert np.array_equal(noisy.speed, history.speed) == (style == 0)
+    assert np.diff(coarser(history, 5).time_s) == pytest.approx(0.5)
+    assert coarser(history, 5).time_s[-1] == history.time_s[-1]
+    assert np.ptp(shorter(history, 1.0).time_s) == pytest.approx(1.0)
 
 
-def write_interaction(path: Path, beside_m: float, cars: int = 12, seconds: float = 14.0) -> None:
-    lines = ["track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"]
-    for car in range(cars):
-        for step in range(round(10 * seconds)):
-            x = 14.0 * (car // 2) + 1.1 * step + 0.02 * car * step
-            y = beside_m * (car % 2)
-            lines.append(f"{car},{step},{100 * step},car,{x},{y},11,0,0,4.5,1.8")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n")
+def test_folders_of_folders_are_read_and_unknown_ones_named(data, capsys):
+    found = list(read_sources([data]))
+    assert [one.family for one in found] == ["motorway"] * 3 + ["junction"] * 3
+    assert {one.place for one in found} == {"ngsim_us101", "some_junction"}
+    assert "pairs" in capsys.readouterr().err
+    with pytest.raises(InputError, match="nothing there"):
+        list(read_sources([data / "no"]))
 
 
-def test_places_are_measured_and_what_is_no_scene_is_unknown(tmp_path):
-    write_interaction(tmp_path / "road" / "vehicle_tracks_000.csv", 3.5)
-    write_interaction(tmp_path / "heap" / "vehicle_tracks_000.csv", 0.2)
-    (tmp_path / "road" / "vehicle_tracks_001.csv").write_text("track_id,timestamp_ms,agent_type\n")
-    (tmp_path / "notes").mkdir()
-    (tmp_path / "notes" / "read.me").write_text("nothing")
-    assert list(places_in(tmp_path)) == ["heap", "notes", "road"]
-    said: list[str] = []
-    rows = [
-        row
-        for part in recorded_rows(tmp_path, "graphrqi-plus", jobs=1, say=said.append)
-        for row in part
-    ]
-    assert len(said) == 2
-    assert "notes skipped" in said[0]
-    assert "left out" in said[1]
-    assert "vehicle_tracks_001.csv" in said[1]
-    found = {(row["scenario"], row["metric"]): row for row in rows}
-    assert found["heap", "share_unknown"]["value"] == 1.0
-    assert found["heap", "share_no_scene"]["value"] == 1.0
-    assert ("heap", "share_aggressive") not in found
-    assert found["road", "share_no_scene"]["value"] == 0.0
-    assert found["road", "spearman_time_headway"]["n"] == 10
-    classes = ("impatient", "reckless", "threatening", "careful", "cautious", "timid")
-    assert sum(found["road", f"share_{name}"]["value"] for name in classes) == pytest.approx(1.0)
+def test_training_writes_weights_that_predict_uses(data, tmp_path):
+    scores = train_on_recordings([data], tmp_path, epochs=1, quiet=True)
+    assert scores.keys() == {"ngsim_us101", "some_junction"}
+    history = history_of(traffic(), 41)
+    ours = predict(history, NOBODY, None, weights=tmp_path)
+    shipped = predict(history, NOBODY, None)
+    assert not np.array_equal(ours.xy, shipped.xy)
+    first = (tmp_path / SHIPPED).read_bytes()
+    train_on_recordings([data], tmp_path, epochs=1, quiet=True)
+    assert (tmp_path / SHIPPED).read_bytes() == first
+    with pytest.raises(InputError, match="found no file"):
+        predict(history, NOBODY, None, weights=tmp_path / "no")
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(InputError, match="found nothing, expected a folder of recordings"):
-        list(recorded_rows(tmp_path / "none", "graphrqi-plus"))
+def test_nobody_who_moves_is_an_error(tmp_path):
+    write_interaction(tmp_path / "short", traffic(seconds=4.0), 0)
+    with pytest.raises(InputError, match="expected one to train on"):
+        train_on_recordings([tmp_path], tmp_path / "out", quiet=True)
+    assert not (tmp_path / "out").exists()
 
 
-def test_ranks_need_no_training():
-    features = np.zeros((3, len(NAMES)))
-    features[:, NAMES.index("passed")] = [2.0, 0.0, 1.0]
-    features[:, NAMES.index("was passed")] = [0.0, 2.0, 1.0]
-    assert mean_rank(features).argsort().tolist() == [1, 2, 0]
+def test_the_bench_leaves_each_dataset_out(data):
+    rows = [row for part in measure_recordings(data, "dataset", 1, 0, 200) for row in part]
+    keys = {"dataset", "family", "place", "predictor", "noise_m", "horizon_s"}
+    assert all(row.keys() == keys | {"metric", "value", "low", "high", "n"} for row in rows)
+    assert {row["predictor"] for row in rows} >= {"left-out", "graphrqi-predict", "fading"}
+    assert {row["noise_m"] for row in rows} == {0.0, 0.1}
+    ratios = {row["metric"] for row in rows if "ratio" in str(row["metric"])}
+    assert ratios == {name + suffix for name, *_ in RATIOS for suffix in ("", "_by_place")}
+    with pytest.raises(InputError, match="leave_out"):
+        next(measure_recordings(data, "nobody", 1, 0))
 
 
-def test_the_mean_over_videos_leaves_out_those_without_both_styles():
-    row = mean_row([(0.7, 0.6, 0.8), (0.5, 0.4, 0.6), (float("nan"),) * 3], "any", 40)
-    assert row["value"] == pytest.approx(0.6)
-    assert row["low"] == pytest.approx(0.6 - 0.1 / np.sqrt(2))
-
-
-def test_videos_that_are_not_there_are_skipped(tmp_path):
-    said: list[str] = []
-    assert zero_shot_rows(tmp_path, "graphrqi-plus", say=said.append) == []
-    assert "found no annotated video" in said[0]
-
-
-@pytest.mark.skipif("GRAPHRQI_DATA" not in os.environ, reason="GRAPHRQI_DATA names no recordings")
-def test_a_video_is_scored_without_its_labels():
-    folder = Path(os.environ["GRAPHRQI_DATA"]) / "traf"
-    rows = zero_shot_rows(folder, "graphrqi-plus", jobs=1, most=1)
-    found = {(row["scenario"], row["method"]): row["value"] for row in rows}
-    assert 0.0 <= found["all", "graphrqi-plus"] <= 1.0
-    assert found["all", "mean of ranks"] == found[rows[0]["scenario"], "mean of ranks"]
+def test_the_command_trains_and_tells(data, tmp_path):
+    out = subprocess.run(
+        [sys.executable, "-m", "experiments.cli", "train-predictor", str(data / "ngsim_us101"),
+         "--out", str(tmp_path), "--epochs", "1", "--json", "-", "--quiet"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    rows = json.loads(out.stdout)
+    assert [row["dataset"] for row in rows] == ["ngsim_us101"]
+    assert (tmp_path / SHIPPED).is_file()

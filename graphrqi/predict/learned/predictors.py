@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from graphrqi.predict.learned.lstm import shipped_lstm
 from graphrqi.predict.networks.futures import spread_out
 from graphrqi.predict.networks.perceptron import shipped_perceptron
 from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.recorded.network import trained_network
 from graphrqi.predict.recorded.predictor import predict_recorded
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.rollout.following import shuffled_posterior, true_behavior
@@ -57,6 +59,25 @@ def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
     inputs = predictor_inputs(scene, posterior.of(scene.ids), default_table())
     network = shipped_perceptron("graphrqi-predict.safetensors")
     return spread_out(scene.history, network(inputs), scene.steps)
+
+
+def with_weights(folder: Path) -> Predictor:
+    """`graphrqi_predict` with weights for recordings that ``graphrqi train-predictor`` wrote.
+
+    Args:
+        folder: as given to the command as ``--out``.
+
+    Raises:
+        InputError: if there are no such weights.
+    """
+    network = trained_network(folder)
+
+    def predict(scene: Scene, posterior: Posterior) -> Prediction:
+        if knows_everything(scene):
+            return graphrqi_predict(scene, posterior)
+        return predict_recorded(scene.history, scene.steps, network)
+
+    return predict
 
 
 @at_home

@@ -219,3 +219,13 @@ def shipped_network() -> RecordedNetwork:
     found = resources.files("graphrqi.predict").joinpath("weights", SHIPPED)
     with resources.as_file(found) as path:
         return load_network(path)
+
+
+@functools.lru_cache(maxsize=4)
+def trained_network(folder: Path) -> RecordedNetwork:
+    """The network that ``graphrqi train-predictor`` wrote into a folder.
+
+    Raises:
+        InputError: if there is none.
+    """
+    return load_network(folder / SHIPPED)

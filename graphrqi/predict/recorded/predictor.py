@@ -42,7 +42,9 @@ BACK_M: Final = 2.0
 """Futures that lead this far aside may also lead back; others do not reverse (our choice)."""
 
 
-def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Prediction:
+def predict_unmapped(
+    history: Tracks, horizon_s: float, predictor: str, network: RecordedNetwork | None = None
+) -> Prediction:
     """Predict without a map.
 
     Args:
@@ -50,6 +52,7 @@ def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Predi
         horizon_s: how far ahead, s.
         predictor: those of `graphrqi.predict.recorded.rivals` and ``constant-velocity`` keep their
             meaning; every other one becomes the predictor for recordings.
+        network: of the predictor for recordings; None for the one that ships.
 
     Returns:
         Futures of the agents present now.
@@ -63,7 +66,7 @@ def predict_unmapped(history: Tracks, horizon_s: float, predictor: str) -> Predi
     steps = round(horizon_s / STEP_S)
     if predictor in rivals.WITHOUT_MAP:
         return rivals.WITHOUT_MAP[predictor](present, steps)
-    return predict_recorded(present, steps)
+    return predict_recorded(present, steps, network)
 
 
 def predict_recorded(

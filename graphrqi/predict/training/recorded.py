@@ -51,8 +51,10 @@ WEIGHT_DECAY: Final = 1e-2
 PER_EPOCH: Final = 60_000
 """Examples drawn in an epoch at most."""
 
-EVENNESS: Final = 0.5
-"""Datasets are drawn from by their size to this power (our choice)."""
+EVENNESS: Final = 0.8
+"""Datasets are drawn from by their size to this power (our choice on datasets left out: at .15,
+where small recordings weigh most, AV2 left out has .79 of constant velocity, at .5 .76, at .8
+.75)."""
 
 RELAXATION: Final = 0.05
 """Share of the loss that also pulls on futures that did not win."""
