@@ -28,6 +28,7 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
         "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
         "fading": "graphrqi.predict.recorded.rivals:fading_predictor",
         "turn-rate": "graphrqi.predict.recorded.rivals:turn_rate_predictor",
+        "lane-rule": "graphrqi.predict.recorded.rivals:lane_predictor",
         "kalman": "graphrqi.predict.recorded.rivals:kalman_predictor",
         "car-following-blind": "graphrqi.predict.rollout.following:blind",
         "car-following": "graphrqi.predict.rollout.following:aware",

@@ -326,3 +326,18 @@ def test_car_following_keeps_to_the_lanes_of_a_road_without_limits(name, told_no
     assert np.isfinite(told.xy).all()
     assert told.best[:, -1, 1] == pytest.approx([y, y], abs=0.1)
     assert (told.best[:, -1, 0] > [90.0, 110.0]).all()
+
+
+def test_the_rule_along_lanes_fades_and_returns_to_the_centre(told_no_limits):
+    y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
+    tracks = recording([50, 80], [10, 8], y=[y + 0.5, y], accel=0.5)
+    told = predict(tracks, NOBODY, told_no_limits, predictor="lane-rule")
+    assert told.best[:, -1, 1] == pytest.approx([y, y], abs=0.1)
+    base = predict(tracks, NOBODY, None, predictor="fading").best[:, -1, 0]
+    assert told.best[:, -1, 0] == pytest.approx(base, abs=0.5)
+
+
+def test_who_is_on_no_lane_keeps_the_base(told_no_limits):
+    tracks = recording([50.0], [10.0], y=[300.0])
+    told = predict(tracks, NOBODY, told_no_limits, predictor="lane-rule")
+    assert told.best[0, -1] == pytest.approx([100.0, 300.0], abs=0.1)

@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import bootstrap, ratio
 from experiments.scoring.prediction_errors import hits, off_road, set_measures
@@ -40,13 +41,16 @@ from experiments.training.recorded import (
     gather_examples,
     with_noise,
 )
+from graphrqi.posterior import Posterior
 from graphrqi.predict.metrics import MISS_THRESHOLD_M
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.prediction import STEP_S, Prediction
-from graphrqi.predict.recorded.network import RecordedNetwork, shipped_network
+from graphrqi.predict.recorded.network import RecordedNetwork
 from graphrqi.predict.recorded.predictor import predict_recorded
-from graphrqi.predict.recorded.rivals import WITHOUT_MAP
+from graphrqi.predict.recorded.rivals import WITHOUT_MAP, lane_predictor
+from graphrqi.predict.scene.scene import make_scene
 from sim.frames import BoolArray, FloatArray, IntArray, Tracks
+from sim.road import Road
 
 NOISES_M: Final = (0.0, 0.1)
 """Noise added to the past, standard deviation of each coordinate, m."""
@@ -55,6 +59,9 @@ SCORED_PER_DATASET: Final = 1_500
 """About so many vehicles at instants are scored in each dataset (our choice)."""
 
 SHIPPED, LEFT_OUT = "graphrqi-predict", "left-out"
+
+Told = Callable[[Tracks, Road | None], Prediction]
+"""A predictor of the bench: the past and the map in, futures out."""
 
 COLUMNS: Final = (
     "ade_m", "fde_m", "cv_ade_m", "cv_fde_m", "mean_ade_m", "min_ade_m", "miss_rate",
@@ -139,13 +146,15 @@ def score_part(
         network: trained without it; None for none.
         seed: of the noise.
     """
-    predictors: dict[str, Callable[[Tracks], Prediction]] = {
-        rule: (lambda history, rule=rule: WITHOUT_MAP[rule](history, _STEPS))  # type: ignore[misc]
-        for rule in WITHOUT_MAP
+    predictors: dict[str, Told] = {
+        rule: (lambda history, road, by=by: by(history, _STEPS))  # type: ignore[misc]
+        for rule, by in WITHOUT_MAP.items()
     }
-    predictors[SHIPPED] = lambda history: predict_recorded(history, _STEPS, shipped_network())
+    if all(one.road is not None for one in places):
+        predictors["lane-rule"] = _along_lanes
+    predictors[SHIPPED] = lambda history, road: predict_recorded(history, _STEPS)
     if network is not None:
-        predictors[LEFT_OUT] = lambda history: predict_recorded(history, _STEPS, network)
+        predictors[LEFT_OUT] = lambda history, road: predict_recorded(history, _STEPS, network)
     for noise_m in NOISES_M:
         scored = _scored(places, predictors, noise_m, seed)
         for predictor, one in scored.items():
@@ -156,8 +165,16 @@ def score_part(
             yield from _rows(keys, one)
 
 
+def _along_lanes(history: Tracks, road: Road | None) -> Prediction:
+    """The rule that follows lanes; the map is known."""
+    assert road is not None
+    scene = make_scene(history, road, float(TIME_S[-1]))
+    nobody = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+    return lane_predictor(scene, nobody)
+
+
 def _scored(
-    places: Sequence[RecordedPlace], predictors: dict[str, Callable[[Tracks], Prediction]],
+    places: Sequence[RecordedPlace], predictors: dict[str, Told],
     noise_m: float, seed: int,
 ) -> dict[str, Scored]:  # fmt: skip
     """Errors of every predictor over a part's recordings; {} where nobody moves long enough."""
@@ -180,7 +197,7 @@ def _scored(
             steady = np.linalg.norm(steady_motion(history, TIME_S) - truth, axis=-1)
             for name, predict in predictors.items():
                 begun = time.perf_counter()
-                told = predict(history)
+                told = predict(history, one.road)
                 ms[name].append(1e3 * (time.perf_counter() - begun))
                 values[name].append(_values(one, history, told, truth, steady, counts))
             rows = np.searchsorted(one.tracks.ids, clean.ids[counts])

@@ -16,6 +16,8 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict.constant import inertial_distance
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded.motion import (
+    SLOPE_FADE_S,
+    SLOPE_SHARE,
     YAW_FADE_S,
     YAW_SHARE,
     Motion,
@@ -23,6 +25,8 @@ from graphrqi.predict.recorded.motion import (
     fading,
     tracked,
 )
+from graphrqi.predict.rollout.lane_positions import along_path
+from graphrqi.predict.rollout.rollout import on_lanes
 from graphrqi.predict.scene.scene import Scene
 from sim.frames import PEDESTRIAN, Tracks
 
@@ -90,6 +94,21 @@ def turn_rate_predictor(scene: Scene, posterior: Posterior) -> Prediction:
 def kalman_predictor(scene: Scene, posterior: Posterior) -> Prediction:
     """A Kalman filter of constant acceleration."""
     return kalman(scene.history, scene.steps)
+
+
+def lane_predictor(scene: Scene, posterior: Posterior) -> Prediction:
+    """Accelerations fade along the likeliest lanes; who drives on no lane keeps the base."""
+    history = scene.history
+    motion = Motion.of(history)
+    none = np.zeros_like(motion.speed)
+    ahead = bent(
+        motion.speed, SLOPE_SHARE * motion.accel, SLOPE_FADE_S, none, YAW_FADE_S, scene.time_s
+    )[..., 0]  # fmt: skip
+    lane, s = along_path(scene.path, scene.s[:, None] + ahead, scene.paths.lane, scene.paths.start)
+    xy = on_lanes(scene, lane, s, scene.offsets())
+    off = ~scene.on_path
+    xy[off] = motion.from_own_frame(fading(motion, scene.time_s))[off]
+    return scene.predicted(xy)
 
 
 def _times(steps: int) -> FloatArray:

@@ -149,14 +149,15 @@ def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
 def positions(scene: Scene, rollout: Rollout) -> FloatArray:
     """(n, H, 2) positions of a rollout, m; agents on no path go straight on."""
     on = scene.on_path
-    out = _on_lanes(scene, rollout.lane, rollout.s, rollout.offset)
+    out = on_lanes(scene, rollout.lane, rollout.s, rollout.offset)
     if not on.all():
         time_s = np.arange(1, out.shape[1] + 1) * rollout.step_s
         out[~on] = scene.straight_on(~on, time_s)
     return np.asarray(out)
 
 
-def _on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) -> FloatArray:
+def on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) -> FloatArray:
+    """(n, H, 2) positions of distances along lanes, and to the left of their centres, m."""
     graph = scene.graph
     return np.asarray(
         lane_positions.positions(
@@ -181,7 +182,7 @@ def in_own_frame(
     """
     return np.asarray(
         lane_positions.in_own_frame(
-            _on_lanes(scene, lane, s, offset), scene.xy, scene.heading, scene.speed, scene.on_path,
+            on_lanes(scene, lane, s, offset), scene.xy, scene.heading, scene.speed, scene.on_path,
             every, step_s,
         )
     )  # fmt: skip
@@ -222,4 +223,4 @@ def centre_ahead(scene: Scene, row: int) -> FloatArray:
     paths = scene.paths
     x = scene.s[row] + np.arange(60.0)[None]
     lane, s = lane_positions.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)
-    return np.asarray(_on_lanes(scene, lane, s, np.zeros_like(s))[0])
+    return np.asarray(on_lanes(scene, lane, s, np.zeros_like(s))[0])
