@@ -271,6 +271,7 @@ def _camera_to_car(path: Path) -> FloatArray:
     if missing:
         raise InputError(f"{path}: found no {min(missing)}, expected it")
     to_camera = found["R_rect"] @ found["Tr_velo_cam"] @ found["Tr_imu_velo"]
-    if not abs(float(np.linalg.det(to_camera[:3, :3])) - 1.0) < 0.01:
+    turn = to_camera[:3, :3]
+    if not np.abs(turn @ turn.T - np.eye(3)).max() < 0.01:
         raise InputError(f"{path}: found a mounting that is no rotation, expected one")
     return np.asarray(np.linalg.inv(to_camera))

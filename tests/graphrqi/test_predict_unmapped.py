@@ -319,6 +319,18 @@ def test_networks_for_home_leave_other_maps_to_the_one_for_recordings(
 
 
 @pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])
+def test_where_limits_do_not_rule_nobody_is_driven_up_to_them(name):
+    road = SCENARIOS["straight_road"]().road
+    ignored = replace(road, knows=replace(road.knows, limits_rule=False))
+    y = road.lanes[road.lane_index["east_in_2"]].centerline[0, 1]
+    tracks = recording([50, 68], [6, 12], y=[y, y])  # behind another: no wish was seen
+    up, kept = (predict(tracks, NOBODY, r, predictor=name) for r in (road, ignored))
+    way_m = [float(told.best[0, -1, 0] - tracks.xy[0, -1, 0]) for told in (up, kept)]
+    assert way_m[0] > 33.0
+    assert way_m[1] == pytest.approx(30.0, abs=1.5)
+
+
+@pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])
 def test_car_following_keeps_to_the_lanes_of_a_road_without_limits(name, told_no_limits):
     y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
     told = predict(recording([50, 80], [10, 8], y=[y + 0.5, y]), NOBODY, told_no_limits,

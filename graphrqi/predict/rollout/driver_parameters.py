@@ -25,6 +25,10 @@ freely (our choice: within a behaviour wishes differ by 15 %, a driver's own by 
 AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS], dtype=np.float64)
 """(6,) 1 for the aggressive behaviours."""
 
+LEAST_FACTOR: Final = 0.05
+"""Wished speed over limit of those that stand where limits are unknown (our choice: 0.7 m/s; the
+laws of motion divide by it)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriverParameters:
@@ -102,9 +106,16 @@ def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
 
 
 def _personal(scene: Scene, following: FloatArray) -> FloatArray:
-    """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving."""
+    """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving.
+
+    Where limits are unknown or do not rule, nobody wishes more than it was seen driving.
+    """
     states = scene.states
-    return np.asarray(_corrected(following, states.free_factor, states.least_factor))
+    found = np.asarray(_corrected(following, states.free_factor, states.least_factor))
+    knows = scene.road.knows
+    if not (knows.limits and knows.limits_rule):  # the speeds seen are all that is known of wishes
+        found[..., 0] = np.maximum(states.least_factor, LEAST_FACTOR)
+    return found
 
 
 @compiled
