@@ -19,7 +19,7 @@ from experiments.report.tables import Table
 from experiments.rows import write_json
 from experiments.scoring.prediction import metrics_tree, predict_dataset
 from experiments.training.classifier import train_model
-from graphrqi.methods import save_model
+from graphrqi.model_files import save_model
 from sim.store.dataset import open_dataset
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")

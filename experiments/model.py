@@ -7,10 +7,11 @@ by the next run.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import graphrqi.predict
 from experiments.benches.real_data import DATA_VARIABLE
@@ -21,10 +22,12 @@ from experiments.data.generate import generate
 from experiments.data.worlds.episode import read_worlds_config
 from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
+from experiments.training.elsewhere import train_on_worlds
 from experiments.training.predictor import calibrate_drivers, train_predictors
 from experiments.training.recorded import train_on_recordings
-from graphrqi.methods import MODELS
+from graphrqi.model_files import MODELS, load_model, save_model
 from graphrqi.predict.rollout.driver_table import CARD
+from sim.store.dataset import open_dataset
 
 CLASSIFIER_SEEDS: Final = {"sumo": 2020, "sumo-idm": 2022}
 PREDICTOR_SEED: Final = 2021
@@ -55,6 +58,21 @@ CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
 
 
+ELSEWHERE_HOME: Final[dict[str, dict[str, Any]]] = {
+    "as-usual": {"episodes": 24, "limits_mps": TRAINING_LIMITS_MPS},
+    "light": {"episodes": 8, "flow": "light"},
+    "dense": {"episodes": 8, "flow": "dense"},
+    "idm": {"episodes": 10, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
+}
+"""Home traffic that the classifier learns to tell from elsewhere: options of `GenerateConfig`."""
+
+ELSEWHERE_HOME_SEED, ELSEWHERE_HOME_S = 2023, 150.0
+"""Seed of this home traffic, and the length of its episodes, s."""
+
+ELSEWHERE_WORLDS, ELSEWHERE_WORLDS_SEED = 700, 7000
+"""Random worlds that the classifier learns from, and their seed."""
+
+
 def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
     """Generate the classifier's data and train it.
 
@@ -81,6 +99,33 @@ def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -
     )  # fmt: skip
 
 
+def learn_elsewhere(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
+    """Generate home traffic and random worlds, and teach the classifier to answer elsewhere.
+
+    It is done last: the predictors are trained on beliefs about home traffic alone.
+
+    Args:
+        work: folder for the data.
+        quiet: whether to show no progress.
+        jobs: processes; None for one per core.
+    """
+    home = []
+    for name, options in ELSEWHERE_HOME.items():
+        home.append(work / f"elsewhere-{name}")
+        config = GenerateConfig(
+            scenarios=SCENARIOS, seed=ELSEWHERE_HOME_SEED, duration_s=ELSEWHERE_HOME_S, **options
+        )
+        generate(config, home[-1], jobs, quiet)
+    worlds = work / "elsewhere-worlds"
+    drawn = read_worlds_config(None, ELSEWHERE_WORLDS, seed=ELSEWHERE_WORLDS_SEED)
+    generate(drawn, worlds, jobs, quiet)
+    learned = train_on_worlds(
+        [open_dataset(folder) for folder in home], [open_dataset(worlds)], jobs=jobs, quiet=quiet
+    )
+    model = load_model(BEST_METHOD)
+    save_model(dataclasses.replace(model, elsewhere=learned), MODELS / BEST_METHOD)
+
+
 def build_models(work: Path, quiet: bool = False) -> None:
     """Generate the data, train classifier and predictors, and calibrate the driver parameters.
 
@@ -96,6 +141,7 @@ def build_models(work: Path, quiet: bool = False) -> None:
     calibrate_drivers(data, weights / CARD, quiet=quiet)
     train_predictors(data, BEST_METHOD, weights, quiet=quiet)
     train_for_recordings(work, weights, quiet)
+    learn_elsewhere(work, quiet)
 
 
 def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:

@@ -45,6 +45,16 @@ class _Believed:
 
     truth: dict[int, int]
     latest: dict[int, int] = field(default_factory=dict)
+    unknown: set[int] = field(default_factory=set)
+    foreign: float = 0.0
+
+    def take(self, posterior: Posterior) -> None:
+        """Keep what is believed now; drivers of whom no answer is earned are unknown."""
+        answers = zip(posterior.ids, posterior.most_likely, posterior.told, strict=True)
+        for agent, code, told in answers:
+            self.latest[int(agent)] = int(code)
+            (self.unknown.discard if told else self.unknown.add)(int(agent))
+        self.foreign = posterior.domain
 
     @property
     def accuracy(self) -> float | None:
@@ -72,6 +82,8 @@ class _Believed:
                 "value": max(total.values()) / sum(total.values()),
             },
             {"what": "balanced accuracy", "value": float(np.mean(recalls))},
+            {"what": "drivers unknown to the classifier", "value": len(self.unknown)},
+            {"what": "traffic foreign to the classifier", "value": self.foreign},
         ]
         for code in sorted(total):
             what = f"{BEHAVIORS[code]} recognised"
@@ -193,8 +205,7 @@ def run_scenario(
             simulated_s, begun = frame.time_s, time.monotonic()
             if stream is not None:
                 posterior = stream.update(frame)
-                for agent, code in zip(posterior.ids, posterior.most_likely, strict=True):
-                    believed.latest[int(agent)] = int(code)
+                believed.take(posterior)
                 if predict:
                     predicted.score(frame)
                 if predict and frame.time_s >= next_prediction_s and len(frame):

@@ -1,32 +1,30 @@
 """Methods that classify drivers, and the models that training makes of them.
 
 A method names an observer, which turns positions into features, and a classifier. A model is a
-trained method; it is saved as a folder of ``model.json`` and ``weights.safetensors``.
+trained method; `graphrqi.model_files` writes and reads it.
 """
 
 from __future__ import annotations
 
-import json
-import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
-from pydantic_core import PydanticCustomError
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
-from graphrqi.classify import Classifier, make_classifier, restore_classifier
+from graphrqi.adaptation import Adaptation
+from graphrqi.classify import Classifier, make_classifier
+from graphrqi.elsewhere import FOREIGN, HOME, OPTIONS, Elsewhere
 from graphrqi.features.baseline import BaselineObserver
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
+from graphrqi.features.home_and_relative import HomeAndRelativeObserver
 from graphrqi.features.observer import Observer
+from graphrqi.features.relative import RelativeObserver
 from graphrqi.features.spectrum_observers import (
     EigenvectorObserver,
     NullObserver,
@@ -35,19 +33,8 @@ from graphrqi.features.spectrum_observers import (
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.samples import Samples
 from graphrqi.spectrum import SOLVERS
-from sim.invalid_fields import first_wrong_field
-from sim.store.atomic import whole_folder
 
 FloatArray = NDArray[np.float64]
-
-MAX_CARD_BYTES: Final = 2**24
-"""Largest ``model.json`` that is read (our choice: 16 MiB; the shipped one has some kilobytes)."""
-
-MAX_WEIGHTS_BYTES: Final = 2**30
-"""Largest file of weights that is read (our choice: 1 GiB; the shipped one has 3 MB)."""
-
-SCHEMA_VERSION: Final = 2
-"""Version of model folders; other versions are refused."""
 
 MOST_SEED: Final = 2**32 - 1
 """Largest seed that the generators of NumPy and scikit-learn accept."""
@@ -139,6 +126,13 @@ METHODS: Final[Registry[Method]] = Registry(
             "mlp",
             {"hidden": (64, 32), "dropout": 0.0},
         ),
+        "graphrqi-relative": Method(
+            "graphrqi-relative",
+            "trees and perceptron on smoothed motion and interaction relative to the scene",
+            RelativeObserver,
+            "averaged",
+            OPTIONS,
+        ),
         "graphrqi-plus": Method(
             "graphrqi-plus",
             "boosted trees on spectrum, graph signals, motion, interaction and inferred drivers",
@@ -161,6 +155,10 @@ class Model:
         classifier: the trained classifier.
         shares: share of each behaviour among the training windows; they sum to 1.
         card: training data and scores, as JSON values.
+        elsewhere: how it answers in traffic unlike that of its training; None if it takes all
+            traffic for the same.
+        adaptation: what is done to the answers at the place that the model was adapted to; None if
+            it was not.
     """
 
     method: Method
@@ -168,14 +166,52 @@ class Model:
     classifier: Classifier
     shares: tuple[float, ...]
     card: Mapping[str, Any]
+    elsewhere: Elsewhere | None = None
+    adaptation: Adaptation | None = None
 
     def observer(self) -> Observer:
-        """A fresh observer of the kind the model was trained with."""
-        return self.method.observer(self.solver)
+        """A fresh observer of the kind the model answers on."""
+        return make_observer(self.method.name, self.solver, self.elsewhere is not None)
 
     def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, 6) probabilities of feature vectors (n, F)."""
-        return self.classifier.posterior(features)
+        """(n, 6) probabilities of feature vectors (n, F) of its `observer`."""
+        found = self._unadapted(features)
+        return found if self.adaptation is None else self.adaptation.applied(found)
+
+    def _unadapted(self, features: FloatArray) -> FloatArray:
+        if self.elsewhere is None:
+            return self.classifier.posterior(features)
+        home, relative = self._parts(features)
+        kinds = self.elsewhere.kinds(relative)
+        out = self.elsewhere.answers(relative, kinds)
+        asked = kinds[:, HOME] > 0.0
+        if asked.any():
+            found = self.classifier.posterior(np.ascontiguousarray(home[asked]))
+            out[asked] += kinds[asked, HOME, None] * found
+        return out
+
+    def domain(self, features: FloatArray) -> FloatArray:
+        """(n,) how foreign the traffic is, 0 to 1; 0 for a model that takes all for the same."""
+        if self.elsewhere is None:
+            return np.zeros(len(features))
+        return np.asarray(self.elsewhere.kinds(self._parts(features)[1])[:, FOREIGN])
+
+    def _parts(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The features of the method, and the relative ones."""
+        relative = len(RelativeObserver.feature_names)
+        return features[:, :-relative], features[:, -relative:]
+
+
+def make_observer(method: str, solver: str = "graphrqi", elsewhere: bool = False) -> Observer:
+    """A fresh observer.
+
+    Args:
+        method: a key of ``METHODS``.
+        solver: a key of ``SOLVERS``.
+        elsewhere: whether it also gives the relative features that answer on foreign traffic.
+    """
+    own = METHODS[method].observer(solver)
+    return HomeAndRelativeObserver(own) if elsewhere else own
 
 
 def train(
@@ -216,175 +252,3 @@ def train(
     count = np.bincount(training.codes, minlength=len(BEHAVIORS))
     shares = tuple((count / count.sum()).tolist())
     return Model(chosen, solver, classifier, shares, dict(card or {}))
-
-
-class _ModelFile(BaseModel):
-    """``model.json`` in a model folder."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    schema_version: int
-    method: str
-    solver: str
-    classes: tuple[str, ...]
-    features: tuple[str, ...]
-    shares: tuple[float, ...]
-    card: dict[str, Any]
-
-    @field_validator("schema_version")
-    @classmethod
-    def _of_this_version(cls, found: int) -> int:
-        if found != SCHEMA_VERSION:
-            raise _wrong(f"found {found}, expected {SCHEMA_VERSION}; train the model again")
-        return found
-
-    @field_validator("classes")
-    @classmethod
-    def _all_behaviors(cls, found: tuple[str, ...]) -> tuple[str, ...]:
-        if found != tuple(BEHAVIORS):
-            raise _wrong(f"found {found}, expected {tuple(map(str, BEHAVIORS))}")
-        return found
-
-    @field_validator("shares")
-    @classmethod
-    def _a_distribution(cls, found: tuple[float, ...]) -> tuple[float, ...]:
-        if len(found) != len(BEHAVIORS):
-            raise _wrong(f"found {len(found)}, expected {len(BEHAVIORS)}")
-        total = sum(found)
-        if min(found) < 0.0 or not math.isclose(total, 1.0, abs_tol=1e-6):
-            raise _wrong(f"found a sum of {total:g} or less than 0, expected 1")
-        return found
-
-
-def _wrong(said: str) -> PydanticCustomError:
-    return PydanticCustomError("model_file", said)
-
-
-def check_model_folder(folder: Path) -> None:
-    """Refuse a folder that a model must not be written to.
-
-    Raises:
-        InputError: if the folder exists, is not empty and is not a model.
-    """
-    if not folder.exists() or (folder / "model.json").exists():
-        return
-    if not folder.is_dir() or any(folder.iterdir()):
-        raise InputError(f"{folder}: found something that is not a model, expected no such folder")
-
-
-def save_model(model: Model, folder: Path) -> None:
-    """Write a model folder.
-
-    A model that is already there is replaced; other files in its folder are kept.
-
-    Raises:
-        InputError: if the folder holds something that is not a model, or JSON cannot hold the card.
-    """
-    from safetensors.numpy import save
-
-    check_model_folder(folder)
-    file = _ModelFile(
-        schema_version=SCHEMA_VERSION,
-        method=model.method.name,
-        solver=model.solver,
-        classes=tuple(b.value for b in BEHAVIORS),
-        features=model.observer().feature_names,
-        shares=model.shares,
-        card=dict(model.card),
-    )
-    arrays = {k: np.ascontiguousarray(v) for k, v in model.classifier.arrays().items()}
-    try:
-        written = json.dumps(file.model_dump(), indent=1, allow_nan=False) + "\n"
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{folder / 'model.json'}: card: found what JSON cannot hold ({error}), "
-            "expected finite numbers, texts, lists and tables"
-        ) from None
-    with whole_folder(folder) as partial:
-        (partial / "model.json").write_text(written)
-        (partial / "weights.safetensors").write_bytes(save(arrays))
-
-
-MODELS: Final = Path(__file__).parent / "models"
-"""Folder of the models that ship with the package."""
-
-
-def load_model(name_or_folder: str | Path) -> Model:
-    """Load a trained model.
-
-    Args:
-        name_or_folder: a model that ships with the package ("graphrqi-plus") or a folder.
-
-    Returns:
-        The model.
-
-    Raises:
-        InputError: if there is no such model, or it is broken, of another version or other classes.
-    """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
-
-    folder = _model_folder(name_or_folder)
-    file, method = _description(folder / "model.json")
-    weights = folder / "weights.safetensors"
-    if not weights.is_file() or weights.stat().st_size > MAX_WEIGHTS_BYTES:
-        raise InputError(
-            f"{weights}: found no file of up to {MAX_WEIGHTS_BYTES} bytes, expected weights"
-        )
-    try:
-        arrays = load_file(weights)
-        classifier = restore_classifier(
-            method.classifier, len(BEHAVIORS), len(file.features), dict(method.options), arrays
-        )
-    except (SafetensorError, OSError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(
-            f"{weights}: found weights that do not load ({reason}), expected those of {file.method}"
-        ) from None
-    if folder.parent != MODELS:
-        _check_answers(weights, classifier, len(file.features))
-    return Model(method, file.solver, classifier, file.shares, file.card)
-
-
-def _check_answers(weights: Path, classifier: Classifier, features: int) -> None:
-    """Refuse weights with which a classifier's answers are no probabilities."""
-    probes = np.array([np.zeros(features), np.ones(features), np.full(features, -30.0)])
-    with np.errstate(all="ignore"):
-        answers = classifier.posterior(probes)
-    if not np.isfinite(answers).all() or (np.abs(answers.sum(axis=1) - 1.0) > 1e-3).any():
-        raise InputError(f"{weights}: found weights whose answers are no probabilities")
-
-
-def _model_folder(name_or_folder: str | Path) -> Path:
-    folder = Path(name_or_folder)
-    if not folder.is_dir() and os.sep not in str(name_or_folder):
-        folder = MODELS / str(name_or_folder)
-    if not (folder / "model.json").is_file():
-        shipped = sorted(p.parent.name for p in MODELS.glob("*/model.json"))
-        raise InputError(
-            f"model {str(name_or_folder)!r}: found no model.json, expected a model folder "
-            f"or one of {', '.join(shipped) or 'none shipped'}"
-        )
-    return folder
-
-
-def _description(path: Path) -> tuple[_ModelFile, Method]:
-    """A checked ``model.json`` and its method."""
-    size = path.stat().st_size
-    if size > MAX_CARD_BYTES:
-        raise InputError(f"{path}: found {size} bytes, expected at most {MAX_CARD_BYTES}")
-    try:
-        file = _ModelFile.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise InputError(f"{path}: {first_wrong_field(error, _ModelFile.model_fields)}") from None
-    try:
-        method = METHODS[file.method]
-        _ = SOLVERS[file.solver]  # refuses an unknown name
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    if file.features != method.observer(file.solver).feature_names:
-        raise InputError(
-            f"{path}: features: found those of another version, expected this version's; "
-            "train the model again"
-        )
-    return file, method

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import html
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, Behavior, Style
 
 if TYPE_CHECKING:
     import pandas as pd
 
+STYLE_TOLD: Final = 0.8
+"""Probability of a style from which it is told: four answers out of five are then right or more."""
+
+BEHAVIOR_TOLD: Final = 0.5
+"""Probability of a behaviour from which it is told though its style may not be: it is then more
+likely than the five others together."""
+
+_AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
+
 _SHOWN: Final = 10
 """Drivers shown in a notebook's table."""
+
+_COMPUTED: Final = np.empty(0)
+"""Stands for values that follow from the probabilities."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -26,6 +38,10 @@ class Posterior:
     Attributes:
         ids: (n,) agent ids, ascending.
         probability: (n, 6) in the order of ``behaviors.BEHAVIORS``; rows sum to 1.
+        domain: how foreign the traffic is to the model: 0 like its training, 1 of another kind.
+        unknown: (n,) probability that no answer is earned: that the style is only guessed, which is
+            twice the probability of the less likely style, and 1 where the frames show no scene
+            that can be believed. It follows from ``probability`` where it is not given.
 
     Examples:
         >>> p = Posterior(ids=[7], probability=[[0.1, 0.5, 0.1, 0.1, 0.1, 0.1]])
@@ -33,16 +49,21 @@ class Posterior:
         [1]
         >>> p
         Posterior(1 driver, most likely: 1 reckless)
+        >>> p.unknown.round(1), p.behaviors
+        (array([0.6]), (<Behavior.RECKLESS: 'reckless'>,))
     """
 
     ids: NDArray[np.int64]
     probability: NDArray[np.float64]
+    domain: float = 0.0
+    unknown: NDArray[np.float64] = field(default_factory=lambda: _COMPUTED)
 
     def __post_init__(self) -> None:
         """Check ids and probabilities, and make the arrays read-only.
 
         Raises:
-            InputError: if ids are not ascending whole numbers, or rows are not probabilities.
+            InputError: if ids are not ascending whole numbers, or rows, the domain or the unknown
+                shares are not probabilities.
         """
         ids = np.asarray(self.ids)
         if ids.size and ids.dtype.kind not in "iu":
@@ -63,7 +84,18 @@ class Posterior:
                 f"Posterior.probability: found {probability[row].tolist()} for agent {ids[row]}, "
                 "expected numbers that are not negative and sum to 1"
             )
-        for name, array in (("ids", ids), ("probability", probability)):
+        unknown = np.asarray(self.unknown, dtype=np.float64)
+        if self.unknown is _COMPUTED:
+            unknown = 1.0 - np.abs(2.0 * probability[:, _AGGRESSIVE].sum(axis=1) - 1.0)
+            unknown = np.clip(unknown, 0.0, 1.0)
+        if unknown.shape != ids.shape or not ((unknown >= 0.0) & (unknown <= 1.0)).all():
+            raise InputError(
+                f"Posterior.unknown: found {unknown.tolist()}, expected {ids.size} probabilities"
+            )
+        if not 0.0 <= self.domain <= 1.0:
+            raise InputError(f"Posterior.domain: found {self.domain}, expected 0 to 1")
+        arrays = (("ids", ids), ("probability", probability), ("unknown", unknown))
+        for name, array in arrays:
             view = array.view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
@@ -72,6 +104,41 @@ class Posterior:
     def most_likely(self) -> NDArray[np.int64]:
         """(n,) code of each agent's most likely behaviour."""
         return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
+
+    @property
+    def style_told(self) -> NDArray[np.bool_]:
+        """(n,) whether a style is likely enough to be told (``STYLE_TOLD``)."""
+        return np.asarray(self.unknown <= 2.0 * (1.0 - STYLE_TOLD) + 1e-9)
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """(n,) whether an answer is earned: the style or the behaviour is likely enough.
+
+        Both are below their thresholds (``STYLE_TOLD``, ``BEHAVIOR_TOLD``) where it is not.
+        """
+        likely = (self.probability.max(axis=1, initial=0.0) >= BEHAVIOR_TOLD) & (self.unknown < 1.0)
+        return np.asarray(self.style_told | likely)
+
+    @property
+    def behaviors(self) -> tuple[Behavior | None, ...]:
+        """Each agent's most likely behaviour; None where no answer is earned."""
+        return tuple(
+            BEHAVIORS[code] if told else None
+            for code, told in zip(self.most_likely.tolist(), self.told.tolist(), strict=True)
+        )
+
+    def worth(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(m, 6) probabilities of the given agents as far as they are worth being relied on.
+
+        The more foreign the traffic and the less an answer is earned, the nearer they are to equal
+        chances; those of agents without an answer are equal chances.
+        """
+        out = self.of(ids)
+        if self.ids.size and self.domain > 0.0:
+            at = np.clip(np.searchsorted(self.ids, ids), 0, self.ids.size - 1)
+            doubt = self.domain * np.where(self.ids[at] == ids, self.unknown[at], 1.0)[:, None]
+            out = (1.0 - doubt) * out + doubt / len(BEHAVIORS)
+        return out
 
     def of(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
         """(m, 6) probabilities of the given agents; uniform for those without an answer."""
@@ -88,6 +155,8 @@ class Posterior:
         counts = np.bincount(self.most_likely, minlength=len(BEHAVIORS)).tolist()
         found = [f"{k} {name}" for k, name in zip(counts, BEHAVIORS, strict=True) if k]
         said = f", most likely: {', '.join(found)}" if n else ""
+        if self.domain > 0.0:
+            said += f", {self.domain:.0%} foreign, {(~self.told).mean():.0%} unknown" if n else ""
         return f"Posterior({n} driver{'s' * (n != 1)}{said})"
 
     def _repr_html_(self) -> str:
@@ -107,7 +176,8 @@ class Posterior:
         """Table of the probabilities: a row per driver, a column per behaviour.
 
         Returns:
-            Rows indexed by agent id (``agent``); a last column ``most_likely``.
+            Rows indexed by agent id (``agent``); last columns ``most_likely``, ``unknown`` and
+            ``told``.
 
         Raises:
             InputError: if pandas is not installed.
@@ -119,4 +189,8 @@ class Posterior:
         names = [behavior.value for behavior in BEHAVIORS]
         index = pd.Index(np.array(self.ids), name="agent")
         table = pd.DataFrame(np.array(self.probability), index=index, columns=names)
-        return table.assign(most_likely=[names[code] for code in self.most_likely])
+        return table.assign(
+            most_likely=[names[code] for code in self.most_likely],
+            unknown=np.array(self.unknown),
+            told=np.array(self.told),
+        )

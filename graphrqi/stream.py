@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.graph.traffic_graph import MAX_COORDINATE_M
-from graphrqi.methods import Model, load_model
+from graphrqi.methods import Model
+from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
 from graphrqi.prior_shift import PriorShift
+from graphrqi.scene_check import SceneMonitor
 from sim.episode.buffer import FrameBuffer
 from sim.frames import Frame, Tracks
 
@@ -49,7 +51,9 @@ class BehaviorStream:
         self._last: Frame | None = None
         self._prior_shift = PriorShift(np.array(model.shares))
         self._shifted_s = -np.inf
-        self._answered: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
+        self._monitor = SceneMonitor(outlines=False)
+        self._is_scene = True
+        self._answered: tuple[NDArray[np.int64], NDArray[np.float64], float] | None = None
 
     def update(self, frame: Frame) -> Posterior:
         """Take the next frame and classify.
@@ -77,26 +81,34 @@ class BehaviorStream:
             )
         self._buffer.push(frame)
         self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        self._is_scene = self._monitor.update(frame)
         self._last, self._answered = frame, None
         if frame.time_s >= self._shifted_s + PRIOR_EVERY_S - 1e-6:
-            self._prior_shift.observe(frame.time_s, *self._answers())
+            ids, probability, _ = self._answers()
+            self._prior_shift.observe(frame.time_s, ids, probability)
             self._shifted_s = frame.time_s
 
-    def _answers(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Ids of the drivers observed long enough, and their probabilities without prior shift."""
+    def _answers(self) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+        """Ids, probabilities without prior shift, domain; of the drivers observed long enough."""
         if self._answered is None:
             seen = self._observer.observation()
             ready = seen.seconds >= self.min_seconds - 1e-6
             if not ready.all():
                 seen = seen.where(ready)
             features = self._observer.features(seen.seconds, seen.sums, seen.instant)
-            self._answered = seen.ids, self.model.posterior(features)
+            domain = float(self.model.domain(features[:1]).max(initial=0.0))
+            self._answered = seen.ids, self.model.posterior(features), domain
         return self._answered
 
     def posterior(self) -> Posterior:
         """Posterior of every driver that is present and was observed long enough."""
-        ids, probability = self._answers()
-        return Posterior(ids=ids, probability=self._prior_shift.corrected(probability))
+        ids, probability, domain = self._answers()
+        # Foreign traffic is offset as a whole, which would be taken for another mix of drivers.
+        shifted = self._prior_shift.corrected(probability)
+        answer = (1.0 - domain) * shifted + domain * probability
+        if self._is_scene:
+            return Posterior(ids, answer, domain)
+        return Posterior(ids, answer, domain, np.ones(ids.size))
 
     def __repr__(self) -> str:
         """The model, and the time and the agents of the last frame."""

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.features.unit_free import SMOOTH_FRAMES, scale_at, smoothed
-from sim.formats.common.recording import motion
 from sim.frames import AgentKind, Tracks
 from sim.scenario import DIMENSIONS_M
 
@@ -149,6 +148,8 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
         as the scale is there, so that displacements anywhere are in metres. Whole pixels are
         smoothed before headings and speeds are taken from them.
     """
+    from sim.formats.common.recording import motion
+
     height = tracks.xy[..., 1]
     here = scale.at(height)
     away = height - scale.middle

@@ -23,7 +23,8 @@ from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import bootstrap, ratio
-from graphrqi.methods import Model, load_model
+from graphrqi.methods import Model
+from graphrqi.model_files import load_model
 from graphrqi.predict.planner import ACT_S, Plan, plan
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.scene.scene import make_scene

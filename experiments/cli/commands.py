@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
 from experiments.cli.options import (
     DurationS,
@@ -224,6 +225,7 @@ def classify(
     from experiments.scoring.classification import (
         classify_dataset,
         episodes_table,
+        foreign_notice,
         totals_table,
     )
 
@@ -234,6 +236,12 @@ def classify(
     if str(json) != "-":
         show_table(episodes_table(rows), title="drivers by their last answer")
         show_table(totals_table(rows), title="in all")
+    notice = foreign_notice(rows)
+    if notice is not None:
+        typer.echo(notice, err=True)
+
+
+app.command(epilog="example: graphrqi adapt graphrqi-plus data --labels few.csv --out mine")(adapt)
 
 
 @app.command(epilog="example: graphrqi predict data --predictors car-following --horizon-s 5")

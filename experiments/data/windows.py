@@ -10,13 +10,22 @@ from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
-from graphrqi.methods import METHODS
+from graphrqi.methods import make_observer
 from graphrqi.samples import NoSamplesError, Samples, collect
-from sim.store.dataset import Dataset, open_dataset
+from graphrqi.units import image_scale, in_metres
+from sim.frames import Tracks
+from sim.store.dataset import Dataset, Episode, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
 OBSERVED_S: Final = 10.0
 """Length of observation that scores are given for."""
+
+
+def measured(episode: Episode) -> Tracks:
+    """An episode's tracks in metres: worlds may be seen in pixels of a scale that nobody knows."""
+    if not episode.entry.options.get("pixels_per_m"):
+        return episode.tracks
+    return in_metres(episode.tracks, image_scale(episode.tracks))
 
 
 def episode_samples(
@@ -25,14 +34,15 @@ def episode_samples(
     number: int,
     method: str,
     solver: str,
+    elsewhere: bool,
     windows_s: Sequence[float],
     every_s: float,
     per_moment: int | None,
     seed: int,
 ) -> Samples | str:
     """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
-    tracks = open_dataset(folder).read(entry).tracks
-    observer = METHODS[method].observer(solver)
+    tracks = measured(open_dataset(folder).read(entry))
+    observer = make_observer(method, solver, elsewhere)
     try:
         return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
     except NoSamplesError as reason:
@@ -54,6 +64,7 @@ def gather(
     *,
     scenario: str | None = None,
     solver: str = "graphrqi",
+    elsewhere: bool = False,
     windows_s: Sequence[float] = (OBSERVED_S,),
     every_s: float = 1.0,
     per_moment: int | None = None,
@@ -71,6 +82,7 @@ def gather(
         method: whose observer to use.
         scenario: only this one; None for all.
         solver: a key of ``SOLVERS``.
+        elsewhere: whether to add the relative features that answer on foreign traffic.
         windows_s: lengths of observation.
         every_s: time between the ends of windows.
         per_moment: how many lengths to draw per driver and moment; None for all.
@@ -91,7 +103,7 @@ def gather(
         numbered = {e.id: first + i for i, e in enumerate(dataset.manifest.episodes)}
         first += len(numbered)
         arguments += [
-            (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s,
+            (dataset.path, e, numbered[e.id], method, solver, elsewhere, tuple(windows_s), every_s,
              per_moment, seed)
             for e in dataset.episodes(split, scenario)
         ]  # fmt: skip

@@ -127,7 +127,10 @@ def believe(tracks: Tracks, model: Model) -> Beliefs:
         if step in column:
             posterior = stream.posterior()
             rows = np.searchsorted(tracks.ids, posterior.ids)
-            probability[rows, column[step]] = posterior.probability
+            # Where the frames show no scene that can be believed, every behaviour is as likely.
+            earned = (posterior.unknown < 1.0)[:, None]
+            chance = np.where(earned, posterior.probability, 1.0 / len(BEHAVIORS))
+            probability[rows, column[step]] = chance
     return Beliefs(tracks.ids, tracks.time_s[steps], probability)
 
 

@@ -18,7 +18,7 @@ from experiments.replay.forecasts import Forecast, forecast, read_forecasts
 from experiments.replay.ghosts import Ghosts, ghosts_of
 from experiments.replay.graph_history import GraphHistory, graph_history
 from experiments.replay.shown import shown_events, with_drawn_sizes
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 from sim.episode.annotate import annotate_recording
 from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS

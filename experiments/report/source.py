@@ -14,7 +14,7 @@ from experiments.data.windows import OBSERVED_S
 from experiments.report.run_file import Metrics, RunFile, read_run
 from experiments.rows import Cell, Row, of_bench, read_rows
 from experiments.scoring.prediction_errors import prediction_keys
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 
 _SCORES: Final = TypeAdapter(dict[str, dict[str, dict[str, str | int | float | None]]])
 """Scores in a model's card: by scenario and metric."""

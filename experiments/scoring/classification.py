@@ -18,7 +18,9 @@ from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.rows import Cell, Row
 from experiments.scoring.metrics import of_likelier_style
-from graphrqi.methods import Model, load_model
+from graphrqi.methods import Model
+from graphrqi.model_files import load_model
+from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
 from sim.frames import Tracks
 from sim.store.atomic import whole_file
@@ -34,6 +36,8 @@ LABELS: Final = pa.schema(
         pa.field("behavior", pa.string()),
         pa.field("style", pa.string()),
         *(pa.field(f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
+        pa.field("domain", pa.float32()),
+        pa.field("unknown", pa.float32()),
         pa.field("truth", pa.string()),
     ]
 )
@@ -41,8 +45,10 @@ LABELS: Final = pa.schema(
 
 ``recording`` is the name of the file that an episode was read from (null for simulated ones),
 ``agent`` the id in the dataset's tables, ``name`` the source's own id. ``behavior`` is the most
-likely one, ``style`` the style with the larger sum of probabilities, ``truth`` the behaviour that
-the driver was drawn or labelled with (null where nobody knows)."""
+likely one, ``style`` the style with the larger sum of probabilities; each is null where it is not
+likely enough to be told (`graphrqi.posterior`). ``domain`` is how foreign the traffic is to the
+model, ``unknown`` the probability that no answer is earned, ``truth`` the behaviour that the driver
+was drawn or labelled with (null where nobody knows)."""
 
 
 def label_tracks(
@@ -60,15 +66,17 @@ def label_tracks(
         A table with the columns ``LABELS``.
     """
     stream = BehaviorStream(model)
-    agents, times, probabilities = [], [], []
+    agents, times, answers = [], [], list[Posterior]()
     for frame in tracks.frames():
         posterior = stream.update(frame)
         agents.append(np.searchsorted(tracks.ids, posterior.ids))
         times.append(np.full(posterior.ids.size, frame.time_s))
-        probabilities.append(posterior.probability)
+        answers.append(posterior)
     if not agents:
         return LABELS.empty_table()
-    row, probability = np.concatenate(agents), np.concatenate(probabilities)
+    row, probability = np.concatenate(agents), np.concatenate([a.probability for a in answers])
+    style_told = np.concatenate([a.style_told for a in answers])
+    told = np.concatenate([a.told for a in answers])
     truth = np.full(len(tracks.ids), -1) if tracks.behavior is None else tracks.behavior
     columns = {
         "episode": _repeated(episode, row.size),
@@ -76,8 +84,12 @@ def label_tracks(
         "agent": pa.array(tracks.ids[row]),
         "name": pa.array(tracks.names, pa.string()).take(pa.array(row)),
         "time_s": pa.array(np.concatenate(times)),
-        "behavior": _words(BEHAVIORS, probability.argmax(axis=1)),
-        "style": _words([b.style for b in BEHAVIORS], of_likelier_style(probability)),
+        "behavior": _words(BEHAVIORS, np.where(told, probability.argmax(axis=1), -1)),
+        "style": _words(
+            [b.style for b in BEHAVIORS], np.where(style_told, of_likelier_style(probability), -1)
+        ),
+        "domain": pa.array(np.repeat([a.domain for a in answers], [a.ids.size for a in answers])),
+        "unknown": pa.array(np.concatenate([a.unknown for a in answers])),
         "truth": _words(BEHAVIORS, truth[row]),
     }
     for behavior, share in zip(BEHAVIORS, probability.T.astype(np.float32), strict=True):
@@ -137,8 +149,10 @@ def classify_dataset(source: Path, model: str | Path, out: Path, quiet: bool = F
 class _Driver:
     """The last answer about one driver."""
 
-    behavior: str
+    behavior: str | None
+    style: str | None
     confidence: float
+    domain: float
     truth: str | None
 
 
@@ -148,12 +162,9 @@ def _last_answers(table: pa.Table) -> list[_Driver]:
     _, last = np.unique(agent[::-1], return_index=True)
     rows = table.take(pa.array(agent.size - 1 - last))
     confidence = np.stack([rows[f"p_{b.value}"].to_numpy() for b in BEHAVIORS]).max(axis=0)
-    return [
-        _Driver(behavior, float(sure), truth)
-        for behavior, sure, truth in zip(
-            rows["behavior"].to_pylist(), confidence, rows["truth"].to_pylist(), strict=True
-        )
-    ]
+    told = (rows[name].to_pylist() for name in ("behavior", "style"))
+    domain, truth = (rows[name].to_pylist() for name in ("domain", "truth"))
+    return list(map(_Driver, *told, confidence.tolist(), domain, truth))
 
 
 def summary_of(drivers: Sequence[_Driver]) -> dict[str, Cell]:
@@ -163,16 +174,22 @@ def summary_of(drivers: Sequence[_Driver]) -> dict[str, Cell]:
         drivers: the last answers.
 
     Returns:
-        ``drivers``: how many; a count for each behaviour; ``confidence``: the mean probability of
-        the answers; ``true_known``: of how many the truth is known, ``right_at_end`` of how many
+        ``drivers``: how many; a count for each behaviour; ``unknown``: how many have no answer;
+        ``style_told``: of how many the style is told; ``foreign``: the mean of how foreign the
+        traffic is; ``confidence``: the mean probability of the most likely behaviour;
+        ``true_known``: of how many the truth is known, ``right_at_end`` of how many
         of those the answer is right, and ``most_frequent`` how many would be right if everybody
         were of the most frequent behaviour among them.
     """
     answered = Counter(driver.behavior for driver in drivers)
+    foreign = [driver.domain for driver in drivers]
     known = Counter(driver.truth for driver in drivers if driver.truth is not None)
     sure = [driver.confidence for driver in drivers]
     summary: dict[str, Cell] = {"drivers": len(drivers)}
     summary |= {b.value: answered[b.value] for b in BEHAVIORS}
+    summary["unknown"] = answered[None]
+    summary["style_told"] = sum(driver.style is not None for driver in drivers)
+    summary["foreign"] = sum(foreign) / len(foreign) if foreign else None
     summary["confidence"] = sum(sure) / len(sure) if sure else None
     if known:
         summary |= {
@@ -185,10 +202,15 @@ def summary_of(drivers: Sequence[_Driver]) -> dict[str, Cell]:
 
 def episodes_table(rows: Sequence[Row]) -> list[Row]:
     """The episodes among the rows of `classify_dataset`, as a table for people."""
-    shown = ("name", "split", "drivers", *BEHAVIORS, "confidence", "true_known", "right_at_end")
+    shown = (
+        "name", "split", "drivers", *BEHAVIORS, "unknown", "foreign", "confidence", "true_known",
+        "right_at_end",
+    )  # fmt: skip
     return [
         {
-            str(key): per_cent(float(row[key] or 0.0)) if key == "confidence" else row[key]
+            str(key): per_cent(float(row[key] or 0.0))
+            if key in ("foreign", "confidence")
+            else row[key]
             for key in shown
             if key in row
         }
@@ -207,6 +229,8 @@ def totals_table(rows: Sequence[Row]) -> list[Row]:
         episodes = sum(r["split"] == row["split"] for r in rows) - 1
         line: dict[str, Cell] = {"split": row["split"], "episodes": episodes, "drivers": drivers}
         line |= {b.value: per_cent(int(row[b.value] or 0) / drivers) for b in BEHAVIORS}
+        line["unknown"] = per_cent(int(row["unknown"] or 0) / drivers)
+        line["foreign"] = per_cent(float(row["foreign"] or 0.0))
         line["confidence"] = per_cent(float(row["confidence"] or 0.0))
         known = int(row.get("true_known") or 0)
         if known:
@@ -214,6 +238,31 @@ def totals_table(rows: Sequence[Row]) -> list[Row]:
             line["if all were the most frequent"] = per_cent(int(row["most_frequent"] or 0) / known)
         lines.append(line)
     return lines
+
+
+def foreign_notice(rows: Sequence[Row]) -> str | None:
+    """One line on what was found, if most of the traffic is foreign to the model.
+
+    Args:
+        rows: as from `classify_dataset`.
+
+    Returns:
+        The line; None where the traffic is like that of the model's training.
+    """
+    totals = [row for row in rows if row["episode"] == "all" and row["drivers"]]
+    drivers = sum(int(row["drivers"] or 0) for row in totals)
+    if not drivers:
+        return None
+    foreign = sum(float(row["foreign"] or 0.0) * int(row["drivers"] or 0) for row in totals)
+    if foreign / drivers < 0.5:
+        return None
+    styles = sum(int(row["style_told"] or 0) for row in totals) / drivers
+    unknown = sum(int(row["unknown"] or 0) for row in totals) / drivers
+    return (
+        f"{per_cent(1.0 - foreign / drivers)} at home: this traffic is not of the kind that the "
+        f"model was trained on; the style of {per_cent(styles)} of the drivers is told, "
+        f"{per_cent(unknown)} are unknown, and behaviours within a style are hardly told apart"
+    )
 
 
 def per_cent(share: float) -> str:

@@ -57,7 +57,13 @@ def score_model(
         InputError: if the split is empty.
     """
     samples = gather(
-        datasets, split, model.method.name, solver=model.solver, jobs=jobs, quiet=quiet
+        datasets,
+        split,
+        model.method.name,
+        solver=model.solver,
+        elsewhere=model.elsewhere is not None,
+        jobs=jobs,
+        quiet=quiet,
     )
     place = np.array(places_of(datasets))[samples.episode]
     found = {}

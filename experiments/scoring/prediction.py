@@ -26,7 +26,7 @@ from experiments.scoring.prediction_errors import (
     summarize,
 )
 from experiments.scoring.prediction_file import PREDICTIONS, predictions_file, predictions_table
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 from graphrqi.predict import get_predictor
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction

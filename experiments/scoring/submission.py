@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
 from experiments.scoring.prediction_errors import beliefs
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 from graphrqi.predict import predict
 from graphrqi.predict.prediction import Prediction
 from sim.formats.argoverse2 import OBSERVED_STEPS

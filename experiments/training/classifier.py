@@ -12,7 +12,9 @@ from typing import Any, Final, get_args
 from experiments.console.notices import LOGGER
 from experiments.data.windows import OBSERVED_S, gather
 from experiments.scoring.models import Scored, majority_of, score_model
-from graphrqi.methods import METHODS, Model, check_model_folder, save_model, train
+from experiments.training.elsewhere import train_on_worlds
+from graphrqi.methods import METHODS, Model, train
+from graphrqi.model_files import check_model_folder, save_model
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import Split
@@ -22,6 +24,9 @@ TRAINING_EVERY_S: Final = 3.0
 
 TRAINING_PER_MOMENT: Final = 1
 """Window lengths drawn for each driver and moment in training."""
+
+BOTH: Final = "graphrqi-plus"
+"""The method whose models learn what is home and how to answer elsewhere."""
 
 TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
 """Speed limits of the training data, episode by episode. A third of the training episodes have
@@ -42,7 +47,9 @@ def train_model(
     """Train on training episodes; validation episodes serve early stopping and calibration.
 
     Args:
-        datasets: with train, validation and (for the card) test episodes.
+        datasets: with train, validation and (for the card) test episodes. If some are random
+            worlds and others are not, a model of the method ``BOTH`` learns to answer elsewhere
+            from the worlds; any other model learns from all of them alike.
         method: a key of ``METHODS``.
         solver: a key of ``SOLVERS``.
         per_moment: window lengths drawn for each driver and moment.
@@ -55,6 +62,12 @@ def train_model(
         episodes of each scenario.
     """
     chosen = METHODS[method]
+    worlds = [d for d in datasets if "worlds" in d.manifest.configuration]
+    home = [d for d in datasets if d not in worlds]
+    elsewhere = None
+    if chosen.name == BOTH and home and worlds:
+        elsewhere = train_on_worlds(home, worlds, seed, jobs, quiet)
+        datasets = home
     options: dict[str, Any] = {
         "solver": solver,
         "windows_s": WINDOWS_S,
@@ -70,6 +83,7 @@ def train_model(
         with _skipping_empty():
             validation = gather(datasets, "validation", chosen.name, **options)
     model = train(chosen.name, training, validation, solver, seed)
+    model = dataclasses.replace(model, elsewhere=elsewhere)
     if any(dataset.episodes("test") for dataset in datasets):
         with _skipping_empty():
             scored = score_model(datasets, model, majority_of(training), jobs=jobs, quiet=quiet)

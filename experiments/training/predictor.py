@@ -22,7 +22,7 @@ from experiments.scoring.prediction_errors import (
     future,
     instants,
 )
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 from graphrqi.predict.learned.inputs import predictor_inputs, to_own_frame, unlabelled_inputs
 from graphrqi.predict.networks.futures import KNOT_S, KNOTS, Futures, PredictorInputs
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table, table_to_json

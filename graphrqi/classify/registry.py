@@ -16,6 +16,7 @@ CLASSIFIERS: Final[Registry[Callable[..., Classifier]]] = Registry(
     "classifier",
     "graphrqi.classifiers",
     {
+        "averaged": "graphrqi.classify.averaged:Averaged",
         "boosted": "graphrqi.classify.boosted:Boosted",
         "forest": "graphrqi.classify.forest:Forest",
         "lasso": "graphrqi.classify.lasso:IndicatorLasso",
@@ -46,7 +47,7 @@ def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
     return CLASSIFIERS[name](num_classes, **options)
 
 
-CHECKED_WHOLE: Final = ("boosted", "forest")
+CHECKED_WHOLE: Final = ("averaged", "boosted", "forest")
 """Classifiers that check all their arrays, so that no trial answer is needed: it would compile or
 load kernels."""
 

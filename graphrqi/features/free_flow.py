@@ -53,4 +53,9 @@ class FreeFlowSpeed:
         kept = float(np.exp(-step_s / MEMORY_S))
         self._seconds = kept * self._seconds + step_s * float(free.sum())
         self._metres = kept * self._metres + step_s * float(speed[free].sum())
+        return self.mean_mps
+
+    @property
+    def mean_mps(self) -> float:
+        """The free-flow speed so far, m/s; NaN until enough free driving was observed."""
         return self._metres / self._seconds if self._seconds >= LEAST_DRIVER_S else float("nan")

@@ -11,12 +11,11 @@ powers of P = D^-1 A first compares wider and wider neighbourhoods: P^j s - P^(j
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.kinematics import Kinematics
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -37,6 +36,22 @@ ABREAST_M: Final = 10.0
 
 PEDESTRIAN_AHEAD_M: Final = 30.0
 """Distance ahead within which a pedestrian counts (2.5 s at town speed)."""
+
+
+class Motion(Protocol):
+    """What `interactions` needs to know of n agents."""
+
+    @property
+    def xy(self) -> FloatArray:
+        """(n, 2) m."""
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(n, 2) m/s."""
+
+    @property
+    def direction(self) -> FloatArray:
+        """(n, 2) unit vectors of travel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +79,7 @@ class Interaction:
     pedestrian_m: FloatArray
 
 
-def interactions(motion: Kinematics, drives: BoolArray, graph: TrafficGraph) -> Interaction:
+def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Interaction:
     """Find every driver's leader, follower and neighbours along the graph's edges.
 
     Args:
@@ -77,8 +92,8 @@ def interactions(motion: Kinematics, drives: BoolArray, graph: TrafficGraph) -> 
     """
     from graphrqi.features.kernels import find_neighbors
 
-    nearest = np.full((motion.ids.size, 2), -1, dtype=np.int64)
-    found = np.full((motion.ids.size, 6), np.nan)
+    nearest = np.full((len(motion.xy), 2), -1, dtype=np.int64)
+    found = np.full((len(motion.xy), 6), np.nan)
     found[:, 4] = 0.0
     find_neighbors(
         graph.indptr, graph.indices, motion.xy, motion.velocity, motion.direction, drives,

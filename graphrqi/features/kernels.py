@@ -288,5 +288,122 @@ def infer_law(
         )
         error = sums[i, 9] - 2.0 * (first * p + second * q + third * z) + square
         out[i, 0], out[i, 1], out[i, 2] = first, second, third
-        out[i, 3], out[i, 4], out[i, 5] = math.sqrt(aa), math.sqrt(dd), math.sqrt(ff)
+        # Differences of long sums may leave a variance a rounding error below zero.
+        out[i, 3] = math.sqrt(max(aa, 0.0))
+        out[i, 4] = math.sqrt(max(dd, 0.0))
+        out[i, 5] = math.sqrt(max(ff, 0.0))
         out[i, 6] = math.sqrt(max(error, 0.0) / max(sums[i, 10], 1.0))
+
+
+@compiled
+def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: FloatArray) -> None:
+    """Fit a parabola to each agent's positions about time zero, by least squares.
+
+    An agent that is not seen before and after time zero gets NaN throughout; one that is not seen
+    for ``half_s / 2`` on both sides gets a straight line and a NaN acceleration.
+
+    Args:
+        trail: (m, T, 2) positions, m; NaN where unknown.
+        times: (T,) ascending, s.
+        half_s: half the stretch, s.
+        out: (m, 8) receives position (2), velocity (2), acceleration (2), the root mean square
+            residual across the velocity, m (NaN without spare positions), and the number of
+            positions.
+    """
+    for i in range(trail.shape[0]):
+        n, first, last = 0, 0.0, 0.0
+        s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
+        x0, x1, x2, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        east, north = 0.0, 0.0
+        for k in range(times.size):
+            if np.isnan(trail[i, k, 0]):
+                continue
+            t = times[k]
+            if n == 0:
+                first, east, north = t, trail[i, k, 0], trail[i, k, 1]
+            last = t
+            x, y = trail[i, k, 0] - east, trail[i, k, 1] - north
+            n += 1
+            s1 += t
+            s2 += t * t
+            s3 += t * t * t
+            s4 += t * t * t * t
+            x0, x1, x2 = x0 + x, x1 + t * x, x2 + t * t * x
+            y0, y1, y2 = y0 + y, y1 + t * y, y2 + t * t * y
+        for column in range(8):
+            out[i, column] = np.nan
+        out[i, 7] = n
+        if n < 2 or first > 1e-6 or last < -1e-6 or last - first < 0.5 * half_s:
+            continue
+        curved = n >= 4 and -first >= 0.5 * half_s and last >= 0.5 * half_s
+        ax, bx, cx, ay, by, cy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        if curved:
+            # Cofactors of the symmetric matrix of moments [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]]
+            aa, bb, cc = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
+            dd, ee, ff = n * s4 - s2 * s2, s1 * s2 - n * s3, n * s2 - s1 * s1
+            determinant = n * aa + s1 * bb + s2 * cc
+            if not determinant > 1e-12:
+                curved = False
+            else:
+                ax = (aa * x0 + bb * x1 + cc * x2) / determinant
+                bx = (bb * x0 + dd * x1 + ee * x2) / determinant
+                cx = (cc * x0 + ee * x1 + ff * x2) / determinant
+                ay = (aa * y0 + bb * y1 + cc * y2) / determinant
+                by = (bb * y0 + dd * y1 + ee * y2) / determinant
+                cy = (cc * y0 + ee * y1 + ff * y2) / determinant
+        if not curved:
+            determinant = n * s2 - s1 * s1
+            if not determinant > 1e-12:
+                continue
+            ax, bx = (s2 * x0 - s1 * x1) / determinant, (n * x1 - s1 * x0) / determinant
+            ay, by = (s2 * y0 - s1 * y1) / determinant, (n * y1 - s1 * y0) / determinant
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = ax + east, ay + north, bx, by
+        if not curved:
+            continue
+        out[i, 4], out[i, 5] = 2.0 * cx, 2.0 * cy
+        speed = math.hypot(bx, by)
+        if n < 5 or speed < 0.5:
+            continue
+        total = 0.0
+        for k in range(times.size):
+            if np.isnan(trail[i, k, 0]):
+                continue
+            t = times[k]
+            x = trail[i, k, 0] - east - (ax + t * (bx + t * cx))
+            y = trail[i, k, 1] - north - (ay + t * (by + t * cy))
+            across = (bx * y - by * x) / speed
+            total += across * across
+        out[i, 6] = math.sqrt(total / (n - 3))
+
+
+@compiled
+def speed_of_neighbors(
+    indptr: IndexArray,
+    indices: IndexArray,
+    velocity: FloatArray,
+    direction: FloatArray,
+    drives: BoolArray,
+    out: FloatArray,
+) -> None:
+    """Mean speed, along its own direction, of each driver's neighbours within 60 degrees of it.
+
+    Args:
+        indptr: (n + 1,) where each vertex' edges begin.
+        indices: (E,) other end of each edge.
+        velocity: (n, 2) m/s.
+        direction: (n, 2) unit vectors of travel.
+        drives: (n,) whether each vertex drives.
+        out: (n,) receives the means, m/s; NaN without such a neighbour.
+    """
+    for i in range(out.size):
+        total, count = 0.0, 0
+        east, north = direction[i, 0], direction[i, 1]
+        for edge in range(indptr[i], indptr[i + 1]):
+            j = indices[edge]
+            if j == i or not drives[j]:
+                continue
+            if not east * direction[j, 0] + north * direction[j, 1] > 0.5:
+                continue
+            total += velocity[j, 0] * east + velocity[j, 1] * north
+            count += 1
+        out[i] = max(total / count, 0.5) if count else np.nan

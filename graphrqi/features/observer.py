@@ -119,3 +119,10 @@ class RunningSums:
         here = self._seen_s == (np.inf if self._time_s is None else self._time_s)
         ids = self._ids[here]
         return Observation(ids, self._seconds[here], self._sums[here], np.zeros((ids.size, 0)))
+
+    def of(self, ids: IntArray) -> FloatArray:
+        """(n, S) sums of the given drivers, ascending; zero for those without any."""
+        out = np.zeros((ids.size, self._sums.shape[1]))
+        into, source = align(self._ids, ids)
+        out[into] = self._sums[source]
+        return out

@@ -11,7 +11,7 @@ from behaviors.errors import InputError
 from experiments.demo import METHODS, PREDICTORS, SCENARIOS, run_demo
 from experiments.report import write_comparison, write_report
 from experiments.report.run_file import read_run
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,8 @@ from experiments.data.disturbances import (
 from experiments.data.generate import generate
 from experiments.data.windows import places_of
 from experiments.scoring.metrics import auc_within, calibration_error, confusion, reliability
-from graphrqi.methods import METHODS, load_model
+from graphrqi.methods import METHODS
+from graphrqi.model_files import load_model
 from graphrqi.samples import Samples
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset

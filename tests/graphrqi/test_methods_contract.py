@@ -11,7 +11,8 @@ from graphrqi.features.baseline import GRAPH_SIGNALS, BaselineObserver
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver, LaplacianPairs, consensus
 from graphrqi.features.trajectory import TrajectoryObserver
-from graphrqi.methods import METHODS, Model, load_model, save_model, train
+from graphrqi.methods import METHODS, Model, train
+from graphrqi.model_files import load_model, save_model
 from graphrqi.samples import collect
 from graphrqi.stream import BehaviorStream
 from sim.frames import Tracks

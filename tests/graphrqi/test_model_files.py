@@ -15,7 +15,8 @@ from behaviors.errors import InputError
 from experiments.scoring.metrics import Estimate
 from graphrqi.classify import CLASSIFIERS
 from graphrqi.classify.majority import Majority
-from graphrqi.methods import METHODS, Method, load_model, save_model, train
+from graphrqi.methods import METHODS, Method, train
+from graphrqi.model_files import load_model, save_model
 from graphrqi.samples import Samples
 
 SMALL = {

@@ -13,7 +13,8 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.methods import load_model, save_model, train
+from graphrqi.methods import train
+from graphrqi.model_files import load_model, save_model
 from graphrqi.posterior import Posterior
 from graphrqi.samples import Samples, collect
 from graphrqi.stream import BehaviorStream, load_stream
@@ -274,7 +275,7 @@ def test_posterior_shows_counts_and_a_table():
     assert "and 990 more" in page
     table = posterior.to_pandas()
     assert table.index.tolist() == posterior.ids.tolist()
-    assert table.columns.tolist() == [*BEHAVIORS, "most_likely"]
+    assert table.columns.tolist() == [*BEHAVIORS, "most_likely", "unknown", "told"]
     np.testing.assert_array_equal(table[list(BEHAVIORS)].to_numpy(), posterior.probability)
     assert table["most_likely"].iloc[:3].tolist() == list(BEHAVIORS[:3])
 

@@ -40,7 +40,8 @@ from experiments.data.generate import generate
 from experiments.data.worlds.episode import WorldsConfig
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
-from graphrqi.methods import METHODS, Model, load_model
+from graphrqi.methods import METHODS, Model
+from graphrqi.model_files import load_model
 from sim.store.catalogue import MANIFEST
 from sim.store.dataset import Dataset, open_dataset
 

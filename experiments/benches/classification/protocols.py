@@ -50,7 +50,8 @@ from experiments.rows import Row
 from experiments.scoring.models import majority_of
 from graphrqi.classify import make_classifier
 from graphrqi.features.baseline import FREE_FLOW, GRAPH_SIGNALS, LAW_HEADWAYS
-from graphrqi.methods import METHODS, Model, load_model, train
+from graphrqi.methods import METHODS, Model, train
+from graphrqi.model_files import load_model
 from graphrqi.prior_shift import PriorShift
 from graphrqi.samples import Samples
 

@@ -27,7 +27,8 @@ from experiments.benches.classification.second_half import MEASURES, halves, mea
 from experiments.data.admission import admitted
 from experiments.data.parallel import in_parallel
 from experiments.rows import Row, tidy_row
-from graphrqi.methods import Model, load_model
+from graphrqi.methods import Model
+from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
 from sim.formats import FORMATS, formats_in, read_recordings, recording_files

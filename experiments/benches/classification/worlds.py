@@ -18,7 +18,8 @@ from experiments.benches.classification.streams import answer_rows, by_age, stre
 from experiments.data.windows import gather
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
-from graphrqi.methods import Model, load_model, train
+from graphrqi.methods import Model, train
+from graphrqi.model_files import load_model
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry, Split

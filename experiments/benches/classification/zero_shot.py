@@ -24,7 +24,7 @@ from experiments.data.parallel import in_parallel
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import auc_within
 from graphrqi.features.unit_free import NAMES
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 from graphrqi.units import image_scale, in_metres
 from sim.formats import traf, traf_sheets
 

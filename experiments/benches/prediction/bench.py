@@ -38,7 +38,7 @@ from experiments.scoring.prediction_errors import (
     root_ratio,
     summarize,
 )
-from graphrqi.methods import load_model
+from graphrqi.model_files import load_model
 from graphrqi.predict import PREDICTORS
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.rollout.mixture import mixture_with

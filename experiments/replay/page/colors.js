@@ -2,7 +2,7 @@
 
 const MODES = {
   true: (index) => behaviorColor(data.agents[index].truth),
-  predicted: (index, time) => behaviorColor(mostLikely(beliefOf(index, time))),
+  predicted: (index, time) => behaviorColor(answerTo(beliefOf(index, time))),
   confidence: (index, time) => {
     const belief = beliefOf(index, time);
     return belief ? rampColor((Math.max(...belief) - 1 / 6) * 6 / 5) : data.unknown;

@@ -132,6 +132,17 @@ function mostLikely(belief) {
   return belief ? belief.indexOf(Math.max(...belief)) : -1;
 }
 
+// Whether an answer is earned: the style or the behaviour is likely enough.
+function isTold(belief) {
+  if (!belief) return false;
+  let aggressive = 0;
+  belief.forEach((p, code) => { if (data.behaviors[code].style === "aggressive") aggressive += p; });
+  return Math.max(aggressive, 1 - aggressive) >= data.told.style || Math.max(...belief) >= data.told.behavior;
+}
+
+// The likeliest behaviour where an answer is earned, or -1.
+function answerTo(belief) { return isTold(belief) ? mostLikely(belief) : -1; }
+
 // The root of an agent's share of the largest |w|, and |w| itself; null if it is not there.
 function wOf(index, time) {
   const look = latest(arrays.graphTime, time);

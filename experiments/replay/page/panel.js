@@ -78,7 +78,8 @@ function sayHowSure() {
   const known = drivers.map((index) => beliefOf(index, player.time)).filter((belief) => belief);
   const mean = known.reduce((sum, belief) => sum + Math.max(...belief), 0) / known.length;
   const sure = known.length ? `${Math.round(100 * mean)}\u00a0% sure on average` : "nothing believed yet";
-  $("sure").textContent = `In sight now: ${sure}, ${drivers.length - known.length} of ${drivers.length} drivers not known.`;
+  const told = known.filter(isTold).length;
+  $("sure").textContent = `In sight now: ${sure}, ${drivers.length - told} of ${drivers.length} drivers unknown.`;
 }
 
 function countAgents() {
@@ -87,7 +88,7 @@ function countAgents() {
   if (!spans.length) return;
   const counts = {};
   for (const index of player.present.keys()) {
-    const code = player.mode === "true" ? data.agents[index].truth : mostLikely(beliefOf(index, player.time));
+    const code = player.mode === "true" ? data.agents[index].truth : answerTo(beliefOf(index, player.time));
     counts[code] = (counts[code] || 0) + 1;
   }
   for (const span of spans) span.textContent = counts[span.dataset.code] || "0";
@@ -167,8 +168,9 @@ function updateAgent() {
   agentPanel.swatch.style.background = place ? colorOf(index, place) : data.unknown;
   const rows = [];
   if (agent.truth >= 0) rows.push(["truth", swatch(data.behaviors[agent.truth].color), data.behaviors[agent.truth].name]);
-  const code = place ? mostLikely(belief) : -1;
-  if (code >= 0) rows.push(["predicted", swatch(data.behaviors[code].color), `${data.behaviors[code].name}, ${Math.round(100 * belief[code])} %`]);
+  const code = place ? mostLikely(belief) : -1, told = isTold(belief);
+  if (code >= 0 && !told) rows.push(["predicted", swatch(data.unknown), `unknown; nearest to ${data.behaviors[code].name}, ${Math.round(100 * belief[code])}\u00a0%`]);
+  else if (code >= 0) rows.push(["predicted", swatch(data.behaviors[code].color), `${data.behaviors[code].name}, ${Math.round(100 * belief[code])} %`]);
   else rows.push(["predicted", !place ? "not in sight" : data.kinds[agent.kind] === "pedestrian" ? "does not drive" : "not yet known"]);
   if (place) {
     rows.push(["speed", data.unit === "m" ? `${place.speed.toFixed(1)} m/s (${Math.round(3.6 * place.speed)} km/h)` : `${place.speed.toFixed(1)} ${data.unit}/s`]);

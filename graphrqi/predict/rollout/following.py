@@ -37,12 +37,12 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
     the most likely behaviour alone: with a classifier that is often wrong, the latter loses what
     knowing the behaviour gains. Who is unknown yet drives as the mean of all behaviours.
     """
-    return aware_with(scene, posterior.of(scene.ids), default_table())
+    return aware_with(scene, posterior.worth(scene.ids), default_table())
 
 
 def wary_following(scene: Scene, posterior: Posterior) -> Prediction:
     """`aware`, and conservative drivers keep away from neighbours believed to be aggressive."""
-    return wary_with(scene, posterior.of(scene.ids), default_table())
+    return wary_with(scene, posterior.worth(scene.ids), default_table())
 
 
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
@@ -106,7 +106,7 @@ def shuffled_posterior(scene: Scene, posterior: Posterior) -> Posterior:
     Who gets whose is the same whenever the same agents are present.
     """
     drives = np.flatnonzero(scene.history.kind != PEDESTRIAN)
-    probability = posterior.of(scene.ids)
+    probability = posterior.worth(scene.ids)
     rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in scene.ids[drives]])
     probability[drives] = probability[drives][rng.permutation(drives.size)]
     return Posterior(scene.ids, probability)

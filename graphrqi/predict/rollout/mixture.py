@@ -28,7 +28,7 @@ def behavior_mixture(scene: Scene, posterior: Posterior) -> Prediction:
     The probability of a future is the belief in its behaviour times the likelihood of the present
     acceleration if the driver were of that behaviour.
     """
-    return mixture_with(scene, posterior.of(scene.ids), default_table())
+    return mixture_with(scene, posterior.worth(scene.ids), default_table())
 
 
 def mixture_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:

@@ -1,0 +1,280 @@
+"""Adapt a model to a place, and say what that gained (``graphrqi adapt``)."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior, Style
+from experiments.console.progress import Progress
+from experiments.data.windows import measured
+from experiments.rows import Row
+from experiments.scoring.metrics import auc
+from graphrqi.adaptation import from_agreement, from_labels
+from graphrqi.methods import Model
+from graphrqi.model_files import check_model_folder, load_model, save_model
+from graphrqi.samples import NoSamplesError, Samples, collect
+from sim.store.dataset import Dataset, open_dataset
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+PAIR_S: Final = 10.0
+"""Length of the two stretches of a track whose answers are compared, s."""
+
+LABELLED: Final = (10, 30, 100)
+"""Numbers of labelled drivers that are reported."""
+
+SPLITS: Final = 20
+"""Random choices of the labelled drivers that are averaged."""
+
+LEAST_SCORED: Final = 10
+"""Fewest drivers beside the labelled ones on which a number is reported."""
+
+_AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])
+
+
+@dataclass(frozen=True, slots=True)
+class Drivers:
+    """Every driver of some recordings, at its last look.
+
+    Attributes:
+        names: (n,) the recording's own id of each.
+        features: (n, F) of its whole track.
+        pairs: (2, m, F) of two stretches of the tracks that are long enough.
+    """
+
+    names: tuple[str, ...]
+    features: FloatArray
+    pairs: FloatArray
+
+
+def drivers_of(dataset: Dataset, model: Model, quiet: bool = True) -> Drivers:
+    """Observe every driver of a dataset.
+
+    Raises:
+        InputError: if nobody is seen for long enough.
+    """
+    names: list[str] = []
+    features, firsts, lasts = [], [], []
+    episodes = dataset.manifest.episodes
+    with Progress("observing drivers", len(episodes), quiet) as progress:
+        for entry in episodes:
+            tracks = measured(dataset.read(entry))
+            unlabelled = np.zeros(tracks.ids.size, dtype=np.int8)  # any label: none is used
+            try:
+                found = collect(
+                    dataclasses.replace(tracks, behavior=unlabelled), model.observer(),
+                    windows_s=(PAIR_S, float("inf")),
+                )  # fmt: skip
+            except NoSamplesError:
+                found = None
+            if found is not None:
+                life = found.where(np.isinf(found.window_s))
+                ids, last = _ends(life, latest=True)
+                rows = np.searchsorted(tracks.ids, ids)
+                names += [tracks.names[row] for row in rows]
+                features.append(life.features[last])
+                first, second = _apart(found.where(found.window_s == PAIR_S))
+                firsts.append(first)
+                lasts.append(second)
+            progress.advance()
+    if not names:
+        raise InputError(f"{dataset.path}: found no driver seen for 1 s, expected at least one")
+    pairs = np.stack([np.concatenate(firsts), np.concatenate(lasts)])
+    return Drivers(
+        tuple(names), np.concatenate(features).astype(np.float64), pairs.astype(np.float64)
+    )
+
+
+def _ends(samples: Samples, latest: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Agents, ascending, and the row of each one's earliest or latest sample."""
+    order = np.lexsort((samples.time_s if not latest else -samples.time_s, samples.agent))
+    agents, first = np.unique(samples.agent[order], return_index=True)
+    return agents, order[first]
+
+
+def _apart(windows: Samples) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Features of each driver's first and last window, where these do not overlap."""
+    _, first = _ends(windows, latest=False)
+    _, last = _ends(windows, latest=True)
+    apart = windows.time_s[last] - windows.time_s[first] >= PAIR_S - 1e-6
+    return windows.features[first[apart]], windows.features[last[apart]]
+
+
+def read_labels(path: Path) -> dict[str, BoolArray]:
+    """Labels of drivers: which behaviours each one's label allows.
+
+    Args:
+        path: a CSV file with the columns ``name`` (the recording's own id of the driver) and
+            ``label`` (a behaviour, or a style).
+
+    Returns:
+        (6,) flags by name.
+
+    Raises:
+        InputError: if the file is not such a table; the message names the line.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            table = csv.DictReader(file, strict=True)
+            if set(table.fieldnames or ()) != {"name", "label"}:
+                raise InputError(
+                    f"{path}: found the columns {list(table.fieldnames or ())}, "
+                    "expected name, label"
+                )
+            found: dict[str, BoolArray] = {}
+            for row in table:
+                name, label = row["name"], row["label"]
+                if name in found:
+                    raise InputError(
+                        f"{path}: line {table.line_num}: found {name!r} twice, expected it once"
+                    )
+                found[name] = _allowed(path, table.line_num, label)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: found {error}, expected a CSV file in UTF-8") from None
+    if not found:
+        raise InputError(f"{path}: found no label, expected at least one")
+    return found
+
+
+def _allowed(path: Path, line: int, label: str | None) -> BoolArray:
+    for one in Style:
+        if label == one.value:
+            return np.array([behavior.style is one for behavior in BEHAVIORS])
+    try:
+        one_behavior = Behavior(label or "")
+        return np.array([behavior is one_behavior for behavior in BEHAVIORS])
+    except ValueError:
+        expected = ", ".join([*(s.value for s in Style), *(b.value for b in BEHAVIORS)])
+        raise InputError(
+            f"{path}: line {line}: label: found {label!r}, expected one of {expected}"
+        ) from None
+
+
+def adapt(
+    model: str | Path, recordings: Path, out: Path, labels: Path | None = None, quiet: bool = False
+) -> list[Row]:
+    """Adapt a model to the place of some recordings.
+
+    Args:
+        model: a shipped model's name or a folder.
+        recordings: folder of a dataset.
+        out: folder of the adapted model.
+        labels: labels of some drivers, see `read_labels`; None to use none.
+        quiet: whether to show no progress.
+
+    Returns:
+        Rows on what was found; with labels, how well other labelled drivers are told before and
+        after, and by a model that is trained on as many drivers from nothing.
+
+    Raises:
+        InputError: if too few drivers are seen or labelled, or ``out`` is not a model's folder.
+    """
+    trained = load_model(model)
+    check_model_folder(out)
+    given = None if labels is None else read_labels(labels)
+    drivers = drivers_of(open_dataset(recordings), trained, quiet)
+    rows: list[Row] = [{"what": "drivers", "value": len(drivers.names)}]
+    if given is None:
+        first, second = (trained.posterior(part) for part in drivers.pairs)
+        adaptation = from_agreement(first, second)
+        rows.append({"what": "drivers with two answers", "value": len(first)})
+    else:
+        features, allowed = _labelled(drivers, given, labels)
+        adaptation = from_labels(trained.posterior(features), allowed)
+        rows.append({"what": "labelled drivers", "value": len(features)})
+        rows += _gains(trained, features, allowed)
+    rows.append({"what": "scale", "value": adaptation.scale})
+    rows += [
+        {"what": f"offset of {behavior.value}", "value": float(offset)}
+        for behavior, offset in zip(BEHAVIORS, adaptation.offset, strict=True)
+        if offset
+    ]
+    card = {**trained.card, "adapted": {"drivers": len(drivers.names),
+            "labelled": 0 if given is None else len(features)}}  # fmt: skip
+    save_model(dataclasses.replace(trained, adaptation=adaptation, card=card), out)
+    return rows
+
+
+def _labelled(
+    drivers: Drivers, given: Mapping[str, BoolArray], path: Path | None
+) -> tuple[FloatArray, BoolArray]:
+    """Features and allowed behaviours of the drivers that have a label."""
+    chosen = [row for row, name in enumerate(drivers.names) if name in given]
+    missing = sorted(set(given) - set(drivers.names))
+    if missing:
+        raise InputError(
+            f"{path}: found labels of {len(missing)} names that no driver has, the first is "
+            f"{missing[0]!r}, expected names in the recordings"
+        )
+    return drivers.features[chosen], np.array([given[drivers.names[row]] for row in chosen])
+
+
+def _gains(model: Model, features: FloatArray, allowed: BoolArray) -> list[Row]:
+    """Scores on labelled drivers that were left out of a random choice of so many."""
+    known = model.posterior(features)
+    # Styles alone are compared: every label tells one, whether it names a behaviour or a style.
+    style: BoolArray = np.asarray(allowed[:, _AGGRESSIVE].any(axis=1))
+    rows: list[Row] = []
+    for count in LABELLED:
+        if len(features) < count + LEAST_SCORED:
+            continue
+        scores: dict[str, list[tuple[float, float, float]]] = {}
+        for split in range(SPLITS):
+            order = np.random.default_rng(split).permutation(len(features))
+            learned, scored = order[:count], order[count:]
+            if len(set(style[learned])) < 2 or len(set(style[scored])) < 2:
+                continue
+            adapted = from_labels(known[learned], allowed[learned]).applied(known[scored])
+            answers = {
+                "as it was": known[scored][:, _AGGRESSIVE].sum(axis=1),
+                "adapted": adapted[:, _AGGRESSIVE].sum(axis=1),
+                "trained from nothing": _from_nothing(features, style, learned, scored),
+            }
+            for name, probability in answers.items():
+                scores.setdefault(name, []).append(_scored(probability, style[scored]))
+        for name, found in scores.items():
+            accuracy, area, loss = np.mean(found, axis=0).tolist()
+            rows.append({
+                "what": f"{count} labelled drivers, {name}", "value": accuracy,
+                "style_auc": area, "log_loss": loss, "splits": len(found),
+            })  # fmt: skip
+    return rows
+
+
+def _scored(probability: FloatArray, style: BoolArray) -> tuple[float, float, float]:
+    """Balanced accuracy, area under the curve and logarithmic loss of the style."""
+    right = (probability > 0.5) == style
+    likelihood = np.clip(np.where(style, probability, 1.0 - probability), 1e-6, 1.0)
+    return (
+        0.5 * float(right[style].mean() + right[~style].mean()),
+        auc(probability, style.astype(np.float64)),
+        float(-np.log(likelihood).mean()),
+    )
+
+
+def _from_nothing(
+    features: FloatArray, style: BoolArray, learned: NDArray[np.int64], scored: NDArray[np.int64]
+) -> FloatArray:
+    """A logistic regression on the model's own features that sees the labelled drivers alone."""
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    regression = make_pipeline(StandardScaler(), LogisticRegression(C=0.01, max_iter=500))
+    regression.fit(features[learned], style[learned])
+    return np.asarray(regression.predict_proba(features[scored])[:, 1])
+
+
+def adapted_table(rows: Sequence[Row]) -> list[Row]:
+    """The rows of `adapt` for people."""
+    return [{k: f"{v:.3f}" if isinstance(v, float) else v for k, v in row.items()} for row in rows]

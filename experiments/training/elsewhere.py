@@ -1,0 +1,159 @@
+"""Train what a model knows of traffic elsewhere: on home, on home seen badly, and on worlds."""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.console.progress import Progress
+from experiments.data.parallel import in_parallel
+from experiments.data.windows import measured
+from experiments.data.worlds.sensor import Sensor, draw_sensor
+from experiments.scoring.metrics import score
+from experiments.scoring.models import majority_of
+from graphrqi.elsewhere import FOREIGN, HOME, Elsewhere, train_elsewhere
+from graphrqi.methods import make_observer
+from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples, collect
+from sim.frames import Tracks
+from sim.store.dataset import Dataset, open_dataset
+from sim.store.schema import EpisodeEntry, Split
+
+METHOD: Final = "graphrqi-relative"
+"""The method whose features answer elsewhere."""
+
+EVERY_S: Final = 4.0
+"""Time between the ends of training windows of one driver, s."""
+
+PER_MOMENT: Final = 2
+"""Window lengths drawn for each driver and moment."""
+
+MOST_SAMPLES: Final = {"home": 25_000, "home, seen badly": 45_000, "worlds": 110_000}
+"""Most samples of each part: worlds are most of the training, and home stays known. Twice as many
+would double the time of training for less than .005 of style accuracy."""
+
+
+def train_on_worlds(
+    home: Sequence[Dataset],
+    worlds: Sequence[Dataset],
+    seed: int = 0,
+    jobs: int | None = None,
+    quiet: bool = True,
+) -> Elsewhere:
+    """Train the classifiers of traffic that is not as at home, and the gate.
+
+    Home episodes are used twice: as they are, and through a sensor that is drawn at random.
+
+    Args:
+        home: datasets of usual traffic, with train and validation episodes.
+        worlds: datasets of worlds, with train and validation episodes.
+        seed: the same seed and data give the same answers.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        What was learned, with the data in its card.
+    """
+    found: dict[Split, list[tuple[str, Samples]]] = {"train": [], "validation": []}
+    for split, parts in found.items():
+        for part, datasets in (
+            ("home", home), ("home, seen badly", home), ("worlds", worlds),
+        ):  # fmt: skip
+            samples = _gathered(datasets, split, part, seed, jobs, quiet)
+            parts.append((part, _thinned(samples, MOST_SAMPLES[part], seed)))
+    training = Samples.join([samples for _, samples in found["train"]])
+    validation = Samples.join([samples for _, samples in found["validation"]])
+    kinds = [
+        np.concatenate([np.full(len(s), kind, dtype=np.int8) for kind, (_, s) in enumerate(parts)])
+        for parts in found.values()
+    ]
+    card = {
+        "data": {
+            kind: [dict(dataset.manifest.configuration) for dataset in datasets]
+            for kind, datasets in (("home", home), ("worlds", worlds))
+        },
+        "training_windows": {part: len(samples) for part, samples in found["train"]},
+    }
+    learned = train_elsewhere(training, validation, (kinds[0], kinds[1]), seed, card)
+    if not any(dataset.episodes("test") for dataset in worlds):
+        return learned
+    test = _gathered(worlds, "test", "worlds", seed, jobs, quiet)
+    scores = _scores(learned, test.where(np.isinf(test.window_s)), majority_of(training))
+    return dataclasses.replace(learned, card={**card, "scores": scores})
+
+
+def _scores(learned: Elsewhere, life: Samples, majority: int) -> dict[str, Any]:
+    """Scores on drivers of worlds that were not trained on, each seen since it appeared."""
+    features = life.features.astype(np.float64)
+    kinds = learned.kinds(features)
+    kinds[:, FOREIGN] += kinds[:, HOME]  # what home's own classifier would answer
+    kinds[:, HOME] = 0.0
+    answer = learned.answers(features, kinds)
+    found = score(life.codes, answer, life.episode, majority, "test")
+    return {name: value.as_dict() for name, value in found.items()}
+
+
+def _gathered(
+    datasets: Sequence[Dataset], split: Split, part: str, seed: int, jobs: int | None, quiet: bool
+) -> Samples:
+    """Samples of the episodes of a split; no two datasets' or parts' episodes share a number."""
+    arguments = [
+        (dataset.path, entry, part, seed)
+        for dataset in datasets
+        for entry in dataset.episodes(split)
+    ]
+    parts: list[Samples] = []
+    with Progress(f"{part}: observing {split} episodes", len(arguments), quiet) as progress:
+        for samples in in_parallel(_observed, arguments, jobs):
+            if samples is not None:
+                parts.append(samples)
+            progress.advance()
+    return Samples.join(parts)
+
+
+def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Samples | None:
+    """Samples of one episode; None where nobody is seen for long enough."""
+    number = zlib.crc32(f"{part} {entry.id}".encode())
+    rng = np.random.default_rng([seed, number])
+    tracks = measured(open_dataset(folder).read(entry))
+    if part == "home, seen badly":
+        tracks = seen_badly(tracks, rng)
+    try:
+        return collect(
+            tracks, make_observer(METHOD), number, WINDOWS_S, EVERY_S, PER_MOMENT, seed + number
+        )
+    except NoSamplesError:
+        return None
+
+
+def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:
+    """Tracks as a sensor that is drawn at random sees them, in metres.
+
+    Args:
+        tracks: at a steady frame rate.
+        rng: source of the sensor and of its errors.
+
+    Returns:
+        Every so many frames, with noise, losses and turned axes.
+    """
+    sensor: Sensor = dataclasses.replace(draw_sensor(rng), pixels_per_m=0.0)
+    every = max(1, round(sensor.step_s / tracks.step_s))
+    fewer = tracks.part(np.arange(tracks.ids.size), np.arange(0, tracks.time_s.size, every))
+    return sensor.seen(fewer, rng)
+
+
+def _thinned(samples: Samples, most: int, seed: int) -> Samples:
+    """At most so many samples, drawn so that long and crowded episodes do not outweigh others."""
+    if len(samples) <= most:
+        return samples
+    _, episode, count = np.unique(samples.episode, return_inverse=True, return_counts=True)
+    share: NDArray[np.float64] = 1.0 / np.sqrt(count[episode])
+    kept = np.zeros(len(samples), dtype=bool)
+    rng = np.random.default_rng(seed)
+    kept[rng.choice(len(samples), most, replace=False, p=share / share.sum())] = True
+    return samples.where(kept)

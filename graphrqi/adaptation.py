@@ -1,0 +1,154 @@
+"""Adapts a model's answers to a place, from a few labelled drivers or from none.
+
+The answers of a model in foreign traffic rank drivers well and are offset as a whole: a place where
+everybody drives close looks aggressive. An `Adaptation` therefore keeps the ranking and moves the
+probabilities: it multiplies their logarithms by a scale and adds an offset for each behaviour. With
+labels, both are fitted by penalised likelihood: few drivers move them little. Without labels, only
+the scale is found, from how far two answers about one driver agree; an offset cannot be seen
+without a label, since a place with many aggressive drivers looks the same.
+
+References:
+    Guo, Pleiss, Sun, Weinberger (2017), On calibration of modern neural networks, ICML: vector
+    scaling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Style
+from graphrqi.classify.softmax import FLOOR, softmax
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+OFFSET_SD: Final = 1.0
+"""Standard deviation of the offsets before any label, in logarithms of odds: places differ by a
+factor of three or so."""
+
+SCALE_SD: Final = 0.5
+"""Standard deviation of the scale's logarithm before any label."""
+
+LEAST_PAIRS: Final = 10
+"""Fewest drivers with two answers from which a scale is found without labels."""
+
+SCALES: Final = np.geomspace(0.1, 2.0, 61)
+"""Scales that are tried without labels."""
+
+_AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
+
+
+@dataclass(frozen=True, slots=True)
+class Adaptation:
+    """What is done to a model's probabilities at a place.
+
+    Attributes:
+        scale: factor of their logarithms; less than 1 makes answers less certain.
+        offset: (6,) is added to the logarithm of each behaviour's.
+
+    Examples:
+        >>> Adaptation(1.0, np.log([3.0, 1, 1, 1, 1, 1])).applied(np.full((1, 6), 1 / 6)).round(3)
+        array([[0.375, 0.125, 0.125, 0.125, 0.125, 0.125]])
+    """
+
+    scale: float
+    offset: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InputError: if the scale is not positive, or there is not one finite offset a behaviour.
+        """
+        offset = np.asarray(self.offset, dtype=np.float64)
+        if not (np.isfinite(self.scale) and self.scale > 0.0):
+            raise InputError(f"scale: found {self.scale}, expected a positive number")
+        if offset.shape != (len(BEHAVIORS),) or not np.isfinite(offset).all():
+            raise InputError(f"offset: found {offset.tolist()}, expected 6 finite numbers")
+        object.__setattr__(self, "offset", offset)
+
+    def applied(self, probability: FloatArray) -> FloatArray:
+        """(n, 6) probabilities at the place, from the model's (n, 6)."""
+        return softmax(self.scale * np.log(np.maximum(probability, FLOOR)) + self.offset)
+
+
+def from_labels(probability: FloatArray, allowed: BoolArray) -> Adaptation:
+    """Fit scale and offsets to labelled drivers.
+
+    Args:
+        probability: (n, 6) the model's answer for each driver.
+        allowed: (n, 6) the behaviours that a driver's label allows: one, or those of a style.
+
+    Returns:
+        The adaptation of the largest posterior probability.
+
+    Examples:
+        Nine of ten drivers that look like either style are conservative:
+
+        >>> p, style = np.full((10, 6), 1 / 6), np.array([True] * 3 + [False] * 3)
+        >>> allowed = np.where(np.arange(10)[:, None] == 0, style, ~style)
+        >>> found = from_labels(p, allowed)
+        >>> round(float(found.applied(p)[0, :3].sum()), 1)
+        0.3
+    """
+    from scipy.optimize import minimize
+
+    log_p = np.log(np.maximum(probability, FLOOR))
+
+    def loss(numbers: FloatArray) -> float:
+        answer = softmax(np.exp(numbers[0]) * log_p + numbers[1:])
+        right = np.maximum((answer * allowed).sum(axis=1), 1e-12)
+        prior = (numbers[0] / SCALE_SD) ** 2 + ((numbers[1:] / OFFSET_SD) ** 2).sum()
+        return float(0.5 * prior - np.log(right).sum())
+
+    found = minimize(loss, np.zeros(1 + len(BEHAVIORS)), method="BFGS").x
+    return Adaptation(float(np.exp(found[0])), found[1:])
+
+
+def from_agreement(first: FloatArray, second: FloatArray) -> Adaptation:
+    """Find how certain answers may be, from two answers about each driver.
+
+    If the answers were calibrated and their errors independent, the styles that two answers p and q
+    name would agree with the mean of p q + (1 - p)(1 - q). The scale makes what is expected equal
+    to how often they do agree.
+
+    Args:
+        first: (n, 6) answers from one stretch of each driver's track.
+        second: (n, 6) from another.
+
+    Returns:
+        An adaptation without offsets.
+
+    Raises:
+        InputError: if there are fewer than `LEAST_PAIRS` drivers.
+    """
+    if len(first) < LEAST_PAIRS:
+        raise InputError(
+            f"recordings: found {len(first)} drivers that are seen long enough for two answers, "
+            f"expected at least {LEAST_PAIRS}"
+        )
+    agreed = ((_style(first) > 0.5) == (_style(second) > 0.5)).mean()
+    best, least = 1.0, np.inf
+    for scale in SCALES:
+        adaptation = Adaptation(float(scale), np.zeros(len(BEHAVIORS)))
+        p, q = (_sure(adaptation.applied(answers)) for answers in (first, second))
+        missed = abs(float((p * q + (1.0 - p) * (1.0 - q)).mean()) - agreed)
+        if missed < least:
+            best, least = float(scale), missed
+    return Adaptation(best, np.zeros(len(BEHAVIORS)))
+
+
+def _style(probability: FloatArray) -> FloatArray:
+    """(n,) probability that a driver is aggressive."""
+    return np.asarray(probability[:, _AGGRESSIVE].sum(axis=1))
+
+
+def _sure(probability: FloatArray) -> FloatArray:
+    """(n,) probability of the likelier style."""
+    style = _style(probability)
+    return np.asarray(np.maximum(style, 1.0 - style))

@@ -1,0 +1,143 @@
+"""What is usual in a scene: running means and deviations, and the usual speed of each place.
+
+Traffic differs from place to place more than drivers of one place differ: limits, laws of driving,
+weather and measuring change everybody's numbers. A driver is therefore also compared with what is
+usual around it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+MEMORY_S: Final = 300.0
+"""Time constant of the exponential forgetting, s; many drivers pass meanwhile."""
+
+LEAST_DRIVER_S: Final = 20.0
+"""Seconds of observation, summed over drivers, before something counts as usual."""
+
+CELL_M: Final = 15.0
+"""Side of the squares in which speeds are averaged: three car lengths."""
+
+SECTORS: Final = 8
+"""Directions of travel that are kept apart in a square."""
+
+TABLE: Final = 1 << 14
+"""Places that are remembered; two places that share an entry by chance are averaged."""
+
+LEAST_PLACE_S: Final = 2.0
+"""Seconds of observation of a place before its usual speed is given."""
+
+
+class UsualValues:
+    """Running mean and standard deviation over all drivers of some quantities.
+
+    Args:
+        least_deviation: (Q,) the smallest standard deviation of each.
+
+    Examples:
+        >>> usual = UsualValues(np.array([0.1]))
+        >>> values, holds = np.array([[1.0, 3.0]]), np.array([[True, True]])
+        >>> for step in range(60):
+        ...     standardised = usual.update(step * 0.5, values, holds)
+        >>> standardised.round(2)
+        array([[-1.,  1.]])
+    """
+
+    def __init__(self, least_deviation: FloatArray) -> None:
+        self._least = least_deviation
+        self._sums = np.zeros((3, least_deviation.size))
+        self._time_s: float | None = None
+
+    def update(self, time_s: float, values: FloatArray, holds: BoolArray) -> FloatArray:
+        """Add one moment, and compare each value with what is usual.
+
+        Args:
+            time_s: later than at the call before.
+            values: (Q, n); NaN where unknown.
+            holds: (Q, n) whether a value counts.
+
+        Returns:
+            (Q, n) distances from the mean in standard deviations, clipped at 4; NaN until enough
+            was observed.
+        """
+        step_s = 0.0 if self._time_s is None else time_s - self._time_s
+        self._time_s = time_s
+        counted = holds & ~np.isnan(values)
+        known = np.where(counted, values, 0.0)
+        self._sums *= np.exp(-step_s / MEMORY_S)
+        self._sums += step_s * np.stack(
+            [counted.sum(axis=1), known.sum(axis=1), (known * known).sum(axis=1)]
+        )
+        mean, deviation = self.moments
+        return np.clip((values - mean[:, None]) / deviation[:, None], -4.0, 4.0)
+
+    @property
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        """(Q,) means and (Q,) standard deviations; NaN until enough was observed."""
+        seconds = np.where(self._sums[0] >= LEAST_DRIVER_S, self._sums[0], np.nan)
+        mean = self._sums[1] / seconds
+        variance = np.maximum(self._sums[2] / seconds - mean * mean, 0.0)
+        return mean, np.maximum(np.sqrt(variance), self._least)
+
+
+class PlaceSpeeds:
+    """Running mean of the speed of those that pass a place in one direction.
+
+    Examples:
+        >>> places = PlaceSpeeds()
+        >>> xy, velocity = np.zeros((2, 2)), np.array([[10.0, 0.0], [14.0, 0.0]])
+        >>> for step in range(9):
+        ...     usual = places.update(step * 0.5, xy, velocity, np.ones(2, dtype=bool))
+        >>> usual.round(6)
+        array([12., 12.])
+    """
+
+    def __init__(self) -> None:
+        self._seconds = np.zeros(TABLE)
+        self._metres = np.zeros(TABLE)
+        self._time_s: float | None = None
+
+    def update(
+        self, time_s: float, xy: FloatArray, velocity: FloatArray, counts: BoolArray
+    ) -> FloatArray:
+        """Add one moment, and give the usual speed at each position.
+
+        Args:
+            time_s: later than at the call before.
+            xy: (n, 2) m.
+            velocity: (n, 2) m/s.
+            counts: (n,) whether each counts; the others are only answered.
+
+        Returns:
+            (n,) m/s before this moment was added; NaN where the place was hardly seen.
+        """
+        step_s = 0.0 if self._time_s is None else time_s - self._time_s
+        self._time_s = time_s
+        kept = np.exp(-step_s / MEMORY_S)
+        self._seconds *= kept
+        self._metres *= kept
+        at = _entries(xy, velocity)
+        seconds = self._seconds[at]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            usual = np.where(seconds >= LEAST_PLACE_S, self._metres[at] / seconds, np.nan)
+        passed = at[counts]
+        np.add.at(self._seconds, passed, step_s)
+        np.add.at(self._metres, passed, step_s * np.hypot(*velocity[counts].T))
+        return usual
+
+
+def _entries(xy: FloatArray, velocity: FloatArray) -> IntArray:
+    """(n,) entries of the table for positions and directions of travel."""
+    cell = np.floor(xy / CELL_M).astype(np.int64)
+    angle = np.arctan2(velocity[:, 1], velocity[:, 0])
+    sector = np.floor(angle / (2.0 * np.pi) * SECTORS + 0.5).astype(np.int64) % SECTORS
+    # Large odd factors spread neighbouring squares over the table (multiplicative hashing).
+    mixed = cell[:, 0] * 73856093 ^ cell[:, 1] * 19349663 ^ sector * 83492791
+    return np.asarray(mixed % TABLE)

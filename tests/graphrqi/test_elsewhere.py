@@ -1,0 +1,137 @@
+"""Answers elsewhere: the gate, the range, and what is saved."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from graphrqi.adaptation import Adaptation, from_agreement, from_labels
+from graphrqi.elsewhere import FOREIGN, SEEN_BADLY, train_elsewhere
+from graphrqi.features.relative import SCENE_NAMES, RelativeObserver
+from graphrqi.methods import Model
+from graphrqi.model_files import load_model, save_model
+from graphrqi.samples import Samples
+
+F = len(RelativeObserver.feature_names)
+SCENE = slice(-1 - len(SCENE_NAMES), -1)
+
+
+def made(n: int, kind: int, seed: int) -> Samples:
+    """Samples whose first feature tells the class, and whose scenes tell their kind."""
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(0, 6, n).astype(np.int8)
+    features = rng.normal(0.0, 1.0, (n, F)).astype(np.float32)
+    features[:, 0] = codes + rng.normal(0.0, 0.3, n)
+    features[:, SCENE] = rng.normal(5.0 * kind, 1.0, (n, len(SCENE_NAMES)))
+    return Samples(
+        features=features, codes=codes, episode=np.full(n, seed), agent=np.arange(n),
+        time_s=np.arange(n, dtype=float), seconds=np.full(n, 10.0), window_s=np.full(n, 10.0),
+        moving=np.ones(n, dtype=bool),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def elsewhere():
+    training = Samples.join([made(1200, kind, kind) for kind in range(3)])
+    validation = Samples.join([made(200, kind, 10 + kind) for kind in range(3)])
+    kinds = np.arange(3, dtype=np.int8)
+    return train_elsewhere(training, validation, (kinds.repeat(1200), kinds.repeat(200)))
+
+
+@pytest.mark.parametrize("kind", range(3))
+def test_the_gate_tells_the_kind_of_traffic(elsewhere, kind):
+    found = elsewhere.kinds(made(200, kind, 4 + kind).features.astype(float))
+    assert np.allclose(found.sum(axis=1), 1.0)
+    assert (found.argmax(axis=1) == kind).mean() > 0.95
+
+
+@pytest.mark.parametrize("kind", [SEEN_BADLY, FOREIGN])
+def test_it_answers_as_far_as_the_traffic_is_not_as_at_home(elsewhere, kind):
+    away = made(200, kind, 6)
+    features = away.features.astype(float)
+    kinds = elsewhere.kinds(features)
+    answer = elsewhere.answers(features, kinds)
+    assert np.allclose(answer.sum(axis=1), 1.0 - kinds[:, 0])
+    assert (answer.argmax(axis=1) == away.codes).mean() > 0.6
+
+
+def test_far_outside_the_training_nothing_is_known(elsewhere):
+    far = made(50, FOREIGN, 7).features.astype(float)
+    far[:, SCENE] += 100.0
+    kinds = elsewhere.kinds(far)
+    assert (kinds[:, FOREIGN] == 1.0).all()
+    assert np.allclose(elsewhere.answers(far, kinds), 1.0 / len(BEHAVIORS))
+
+
+def test_every_kind_of_traffic_is_needed():
+    with pytest.raises(InputError, match="kinds: found \\[2\\]"):
+        train_elsewhere(made(100, FOREIGN, 8), None, (np.full(100, FOREIGN, np.int8), None))
+
+
+def test_a_saved_model_answers_as_before(elsewhere, tmp_path):
+    home = load_model("graphrqi-plus")
+    model = dataclasses.replace(
+        home, elsewhere=elsewhere, adaptation=Adaptation(0.5, np.arange(6.0))
+    )
+    save_model(model, tmp_path / "model")
+    again: Model = load_model(tmp_path / "model")
+    width = len(again.observer().feature_names)
+    features = np.zeros((400, width))
+    features[:, -F:] = np.concatenate([made(200, 0, 9).features, made(200, 2, 10).features])
+    assert np.allclose(again.posterior(features), model.posterior(features), atol=1e-6)
+    assert again.adaptation is not None
+    assert np.allclose(again.domain(features), model.domain(features))
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        ("elsewhere/elsewhere.json", {"features": ["speed"]}, "another version"),
+        ("elsewhere/elsewhere.json", {"more": 1}, "more"),
+        ("adaptation.json", {"scale": -1.0}, "scale: found -1"),
+        ("adaptation.json", {"offset": [0.0]}, "expected 6 finite numbers"),
+    ],
+)
+def test_a_changed_file_is_refused_by_name(elsewhere, tmp_path, file, change, said):
+    home = load_model("graphrqi-plus")
+    model = dataclasses.replace(home, elsewhere=elsewhere, adaptation=Adaptation(1.0, np.zeros(6)))
+    save_model(model, tmp_path / "model")
+    path = tmp_path / "model" / file
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InputError, match=said) as error:
+        load_model(tmp_path / "model")
+    assert str(path) in str(error.value)
+
+
+def test_labels_move_an_offset_and_keep_the_order():
+    rng = np.random.default_rng(0)
+    aggressive = rng.random(200) < 0.3
+    # The model ranks styles well and takes everybody for more aggressive than they are.
+    odds = np.where(aggressive, 4.0, 1.0) + rng.normal(0.0, 0.7, 200)
+    p = 1.0 / (1.0 + np.exp(-odds))
+    answer = np.concatenate(
+        [np.repeat(p[:, None] / 3, 3, 1), np.repeat((1 - p)[:, None] / 3, 3, 1)], 1
+    )
+    style = np.arange(6) < 3
+    allowed = np.where(aggressive[:, None], style, ~style)
+    few = from_labels(answer[:30], allowed[:30])
+    before = ((answer[30:, :3].sum(axis=1) > 0.5) == aggressive[30:]).mean()
+    moved = few.applied(answer[30:])[:, :3].sum(axis=1)
+    assert before < 0.5
+    assert ((moved > 0.5) == aggressive[30:]).mean() > 0.8
+    assert (np.argsort(moved) == np.argsort(answer[30:, :3].sum(axis=1))).all()
+
+
+def test_answers_that_disagree_become_less_certain():
+    rng = np.random.default_rng(0)
+    sure = np.where(rng.random((300, 1)) < 0.5, 0.97, 0.03)
+    other = np.where(rng.random((300, 1)) < 0.5, 0.97, 0.03)
+    spread = [np.concatenate([np.repeat(p / 3, 3, 1), np.repeat((1 - p) / 3, 3, 1)], 1)
+              for p in (sure, other)]  # fmt: skip
+    assert from_agreement(spread[0], spread[1]).scale < 0.3
+    assert from_agreement(spread[0], spread[0]).scale >= 1.0
+    with pytest.raises(InputError, match="expected at least 10"):
+        from_agreement(spread[0][:3], spread[1][:3])
