@@ -16,7 +16,7 @@ from behaviors.errors import InputError
 from experiments.report.run_file import Metrics, read_run
 from experiments.report.source import read_source
 from experiments.rows import read_rows
-from graphrqi.methods import MODELS, load_model
+from graphrqi.model_files import MODELS, load_model
 from graphrqi.predict.networks.perceptron import load_perceptron, weights_file
 from sim.store.catalogue import finished_episode
 
