@@ -27,7 +27,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.classify import Classifier, make_classifier, restore_classifier
 from graphrqi.classify.checks import saved
 from graphrqi.classify.contract import CodeArray
-from graphrqi.features.relative import SCENE_NAMES, RelativeObserver
+from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.samples import Samples
 
 FloatArray = NDArray[np.float64]

@@ -24,7 +24,7 @@ from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
 from graphrqi.features.home_and_relative import HomeAndRelativeObserver
 from graphrqi.features.observer import Observer
-from graphrqi.features.relative import RelativeObserver
+from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.features.spectrum_observers import (
     EigenvectorObserver,
     NullObserver,

@@ -23,7 +23,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation
 from graphrqi.classify import Classifier, restore_classifier
 from graphrqi.elsewhere import Elsewhere
-from graphrqi.features.relative import RelativeObserver
+from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import METHODS, Method, Model
 from graphrqi.spectrum import SOLVERS
 from sim.invalid_fields import first_wrong_field

@@ -21,7 +21,7 @@ from behaviors.errors import InputError
 from graphrqi.classify.boosted import Boosted
 from graphrqi.classify.checks import saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
-from graphrqi.classify.softmax import softmax
+from graphrqi.classify.softmax import NEVER, softmax
 from graphrqi.classify.standardisation import Standardisation
 
 Layers = list[tuple[FloatArray, FloatArray]]
@@ -78,7 +78,8 @@ class Averaged:
         values = self._inputs.apply(features)
         for number, (weight, bias) in enumerate(self._layers):
             values = (np.maximum(values, 0.0) if number else values) @ weight + bias
-        return 0.5 * (self._trees.posterior(features) + softmax(values / self._temperature))
+        values = np.where(self._trees.trained, values / self._temperature, NEVER)
+        return 0.5 * (self._trees.posterior(features) + softmax(values))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The trees' arrays, and the perceptron's in single precision."""

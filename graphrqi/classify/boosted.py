@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
+from graphrqi.classify.ensembles.trees import QuickScorer, Trees
 from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
-from graphrqi.classify.trees import QuickScorer, Trees
 
 PATIENCE: Final = 30
 """Growing stops after this many rounds without a smaller validation loss."""
@@ -93,7 +93,7 @@ class Boosted:
         )
         if validation is not None:
             found = self._untempered(validation[0])
-            self._temperature = best_temperature(found, validation[1], self._trained())
+            self._temperature = best_temperature(found, validation[1], self.trained)
 
     def _keep(self, trees: Trees) -> None:
         self._trees = trees
@@ -102,12 +102,14 @@ class Boosted:
     def _untempered(self, features: FloatArray) -> FloatArray:
         return softmax(self._evaluator.total(features, self._num_classes) + self._baseline)
 
-    def _trained(self) -> NDArray[np.bool_]:
+    @property
+    def trained(self) -> NDArray[np.bool_]:
+        """(C,) whether each class occurred in training."""
         return self._baseline > NEVER
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
-        return tempered(self._untempered(features), self._temperature, self._trained())
+        return tempered(self._untempered(features), self._temperature, self.trained)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Nodes, baseline and temperature."""

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from graphrqi.classify.checks import of_trained_classes, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
+from graphrqi.classify.ensembles.trees import Trees
 from graphrqi.classify.softmax import best_temperature, tempered
-from graphrqi.classify.trees import Trees
 
 
 class Forest:

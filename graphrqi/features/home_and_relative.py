@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.features.observer import Observation, Observer
-from graphrqi.features.relative import RelativeObserver
+from graphrqi.features.relative.observer import RelativeObserver
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

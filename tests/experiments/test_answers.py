@@ -87,7 +87,7 @@ def test_classifying_ends_with_totals_per_split(data, tmp_path, capsys) -> None:
         parts = [r for r in rows if r["split"] == split and r["episode"] != "all"]
         assert total["drivers"] == sum(r["drivers"] for r in parts)
         assert total["right_at_end"] == sum(r["right_at_end"] for r in parts)
-        assert total["drivers"] == sum(total[b.value] for b in BEHAVIORS)
+        assert total["drivers"] == sum(total[b.value] for b in BEHAVIORS) + total["unknown"]
         assert 1 / 6 < total["confidence"] <= 1.0
 
 
@@ -100,7 +100,7 @@ def test_labels_carry_names_beside_hashes(tmp_path) -> None:
     assert set(table["recording"].to_pylist()) == {"argo7_tracks"}
     assert set(table["name"].to_pylist()) == {"0", "1"}
     assert table["truth"].null_count == table.num_rows
-    assert set(table["style"].to_pylist()) <= {"aggressive", "conservative"}
+    assert set(table["style"].to_pylist()) <= {"aggressive", "conservative", None}
     wanted = tmp_path / "predictions.parquet"
     names = ["--predictors", "constant-velocity", "--horizon-s", 1, "--out", wanted, "-q"]
     assert call("predict", tmp_path / "argo7_tracks.csv", *names) == 0

@@ -10,7 +10,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation, from_agreement, from_labels
 from graphrqi.elsewhere import FOREIGN, SEEN_BADLY, train_elsewhere
-from graphrqi.features.relative import SCENE_NAMES, RelativeObserver
+from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
 from graphrqi.samples import Samples

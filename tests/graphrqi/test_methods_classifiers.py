@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.classify import CLASSIFIERS, make_classifier, restore_classifier
+from graphrqi.classify.ensembles.trees import QuickScorer, Trees
 from graphrqi.classify.softmax import best_temperature, tempered
-from graphrqi.classify.trees import QuickScorer, Trees
 
 SMALL: dict[str, dict[str, object]] = {
     "boosted": {"rounds": 20, "min_leaf": 5},

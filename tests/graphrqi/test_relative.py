@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graphrqi.features.relative import SCENE_NAMES, RelativeObserver
+from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.scenario import sample_agents

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graphrqi.features.smooth_motion import LEAST_HALF_S, MOST_HALF_S, SmoothMotion
+from graphrqi.features.relative.smooth_motion import LEAST_HALF_S, MOST_HALF_S, SmoothMotion
 
 IDS = np.array([3, 8])
 

@@ -133,7 +133,7 @@ class Trees:
 
     def total(self, features: FloatArray, sums: int) -> FloatArray:
         """(n, sums) sums over all trees of the leaves that samples (n, F) fall into."""
-        from graphrqi.classify.tree_kernel import sum_of_leaves
+        from graphrqi.classify.ensembles.tree_kernel import sum_of_leaves
 
         out = np.zeros((len(features), sums))
         sum_of_leaves(
@@ -276,7 +276,7 @@ class QuickScorer:
 
     def total(self, features: FloatArray, sums: int) -> FloatArray:
         """(n, sums) as `Trees.total`."""
-        from graphrqi.classify.tree_kernel import WIDTH, sum_of_first_leaves
+        from graphrqi.classify.ensembles.tree_kernel import WIDTH, sum_of_first_leaves
 
         n, width = features.shape
         every = np.zeros((-(-n // WIDTH), WIDTH, width), dtype=np.float32)

@@ -123,7 +123,7 @@ def sum_of_leaves(
     value: NDArray[np.float32],
     out: NDArray[np.float64],
 ) -> None:
-    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.Trees`.
+    """Add up the leaves that each sample falls into; see `graphrqi.classify.ensembles.trees.Trees`.
 
     Every sample takes as many steps in a tree as the tree is deep (a leaf leads to itself), and a
     batch of samples takes each step together: there are no branches to predict, and the steps of
@@ -169,7 +169,9 @@ def sum_of_first_leaves(
     column: NDArray[np.uint64],
     out: NDArray[np.float64],
 ) -> None:
-    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.QuickScorer`.
+    """Add up the leaves that each sample falls into.
+
+    See `graphrqi.classify.ensembles.trees.QuickScorer`.
 
     Args:
         features: (K * F, 64) of K batches of 64 samples, feature by feature.

@@ -1,7 +1,7 @@
 """The observer for traffic of unknown kind: what drivers do, relative to their scene.
 
-It measures smoothed motion (`graphrqi.features.smooth_motion`) some times a second, and describes
-each driver by ratios: its headways, its speed over that of its neighbours, of its place and of free
+It measures smoothed motion (`graphrqi.features.relative.smooth_motion`) some times a second, and
+describes each driver by ratios: its headways, its speed over that of its neighbours, of its place and of free
 drivers, its accelerations, and all of these again in standard deviations from the scene's mean. No
 absolute speed, no turning and no counts of lane changes are used: these differ more between roads
 and rules of driving than between drivers. `SCENE_NAMES` are numbers of the whole scene.
@@ -20,8 +20,8 @@ from graphrqi.features import following_law
 from graphrqi.features.free_flow import FreeFlowSpeed
 from graphrqi.features.interaction import Interaction, interactions
 from graphrqi.features.observer import Observation, RunningSums
-from graphrqi.features.scene_statistics import PlaceSpeeds, UsualValues
-from graphrqi.features.smooth_motion import SmoothedMotion, SmoothMotion
+from graphrqi.features.relative.scene_statistics import PlaceSpeeds, UsualValues
+from graphrqi.features.relative.smooth_motion import SmoothedMotion, SmoothMotion
 from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
 

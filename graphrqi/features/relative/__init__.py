@@ -1,0 +1,1 @@
+"""Features for traffic of unknown kind: smoothed motion, and drivers relative to their scene."""
