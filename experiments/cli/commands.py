@@ -236,8 +236,7 @@ def classify(
     if str(json) != "-":
         show_table(episodes_table(rows), title="drivers by their last answer")
         show_table(totals_table(rows), title="in all")
-    notice = foreign_notice(rows)
-    if notice is not None:
+    if notice := foreign_notice(rows):
         typer.echo(notice, err=True)
 
 

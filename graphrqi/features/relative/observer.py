@@ -1,10 +1,11 @@
 """The observer for traffic of unknown kind: what drivers do, relative to their scene.
 
 It measures smoothed motion (`graphrqi.features.relative.smooth_motion`) some times a second, and
-describes each driver by ratios: its headways, its speed over that of its neighbours, of its place and of free
-drivers, its accelerations, and all of these again in standard deviations from the scene's mean. No
-absolute speed, no turning and no counts of lane changes are used: these differ more between roads
-and rules of driving than between drivers. `SCENE_NAMES` are numbers of the whole scene.
+describes each driver by ratios: its headways, its speed over that of its neighbours, of its place
+and of free drivers, its accelerations, and all of these again in standard deviations from the
+scene's mean. No absolute speed, no turning and no counts of lane changes are used: these differ
+more between roads and rules of driving than between drivers. `SCENE_NAMES` are numbers of the
+whole scene.
 """
 
 from __future__ import annotations
