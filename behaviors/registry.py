@@ -10,7 +10,7 @@ import importlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, overload
 
 from behaviors.errors import InputError, lookup
 
@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
+D = TypeVar("D")
 
 
 class Registry(Mapping[str, T], Generic[T]):
     """Things by name: those of this package, then those of installed plugins.
 
     Looking at the names loads nothing. Asking for an unknown name is an `InputError` that suggests
-    the nearest one. Entries can be set and deleted to try something out in one process.
+    the nearest one; `get` returns a default instead. Entries can be set and deleted to try something out in one process.
 
     Args:
         what: what the registry holds, in the singular ("solver"); used in messages.
@@ -78,6 +79,16 @@ class Registry(Mapping[str, T], Generic[T]):
     def __contains__(self, name: object) -> bool:
         """Whether there is an entry of that name; nothing is imported."""
         return name in self._entries or name in self._plugins()
+
+    @overload
+    def get(self, name: str, /) -> T | None: ...
+
+    @overload
+    def get(self, name: str, /, default: T | D) -> T | D: ...
+
+    def get(self, name: str, /, default: object = None) -> object:
+        """The entry of that name, or the default if there is none."""
+        return self[name] if name in self else default  # noqa: SIM401  it would call itself
 
     def __setitem__(self, name: str, entry: T) -> None:
         """Set an entry in this process."""

@@ -57,6 +57,11 @@ def test_terms_are_explained_once() -> None:
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda p: p.relative_to(ROOT / "docs").as_posix())
+def test_a_page_says_at_its_top_what_it_is_for(page: Path) -> None:
+    assert re.match(r"# [^\n]+\n\nThis page is for [^\n]+", page.read_text())
+
+
 @pytest.mark.parametrize("page", PAGES, ids=[p.relative_to(ROOT).as_posix() for p in PAGES])
 def test_the_names_on_a_page_exist(page: Path) -> None:
     text = page.read_text()

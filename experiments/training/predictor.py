@@ -128,7 +128,7 @@ def calibrate_drivers(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Told:
+class BeliefExamples:
     """The same examples with what the classifier believes, with no beliefs, and with others'.
 
     Drawn anew for every epoch, so that a network learns how far to trust beliefs.
@@ -146,7 +146,7 @@ class Told:
     instant: IntArray
 
     @classmethod
-    def join(cls, parts: list[Told]) -> Told:
+    def join(cls, parts: list[BeliefExamples]) -> BeliefExamples:
         """One after the other."""
         ends = np.cumsum([part.instant.max() + 1 for part in parts])
         return cls(
@@ -172,7 +172,7 @@ class Told:
 
 def examples_of(
     folder: Path, entry: EpisodeEntry, model: str, every_s: float
-) -> tuple[Told, Examples]:
+) -> tuple[BeliefExamples, Examples]:
     """What learned predictors are trained on, from one episode: with labels and without.
 
     Beliefs are the classifier's own.
@@ -183,7 +183,7 @@ def examples_of(
         raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to train on")
     table = default_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
-    told: list[list[Examples]] = [[], [], []]
+    by_belief: list[list[Examples]] = [[], [], []]
     label_free = []
     for stop, posterior in beliefs(tracks, load_model(model), stops).items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
@@ -202,13 +202,13 @@ def examples_of(
         unknown = np.full_like(probability, 1.0 / probability.shape[1])
         own = to_own_frame(scene, truth)
         others = shuffled_posterior(scene, posterior).probability
-        for found, belief in zip(told, (probability, unknown, others), strict=True):
+        for found, belief in zip(by_belief, (probability, unknown, others), strict=True):
             found.append(_examples(predictor_inputs(scene, belief, table), own, counts))
         label_free.append(_examples(unlabelled_inputs(scene), own, counts))
-    instant = np.repeat(np.arange(len(told[0])), [len(one.features) for one in told[0]])
-    believed, unknown_too, shuffled = (Examples.join(found) for found in told)
+    instant = np.repeat(np.arange(len(by_belief[0])), [len(one.features) for one in by_belief[0]])
+    believed, unknown_too, shuffled = (Examples.join(found) for found in by_belief)
     return (
-        Told(believed, unknown_too, shuffled, instant),
+        BeliefExamples(believed, unknown_too, shuffled, instant),
         Examples.join(label_free),
     )
 
@@ -255,7 +255,7 @@ def train_predictors(
     """
     dataset = open_dataset(source)
     load_model(model)
-    parts: dict[Split, tuple[Told, Examples]] = {}
+    parts: dict[Split, tuple[BeliefExamples, Examples]] = {}
     splits: tuple[Split, ...] = ("train", "validation")
     for split in splits:
         entries = dataset.episodes(split)
@@ -268,14 +268,14 @@ def train_predictors(
                 found.append(one)
                 progress.advance()
         informed, label_free = (list(same) for same in zip(*found, strict=True))
-        parts[split] = Told.join(informed), Examples.join(label_free)
+        parts[split] = BeliefExamples.join(informed), Examples.join(label_free)
     card: dict[str, Any] = {
         "data": dict(dataset.manifest.configuration), "split": "train", "epochs": epochs,
         "examples": len(parts["train"][1].features), "seed": seed,
     }  # fmt: skip
-    told, train_free = parts["train"]
-    told_too, check_free = parts["validation"]
-    train, check = functools.partial(told.draw, seed), told_too.draw(seed, 0)
+    trained, train_free = parts["train"]
+    checked, check_free = parts["validation"]
+    train, check = functools.partial(trained.draw, seed), checked.draw(seed, 0)
     with Progress("predictors: training epochs", 3 * epochs, quiet) as progress:
 
         def advance(epoch: int, ade_m: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -113,3 +114,12 @@ def test_the_names_of_all_registries_load_nothing_heavy() -> None:
     )
     root = str(Path(__file__).resolve().parents[2])
     subprocess.run([sys.executable, "-c", script], check=True, cwd=root)
+
+
+def test_get_returns_a_default_as_a_dict_does() -> None:
+    roots = Registry("root", "graphrqi.roots", {"square": "math:sqrt"})
+    assert roots.get("square") is math.sqrt
+    assert roots.get("cubic") is None
+    assert roots.get("cubic", math.cbrt) is math.cbrt
+    with pytest.raises(InputError, match="unknown root 'cubic'"):
+        roots["cubic"]
