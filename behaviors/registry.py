@@ -25,7 +25,8 @@ class Registry(Mapping[str, T], Generic[T]):
     """Things by name: those of this package, then those of installed plugins.
 
     Looking at the names loads nothing. Asking for an unknown name is an `InputError` that suggests
-    the nearest one; `get` returns a default instead. Entries can be set and deleted to try something out in one process.
+    the nearest one; `get` returns a default instead. Entries can be set and deleted to try
+    something out in one process.
 
     Args:
         what: what the registry holds, in the singular ("solver"); used in messages.
