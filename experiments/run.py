@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.data.configuration import GenerateConfig
 from experiments.rows import Row
 from scenarios.command import RunSummary
 from sim.engines import get_engine
+from sim.episode.window import DEFAULT_RADIUS_M, Window
 from sim.frames import EventKind, Frame, Tracks
 from sim.scenario import AgentSpec, sample_agents
 
@@ -175,7 +177,11 @@ def _live(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 
 def run_scenario(
-    config: GenerateConfig, model: str | None = None, predict: bool = False, quiet: bool = False
+    config: GenerateConfig,
+    model: str | None = None,
+    predict: bool = False,
+    quiet: bool = False,
+    window: Window | None = None,
 ) -> list[Row]:
     """Run the first scenario of a configuration once.
 
@@ -184,6 +190,7 @@ def run_scenario(
         model: name or folder of the model that classifies; None not to classify.
         predict: whether to predict too, and score it.
         quiet: whether to show no live line.
+        window: which agents are classified and predicted; None for everybody.
 
     Returns:
         Rows of ``what`` and ``value`` that sum the run up.
@@ -195,7 +202,7 @@ def run_scenario(
     agents = sample_agents(scenario, config.seed)
     summary = RunSummary()
     believed, predicted = _Believed(_truth(agents)), _Predicted()
-    stream = _stream(model)
+    stream = _stream(model, window)
     started = time.monotonic()
     next_prediction_s = PREDICT_EVERY_S
     simulated_s, spent_s, count = 0.0, 0.0, 0
@@ -235,13 +242,42 @@ def run_scenario(
     ]
 
 
+def read_window(text: str | None) -> Window | None:
+    """A window as an option says it; None where it says nothing.
+
+    Args:
+        text: an agent's id, with a distance, m, if wanted (``17:80``), or an area's smallest x and
+            y and largest x and y, m (``0,0,100,50``).
+
+    Raises:
+        InputError: if it is neither, or nothing can be in the window.
+
+    Examples:
+        >>> read_window("17:80").around, read_window("0,0,100,50").region
+        (17, (0.0, 0.0, 100.0, 50.0))
+    """
+    if text is None:
+        return None
+    try:
+        if "," in text:
+            x0, y0, x1, y1 = (float(word) for word in text.split(","))
+            return Window(region=(x0, y0, x1, y1))
+        agent, _, far = text.partition(":")
+        return Window(around=int(agent), radius_m=float(far or DEFAULT_RADIUS_M))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        expected = "expected AGENT, AGENT:METRES or X0,Y0,X1,Y1"
+        raise InputError(f"--window: found {text!r}, {expected}") from None
+
+
 def _truth(agents: tuple[AgentSpec, ...]) -> dict[int, int]:
     return {a.id: a.behavior.code for a in agents if a.behavior is not None}
 
 
-def _stream(model: str | None) -> BehaviorStream | None:
+def _stream(model: str | None, window: Window | None) -> BehaviorStream | None:
     if model is None:
         return None
     from graphrqi.stream import load_stream
 
-    return load_stream(model)
+    return load_stream(model, window)

@@ -16,6 +16,7 @@ from graphrqi.posterior import Posterior
 from graphrqi.prior_shift import PriorShift
 from graphrqi.scene_check import SceneMonitor
 from sim.episode.buffer import FrameBuffer
+from sim.episode.window import Window
 from sim.frames import Frame, Tracks
 
 MIN_SECONDS: Final = 1.0
@@ -41,10 +42,15 @@ class BehaviorStream:
     Args:
         model: a trained model.
         min_seconds: time observed after which a driver is classified, s.
+        window: which agents are of interest; None for everybody. The others cost nothing, and are
+            nobody's neighbours.
     """
 
-    def __init__(self, model: Model, min_seconds: float = MIN_SECONDS) -> None:
+    def __init__(
+        self, model: Model, min_seconds: float = MIN_SECONDS, window: Window | None = None
+    ) -> None:
         self.model = model
+        self.window = window
         self.min_seconds = min_seconds
         self._observer = model.observer()
         self._buffer = FrameBuffer(HISTORY_STEPS)
@@ -73,6 +79,8 @@ class BehaviorStream:
 
     def push(self, frame: Frame) -> None:
         """Take the next frame; see `update`."""
+        if self.window is not None:
+            frame = self.window.of(frame)
         far = np.abs(frame.xy) > MAX_COORDINATE_M
         if far.any():
             agent = frame.ids[int(np.argwhere(far)[0, 0])]
@@ -130,12 +138,15 @@ class BehaviorStream:
         return self._buffer.tracks()
 
 
-def load_stream(name_or_folder: str | Path = DEFAULT_MODEL) -> BehaviorStream:
+def load_stream(
+    name_or_folder: str | Path = DEFAULT_MODEL, window: Window | None = None
+) -> BehaviorStream:
     """A stream over a trained model.
 
     Args:
         name_or_folder: a model that ships with the package, or a folder that ``graphrqi train``
             wrote.
+        window: which agents are of interest; None for everybody.
 
     Returns:
         A fresh stream.
@@ -143,4 +154,4 @@ def load_stream(name_or_folder: str | Path = DEFAULT_MODEL) -> BehaviorStream:
     Raises:
         InputError: if there is no such model.
     """
-    return BehaviorStream(load_model(name_or_folder))
+    return BehaviorStream(load_model(name_or_folder), window=window)

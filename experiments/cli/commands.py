@@ -28,6 +28,7 @@ from experiments.cli.options import (
     Quiet,
     Seed,
     Spread,
+    WindowText,
     names_of,
 )
 from experiments.cli.predictors import train_predictor
@@ -99,24 +100,24 @@ def run(
     mix: Mix = None,
     spread: Spread = None,
     duration_s: DurationS = None,
+    window: WindowText = None,
     quiet: Quiet = False,
     json: Json = None,
 ) -> None:
     """Run a scenario headless and sum up what happened."""
     from experiments.console.tables import show_table
     from experiments.data.configuration import read_config
-    from experiments.run import run_scenario
+    from experiments.run import read_window, run_scenario
 
     config = read_config(
         None, scenarios=[scenario], episodes=1, seed=seed, engine=engine, flow=flow, mix=mix,
         spread=spread, duration_s=duration_s,
     )  # fmt: skip
-    show_table(run_scenario(config, model if stream or predict else None, predict, quiet), json)
+    used = model if stream or predict else None
+    show_table(run_scenario(config, used, predict, quiet, read_window(window)), json)
 
 
-@app.command(
-    epilog="example: graphrqi generate --scenario straight_road --episodes 10 --seed 1 --out roads"
-)
+@app.command(epilog="example: graphrqi generate --scenario straight_road --episodes 9 --out roads")
 def generate(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     scenario: Annotated[

@@ -68,4 +68,12 @@ Mix = Annotated[
 Spread = Annotated[
     float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")
 ]
+WindowText = Annotated[
+    str | None,
+    typer.Option(
+        "--window",
+        metavar="AGENT[:M] or X0,Y0,X1,Y1",
+        help="Classify and predict only an agent and those within 100 m (or M), or only an area.",
+    ),
+]
 DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s; at most 86400.")]

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
     from graphrqi.predict.prediction import Prediction
     from graphrqi.predict.scene.scene import Scene
+    from sim.episode.window import Window
     from sim.frames import Tracks
     from sim.road import Road
 
@@ -63,6 +64,7 @@ def predict(
     horizon_s: float = 5.0,
     predictor: str = "graphrqi-predict",
     weights: Path | None = None,
+    window: Window | None = None,
 ) -> Prediction:
     """Predict where every agent of a history will be.
 
@@ -76,6 +78,7 @@ def predict(
         predictor: a key of ``PREDICTORS``.
         weights: folder of ``graphrqi train-predictor`` whose network ``graphrqi-predict`` uses on
             recordings; None for the one that ships.
+        window: which agents are predicted, and seen by each other; None for everybody.
 
     Returns:
         Futures of every agent present now, every 0.1 s up to the horizon.
@@ -96,6 +99,8 @@ def predict(
     function = get_predictor(predictor)
     check_horizon(horizon_s)
     check_history(history)
+    if window is not None:
+        history = window.of_tracks(history)
     history = since_break(history)
     network = None
     if weights is not None and predictor == "graphrqi-predict":

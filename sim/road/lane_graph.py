@@ -222,13 +222,15 @@ def _crossed(road: Road) -> dict[str, Any]:
     ]
     table = np.array(meets, dtype=np.float64).reshape(-1, 5)
     lane = table[:, 0].astype(np.int64)
+    # kernels are compiled again for columns that do not lie together, as those of no row do
+    near_s, exit_s, across_m = (np.ascontiguousarray(table[:, k]) for k in (2, 3, 4))
     return {
         "cross_lane": lane,
         "cross_first": np.searchsorted(lane, np.arange(len(road.lanes) + 1)),
         "cross_id": table[:, 1].astype(np.int64),
-        "cross_s": table[:, 2],
-        "cross_exit_s": table[:, 3],
-        "cross_u": table[:, 4],
+        "cross_s": near_s,
+        "cross_exit_s": exit_s,
+        "cross_u": across_m,
     }
 
 
