@@ -1,0 +1,87 @@
+"""``graphrqi adapt``: a few labels move the answers at a place; wrong labels are refused by line."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.cli.__main__ import main
+from experiments.data.configuration import GenerateConfig
+from experiments.data.generate import generate
+from experiments.training.adapt import adapt, read_labels
+from graphrqi.model_files import load_model
+from sim.store.dataset import open_dataset
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("place") / "data"
+    generate(
+        GenerateConfig(scenarios=("straight_road",), episodes=1, duration_s=70.0, seed=5),
+        folder, 1, True,
+    )  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="module")
+def labels(data, tmp_path_factory):
+    """The drawn style of every driver that is seen for a second."""
+    dataset = open_dataset(data)
+    tracks = dataset.read(dataset.manifest.episodes[0]).tracks
+    long_seen = tracks.valid.sum(axis=1) > 1.5 / tracks.step_s
+    path = tmp_path_factory.mktemp("labels") / "few.csv"
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["name", "label"])
+        for row in np.flatnonzero(long_seen & (tracks.behavior >= 0)):
+            table.writerow([tracks.names[row], BEHAVIORS[tracks.behavior[row]].style.value])
+    return path
+
+
+def test_labels_adapt_a_model_and_the_gain_is_reported(data, labels, tmp_path, capsys):
+    out, table = tmp_path / "adapted", tmp_path / "rows.json"
+    arguments = ["adapt", "graphrqi-plus", data, "--labels", labels, "--out", out, "--json", table]
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    assert not ended.value.code
+    rows = {row["what"]: row for row in json.loads(table.read_text())}
+    assert capsys.readouterr().out.count("labelled drivers,") == 6
+    assert rows["labelled drivers"]["value"] > 20
+    for name in ("as it was", "adapted", "trained from nothing"):
+        assert 0.0 <= rows[f"10 labelled drivers, {name}"]["value"] <= 1.0
+    adapted, before = load_model(out), load_model("graphrqi-plus")
+    assert adapted.adaptation is not None and before.adaptation is None
+    features = np.zeros((1, len(before.observer().feature_names)))
+    assert not np.allclose(adapted.posterior(features), before.posterior(features))
+
+
+def test_without_labels_only_the_certainty_changes(data, tmp_path):
+    rows = adapt("graphrqi-plus", data, tmp_path / "adapted", quiet=True)
+    assert {row["what"] for row in rows} >= {"drivers", "drivers with two answers", "scale"}
+    adapted = load_model(tmp_path / "adapted").adaptation
+    assert adapted.scale > 0.0
+    assert adapted.offset.tolist() == [0.0] * 6
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name,label\n3,angry\n", "line 2: label: found 'angry'"),
+        ("name,label\n3,careful\n3,timid\n", "line 3: found '3' twice"),
+        ("driver,label\n3,careful\n", "found the columns"),
+        ("name,label\n", "found no label"),
+        ("name,label\n3,aggressive\nnobody,careful\n", "names that no driver has"),
+    ],
+)
+def test_wrong_labels_are_refused_by_line(data, tmp_path, text, said):
+    path = tmp_path / "labels.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        if "nobody" in text:
+            adapt("graphrqi-plus", data, tmp_path / "out", path, quiet=True)
+        else:
+            read_labels(path)
+    assert not (tmp_path / "out").exists()
