@@ -111,7 +111,7 @@ def _gathered(
     """Samples of the episodes of a split; no two datasets' or parts' episodes share a number."""
     draws = SENSORS if part == SEEN_THROUGH_SENSORS else 1
     arguments = [
-        (dataset.path, entry, part, seed + draw)
+        (dataset.path, entry, part, f"{part} {draw}" if draw else part, seed)
         for dataset in datasets
         for entry in dataset.episodes(split)
         for draw in range(draws)
@@ -125,9 +125,9 @@ def _gathered(
     return Samples.join(parts)
 
 
-def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Samples | None:
+def _observed(folder: Path, entry: EpisodeEntry, part: str, draw: str, seed: int) -> Samples | None:
     """Samples of one episode; None where nobody is seen for long enough."""
-    number = zlib.crc32(f"{part} {seed} {entry.id}".encode())
+    number = zlib.crc32(f"{draw} {entry.id}".encode())
     rng = np.random.default_rng([seed, number])
     tracks = measured(open_dataset(folder).read(entry))
     if part == SEEN_THROUGH_SENSORS:
