@@ -29,7 +29,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.kinematics import FORGET_S, align, merge
+from graphrqi.features.kinematics import align
+from graphrqi.scene_evidence import JUMPED, MOVED, OVERLAPS, Roll, RunningMean
 from graphrqi.units import size_ratio, unit_of
 from sim.frames import Frame, Tracks
 
@@ -118,9 +119,6 @@ SURE: Final = 3.0
 FAST_MPS: Final = 70.0
 """No traffic has a median speed above this, m/s (our choice: 250 km/h)."""
 
-STILL_M: Final = 2.0
-"""Vehicles that stay nearer to where they were first seen never moved, m (our choice)."""
-
 CORE_LEAST_M: Final = 0.25
 """Least core, m (our choice, for sources without sizes)."""
 
@@ -169,77 +167,6 @@ class _Seen:
     company: int
 
 
-class _Mean:
-    """A running mean with its standard error."""
-
-    def __init__(self) -> None:
-        self.count, self._sum, self._squares = 0, 0.0, 0.0
-
-    def add(self, value: float) -> None:
-        self.count += 1
-        self._sum += value
-        self._squares += value * value
-
-    @property
-    def value(self) -> float:
-        return self._sum / self.count if self.count else math.nan
-
-    @property
-    def error(self) -> float:
-        if not self.count:
-            return math.nan
-        return math.sqrt(max(self._squares / self.count - self.value**2, 0.0) / self.count)
-
-
-_MOVED, _JUMPED, _OVERLAPS = range(3)
-
-
-class _Roll:
-    """Which of the vehicles seen so far ever moved, jumped or overlapped another."""
-
-    def __init__(self) -> None:
-        self._ids: IntArray = np.empty(0, dtype=np.int64)
-        self._first: FloatArray = np.zeros((0, 2))
-        self._seen_s: FloatArray = np.zeros(0)
-        self._did: NDArray[np.bool_] = np.zeros((0, 3), dtype=bool)
-        self.count = 0
-        self.of = [0, 0, 0]
-
-    def call(self, time_s: float, ids: IntArray, xy: FloatArray) -> IntArray:
-        """Note who is there, and return their rows."""
-        if np.array_equal(ids, self._ids):
-            self._seen_s[:] = time_s
-            return np.arange(ids.size)
-        merged, rows = merge(self._ids[self._seen_s >= time_s - FORGET_S], ids)
-        if not np.array_equal(merged, self._ids):
-            into, source = align(self._ids, merged)
-            first, did = np.full((merged.size, 2), np.nan), np.zeros((merged.size, 3), dtype=bool)
-            seen_s = np.full(merged.size, time_s)
-            first[into], did[into] = self._first[source], self._did[source]
-            seen_s[into] = self._seen_s[source]
-            fresh = rows[np.isnan(first[rows, 0])]
-            first[fresh] = xy[np.searchsorted(ids, merged[fresh])]
-            self.count += fresh.size
-            self._ids, self._first, self._did, self._seen_s = merged, first, did, seen_s
-        self._seen_s[rows] = time_s
-        return rows
-
-    def mark(self, what: int, rows: IntArray) -> None:
-        """Note that these did it."""
-        fresh = rows[~self._did[rows, what]]
-        self._did[fresh, what] = True
-        self.of[what] += int(np.unique(fresh).size)
-
-    def look(self, rows: IntArray, xy: FloatArray) -> None:
-        """Note who has moved."""
-        away = xy - self._first[rows]
-        self.mark(_MOVED, rows[np.hypot(away[:, 0], away[:, 1]) > STILL_M])
-
-    def share(self, what: int) -> float:
-        """Share of all vehicles so far that did it."""
-        return self.of[what] / self.count if self.count else 0.0
-
-
 class SceneMonitor:
     """Gathers evidence frame by frame; `check` says what it amounts to so far.
 
@@ -254,12 +181,17 @@ class SceneMonitor:
     def __init__(self, outlines: bool = True) -> None:
         self._outlines = outlines
         self._recent: deque[_Seen] = deque()
-        self._roll = _Roll()
+        self._roll = Roll()
         self._look_s = -math.inf
         self._companies = self._turn = self._looked = self._hits = 0
         self._nearest = np.zeros(_NEAR_BINS, dtype=np.int64)
         self._last_gain: tuple[float, float] | None = None
-        self._shake, self._pace, self._size, self._speed = _Mean(), _Mean(), _Mean(), _Mean()
+        self._shake, self._pace, self._size, self._speed = (
+            RunningMean(),
+            RunningMean(),
+            RunningMean(),
+            RunningMean(),
+        )
         self._moving_frames = self._repeats = 0
 
     def update(self, frame: Frame) -> bool:
@@ -315,7 +247,7 @@ class SceneMonitor:
         far = FASTEST_MPS * (now.time_s - before.time_s) + JUMP_M
         if np.abs(moved).max() > 0.7 * far:
             rows = self._roll.call(now.time_s, now.ids, now.xy)
-            self._roll.mark(_JUMPED, rows[into][np.hypot(moved[:, 0], moved[:, 1]) > far])
+            self._roll.mark(JUMPED, rows[into][np.hypot(moved[:, 0], moved[:, 1]) > far])
         passed_s = before.time_s - past.time_s
         if passed_s < 0.4 * REFERENCE_S:
             return
@@ -407,7 +339,7 @@ class SceneMonitor:
         overlap = (along < cores[:, 0]) & (across < cores[:, 1])
         found = np.unique(one[overlap])
         self._hits += found.size
-        self._roll.mark(_OVERLAPS, rows[found])
+        self._roll.mark(OVERLAPS, rows[found])
 
     # --- what it amounts to -----------------------------------------------------------------------
 
@@ -418,7 +350,7 @@ class SceneMonitor:
         if 2 * within > max(self._looked, 2 * OVERLAPPING_IDS):
             return True
         limit = OVERLAPPING if self._outlines else OVERLAPPING_UNSURE
-        many = self._roll.of[_OVERLAPS] >= OVERLAPPING_IDS
+        many = self._roll.of[OVERLAPS] >= OVERLAPPING_IDS
         return many and self._hits > limit * self._looked
 
     def _shakes(self) -> bool:
@@ -437,7 +369,7 @@ class SceneMonitor:
         return pace.count >= PACE_LOOKS and abs(pace.value) - SURE * pace.error > math.log(PACE)
 
     def _jumps(self) -> bool:
-        return self._roll.of[_JUMPED] >= JUMPING_IDS and self._roll.share(_JUMPED) > JUMPING
+        return self._roll.of[JUMPED] >= JUMPING_IDS and self._roll.share(JUMPED) > JUMPING
 
     def _unit(self) -> str | None:
         """The unit that seems to be given as metres."""
@@ -471,8 +403,8 @@ class SceneMonitor:
             shaken=shaken,
             repeated=self._repeats / frames if frames else math.nan,
             pace=math.exp(self._pace.value) if self._pace.count else math.nan,
-            jumping=self._roll.share(_JUMPED),
-            still=1.0 - self._roll.share(_MOVED) if self._roll.count else math.nan,
+            jumping=self._roll.share(JUMPED),
+            still=1.0 - self._roll.share(MOVED) if self._roll.count else math.nan,
         )
         return dataclasses.replace(seen, findings=tuple(self._sentences(seen)))
 
@@ -489,8 +421,8 @@ class SceneMonitor:
                 f"{seen.overlapping:.0%} of the vehicles lie within another one (median distance "
                 f"to the next centre {seen.nearest_m:.1f} m): actors are superimposed"
             )
-        elif self._roll.of[_OVERLAPS]:
-            yield f"{self._roll.of[_OVERLAPS]} of {self._roll.count} vehicles overlap another"
+        elif self._roll.of[OVERLAPS]:
+            yield f"{self._roll.of[OVERLAPS]} of {self._roll.count} vehicles overlap another"
         if self._shakes():
             yield (
                 f"the clock is shaken: steps last {seen.shaken:.0%} longer or shorter than stated"
@@ -507,8 +439,8 @@ class SceneMonitor:
             yield f"vehicles are {ratio:.3g} times as large as usual: {unit} seem to be metres"
         if self._too_fast():
             yield f"the median speed is {self._speed.value:.0f} m/s: a unit or the clock is wrong"
-        if self._roll.of[_JUMPED]:
-            yield f"{self._roll.of[_JUMPED]} of {self._roll.count} ids jump from place to place"
+        if self._roll.of[JUMPED]:
+            yield f"{self._roll.of[JUMPED]} of {self._roll.count} ids jump from place to place"
         if self._roll.count and seen.still > 0.5:
             yield f"{seen.still:.0%} of the vehicles never move"
 
