@@ -140,10 +140,16 @@ def _cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
         found = np.asarray(values)
     except ValueError as error:  # lists of different lengths
         raise InputError(f"{name}: found {values!r:.60}, expected an array ({error})") from error
-    if found.size == 0 or np.can_cast(found.dtype, dtype, "same_kind"):
+    if found.size == 0 or np.can_cast(found.dtype, dtype, "safe"):
         return found.astype(dtype, copy=False)
-    if found.dtype.kind == "f" and np.isfinite(found).all() and (found == np.rint(found)).all():
+    if dtype.kind == "f" and np.can_cast(found.dtype, dtype, "same_kind"):
         return found.astype(dtype)
+    if found.dtype.kind in "iuf" and dtype.kind == "i":
+        limits = np.iinfo(dtype)
+        if (found >= limits.min).all() and (found <= limits.max).all():
+            whole = found.astype(dtype)
+            if (whole == found).all():
+                return whole
     raise InputError(f"{name}: found {found.dtype} values, expected {dtype}")
 
 

@@ -59,7 +59,7 @@ class TrafficConfig(BaseModel):
     observation: Annotated[str, member_of(OBSERVATIONS, "observation")] = "kinematics"
     """What is observed: "kinematics", "behavior", "posterior" or "graph"; see Observation."""
 
-    observed: int = Field(default=15, ge=1)
+    observed: int = Field(default=15, ge=1, le=10_000)
     """How many other agents are observed at most."""
 
     action: Annotated[Mapping[str, Any], PlainValidator(check_action)] = Field(
@@ -84,16 +84,16 @@ class TrafficConfig(BaseModel):
     seed: int | None = Field(default=None, ge=0, lt=2**31)
     """Seed of every episode's traffic; None: each episode draws its own from ``reset(seed)``."""
 
-    duration_s: float = Field(default=40.0, ge=1.0, allow_inf_nan=False)
+    duration_s: float = Field(default=40.0, ge=1.0, le=1e6, allow_inf_nan=False)
     """Time after which an episode is truncated, s."""
 
-    warmup_s: float = Field(default=20.0, ge=0.0, allow_inf_nan=False)
+    warmup_s: float = Field(default=20.0, ge=0.0, le=3600.0, allow_inf_nan=False)
     """How long the traffic drives before the ego vehicle enters, s."""
 
-    simulation_frequency: int = Field(default=10, ge=10)
+    simulation_frequency: int = Field(default=10, ge=10, le=1000)
     """Simulation steps per second, at least 10."""
 
-    policy_frequency: int = Field(default=5, ge=1)
+    policy_frequency: int = Field(default=5, ge=1, le=1000)
     """Decisions per second; divides the simulation frequency."""
 
     classifier: Annotated[str | Callable[..., Any], PlainValidator(_check_classifier)] = (
@@ -102,10 +102,10 @@ class TrafficConfig(BaseModel):
     """What classifies the drivers for the observation "posterior": "module:function" of a function
     that makes it, or a callable that takes a `Frame` and returns beliefs with ``of(ids)``."""
 
-    screen_width: int = Field(default=600, ge=1)
+    screen_width: int = Field(default=600, ge=1, le=16_384)
     """Width of images, pixels."""
 
-    screen_height: int = Field(default=150, ge=1)
+    screen_height: int = Field(default=150, ge=1, le=16_384)
     """Height of images, pixels."""
 
     scaling: float = Field(default=5.5, gt=0.0, allow_inf_nan=False)

@@ -286,8 +286,14 @@ class TrafficEnv(EgoEnv):
 
         Returns:
             Observation, reward, whether the episode has ended, whether its time is up, and info.
+
+        Raises:
+            InputError: if a number of the action is not finite; the environment stays as it was.
         """
         config = self.config
+        numbers = np.asarray(action)
+        if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
+            raise InputError(f"action: found {action!r:.60}, expected finite numbers")
         frames = config["simulation_frequency"] // config["policy_frequency"]
         self._events, self._near_misses = [], 0
         before = self._distance_left

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import KINDS, Event, Frame, Tracks
+from sim.frames import KINDS, SIGNALS, Event, Frame, Tracks
 
 _TABLES = ("_xy", "_heading", "_speed", "_valid")
 """Names of the tables of agents by times."""
@@ -92,6 +92,8 @@ class FrameBuffer:
             )
         if not ((frame.kind >= 0) & (frame.kind < len(KINDS))).all():
             raise InputError(f"frame.kind: found other codes than 0 to {len(KINDS) - 1}")
+        if not ((frame.signals >= 0) & (frame.signals < len(SIGNALS))).all():
+            raise InputError(f"frame.signals: found other codes than 0 to {len(SIGNALS) - 1}")
         finite = np.isfinite(frame.xy).all(axis=1)
         if not finite.all():
             agent = frame.ids[int(finite.argmin())]

@@ -27,6 +27,7 @@ from sim.formats.common.recording import (
     MAX_NAMES,
     Recording,
     Rows,
+    real,
     recordings,
 )
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
@@ -38,6 +39,9 @@ STEPS: Final = 50
 
 LABELS_SUFFIX: Final = ".behavior"
 """Ending of our file beside each recording: what the format has no place for."""
+
+FORMULA: Final = "=+-@"
+"""First characters of what spreadsheets take for a formula."""
 
 CITY: Final = "PIT"
 """The format allows Pittsburgh and Miami only; what we write is neither."""
@@ -76,6 +80,14 @@ def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | Non
     return behavior_codes(beside, names, labelled, words)
 
 
+def _is_number(label: str) -> bool:
+    try:
+        real(label)
+    except ValueError:
+        return False
+    return True
+
+
 def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[Path]:
     """Write an episode as files of 5 s; behaviours go into a file beside each.
 
@@ -92,8 +104,14 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
 
     Raises:
         NoWindowError: if no 5 s without a gap have a vehicle that is seen all the time.
-        InputError: if the step does not fit.
+        InputError: if the step does not fit, or an agent has a name that CSV files should not hold.
     """
+    for label in tracks.names:
+        if not label.isprintable() or (label[:1] in FORMULA and not _is_number(label)):
+            raise InputError(
+                f"{name}: found agent {label!r:.60}, which a spreadsheet could run or a reader not "
+                "read back, expected a plain id"
+            )
     written: list[Path] = []
     for number, window in enumerate(windows(tracks, STEPS)):
         focal = focal_agents(window)

@@ -554,3 +554,15 @@ def test_records_a_video(tmp_path):
         video.close()
     (made,) = tmp_path.glob("*.mp4")
     assert made.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf])
+def test_an_action_that_is_not_finite_changes_nothing(broken: float) -> None:
+    config = {**QUICK, "action": {"type": "ContinuousAction"}}
+    env = gymnasium.make("graphrqi/StraightRoad-v0", config=config)
+    env.reset(seed=1)
+    with pytest.raises(InputError, match="action: found"):
+        env.unwrapped.step(np.array([broken, 0.0]))
+    observation, reward, *_ = env.unwrapped.step(np.array([0.0, 0.0]))
+    assert all(np.isfinite(values).all() for values in observation.values())
+    assert np.isfinite(reward)

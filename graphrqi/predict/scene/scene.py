@@ -18,7 +18,7 @@ from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.scene.agent_states import AgentStates, agent_states
 from graphrqi.predict.scene.paths import PathTable
 from graphrqi.predict.scene.stop_constraints import stop_states
-from sim.frames import Tracks
+from sim.frames import KINDS, SIGNALS, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
 
@@ -178,11 +178,17 @@ def check_history(history: Tracks) -> None:
         history: tracks.
 
     Raises:
-        InputError: if times do not increase, or a number is not finite where an agent was seen.
+        InputError: if times or ids do not increase, a code is none, or a number is not finite where
+            an agent was seen.
     """
     time_s = history.time_s
     if not (np.isfinite(time_s).all() and (np.diff(time_s) > 0.0).all()):
         raise InputError("history.time_s: found times that do not increase, expected seconds")
+    if not (history.ids[1:] > history.ids[:-1]).all():
+        raise InputError("history.ids: found ids that do not ascend, expected each once, in order")
+    for name, codes, most in (("kind", history.kind, KINDS), ("signals", history.signals, SIGNALS)):
+        if not ((codes >= 0) & (codes < len(most))).all():
+            raise InputError(f"history.{name}: found other codes than 0 to {len(most) - 1}")
     for name in ("xy", "heading", "speed", "length", "width"):
         values = getattr(history, name)
         seen = values if values.ndim == 1 else values[history.valid]
