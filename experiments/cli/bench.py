@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from experiments.cli.options import in_a_folder
+
 if TYPE_CHECKING:
     from experiments.benches.contract import Bench
 
@@ -20,6 +22,7 @@ Json = Annotated[
     typer.Option(
         "--json",
         dir_okay=False,
+        callback=in_a_folder,
         allow_dash=True,
         metavar="FILE",
         help="Write the rows as JSON, after every part of the bench; - for standard output.",

@@ -22,12 +22,15 @@ from experiments.cli.options import (
     Flow,
     FormatName,
     Json,
+    LabelsFile,
     Mix,
     ModelName,
     Net,
     Quiet,
     Seed,
     Spread,
+    Verbose,
+    Version,
     WindowText,
     names_of,
 )
@@ -50,15 +53,8 @@ app = typer.Typer(
 @app.callback()
 def about(
     context: typer.Context,
-    version: Annotated[
-        bool, typer.Option("--version", help="Say the version, and those of the simulators.")
-    ] = False,
-    verbose: Annotated[
-        bool,
-        typer.Option(
-            "--verbose", "-v", help="Say on stderr what is read and how long it took; anywhere."
-        ),
-    ] = False,
+    version: Version = False,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Label, classify and predict drivers in simulated and recorded traffic."""
@@ -210,9 +206,7 @@ app.command("train-predictor", epilog="example: graphrqi train-predictor recordi
 @app.command(epilog="example: graphrqi classify data --out labels.parquet")
 def classify(
     source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
-    out: Annotated[
-        Path, typer.Option(dir_okay=False, metavar="FILE", help="Parquet file for the labels.")
-    ],
+    out: LabelsFile,
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",

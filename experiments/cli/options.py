@@ -9,6 +9,19 @@ from typing import Annotated
 import typer
 
 
+def in_a_folder(path: Path | None) -> Path | None:
+    """Refuse a file to write whose folder is missing, before any work is done.
+
+    Raises:
+        InputError: naming the folder.
+    """
+    if path is not None and str(path) != "-" and not path.parent.is_dir():
+        from behaviors.errors import InputError
+
+        raise InputError(f"{path}: found no folder {path.parent}, expected one")
+    return path
+
+
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 
@@ -25,6 +38,7 @@ Json = Annotated[
     typer.Option(
         "--json",
         dir_okay=False,
+        callback=in_a_folder,
         allow_dash=True,
         metavar="FILE",
         help="Write the table as JSON; - for standard output.",
@@ -52,6 +66,24 @@ Net = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
+LabelsFile = Annotated[
+    Path,
+    typer.Option(
+        dir_okay=False,
+        callback=in_a_folder,
+        metavar="FILE",
+        help="Parquet file for the labels.",
+    ),
+]
+Version = Annotated[
+    bool, typer.Option("--version", help="Say the version, and those of the simulators.")
+]
+Verbose = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", "-v", help="Say on stderr what is read and how long it took; anywhere."
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 Engine = Annotated[
     str,

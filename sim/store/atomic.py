@@ -65,6 +65,8 @@ def whole_file(path: Path) -> Iterator[Path]:
             path.write_bytes(partial.read_bytes())
         return
     path = Path(os.path.realpath(path))
+    if not path.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "No such folder", str(path.parent))
     partial = _partial(path)
     try:
         yield partial

@@ -228,3 +228,22 @@ def test_a_report_of_nothing_names_what_is_missing(tmp_path, capsys) -> None:
     assert f"{tmp_path / 'nowhere'}: found nothing there" in capsys.readouterr().err
     assert call("report", tmp_path) == 2
     assert f"{tmp_path}: found no run.json, no model.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["bench", "loop", "--quick", "--json", "nowhere/x.json"],
+        ["classify", ".", "--out", "nowhere/x.parquet"],
+        ["list", "--json", "nowhere/x.json"],
+    ],
+    ids=["bench", "classify", "list"],
+)
+def test_a_missing_folder_is_named_before_any_work(
+    arguments, tmp_path, monkeypatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(*arguments) == 2
+    said = capsys.readouterr().err
+    assert f"{arguments[-1]}: found no folder nowhere, expected one" in said
+    assert ".partial" not in said
