@@ -21,6 +21,9 @@ DASH_M: Final = (3.0, 6.0)
 BAR_M: Final = (0.5, 0.5)
 """Width of a zebra's bar and of the gap after it, m."""
 
+LONGEST_M: Final = 1_000.0
+"""So much of a crossing is drawn, m (our choice; broken maps have crossings across a country)."""
+
 CORNER_M: Final = 4.0
 """How much wider a junction's paving is than its asphalt, m (two sidewalks)."""
 
@@ -126,7 +129,7 @@ def zebra_bars(line: FloatArray, width_m: float) -> list[FloatArray]:
     direction = step / size
     aside = np.array([-direction[1], direction[0]]) * width_m / 2
     bars = []
-    for begin in np.arange(BAR_M[1] / 2, size - BAR_M[0], sum(BAR_M)):
+    for begin in np.arange(BAR_M[1] / 2, min(size, LONGEST_M) - BAR_M[0], sum(BAR_M)):
         a, b = line[0] + direction * begin, line[0] + direction * (begin + BAR_M[0])
         bars.append(np.array([a - aside, b - aside, b + aside, a + aside]))
     return bars
