@@ -110,7 +110,7 @@ class Elsewhere:
         novelty = self._novelty(scenes)[:, None]
         found = (1.0 - novelty) * found / found.sum(axis=1, keepdims=True)
         found[:, FOREIGN] += novelty[:, 0]
-        return np.asarray(found[back.ravel()])
+        return np.asarray(np.clip(found, 0.0, 1.0)[back.ravel()])
 
     def novelty(self, relative: FloatArray) -> FloatArray:
         """(n,) how far the scene lies outside the training's range: 0 within, 1 far beyond."""
