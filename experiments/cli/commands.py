@@ -16,13 +16,13 @@ import typer
 
 from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
+from experiments.cli.classify import classify
 from experiments.cli.options import (
     DurationS,
     Engine,
     Flow,
     FormatName,
     Json,
-    LabelsFile,
     Mix,
     ModelName,
     Net,
@@ -203,38 +203,7 @@ app.command("train-predictor", epilog="example: graphrqi train-predictor recordi
 )
 
 
-@app.command(epilog="example: graphrqi classify data --out labels.parquet")
-def classify(
-    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
-    out: LabelsFile,
-    format: FormatName = None,
-    net: Net = None,
-    model: ModelName = "graphrqi-plus",
-    json: Json = None,
-    quiet: Quiet = False,
-) -> None:
-    """Name each driver's behaviour as it drives."""
-    from experiments.console.tables import show_table
-    from experiments.data.exchange import as_dataset
-    from experiments.rows import write_json
-    from experiments.scoring.classification import (
-        classify_dataset,
-        episodes_table,
-        foreign_notice,
-        totals_table,
-    )
-
-    with as_dataset(source, format, net) as dataset:
-        rows = classify_dataset(dataset, model, out, quiet)
-    if json is not None:
-        write_json(rows, json)
-    if str(json) != "-":
-        show_table(episodes_table(rows), title="drivers by their last answer")
-        show_table(totals_table(rows), title="in all")
-    if notice := foreign_notice(rows):
-        typer.echo(notice, err=True)
-
-
+app.command(epilog="example: graphrqi classify data --out labels.parquet")(classify)
 app.command(epilog="example: graphrqi adapt graphrqi-plus data --labels few.csv --out mine")(adapt)
 
 
