@@ -59,10 +59,10 @@ CLASSIFIER_PER_MOMENT: Final = 2
 
 
 ELSEWHERE_HOME: Final[dict[str, dict[str, Any]]] = {
-    "as-usual": {"episodes": 60, "limits_mps": TRAINING_LIMITS_MPS},
-    "light": {"episodes": 12, "flow": "light"},
-    "dense": {"episodes": 12, "flow": "dense"},
-    "idm": {"episodes": 20, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
+    "as-usual": {"episodes": 24, "limits_mps": TRAINING_LIMITS_MPS},
+    "light": {"episodes": 8, "flow": "light"},
+    "dense": {"episodes": 8, "flow": "dense"},
+    "idm": {"episodes": 10, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
 }
 """Home traffic that the classifier learns to tell from elsewhere: options of `GenerateConfig`."""
 
