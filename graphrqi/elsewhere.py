@@ -62,7 +62,7 @@ GATE_OPTIONS: Final[dict[str, Any]] = {
 }
 """Options of the gate's classifier: few numbers, a few thousand scenes."""
 
-SURE: Final = 0.02
+SURE: Final = 0.05
 """A kind of traffic that is less likely than this is left out, so that mostly one classifier
 answers."""
 
@@ -104,7 +104,12 @@ class Elsewhere:
         """
         if not len(relative):
             return np.zeros((0, 3))
-        scenes, back = np.unique(relative[:, _SCENE], axis=0, return_inverse=True)
+        scenes = relative[:, _SCENE]
+        back = np.zeros(len(relative), dtype=np.int64)
+        if (scenes == scenes[0]).all():  # the drivers of one scene, as in a stream
+            scenes = scenes[:1]
+        else:
+            scenes, back = np.unique(scenes, axis=0, return_inverse=True)
         found = self.gate.posterior(np.ascontiguousarray(scenes))
         found = np.where(found < SURE, 0.0, found)
         novelty = self._novelty(scenes)[:, None]

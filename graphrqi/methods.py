@@ -175,26 +175,29 @@ class Model:
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, 6) probabilities of feature vectors (n, F) of its `observer`."""
-        found = self._unadapted(features)
-        return found if self.adaptation is None else self.adaptation.applied(found)
+        return self.answer(features)[0]
 
-    def _unadapted(self, features: FloatArray) -> FloatArray:
-        if self.elsewhere is None:
-            return self.classifier.posterior(features)
-        home, relative = self._parts(features)
-        kinds = self.elsewhere.kinds(relative)
-        out = self.elsewhere.answers(relative, kinds)
-        asked = kinds[:, HOME] > 0.0
-        if asked.any():
-            found = self.classifier.posterior(np.ascontiguousarray(home[asked]))
-            out[asked] += kinds[asked, HOME, None] * found
-        return out
+    def answer(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Probabilities, and how foreign the traffic is.
 
-    def domain(self, features: FloatArray) -> FloatArray:
-        """(n,) how foreign the traffic is, 0 to 1; 0 for a model that takes all for the same."""
+        Args:
+            features: (n, F) of its `observer`.
+
+        Returns:
+            (n, 6) probabilities of the behaviours, and (n,) 0 at home to 1 elsewhere; 0 from a
+            model that takes all traffic for the same.
+        """
         if self.elsewhere is None:
-            return np.zeros(len(features))
-        return np.asarray(self.elsewhere.kinds(self._parts(features)[1])[:, FOREIGN])
+            found, foreign = self.classifier.posterior(features), np.zeros(len(features))
+        else:
+            home, relative = self._parts(features)
+            kinds = self.elsewhere.kinds(relative)
+            found, foreign = self.elsewhere.answers(relative, kinds), kinds[:, FOREIGN]
+            asked = kinds[:, HOME] > 0.0
+            if asked.any():
+                at_home = self.classifier.posterior(np.ascontiguousarray(home[asked]))
+                found[asked] += kinds[asked, HOME, None] * at_home
+        return (found if self.adaptation is None else self.adaptation.applied(found)), foreign
 
     def _parts(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The features of the method, and the relative ones."""

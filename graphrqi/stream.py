@@ -104,8 +104,8 @@ class BehaviorStream:
             if not ready.all():
                 seen = seen.where(ready)
             features = self._observer.features(seen.seconds, seen.sums, seen.instant)
-            domain = float(self.model.domain(features[:1]).max(initial=0.0))
-            self._answered = seen.ids, self.model.posterior(features), domain
+            found, foreign = self.model.answer(features)
+            self._answered = seen.ids, found, float(foreign.max(initial=0.0))
         return self._answered
 
     def posterior(self) -> Posterior:
