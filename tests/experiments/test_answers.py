@@ -225,7 +225,7 @@ def test_a_report_says_what_a_file_of_rows_looks_like(tmp_path, content, capsys)
 
 def test_a_report_of_nothing_names_what_is_missing(tmp_path, capsys) -> None:
     assert call("report", tmp_path / "nowhere") == 2
-    assert f"{tmp_path / 'nowhere'}: found nothing there" in capsys.readouterr().err
+    assert f"{tmp_path / 'nowhere'}: found no file and no folder" in capsys.readouterr().err
     assert call("report", tmp_path) == 2
     assert f"{tmp_path}: found no run.json, no model.json" in capsys.readouterr().err
 

@@ -89,7 +89,7 @@ def test_a_models_folder_and_a_run_beside_it_are_told_too(run, tmp_path):
 
 
 def test_a_broken_run_is_refused_by_name(run, tmp_path):
-    with pytest.raises(InputError, match=r"run\.json: found no file"):
+    with pytest.raises(InputError, match=r"found no run\.json"):
         write_report(tmp_path)
     for name in ("run.json", "metrics.json"):
         (tmp_path / name).write_bytes((run / name).read_bytes())

@@ -321,7 +321,10 @@ def test_options_win_over_the_file(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("episodes = ", "study.toml: Invalid value"),
-        ('scenarios = ["straight_road"]\nepisodes = 1\ncolour = 2', "study.toml: colour: Extra"),
+        (
+            'scenarios = ["straight_road"]\nepisodes = 1\ncolour = 2',
+            "study.toml: colour: found an unknown key",
+        ),
         ('scenarios = ["straight_road"]\nepisodes = "many"', "study.toml: episodes: "),
         ("scenarios = []\nepisodes = 1", "study.toml: scenarios: "),
     ],

@@ -132,7 +132,7 @@ def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("broken", ["spread", "weights", "about"])
 def test_networks_that_answer_no_numbers_are_refused(tmp_path: Path, broken: str) -> None:
-    with weights_file("mapless.safetensors") as shipped:
+    with weights_file("mlp.safetensors") as shipped:
         arrays = load_file(shipped)
     content: dict[str, Any] = {"schema_version": 1, "spread_scale": 1.0, "card": {}}
     if broken == "spread":

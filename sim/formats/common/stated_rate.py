@@ -86,6 +86,8 @@ def with_true_times(tracks: Tracks, clock: bool = False) -> tuple[Tracks, tuple[
         motion shows, or with speeds taken from the motion where they are in another unit; and one
         sentence about it.
     """
+    if tracks.time_s.size < 2:
+        return tracks, ()
     ratio = displacement_over_speed(tracks)
     if not np.isfinite(ratio) or 1 / TOLERATED <= ratio <= TOLERATED:
         return tracks, ()
