@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import re
 
 import numpy as np
 import pytest
@@ -311,15 +312,18 @@ def test_confidence_and_the_unknown_are_in_sight_without_a_click(open_page):
     page.keyboard.press("2")
     page.evaluate("replay.seek(15.0)")
     until(page, lambda: "70\u00a0% sure on average" in page.locator("#sure").inner_text())
-    assert "0 of 8 drivers not known" in page.locator("#sure").inner_text()
+    assert "0 of 8 drivers unknown" in page.locator("#sure").inner_text()
     page.evaluate("replay.seek(0.2)")
     until(page, lambda: "nothing believed yet" in page.locator("#sure").inner_text())
-    assert "7 of 7 drivers not known" in page.locator("#sure").inner_text()
+    assert "7 of 7 drivers unknown" in page.locator("#sure").inner_text()
 
 
 def test_unsure_drivers_have_a_dashed_outline(open_page, make_scene, tmp_path):
     sure = make_scene()
-    doubted = dataclasses.replace(sure.beliefs, probability=sure.beliefs.probability * 0 + 1 / 6)
+    one_style = np.array([0.34, 0.32, 0.3, 0.02, 0.01, 0.01], dtype=np.float32)
+    doubted = dataclasses.replace(
+        sure.beliefs, probability=sure.beliefs.probability * 0 + one_style
+    )
     counts = []
     for name, beliefs in (("sure", sure.beliefs), ("unsure", doubted)):
         write_page(dataclasses.replace(sure, beliefs=beliefs), tmp_path / name, "predicted")
@@ -403,3 +407,13 @@ def test_shares_stay_on_one_line(open_page, size):
     for text in page.locator(".ticks span, .bars .share").all():
         height = text.evaluate("(e) => e.getClientRects().length && e.offsetHeight")
         assert height < 26, text.inner_text()
+
+
+def test_whom_nobody_knows_is_grey(open_page, make_scene, tmp_path):
+    sure = make_scene()
+    guess = dataclasses.replace(sure.beliefs, probability=sure.beliefs.probability * 0 + 1 / 6)
+    write_page(dataclasses.replace(sure, beliefs=guess), tmp_path / "guess.html", "predicted")
+    page = open_page(file=tmp_path / "guess.html")
+    page.evaluate("replay.seek(8.0)")
+    everybody = re.compile(r"(\d+) of \1 drivers unknown")
+    until(page, lambda: everybody.search(page.locator("#sure").inner_text()))
