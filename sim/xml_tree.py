@@ -58,6 +58,35 @@ def read_tree(path: Path) -> ET.Element:
         raise InputError(f"{path}: {' '.join(str(error).split())}") from None
 
 
+def whole_number(path: Path, element: ET.Element, name: str) -> int:
+    """A whole number in an element's attribute.
+
+    Args:
+        path: the file, for messages.
+        element: which element.
+        name: of the attribute.
+
+    Returns:
+        The number, of at most 63 bits.
+
+    Raises:
+        InputError: naming the file, the element and the attribute.
+
+    Examples:
+        >>> whole_number(Path("a.xml"), ET.fromstring('<node id="7"/>'), "id")
+        7
+    """
+    text = element.get(name)
+    where = f"{path}: {element.tag[:40]} {name}"
+    try:
+        value = int(text or "")
+    except ValueError:
+        raise InputError(f"{where}: found {str(text)[:40]!r}, expected a whole number") from None
+    if abs(value) >= 2**63:
+        raise InputError(f"{where}: found {str(text)[:40]!r}, out of range")
+    return value
+
+
 def read_bytes(path: Path, most: int = MAX_TREE_BYTES) -> bytes:
     """A file's content, unpacked where its name ends in ``.gz``.
 

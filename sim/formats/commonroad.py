@@ -31,9 +31,9 @@ from sim.formats.common.recording import (
 )
 from sim.frames import AgentKind, Tracks
 from sim.road import Road
-from sim.road.maps.commonroad import ROOT, number, real, road_of
+from sim.road.maps.commonroad import ROOT, real, road_of
 from sim.store.schema import MAX_CELLS
-from sim.xml_tree import read_tree
+from sim.xml_tree import read_tree, whole_number
 
 VERSIONS: Final = ("2017a", "2018a", "2018b", "2020a")
 IN_SECONDS: Final = frozenset({"2017a", "2018a"})
@@ -125,7 +125,7 @@ class _Obstacles:
 
     def add(self, element: Element) -> None:
         """One obstacle."""
-        identity = str(number(self.path, element, "id"))
+        identity = str(whole_number(self.path, element, "id"))
         word = (element.findtext("type") or "").strip()
         kind = TYPES.get(word)
         if kind is None:

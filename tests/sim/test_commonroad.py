@@ -112,6 +112,7 @@ def test_who_yields_at_signs(tmp_path: Path) -> None:
         ("<x>50</x>", "<x>1e300</x>", "beyond"),
         ('<lanelet id="2"', '<lanelet id="1"', "lanelet 1 twice"),
         ('<lanelet id="2"', '<lanelet id="two"', "lanelet id: found 'two'"),
+        ('<lanelet id="2"', f'<lanelet id="{10**400}"', "out of range"),
         ('<successor ref="2"', '<successor ref="x"', "successor ref"),
         (">13.5<", ">-1<", "speed limit"),
         (">green<", ">blue<", "color"),

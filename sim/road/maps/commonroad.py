@@ -35,7 +35,7 @@ from sim.road.maps.lanelets import (
     lanes_of,
     with_junctions,
 )
-from sim.xml_tree import read_tree
+from sim.xml_tree import read_tree, whole_number
 
 ROOT: Final = "commonRoad"
 
@@ -118,7 +118,7 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
     found: dict[int, Lanelet] = {}
     crossings: list[Crossing] = []
     inside, points = _inside(path, root), 0
-    for element in sorted(elements, key=lambda e: number(path, e, "id")):
+    for element in sorted(elements, key=lambda e: whole_number(path, e, "id")):
         lanelet, types = _lanelet(path, element, signs, lights, inside)
         points += len(lanelet.centerline)
         if points > MAX_POINTS:
@@ -149,24 +149,6 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
         signal_plans=lights.plans,
         knows=MapKnowledge(limits=limits, signals=bool(lights.groups), priority=has_priority),
     )
-
-
-def number(path: Path, element: Element, name: str) -> int:
-    """A whole number in an element's attribute.
-
-    Raises:
-        InputError: naming the file, the element and the attribute.
-    """
-    text = element.get(name)
-    try:
-        value = int(text or "")
-    except ValueError:
-        raise InputError(
-            f"{path}: {element.tag[:40]} {name}: found {str(text)[:40]!r}, expected a whole number"
-        ) from None
-    if abs(value) >= 2**63:
-        raise InputError(f"{path}: {element.tag[:40]} {name}: found {value:.3g}, out of range")
-    return value
 
 
 def real(path: Path, text: str | None, what: str) -> float:
@@ -226,7 +208,7 @@ def _signs(path: Path, root: Element) -> dict[int, _Sign]:
             value = element.findtext("additionalValue")
             if kind in LIMIT_SIGNS and value is not None:
                 limit = _limit(path, value)
-        found[number(path, sign, "id")] = _Sign(
+        found[whole_number(path, sign, "id")] = _Sign(
             limit,
             stop=bool(kinds & STOP_SIGNS),
             yields=bool(kinds & (YIELD_SIGNS | STOP_SIGNS)),
@@ -256,7 +238,7 @@ class _Lights:
         step_s = real(path, root.get("timeStepSize"), "timeStepSize")
         plans, group_of = list[SignalPlan](), dict[int, int]()
         for light in root.iterfind("trafficLight"):
-            identity = number(path, light, "id")
+            identity = whole_number(path, light, "id")
             phases = _phases(path, light, step_s)
             if phases is None or identity in group_of:
                 return cls((), (), {})
@@ -297,7 +279,7 @@ def _phases(
 def _inside(path: Path, root: Element) -> frozenset[int]:
     """Ids of the lanelets that cross an intersection, as the scenario says."""
     return frozenset(
-        number(path, element, "ref")
+        whole_number(path, element, "ref")
         for incoming in root.iterfind("intersection/incoming")
         for element in incoming
         if element.tag in ("successorsLeft", "successorsStraight", "successorsRight")
@@ -305,7 +287,7 @@ def _inside(path: Path, root: Element) -> frozenset[int]:
 
 
 def _refs(path: Path, element: Element, *tags: str) -> tuple[int, ...]:
-    return tuple(number(path, e, "ref") for tag in tags for e in element.iterfind(tag))
+    return tuple(whole_number(path, e, "ref") for tag in tags for e in element.iterfind(tag))
 
 
 def _lanelet(
@@ -316,7 +298,7 @@ def _lanelet(
     inside: frozenset[int],
 ) -> tuple[Lanelet, frozenset[str]]:
     """A lanelet, and its types."""
-    identity = number(path, element, "id")
+    identity = whole_number(path, element, "id")
     left = line_of(path, element.find("leftBound"), f"lanelet {identity} leftBound")
     right = line_of(path, element.find("rightBound"), f"lanelet {identity} rightBound")
     centerline, width_m = between(left, right)
@@ -352,7 +334,7 @@ def _neighbour(path: Path, element: Element, tag: str) -> int | None:
     beside = element.find(tag)
     if beside is None or beside.get("drivingDir") == "opposite":
         return None
-    return number(path, beside, "ref")
+    return whole_number(path, beside, "ref")
 
 
 def _with_predecessors(
@@ -361,7 +343,7 @@ def _with_predecessors(
     """The lanelets, those that only their successors name as predecessors included."""
     further: dict[int, list[int]] = {}
     for element in elements:
-        identity = number(path, element, "id")
+        identity = whole_number(path, element, "id")
         for before in _refs(path, element, "predecessor"):
             if before in lanelets and identity not in lanelets[before].successors:
                 further.setdefault(before, []).append(identity)

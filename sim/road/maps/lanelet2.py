@@ -37,7 +37,7 @@ from sim.road.maps.lanelets import (
     with_junctions,
 )
 from sim.road.maps.transverse_mercator import to_metres, zone_of
-from sim.xml_tree import read_tree
+from sim.xml_tree import read_tree, whole_number
 
 FloatArray = NDArray[np.float64]
 
@@ -93,8 +93,8 @@ def _read(path: Path, name: str | None, origin: Origin | None, changed_ns: int, 
     found: dict[int, Lanelet] = {}
     borders: dict[int, tuple[_Border, _Border]] = {}
     crossings: list[Crossing] = []
-    for relation in sorted(_relations(root, "lanelet"), key=lambda e: _number(path, e, "id")):
-        identity = _number(path, relation, "id")
+    for relation in sorted(_relations(root, "lanelet"), key=lambda e: whole_number(path, e, "id")):
+        identity = whole_number(path, relation, "id")
         if identity in borders:
             raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
         if len(borders) >= MAX_LANELETS:
@@ -141,19 +141,6 @@ def _read(path: Path, name: str | None, origin: Origin | None, changed_ns: int, 
     )
 
 
-def _number(path: Path, element: Element, name: str) -> int:
-    text = element.get(name)
-    try:
-        value = int(text or "")
-    except ValueError:
-        raise InputError(
-            f"{path}: {element.tag[:40]} {name}: found {str(text)[:40]!r}, expected a whole number"
-        ) from None
-    if abs(value) >= 2**63:
-        raise InputError(f"{path}: {element.tag[:40]} {name}: found it out of range")
-    return value
-
-
 def _tags(element: Element) -> dict[str, str]:
     return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
 
@@ -165,7 +152,7 @@ def _relations(root: Element, kind: str) -> list[Element]:
 def _places(path: Path, root: Element, origin: Origin | None) -> dict[int, tuple[float, float]]:
     """Every node's x and y, m."""
     nodes = root.findall("node")
-    identity = [_number(path, node, "id") for node in nodes]
+    identity = [whole_number(path, node, "id") for node in nodes]
     if not nodes:
         raise InputError(f"{path}: found no node, expected some")
     first = _tags(nodes[0])
@@ -222,13 +209,13 @@ def _ways(
     """Every way of two nodes and more."""
     found = {}
     for way in root.iterfind("way"):
-        nodes = tuple(_number(path, nd, "ref") for nd in way.iterfind("nd"))
+        nodes = tuple(whole_number(path, nd, "ref") for nd in way.iterfind("nd"))
         missing = next((node for node in nodes if node not in places), None)
         if missing is not None:
             raise InputError(f"{path}: way: found node {missing}, expected one of the file")
         if len(nodes) >= 2:
             line = np.array([places[node] for node in nodes])
-            found[_number(path, way, "id")] = _Border(nodes, line)
+            found[whole_number(path, way, "id")] = _Border(nodes, line)
     return found
 
 
@@ -237,10 +224,10 @@ def _borders(path: Path, relation: Element, ways: Mapping[int, _Border]) -> tupl
     sides = []
     for role in ("left", "right"):
         members = [e for e in relation.iterfind("member") if e.get("role") == role]
-        refs = [_number(path, member, "ref") for member in members]
+        refs = [whole_number(path, member, "ref") for member in members]
         if not refs or any(ref not in ways for ref in refs):
             raise InputError(
-                f"{path}: lanelet {_number(path, relation, 'id')}: found no {role} border, "
+                f"{path}: lanelet {whole_number(path, relation, 'id')}: found no {role} border, "
                 "expected a way of two nodes"
             )
         sides.append(functools.reduce(_joined, (ways[ref] for ref in refs)))
@@ -332,7 +319,7 @@ class _Rules:
             tags = _tags(relation)
             members: dict[str, list[int]] = {}
             for member in relation.iterfind("member"):
-                ref = _number(path, member, "ref")
+                ref = whole_number(path, member, "ref")
                 members.setdefault(member.get("role", ""), []).append(ref)
             if tags.get("subtype") in ("right_of_way", "all_way_stop"):
                 first = tuple(members.get("right_of_way", ()))
@@ -343,12 +330,12 @@ class _Rules:
             elif tags.get("subtype") == "speed_limit":
                 text = tags.get("limit") or tags.get("sign_type", "").rpartition("-")[2]
                 if text:
-                    signs[_number(path, relation, "id")] = text
+                    signs[whole_number(path, relation, "id")] = text
         limits = {
-            _number(path, relation, "id"): signs[ref]
+            whole_number(path, relation, "id"): signs[ref]
             for relation in _relations(root, "lanelet")
             for member in relation.iterfind("member")
             if member.get("role") == "regulatory_element"
-            and (ref := _number(path, member, "ref")) in signs
+            and (ref := whole_number(path, member, "ref")) in signs
         }
         return cls(yields, frozenset(stops), limits)
