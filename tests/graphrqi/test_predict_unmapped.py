@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
@@ -272,6 +273,10 @@ def test_a_file_that_is_no_network_is_refused(tmp_path):
     (tmp_path / "broken.safetensors").write_bytes(b"x" * 40)
     with pytest.raises(InputError, match=r"broken\.safetensors: expected a trained predictor"):
         load_network(tmp_path / "broken.safetensors")
+    endless = dataclasses.replace(shipped_network(), spread_scale=float("inf"))
+    endless.save(tmp_path / "endless.safetensors", {})
+    with pytest.raises(InputError, match=r"endless\.safetensors: spread_scale: found inf"):
+        load_network(tmp_path / "endless.safetensors")
 
 
 def test_constant_velocity_keeps_its_meaning():

@@ -140,11 +140,11 @@ def load_lstm(path: Path) -> TrajectoryLstm:
     Raises:
         InputError: if the file is missing, broken or newer than this version reads.
     """
-    tensors, spread_scale = read_network(path, "pt")
+    tensors, content = read_network(path, "pt")
     mean, scale = (tensors.pop(name).numpy().astype(np.float64) for name in ("mean", "scale"))
     module = make_module(mean.size)
     module.load_state_dict({k.removeprefix("net."): v for k, v in tensors.items()})
-    return TrajectoryLstm(module, mean, scale, spread_scale)
+    return TrajectoryLstm(module, mean, scale, content["spread_scale"])
 
 
 @functools.cache

@@ -16,7 +16,7 @@ import json
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from behaviors.errors import InputError
 from graphrqi.predict.networks.futures import Futures, PredictorInputs, decode
 
 FloatArray = NDArray[np.float64]
+
+Layers = tuple[NDArray[np.float32], ...]
 
 SCHEMA_VERSION: Final = 1
 
@@ -43,37 +45,90 @@ class Perceptron:
 
     mean: FloatArray
     scale: FloatArray
-    weights: tuple[NDArray[np.float32], ...]
-    biases: tuple[NDArray[np.float32], ...]
+    weights: Layers
+    biases: Layers
     spread_scale: float
 
     def __call__(self, data: PredictorInputs) -> Futures:
         """The futures of every row."""
-        hidden = standardized(data.features, self.mean, self.scale)
-        last = len(self.weights) - 1
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = hidden @ weight
-            hidden += bias
-            if i < last:
-                hidden /= _one_and_exp(-hidden)  # SiLU
-        return decode(hidden, data.anchors, self.spread_scale)
+        features = standardized(data.features, self.mean, self.scale)
+        raw = through_layers(features, self.weights, self.biases)
+        return decode(raw, data.anchors, self.spread_scale)
 
     def save(self, path: Path, card: dict[str, Any]) -> None:
         """Write the network with its card (data, split, scores) in the file's metadata."""
-        from safetensors.numpy import save_file
+        save_layers(self, path, about(self.spread_scale, card))
 
-        arrays: dict[str, NDArray[np.floating]] = {"mean": self.mean, "scale": self.scale}
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
-        arrays = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
-        save_file(arrays, path, about(self.spread_scale, card))
+
+class Layered(Protocol):
+    """A network of fully connected layers: inputs' means and scales, weights and biases."""
+
+    @property
+    def mean(self) -> FloatArray:
+        """(F,) of the training features."""
+
+    @property
+    def scale(self) -> FloatArray:
+        """(F,) their standard deviations."""
+
+    @property
+    def weights(self) -> Layers:
+        """One (in, out) float32 matrix per layer."""
+
+    @property
+    def biases(self) -> Layers:
+        """One (out,) float32 vector per layer."""
+
+
+def save_layers(network: Layered, path: Path, metadata: dict[str, str]) -> None:
+    """Write a network's arrays in single precision, with the file's metadata."""
+    from safetensors.numpy import save_file
+
+    arrays: dict[str, NDArray[np.floating]] = {"mean": network.mean, "scale": network.scale}
+    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
+    save_file({k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}, path, metadata)
+
+
+def read_layers(path: Path) -> tuple[tuple[FloatArray, FloatArray, Layers, Layers], dict[str, Any]]:
+    """What `save_layers` wrote: mean, scale, weights and biases; and the metadata.
+
+    Raises:
+        InputError: if the file is missing, broken, of another network or newer than this version
+            reads.
+    """
+    arrays, content = read_network(path, "np")
+    layers = sum(name.startswith("weight_") for name in arrays)
+    try:
+        return (
+            arrays["mean"].astype(np.float64),
+            arrays["scale"].astype(np.float64),
+            tuple(arrays[f"weight_{i}"] for i in range(layers)),
+            tuple(arrays[f"bias_{i}"] for i in range(layers)),
+        ), content
+    except KeyError as error:
+        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
 
 
 def standardized(
-    features: NDArray[Any], mean: FloatArray, scale: FloatArray
+    features: NDArray[Any], mean: FloatArray, scale: FloatArray, most: float = 8.0
 ) -> NDArray[np.float32]:
-    """(n, F) features as a network takes them; outliers are clipped."""
-    return np.clip((features - mean) / scale, -8.0, 8.0).astype(np.float32)
+    """(n, F) features as a network takes them; outliers are clipped at ``most`` deviations."""
+    return np.clip((features - mean) / scale, -most, most).astype(np.float32)
+
+
+def through_layers(
+    features: NDArray[np.float32], weights: Layers, biases: Layers
+) -> NDArray[np.float32]:
+    """(n, out) what layers with SiLU between them make of standardised features (n, in)."""
+    hidden = features
+    last = len(weights) - 1
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        hidden = hidden @ weight
+        hidden += bias
+        if i < last:
+            hidden /= _one_and_exp(-hidden)  # SiLU
+    return hidden
 
 
 def _one_and_exp(x: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -84,14 +139,14 @@ def _one_and_exp(x: NDArray[np.float32]) -> NDArray[np.float32]:
     return x
 
 
-def about(spread_scale: float, card: dict[str, Any]) -> dict[str, str]:
+def about(spread_scale: float, card: dict[str, Any], **more: Any) -> dict[str, str]:
     """The metadata of a network's file."""
-    content = {"schema_version": SCHEMA_VERSION, "spread_scale": spread_scale, "card": card}
+    content = {"schema_version": SCHEMA_VERSION, "spread_scale": spread_scale, "card": card, **more}
     return {"about": json.dumps(content, sort_keys=True)}
 
 
-def read_network(path: Path, framework: str) -> tuple[dict[str, Any], float]:
-    """The arrays and the spread scale in a network's file.
+def read_network(path: Path, framework: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The arrays and the metadata in a network's file; its ``spread_scale`` is a usual number.
 
     Args:
         path: the file.
@@ -113,7 +168,7 @@ def read_network(path: Path, framework: str) -> tuple[dict[str, Any], float]:
                     f"expected {SCHEMA_VERSION}"
                 )
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            spread_scale = float(content["spread_scale"])
+            content["spread_scale"] = spread_scale = float(content["spread_scale"])
     except FileNotFoundError:
         raise InputError(f"{path}: found no file, expected a trained predictor") from None
     except InputError:
@@ -125,7 +180,7 @@ def read_network(path: Path, framework: str) -> tuple[dict[str, Any], float]:
     for name, array in arrays.items():
         if not bool((abs(array) < float("inf")).all()):
             raise InputError(f"{path}: {name}: found numbers that are not finite")
-    return arrays, spread_scale
+    return arrays, content
 
 
 def load_perceptron(path: Path) -> Perceptron:
@@ -135,18 +190,8 @@ def load_perceptron(path: Path) -> Perceptron:
         InputError: if the file is missing, broken, of another network or newer than this version
             reads.
     """
-    arrays, spread_scale = read_network(path, "np")
-    layers = sum(name.startswith("weight_") for name in arrays)
-    try:
-        return Perceptron(
-            arrays["mean"].astype(np.float64),
-            arrays["scale"].astype(np.float64),
-            tuple(arrays[f"weight_{i}"] for i in range(layers)),
-            tuple(arrays[f"bias_{i}"] for i in range(layers)),
-            spread_scale,
-        )
-    except KeyError as error:
-        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+    layers, content = read_layers(path)
+    return Perceptron(*layers, content["spread_scale"])
 
 
 def weights_file(name: str) -> Any:

@@ -12,9 +12,7 @@ References:
 from __future__ import annotations
 
 import functools
-import json
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,11 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.predict.networks.perceptron import (
+    Layers,
+    about,
+    read_layers,
+    save_layers,
+    standardized,
+    through_layers,
+    weights_file,
+)
 from graphrqi.predict.recorded.features import scale_of
 
 FloatArray = NDArray[np.float64]
-
-SCHEMA_VERSION: Final = 1
 
 MODES: Final = 6
 """Futures per agent: what Argoverse 2 scores."""
@@ -94,46 +99,21 @@ class RecordedNetwork:
 
     mean: FloatArray
     scale: FloatArray
-    weights: tuple[NDArray[np.float32], ...]
-    biases: tuple[NDArray[np.float32], ...]
+    weights: Layers
+    biases: Layers
     spread_scale: float
     trained: TrainedRange
 
     def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
         """(n, MODES, PER_MODE) raw numbers."""
-        hidden = standardized(features, self.mean, self.scale)
-        last = len(self.weights) - 1
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = hidden @ weight + bias
-            if i < last:
-                hidden /= 1.0 + np.exp(np.minimum(-hidden, np.float32(80.0)))  # SiLU
-        return hidden.reshape(len(features), MODES, PER_MODE)
+        inputs = standardized(features, self.mean, self.scale, CLIP)
+        raw = through_layers(inputs, self.weights, self.biases)
+        return raw.reshape(len(features), MODES, PER_MODE)
 
     def save(self, path: Path, card: dict[str, Any]) -> None:
         """Write the network with its card (data, split, scores) in the file's metadata."""
-        from safetensors.numpy import save_file
-
-        arrays: dict[str, NDArray[np.floating]] = {"mean": self.mean, "scale": self.scale}
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
-        content = {
-            "schema_version": SCHEMA_VERSION,
-            "spread_scale": self.spread_scale,
-            "trained": {name: getattr(self.trained, name) for name in TrainedRange.__slots__},
-            "card": card,
-        }
-        save_file(
-            {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()},
-            path,
-            {"about": json.dumps(content, sort_keys=True)},
-        )
-
-
-def standardized(
-    features: NDArray[Any], mean: FloatArray, scale: FloatArray
-) -> NDArray[np.float32]:
-    """(n, F) features as the network takes them; outliers are cut off at `CLIP`."""
-    return np.clip((features - mean) / scale, -CLIP, CLIP).astype(np.float32)
+        trained = {name: getattr(self.trained, name) for name in TrainedRange.__slots__}
+        save_layers(self, path, about(self.spread_scale, card, trained=trained))
 
 
 def powers(time_s: FloatArray) -> FloatArray:
@@ -183,30 +163,12 @@ def load_network(path: Path) -> RecordedNetwork:
     Raises:
         InputError: if the file is missing, broken or newer than this version reads.
     """
-    from safetensors import SafetensorError, safe_open
-
+    layers, content = read_layers(path)
     try:
-        with safe_open(path, "np") as file:
-            about = json.loads((file.metadata() or {})["about"])
-            if about["schema_version"] != SCHEMA_VERSION:
-                raise InputError(
-                    f"{path}: schema_version: found {about['schema_version']}, "
-                    f"expected {SCHEMA_VERSION}"
-                )
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        layers = sum(name.startswith("weight_") for name in arrays)
-        return RecordedNetwork(
-            arrays["mean"].astype(np.float64),
-            arrays["scale"].astype(np.float64),
-            tuple(arrays[f"weight_{i}"] for i in range(layers)),
-            tuple(arrays[f"bias_{i}"] for i in range(layers)),
-            float(about["spread_scale"]),
-            TrainedRange(**about["trained"]),
-        )
-    except FileNotFoundError:
-        raise InputError(f"{path}: found no file, expected a trained predictor") from None
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        trained = TrainedRange(**content["trained"])
+    except (KeyError, TypeError) as error:
         raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+    return RecordedNetwork(*layers, content["spread_scale"], trained)
 
 
 SHIPPED: Final = "recorded.safetensors"
@@ -216,8 +178,7 @@ SHIPPED: Final = "recorded.safetensors"
 @functools.cache
 def shipped_network() -> RecordedNetwork:
     """The network that ships in the package."""
-    found = resources.files("graphrqi.predict").joinpath("weights", SHIPPED)
-    with resources.as_file(found) as path:
+    with weights_file(SHIPPED) as path:
         return load_network(path)
 
 

@@ -9,7 +9,7 @@ best on validation episodes is kept; there the spreads are also scaled to their 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -29,7 +29,7 @@ from graphrqi.predict.networks.futures import (
     PredictorInputs,
     decode,
 )
-from graphrqi.predict.networks.perceptron import Perceptron
+from graphrqi.predict.networks.perceptron import Layers, Perceptron
 from graphrqi.predict.networks.perceptron import standardized as standardized_features
 
 if TYPE_CHECKING:
@@ -210,18 +210,10 @@ def train_perceptron(
     draw = training if callable(training) else lambda epoch: training
     mean, scale = standardization(draw(0).features)
     sizes = (mean.size, *HIDDEN, MODES * PER_MODE)
-    layers: list[torch.nn.Module] = []
-    for i, (inside, outside) in enumerate(itertools.pairwise(sizes)):
-        linear = torch.nn.Linear(inside, outside)
-        layers.append(linear)
-        if i < len(sizes) - 2:
-            layers.append(torch.nn.SiLU())
-        else:
-            with torch.no_grad():  # start as the likeliest rollout
-                linear.weight.mul_(0.05)
-                linear.bias.zero_()
-                linear.bias.view(MODES, PER_MODE)[:, 0] = 2.0
-    module = torch.nn.Sequential(*layers)
+    module = silu_module(sizes)
+    with torch.no_grad():  # start as the likeliest rollout
+        *_, last_bias = module.parameters()
+        last_bias.view(MODES, PER_MODE)[:, 0] = 2.0
     fit(
         module,
         lambda epoch: standardized(draw(epoch), mean, scale),
@@ -230,14 +222,7 @@ def train_perceptron(
         seed,
         on_epoch,
     )
-    linears = [m for m in module if isinstance(m, torch.nn.Linear)]
-    network = Perceptron(
-        mean,
-        scale,
-        tuple(np.ascontiguousarray(m.weight.detach().numpy().T) for m in linears),
-        tuple(m.bias.detach().numpy() for m in linears),
-        1.0,
-    )
+    network = Perceptron(mean, scale, *layers_of(module), 1.0)
     futures = network(
         PredictorInputs(validation.features.astype(np.float64), validation.anchors.astype(float))
     )
@@ -270,12 +255,49 @@ def train_lstm(
     return TrajectoryLstm(module, mean, scale, right_spread(futures, validation.truth))
 
 
+def silu_module(sizes: Sequence[int]) -> torch.nn.Sequential:
+    """Fully connected layers of these widths with SiLU between them; the last one starts near 0."""
+    import torch
+
+    linears = [torch.nn.Linear(inside, outside) for inside, outside in itertools.pairwise(sizes)]
+    with torch.no_grad():
+        linears[-1].weight.mul_(0.05)
+        linears[-1].bias.zero_()
+    layers = [layer for linear in linears for layer in (linear, torch.nn.SiLU())]
+    return torch.nn.Sequential(*layers[:-1])
+
+
+def layers_of(module: torch.nn.Sequential) -> tuple[Layers, Layers]:
+    """The weights and the biases of a module's linear layers, as networks in numpy keep them."""
+    import torch
+
+    linears = [m for m in module if isinstance(m, torch.nn.Linear)]
+    return (
+        tuple(np.ascontiguousarray(m.weight.detach().numpy().T) for m in linears),
+        tuple(m.bias.detach().numpy() for m in linears),
+    )
+
+
 def right_spread(futures: Futures, truth: NDArray[np.float32]) -> float:
     """Factor for the spreads with which nominal 90 % sets cover 90 % at the last knot."""
-    low, high = 0.1, 10.0
     every = max(1, len(truth) // CHECKED)
     own, spread = futures.own[::every, :, -1], futures.spread[::every, :, -1]
     probability, ended = futures.probability[::every], truth[::every, -1].astype(np.float64)
+    return spread_factor(own, spread, probability, ended)
+
+
+def spread_factor(
+    own: FloatArray, spread: FloatArray, probability: FloatArray, ended: FloatArray
+) -> float:
+    """Factor for the spreads with which nominal 90 % sets cover 90 %.
+
+    Args:
+        own: (m, MODES, 2) futures at one time, m.
+        spread: (m, MODES) their spreads, m.
+        probability: (m, MODES) their probabilities.
+        ended: (m, 2) where everyone was, m.
+    """
+    low, high = 0.1, 10.0
     for _ in range(20):
         middle = float(np.sqrt(low * high))
         inside = covered(own, spread * middle, probability, ended)

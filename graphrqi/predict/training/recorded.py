@@ -9,19 +9,19 @@ recordings apart to their nominal coverage.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.predict.metrics import covered
 from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.predict.networks.perceptron import standardized
 from graphrqi.predict.recorded.features import scale_of
 from graphrqi.predict.recorded.network import (
+    CLIP,
     HORIZON_S,
     MODES,
     PER_MODE,
@@ -30,8 +30,8 @@ from graphrqi.predict.recorded.network import (
     TrainedRange,
     decode,
     powers,
-    standardized,
 )
+from graphrqi.predict.training.fit import layers_of, silu_module, spread_factor
 
 if TYPE_CHECKING:
     import torch
@@ -135,31 +135,10 @@ def train_recorded(
     scale = training.features.std(axis=0, dtype=np.float64)
     scale = np.where(scale > 1e-3, scale, 1.0)
     sizes = (mean.size, *HIDDEN, MODES * PER_MODE)
-    layers: list[torch.nn.Module] = []
-    for i, (inside, outside) in enumerate(itertools.pairwise(sizes)):
-        linear = torch.nn.Linear(inside, outside)
-        layers.append(linear)
-        if i < len(sizes) - 2:
-            layers.append(torch.nn.SiLU())
-        else:
-            with torch.no_grad():  # start as the base
-                linear.weight.mul_(0.05)
-                linear.bias.zero_()
-    module = torch.nn.Sequential(*layers)
+    module = silu_module(sizes)  # starts as the base
     _fit(module, training, mean, scale, epochs, seed, on_epoch)
-    linears = [m for m in module if isinstance(m, torch.nn.Linear)]
-    network = RecordedNetwork(
-        mean,
-        scale,
-        tuple(np.ascontiguousarray(m.weight.detach().numpy().T) for m in linears),
-        tuple(m.bias.detach().numpy() for m in linears),
-        1.0,
-        _range_of(training),
-    )
-    return RecordedNetwork(
-        network.mean, network.scale, network.weights, network.biases,
-        right_spread(network, validation), network.trained,
-    )  # fmt: skip
+    network = RecordedNetwork(mean, scale, *layers_of(module), 1.0, _range_of(training))
+    return replace(network, spread_scale=right_spread(network, validation))
 
 
 def guesses(network: RecordedNetwork, examples: RecordedExamples) -> FloatArray:
@@ -184,7 +163,7 @@ def _fit(
     """Fit a module that maps features to outputs."""
     import torch
 
-    features = torch.from_numpy(standardized(training.features, mean, scale))
+    features = torch.from_numpy(standardized(training.features, mean, scale, CLIP))
     base, truth = torch.from_numpy(training.base), torch.from_numpy(training.truth)
     size = torch.from_numpy(scale_of(training.measured[:, 0]).astype(np.float32))
     counts = np.bincount(training.group)
@@ -261,9 +240,4 @@ def right_spread(network: RecordedNetwork, examples: RecordedExamples) -> float:
     some = examples.rows(np.arange(0, len(examples), every))
     own, spread, probability = _decoded(network, some)
     ended = some.truth[:, -1].astype(np.float64)
-    low, high = 0.1, 10.0
-    for _ in range(20):
-        middle = float(np.sqrt(low * high))
-        inside = covered(own[:, :, -1], spread[:, :, -1] * middle, probability, ended)
-        low, high = (middle, high) if inside.mean() < 0.9 else (low, middle)
-    return float(np.sqrt(low * high))
+    return spread_factor(own[:, :, -1], spread[:, :, -1], probability, ended)
