@@ -20,6 +20,9 @@ from sim.store.schema import MAX_OBJECTS, Split
 DATA_CARD: Final = "README.md"
 """Name of the card in a dataset's folder."""
 
+_TITLE: Final = "# Traffic episodes with labelled driver behaviour"
+"""First line of every card."""
+
 _COUNTED: Final = ("kind", "behavior")
 """The columns of ``agents.parquet`` that are counted."""
 
@@ -48,6 +51,14 @@ def write_data_card(folder: Path, edited: bool = False) -> None:
         LOGGER.warning("%s: kept, since it was edited", folder / DATA_CARD)
         return
     write_whole(folder / DATA_CARD, data_card(open_dataset(folder)).encode())
+
+
+def is_data_card(path: Path) -> bool:
+    """Whether a file begins as the cards of datasets do."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(_TITLE)) == _TITLE.encode()
 
 
 def card_was_edited(folder: Path) -> bool:
@@ -122,7 +133,7 @@ def data_card(dataset: Dataset) -> str:
     kinds = [k for k in KINDS if any(counts[n][k] for n in names)]
     return "\n".join(
         [
-            "# Traffic episodes with labelled driver behaviour",
+            _TITLE,
             "",
             f"Schema version {dataset.manifest.schema_version}; the columns are described in"
             " `sim/store/schema.py`.",

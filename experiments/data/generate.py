@@ -18,7 +18,7 @@ from experiments.console.exit_codes import Interrupted
 from experiments.console.progress import Progress
 from experiments.data.cluster import make_on_cluster
 from experiments.data.configuration import GenerateConfig
-from experiments.data.data_card import DATA_CARD, card_was_edited, write_data_card
+from experiments.data.data_card import DATA_CARD, card_was_edited, is_data_card, write_data_card
 from experiments.data.episode import Task, make_episode
 from experiments.data.processes import make_in_processes
 from experiments.data.tasks import T
@@ -56,8 +56,8 @@ def check_unfinished(folder: Path, planned: Callable[[EpisodeMeta], bool]) -> No
     """
     if not folder.is_dir():
         return
-    # Episodes whose manifest is gone have a card beside them, which is written anew.
-    ours = _OURS | {DATA_CARD} if (folder / "episodes").is_dir() else _OURS
+    # Where only the manifest is gone there is a card, which is written anew.
+    ours = _OURS | {DATA_CARD} if is_data_card(folder / DATA_CARD) else _OURS
     for path in folder.iterdir():
         if path.name not in ours and not path.name.startswith(PARTIAL_PREFIX):
             raise InputError(f"{folder}: found {path.name} in it, expected an empty folder")

@@ -85,6 +85,10 @@ def test_generating_more_keeps_an_edited_card(
     generate(CONFIG, tmp_path, jobs=1, quiet=True)
     assert (tmp_path / "README.md").read_text() == NOTE
     assert "README.md: kept, since it was edited" in caplog.text
+    (tmp_path / "manifest.json").unlink()  # nothing tells any more what the card was
+    with pytest.raises(InputError, match=r"found README\.md in it"):
+        generate(CONFIG, tmp_path, jobs=1, quiet=True)
+    assert (tmp_path / "README.md").read_text() == NOTE
 
 
 def test_a_repair_moves_foreign_files_beside_the_dataset(
