@@ -12,21 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from experiments.cli.options import in_a_folder
+from experiments.cli.options import json_option
 
 if TYPE_CHECKING:
     from experiments.benches.contract import Bench
 
 Json = Annotated[
     Path | None,
-    typer.Option(
-        "--json",
-        dir_okay=False,
-        callback=in_a_folder,
-        allow_dash=True,
-        metavar="FILE",
-        help="Write the rows as JSON, after every part of the bench; - for standard output.",
-    ),
+    json_option("Write the rows as JSON, after every part of the bench; - for standard output."),
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")]
 Plot = Annotated[

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer.models import OptionInfo
 
 
 def in_a_folder(path: Path | None) -> Path | None:
@@ -33,17 +34,20 @@ def names_of(what: str) -> Callable[[str], list[str]]:
     return complete
 
 
-Json = Annotated[
-    Path | None,
-    typer.Option(
+def json_option(help: str) -> OptionInfo:
+    """The option ``--json FILE``, with what it writes."""
+    option: OptionInfo = typer.Option(
         "--json",
         dir_okay=False,
         callback=in_a_folder,
         allow_dash=True,
         metavar="FILE",
-        help="Write the table as JSON; - for standard output.",
-    ),
-]
+        help=help,
+    )
+    return option
+
+
+Json = Annotated[Path | None, json_option("Write the table as JSON; - for standard output.")]
 ModelName = Annotated[
     str, typer.Option("--model", help="A model that ships, or a folder written by train.")
 ]
