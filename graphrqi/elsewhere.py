@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.classify import Classifier, make_classifier, restore_classifier
-from graphrqi.classify.checks import saved
+from graphrqi.classify.checks import part_of, saved
 from graphrqi.classify.contract import CodeArray
 from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.samples import Samples
@@ -117,11 +117,8 @@ class Elsewhere:
         found[:, FOREIGN] += novelty[:, 0]
         return np.asarray(np.clip(found, 0.0, 1.0)[back.ravel()])
 
-    def novelty(self, relative: FloatArray) -> FloatArray:
-        """(n,) how far the scene lies outside the training's range: 0 within, 1 far beyond."""
-        return self._novelty(relative[:, _SCENE])
-
     def _novelty(self, scenes: FloatArray) -> FloatArray:
+        """(n,) how far scenes lie outside the training's range: 0 within, 1 far beyond."""
         length = self.high - self.low
         outside = np.maximum(np.maximum(self.low - scenes, scenes - self.high), 0.0)
         far = (outside / np.where(length > 0.0, length, 1.0)).max(axis=1, initial=0.0)
@@ -135,12 +132,12 @@ class Elsewhere:
             kinds: (n, 3) as from `kinds`; rows of the answer sum to one minus the first column.
         """
         out = np.zeros((len(relative), len(BEHAVIORS)))
-        novelty = self.novelty(relative)[:, None]
         for kind, classifier in ((SEEN_BADLY, self.seen_badly), (FOREIGN, self.foreign)):
             asked = kinds[:, kind] > 0.0
             if asked.any():
-                known = classifier.posterior(np.ascontiguousarray(relative[asked]))
-                far = novelty[asked]
+                inputs = np.ascontiguousarray(relative[asked])
+                known = classifier.posterior(inputs)
+                far = self._novelty(inputs[:, _SCENE])[:, None]
                 known = (1.0 - far) * known + far / len(BEHAVIORS)
                 out[asked] += kinds[asked, kind, None] * known
         return out
@@ -172,15 +169,10 @@ class Elsewhere:
             ("gate", "boosted", 3, len(SCENE_NAMES), GATE_OPTIONS),
         )
         seen_badly, foreign, gate = (
-            restore_classifier(kind, classes, inputs, options, _part(arrays, name))
+            restore_classifier(kind, classes, inputs, options, part_of(arrays, name))
             for name, kind, classes, inputs, options in parts
         )
         return cls(seen_badly, foreign, gate, low, high, card)
-
-
-def _part(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
-    """Arrays whose names begin with a name and a point, without these."""
-    return {k.removeprefix(f"{name}."): v for k, v in arrays.items() if k.startswith(f"{name}.")}
 
 
 def train_elsewhere(

@@ -302,11 +302,8 @@ def _model_folder(name_or_folder: str | Path) -> Path:
 
 def _description(path: Path) -> tuple[_ModelFile, Method]:
     """A checked ``model.json`` and its method."""
-    size = path.stat().st_size
-    if size > MAX_CARD_BYTES:
-        raise InputError(f"{path}: found {size} bytes, expected at most {MAX_CARD_BYTES}")
     try:
-        file = _ModelFile.model_validate_json(path.read_bytes())
+        file = _ModelFile.model_validate_json(_read_small(path))
     except ValidationError as error:
         raise InputError(f"{path}: {first_wrong_field(error, _ModelFile.model_fields)}") from None
     try:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.classify.boosted import Boosted
-from graphrqi.classify.checks import saved, saved_temperature
+from graphrqi.classify.checks import part_of, saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import NEVER, softmax
 from graphrqi.classify.standardisation import Standardisation
@@ -94,10 +94,5 @@ class Averaged:
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
-        self._trees.restore(_part(arrays, "trees"), num_features)
-        self._take(_part(arrays, "network"), num_features)
-
-
-def _part(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
-    """Arrays whose names begin with a name and a point, without these."""
-    return {k.removeprefix(f"{name}."): v for k, v in arrays.items() if k.startswith(f"{name}.")}
+        self._trees.restore(part_of(arrays, "trees"), num_features)
+        self._take(part_of(arrays, "network"), num_features)

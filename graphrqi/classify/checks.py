@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,16 @@ def saved(
     ):
         raise InputError(f"{name}: found shape {found.shape}, expected {shape}")
     return found
+
+
+def part_of(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
+    """The arrays of one part, whose names begin with the part's name and a point, without these.
+
+    Examples:
+        >>> part_of({"gate.bias": np.zeros(2), "low": np.ones(1)}, "gate")
+        {'bias': array([0., 0.])}
+    """
+    return {k.removeprefix(f"{name}."): v for k, v in arrays.items() if k.startswith(f"{name}.")}
 
 
 def saved_temperature(arrays: dict[str, NDArray[Any]]) -> float:

@@ -62,7 +62,6 @@ class SmoothedMotion:
         direction: (n, 2) unit vectors of travel.
         speed: (n,) m/s along the direction.
         acceleration: (n,) m/s2 along the direction.
-        noise_m: standard deviation of the positions' errors, m; NaN before any estimate.
     """
 
     time_s: float
@@ -73,7 +72,6 @@ class SmoothedMotion:
     direction: FloatArray
     speed: FloatArray
     acceleration: FloatArray
-    noise_m: float
 
 
 class SmoothMotion:
@@ -152,7 +150,6 @@ class SmoothMotion:
             direction=direction,
             speed=speed,
             acceleration=(fitted[:, 4:6] * direction).sum(axis=1),
-            noise_m=self.noise_m,
         )
 
     def _directions(self, ids: IntArray, velocity: FloatArray) -> FloatArray:
