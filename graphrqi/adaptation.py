@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS
 from graphrqi.classify.softmax import FLOOR, softmax
+from graphrqi.posterior import aggressive_share
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -39,8 +40,6 @@ LEAST_PAIRS: Final = 10
 
 SCALES: Final = np.geomspace(0.1, 2.0, 61)
 """Scales that are tried without labels."""
-
-_AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +131,7 @@ def from_agreement(first: FloatArray, second: FloatArray) -> Adaptation:
             f"recordings: found {len(first)} drivers that are seen long enough for two answers, "
             f"expected at least {LEAST_PAIRS}"
         )
-    agreed = ((_style(first) > 0.5) == (_style(second) > 0.5)).mean()
+    agreed = ((aggressive_share(first) > 0.5) == (aggressive_share(second) > 0.5)).mean()
     best, least = 1.0, np.inf
     for scale in SCALES:
         adaptation = Adaptation(float(scale), np.zeros(len(BEHAVIORS)))
@@ -143,12 +142,7 @@ def from_agreement(first: FloatArray, second: FloatArray) -> Adaptation:
     return Adaptation(best, np.zeros(len(BEHAVIORS)))
 
 
-def _style(probability: FloatArray) -> FloatArray:
-    """(n,) probability that a driver is aggressive."""
-    return np.asarray(probability[:, _AGGRESSIVE].sum(axis=1))
-
-
 def _sure(probability: FloatArray) -> FloatArray:
     """(n,) probability of the likelier style."""
-    style = _style(probability)
+    style = aggressive_share(probability)
     return np.asarray(np.maximum(style, 1.0 - style))

@@ -22,13 +22,24 @@ BEHAVIOR_TOLD: Final = 0.5
 """Probability of a behaviour from which it is told though its style may not be: it is then more
 likely than the five others together."""
 
-_AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
+AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
+"""(6,) which behaviours are of the aggressive style."""
 
 _SHOWN: Final = 10
 """Drivers shown in a notebook's table."""
 
 _COMPUTED: Final = np.empty(0)
 """Stands for values that follow from the probabilities."""
+
+
+def aggressive_share(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) probability of the aggressive style, from those of the behaviours (..., 6).
+
+    Examples:
+        >>> aggressive_share(np.array([[0.25, 0.25, 0.0, 0.5, 0.0, 0.0]])).tolist()
+        [0.5]
+    """
+    return np.asarray(probability[..., AGGRESSIVE].sum(axis=-1))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -86,7 +97,7 @@ class Posterior:
             )
         unknown = np.asarray(self.unknown, dtype=np.float64)
         if self.unknown is _COMPUTED:
-            unknown = 1.0 - np.abs(2.0 * probability[:, _AGGRESSIVE].sum(axis=1) - 1.0)
+            unknown = 1.0 - np.abs(2.0 * aggressive_share(probability) - 1.0)
             unknown = np.clip(unknown, 0.0, 1.0)
         if unknown.shape != ids.shape or not ((unknown >= 0.0) & (unknown <= 1.0)).all():
             raise InputError(

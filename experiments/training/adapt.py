@@ -21,6 +21,7 @@ from experiments.scoring.metrics import auc
 from graphrqi.adaptation import from_agreement, from_labels
 from graphrqi.methods import Model
 from graphrqi.model_files import check_model_folder, load_model, save_model
+from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.samples import NoSamplesError, Samples, collect
 from sim.store.dataset import Dataset, open_dataset
 
@@ -38,8 +39,6 @@ SPLITS: Final = 20
 
 LEAST_SCORED: Final = 10
 """Fewest drivers beside the labelled ones on which a number is reported."""
-
-_AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +222,7 @@ def _gains(model: Model, features: FloatArray, allowed: BoolArray) -> list[Row]:
     """Scores on labelled drivers that were left out of a random choice of so many."""
     known = model.posterior(features)
     # Styles alone are compared: every label tells one, whether it names a behaviour or a style.
-    style: BoolArray = np.asarray(allowed[:, _AGGRESSIVE].any(axis=1))
+    style: BoolArray = np.asarray(allowed[:, AGGRESSIVE].any(axis=1))
     rows: list[Row] = []
     for count in LABELLED:
         if len(features) < count + LEAST_SCORED:
@@ -236,8 +235,8 @@ def _gains(model: Model, features: FloatArray, allowed: BoolArray) -> list[Row]:
                 continue
             adapted = from_labels(known[learned], allowed[learned]).applied(known[scored])
             answers = {
-                "as it was": known[scored][:, _AGGRESSIVE].sum(axis=1),
-                "adapted": adapted[:, _AGGRESSIVE].sum(axis=1),
+                "as it was": aggressive_share(known[scored]),
+                "adapted": aggressive_share(adapted),
                 "trained from nothing": _from_nothing(features, style, learned, scored),
             }
             for name, probability in answers.items():

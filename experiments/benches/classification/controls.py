@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.benches.classification.recordings import MAIN_S, FloatArray, IntArray, Recordings
 from experiments.benches.classification.rows import keys_of, posterior, score_rows
@@ -25,6 +25,7 @@ from experiments.scoring.metrics import bootstrap, pairs_won, ratio
 from experiments.scoring.models import majority_of
 from graphrqi.classify import make_classifier
 from graphrqi.methods import train
+from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples
 from sim.store.dataset import Dataset
 from sim.store.schema import Split
@@ -135,7 +136,7 @@ def interpretability(recordings: Recordings) -> list[Row]:
     """
     samples = recordings.scored("graphrqi")
     size = np.abs(samples.features[:, 0].astype(np.float64))
-    aggressive = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])[samples.codes]
+    aggressive = AGGRESSIVE[samples.codes]
     rows: list[Row] = []
     for scenario in recordings.dataset.scenarios:
         chosen = np.flatnonzero(recordings.scenario[samples.episode] == scenario)

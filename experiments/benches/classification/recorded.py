@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.rows import keys_of
 from experiments.benches.classification.second_half import MEASURES, halves, measured
 from experiments.data.admission import admitted
@@ -29,7 +29,7 @@ from experiments.data.parallel import in_parallel
 from experiments.rows import Row, tidy_row
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
-from graphrqi.posterior import Posterior
+from graphrqi.posterior import aggressive_share
 from graphrqi.stream import BehaviorStream
 from sim.formats import FORMATS, formats_in, read_recordings, recording_files
 from sim.formats.common.recording import Recording
@@ -50,8 +50,6 @@ LEAST_DRIVERS: Final = 10
 
 RESAMPLES: Final = 1000
 """Bootstrap resamples of drivers."""
-
-_AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +138,8 @@ def last_beliefs(tracks: Tracks, model: Model) -> tuple[FloatArray, FloatArray]:
             at = int(np.searchsorted(posterior.ids, tracks.ids[row]))
             if at < posterior.ids.size and posterior.ids[at] == tracks.ids[row]:
                 beliefs[row] = posterior.probability[at]
-                unknown[row] = unknown_of(posterior)[at]
+                unknown[row] = not posterior.told[at]
     return beliefs, unknown
-
-
-def unknown_of(posterior: Posterior) -> FloatArray:
-    """(n,) 1 for drivers without an answer that is earned; 0 for all of models that do not tell."""
-    told = getattr(posterior, "told", np.ones(posterior.ids.size, dtype=bool))
-    return 1.0 - np.asarray(told, dtype=np.float64)
 
 
 @lru_cache(maxsize=1)
@@ -255,7 +247,7 @@ def spearman(one: FloatArray, other: FloatArray, seed: int = 0) -> tuple[float, 
 
 def log_odds(probability: FloatArray) -> FloatArray:
     """(...) log-odds of the aggressive style, from beliefs (..., 6)."""
-    aggressive = np.clip(probability[..., _AGGRESSIVE].sum(axis=-1), 1e-6, 1.0 - 1e-6)
+    aggressive = np.clip(aggressive_share(probability), 1e-6, 1.0 - 1e-6)
     return np.asarray(np.log(aggressive / (1.0 - aggressive)))
 
 
@@ -291,8 +283,8 @@ def _shares(drivers: Drivers, keys: dict[str, str | int | float | bool | None]) 
     life, n = drivers.life[answered], int(answered.sum())
     if not drivers.life.size:
         return []
-    style = life[:, _AGGRESSIVE].sum(axis=1)
-    values: dict[str, FloatArray] = {"share_aggressive": style > 0.5}
+    style = aggressive_share(life)
+    values: dict[str, NDArray[np.generic]] = {"share_aggressive": style > 0.5}
     likeliest = life.argmax(axis=1)
     values |= {f"share_{b.value}": likeliest == b.code for b in BEHAVIORS}
     values["style_confidence"] = np.maximum(style, 1.0 - style)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recordings import UNDISTURBED, Disturbed, FloatArray
 from experiments.benches.classification.rows import score_rows
 from experiments.data.parallel import in_parallel
@@ -24,6 +24,7 @@ from experiments.scoring.metrics import (
 )
 from experiments.scoring.models import majority_of
 from graphrqi.methods import Model
+from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.samples import Samples
 from graphrqi.stream import BehaviorStream
 from sim.frames import Tracks
@@ -38,8 +39,6 @@ SURE: Final = 0.9
 
 ANSWERED_EVERY_S: Final = 1.0
 """The stream takes every frame, and is asked this often, s."""
-
-_AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])
 
 
 def streamed(
@@ -139,8 +138,8 @@ def answer_rows(samples: Samples, probability: FloatArray, keys: Mapping[str, Ce
         ``accuracy_answered``: how many of those are right. Majorities are those of the truth
         itself, which no model can know better.
     """
-    truth = _AGGRESSIVE[samples.codes]
-    aggressive = probability[:, _AGGRESSIVE].sum(axis=1)
+    truth = AGGRESSIVE[samples.codes]
+    aggressive = aggressive_share(probability)
     style = np.stack([1.0 - aggressive, aggressive], axis=1)
     confidence = style.max(axis=1)
     right = (aggressive > 0.5) == truth

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recorded import last_beliefs, log_odds
 from experiments.benches.classification.rows import keys_of
 from experiments.benches.real_data import Video, evaluate_traf, read_video, video_number
@@ -25,6 +25,7 @@ from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import auc_within
 from graphrqi.features.unit_free import NAMES
 from graphrqi.model_files import load_model
+from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.units import image_scale, in_metres
 from sim.formats import traf, traf_sheets
 
@@ -41,8 +42,6 @@ RANKS: Final = {
 }  # fmt: skip
 """Columns of the unit-free features whose ranks are averaged, and their signs, as the traits name
 them: overtaking, over-speeding, weaving, driving close (our choice, before any label was seen)."""
-
-_AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +141,13 @@ def zero_shot_rows(
         say(f"{PROTOCOL} skipped: found no annotated video in {inside}")
         return []
     name = Path(model).name
-    truth = [_AGGRESSIVE[a.video.codes] for a in answered]
+    truth = [AGGRESSIVE[a.video.codes] for a in answered]
     beliefs = [np.where(np.isfinite(a.belief), a.belief, 1.0 / len(BEHAVIORS)) for a in answered]
     rows = _auc_rows(
         [(a.video.name, log_odds(b), t) for a, b, t in zip(answered, beliefs, truth, strict=True)],
         name,
     )
-    every = np.concatenate([b[:, _AGGRESSIVE].sum(axis=1) for b in beliefs])
+    every = np.concatenate([aggressive_share(b) for b in beliefs])
     keys = keys_of(PROTOCOL, "all", name, None)
     rows.append(tidy_row(keys, "mean_p_aggressive", float(every.mean()), None, None, every.size))
     rows += _auc_rows(

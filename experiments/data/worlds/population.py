@@ -10,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Behavior, Style
+from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.profiles import FARTHEST_SPREADS, PROFILES, Profile
+from graphrqi.posterior import AGGRESSIVE
 from sim.frames import AgentKind
 from sim.scenario import KIND_LIMITS, AgentSpec
 
@@ -153,7 +154,7 @@ def draw_population(rng: np.random.Generator) -> Population:
 def _draw_mix(kind: str, rng: np.random.Generator) -> FloatArray:
     """(6,) shares in the order of ``BEHAVIORS``; they sum to 1."""
     n = len(BEHAVIORS)
-    aggressive = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS])
+    aggressive = AGGRESSIVE
     if kind == "equal":
         shares = np.full(n, 1.0)
     elif kind == "traf":
