@@ -38,7 +38,7 @@ def swapped(one: FloatArray, other: FloatArray) -> int:
         1
     """
     pairs = itertools.combinations(range(one.size), 2)
-    return sum((one[a] - one[b]) * (other[a] - other[b]) < 0 for a, b in pairs)
+    return sum(bool((one[a] - one[b]) * (other[a] - other[b]) < 0) for a, b in pairs)
 
 
 def ranking_rows(

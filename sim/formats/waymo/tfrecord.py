@@ -30,7 +30,7 @@ def masked_checksum(data: bytes) -> int:
 
     Examples:
         >>> hex(masked_checksum(b"123456789"))
-        '0xaf57f44b'
+        '0xc78ab0e5'
     """
     crc = int(google_crc32c.value(data))
     return (((crc >> 15) | (crc << 17)) + _OFFSET) & 0xFFFFFFFF
