@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.graph.traffic_graph import MAX_COORDINATE_M
+from graphrqi.live_answers import LiveAnswers
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
@@ -52,7 +53,7 @@ class BehaviorStream:
         self.model = model
         self.window = window
         self.min_seconds = min_seconds
-        self._observer = model.observer()
+        self._live = LiveAnswers(model, min_seconds)
         self._buffer = FrameBuffer(HISTORY_STEPS)
         self._last: Frame | None = None
         self._prior_shift = PriorShift(np.array(model.shares))
@@ -88,7 +89,7 @@ class BehaviorStream:
                 f"frame.xy: found agent {agent} beyond {MAX_COORDINATE_M:g} m, expected it nearer"
             )
         self._buffer.push(frame)
-        self._observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
+        self._live.update(frame.time_s, frame.ids, frame.xy, frame.driving)
         self._is_scene = self._monitor.update(frame)
         self._last, self._answered = frame, None
         if frame.time_s >= self._shifted_s + PRIOR_EVERY_S - 1e-6:
@@ -99,13 +100,7 @@ class BehaviorStream:
     def _answers(self) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
         """Ids, probabilities without prior shift, domain; of the drivers observed long enough."""
         if self._answered is None:
-            seen = self._observer.observation()
-            ready = seen.seconds >= self.min_seconds - 1e-6
-            if not ready.all():
-                seen = seen.where(ready)
-            features = self._observer.features(seen.seconds, seen.sums, seen.instant)
-            found, foreign = self.model.answer(features)
-            self._answered = seen.ids, found, float(foreign.max(initial=0.0))
+            self._answered = self._live.now()
         return self._answered
 
     def posterior(self) -> Posterior:

@@ -24,7 +24,7 @@ from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import NEVER, softmax
 from graphrqi.classify.standardisation import Standardisation
 
-Layers = list[tuple[FloatArray, FloatArray]]
+Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 
 class Averaged:
@@ -68,18 +68,18 @@ class Averaged:
         for number in numbers:
             weight = saved(named, f"member0.{number}.weight", (None, width))
             bias = saved(named, f"member0.{number}.bias", (len(weight),))
-            self._layers.append((np.ascontiguousarray(weight.T), bias))
+            self._layers.append((_single(weight.T), _single(bias)))
             width = len(weight)
         if width != self._num_classes:
             raise InputError(f"network: found {width} outputs, expected {self._num_classes}")
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
-        values = self._inputs.apply(features)
+        values = _single(self._inputs.apply(features))
         for number, (weight, bias) in enumerate(self._layers):
             values = (np.maximum(values, 0.0) if number else values) @ weight + bias
-        values = np.where(self._trees.trained, values / self._temperature, NEVER)
-        return 0.5 * (self._trees.posterior(features) + softmax(values))
+        scores = np.where(self._trees.trained, values.astype(np.float64) / self._temperature, NEVER)
+        return 0.5 * (self._trees.posterior(features) + softmax(scores))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The trees' arrays, and the perceptron's in single precision."""
@@ -96,3 +96,8 @@ class Averaged:
         """See `graphrqi.classify.contract.Classifier.restore`."""
         self._trees.restore(part_of(arrays, "trees"), num_features)
         self._take(part_of(arrays, "network"), num_features)
+
+
+def _single(values: NDArray[Any]) -> NDArray[np.float32]:
+    """In single precision, in which the network was trained and is twice as fast."""
+    return np.ascontiguousarray(values, dtype=np.float32)

@@ -120,6 +120,11 @@ class RunningSums:
         ids = self._ids[here]
         return Observation(ids, self._seconds[here], self._sums[here], np.zeros((ids.size, 0)))
 
+    def remembered(self) -> Observation:
+        """A copy of the sums of all drivers that are kept, those that are absent included."""
+        none = np.zeros((self._ids.size, 0))
+        return Observation(self._ids, self._seconds.copy(), self._sums.copy(), none)
+
     def of(self, ids: IntArray) -> FloatArray:
         """(n, S) sums of the given drivers, ascending; zero for those without any."""
         out = np.zeros((ids.size, self._sums.shape[1]))

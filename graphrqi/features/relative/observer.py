@@ -214,6 +214,7 @@ class RelativeObserver:
         self._presence = RunningSums(0)
         self._sums = RunningSums(_MEASURED + _LAW)
         self._measured_s = -np.inf
+        self._frozen: tuple[IntArray, FloatArray, FloatArray] | None = None
         self._first_s: float | None = None
         self._frame_s = float("nan")
         self._last_s = float("nan")
@@ -236,6 +237,8 @@ class RelativeObserver:
         motion = self._motion.fit()
         if motion is not None and motion.ids.size:
             self._measure(time_s, motion)
+        known = self._presence.remembered()
+        self._frozen = known.ids, known.seconds, self.scene()
 
     def _measure(self, time_s: float, motion: SmoothedMotion) -> None:
         """Add what one moment shows."""
@@ -286,10 +289,31 @@ class RelativeObserver:
 
     def observation(self) -> Observation:
         """Evidence on the drivers present; the scene's numbers hold for all of them."""
-        present = self._presence.observation()
-        scene = np.nan_to_num(self.scene(), nan=UNKNOWN_SCENE)
-        scene = np.broadcast_to(scene, (present.ids.size, len(SCENE_NAMES)))
-        return Observation(present.ids, present.seconds, self._sums.of(present.ids), scene)
+        present = self.present()
+        return self._with_evidence(present.ids, present.seconds, self.scene())
+
+    def present(self) -> Observation:
+        """The drivers present and for how long, without evidence."""
+        return self._presence.observation()
+
+    @property
+    def measured_s(self) -> float:
+        """Time of the last frame at which motion was measured, s; minus infinity before."""
+        return self._measured_s
+
+    def measured(self) -> Observation:
+        """Evidence as of that frame, on the drivers that were present shortly before it.
+
+        It stays the same until motion is measured again.
+        """
+        if self._frozen is None:
+            return self._with_evidence(np.empty(0, dtype=np.int64), np.empty(0), self.scene())
+        return self._with_evidence(*self._frozen)
+
+    def _with_evidence(self, ids: IntArray, seconds: FloatArray, scene: FloatArray) -> Observation:
+        known = np.nan_to_num(scene, nan=UNKNOWN_SCENE)
+        everywhere = np.broadcast_to(known, (ids.size, len(SCENE_NAMES)))
+        return Observation(ids, seconds, self._sums.of(ids), everywhere)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, F) distributions of the quantities, the law, the scene, and the time."""
