@@ -13,7 +13,11 @@ from experiments.benches.spectrum.bench import BENCH, Settings
 from experiments.benches.spectrum.convergence import convergence_rows
 from experiments.benches.spectrum.costs import missed_pairs, why_not
 from experiments.benches.spectrum.picture import plot_spectrum, spectrum_table
-from experiments.benches.spectrum.sequences import traffic_positions
+from experiments.benches.spectrum.sequences import (
+    city_blocks,
+    traffic,
+    traffic_positions,
+)
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
@@ -80,3 +84,29 @@ def test_positions_move_and_unknown_layouts_are_refused() -> None:
     assert (np.linalg.norm(second - first, axis=1) < 5.0).all()
     with pytest.raises(InputError, match="roundabout"):
         next(traffic_positions("roundabout", 3, 1))
+
+
+def test_a_city_has_as_many_vehicles_in_every_frame_and_is_certified() -> None:
+    frames = list(traffic("city", 30, 100))
+    assert len(frames) == 100
+    ids, xy = (np.stack(part) for part in zip(*frames, strict=True))
+    assert ids.shape == (100, 30)
+    assert (np.diff(ids, axis=1) > 0).all()
+    same = (ids[1:] == ids[:-1]).all(axis=1)
+    moved = np.linalg.norm(np.diff(xy, axis=0)[same], axis=2)
+    assert moved.max() < 3.0
+    assert (moved > 0.5).any(axis=0).sum() > 10
+    both = ("instantaneous", "accumulated")
+    solvers = ("graphrqi", "eigh", "arpack")
+    rows = BENCH.run(Settings((30,), 4, ("largest",), ("city",), both, 4, solvers, study=0))
+    by = {(row["solver"], row["kind"], row["metric"]): row["value"] for row in rows}
+    for kind in both:
+        assert by["graphrqi", kind, "certified_share"] == 1.0
+        assert by["graphrqi", kind, "missed_pairs"] == 0
+        assert by["graphrqi", kind, "residual_max"] < 1e-7
+
+
+def test_unknown_layouts_are_refused_before_anything_is_measured() -> None:
+    with pytest.raises(InputError, match="found 'roundabout', expected road, crossing or city"):
+        BENCH.run(Settings(graphs=("road", "roundabout")))
+    assert [city_blocks(d) for d in (1, 1000, 9000)] == [3, 8, 24]

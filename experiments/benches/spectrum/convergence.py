@@ -17,7 +17,7 @@ def convergence_rows(layout: str, d: int = 100, seed: int = 0, tries: int = 40) 
     after, both ends of the instantaneous graph's spectrum.
 
     Args:
-        layout: "road" or "crossing".
+        layout: one of `LAYOUTS`.
         d: vehicles.
         seed: of the positions.
         tries: vectors to follow.
@@ -31,6 +31,8 @@ def convergence_rows(layout: str, d: int = 100, seed: int = 0, tries: int = 40) 
     paths, orders = [], []
     sequence = list(graph_sequence(layout, "instantaneous", d, 6, 0, seed))
     for before, after in pairwise(sequence):
+        if not np.array_equal(before.ids, after.ids):  # somebody left the city, others came
+            continue
         matrix = after.laplacian.toarray()
         _, old = np.linalg.eigh(before.laplacian.toarray())
         size = float(np.linalg.norm(matrix, 2))

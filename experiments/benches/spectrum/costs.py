@@ -78,7 +78,7 @@ def measure_sequence(
 
     Args:
         solvers: those to run, by name.
-        layout: "road" or "crossing".
+        layout: one of `LAYOUTS`.
         kind: "instantaneous" or "accumulated".
         end: end of the spectrum.
         d: vehicles.

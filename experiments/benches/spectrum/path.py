@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.benches.spectrum.costs import DENSE_UP_TO
 from experiments.benches.spectrum.rows import Row, median_row
-from experiments.benches.spectrum.sequences import Floats, traffic_positions
+from experiments.benches.spectrum.sequences import Floats, traffic
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
 
@@ -18,12 +18,11 @@ def path_rows(
     layout: str, kind: str, d: int, pairs: int, steps: int, seed: int, budget_s: float
 ) -> list[Row]:
     """Time the whole way from positions to features, ours and the usual one."""
-    ids = np.arange(d)
     graph = TrafficGraph.empty(neighbors=4, reset=100, kind=cast(Any, kind))
     usual = _UsualPath(kind, d)
     spectrum: Spectrum | None = None
     cpu: dict[str, list[float]] = {"positions-to-features": [], "positions-to-features-scipy": []}
-    for step, xy in enumerate(traffic_positions(layout, d, 98, seed)):
+    for step, (ids, xy) in enumerate(traffic(layout, d, 98, seed)):
         measured = step >= 98 - steps
         begin = time.process_time()
         graph = graph.observe(ids, xy)
