@@ -27,6 +27,7 @@ from experiments.benches.drive.ranking import ranking_rows, ranks, swapped
 from scenarios import SCENARIOS
 from sim.scenario import sample_agents
 
+PAGE = Path(__file__).parents[2] / "docs" / "what-if.md"
 SHORT = {"flow": "light", "duration_s": 3.0, "warmup_s": 2.0}
 
 
@@ -111,6 +112,28 @@ def test_a_policy_of_ones_own_drives(own_policy: str) -> None:
     mine = drive("straight_road", MIXED, f"{own_policy}:make", 2, SHORT)
     idle = drive("straight_road", MIXED, "do-nothing", 2, SHORT)
     assert mine == idle  # one of three speeds: nothing is the second
+
+
+def test_the_pages_trained_policy_is_trained_loaded_and_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("stable_baselines3", reason="pip install 'graphrqi[train]'")
+    section = PAGE.read_text().split("### A policy of your own")[1]
+    training, _ = section.split("```python")[1].split("```", 1)
+    policy, _ = section.split("<<'END'")[1].split("END", 1)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    exec(training, {})
+    (tmp_path / "my_policy.py").write_text(policy)
+    settings = Settings(
+        policy=("my_policy:make",), alone=True, scenarios=("straight_road", "all_way_stop"),
+        crowds=("timid",), seeds=1, flow="light", duration_s=3.0, warmup_s=2.0, jobs=1,
+    )  # fmt: skip
+    rows = [row for part in measure(settings) for row in part]
+    driven = {row["scenario"]: row for row in rows if row["metric"] == "minutes"}
+    assert set(driven) == {*settings.scenarios, "all"}
+    assert all(row["policy"] == "my_policy:make" for row in driven.values())
+    assert all(0.0 < driven[name]["value"] <= 0.05 + 1e-9 for name in settings.scenarios)
 
 
 @pytest.mark.parametrize(
