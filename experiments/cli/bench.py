@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,7 +58,7 @@ def bench_command(bench: Bench[Any]) -> Any:
         kind = types[entry.name]
         listed = typing.get_origin(kind) is tuple
         annotations[entry.name] = Annotated[
-            str | None if listed else kind | None,
+            list[str] | None if listed else kind | None,
             typer.Option(
                 "--" + entry.name.replace("_", "-"),
                 help=f"{entry.metadata['help']}{_default(getattr(bench.full, entry.name))}",
@@ -72,9 +73,9 @@ def bench_command(bench: Bench[Any]) -> Any:
         plot = None if bench.plot is None else given.pop("plot")
         settings = bench.quick if quick else bench.full
         chosen = {
-            name: _parsed(name, value, types[name]) if isinstance(value, str) else value
+            name: _parsed(name, value, types[name]) if isinstance(value, list) else value
             for name, value in given.items()
-            if value is not None
+            if value not in (None, [])
         }
         _measure(bench, dataclasses.replace(settings, **chosen), json, plot)
 
@@ -120,17 +121,15 @@ def _default(value: object) -> str:
     return f" [default: {words}]"
 
 
-def _parsed(name: str, text: str, kind: Any) -> object:
-    """A tuple from words between commas; other text as it is."""
+def _parsed(name: str, texts: Sequence[str], kind: Any) -> tuple[object, ...]:
+    """A tuple from words between commas, of an option that may be repeated."""
     from behaviors.errors import InputError
 
-    if typing.get_origin(kind) is not tuple:
-        return text
-    words = [word.strip() for word in text.split(",") if word.strip()]
+    words = [word.strip() for text in texts for word in text.split(",") if word.strip()]
     if typing.get_args(kind)[0] is not int:
         return tuple(words)
     try:
         return tuple(int(word) for word in words)
     except ValueError:
-        option = name.replace("_", "-")
-        raise InputError(f"--{option}: found {text!r}, expected whole numbers: 25,100") from None
+        option, found = name.replace("_", "-"), ",".join(texts)
+        raise InputError(f"--{option}: found {found!r}, expected whole numbers: 25,100") from None

@@ -81,6 +81,7 @@ def test_help_imports_nothing_heavy() -> None:
         (["bench", "spectrum", "--kinds", "x"], "kind: found 'x'"),
         (["bench", "spectrum", "--ends", "largest,x"], "end: found 'x'"),
         (["bench", "spectrum", "--sizes", "x"], "expected whole numbers"),
+        (["bench", "spectrum", "--kinds", "x", "--kinds", "accumulated"], "kind: found 'x'"),
     ],
 )
 def test_every_mistake_is_one_line_and_exit_code_2(
