@@ -6,7 +6,8 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 from behaviors.errors import InputError, lookup
@@ -23,10 +24,14 @@ class ScenarioEntry:
         name: what it is registered as.
         function: makes it from keyword options; those that a `functools.partial` has set are fixed,
             and ``**population`` stands for all of `PopulationOptions`.
+        given: options that have another value unless they are given.
+        limits_mps: speed limits that the episodes of a dataset take in turn, m/s; empty for none.
     """
 
     name: str
     function: Callable[..., Scenario]
+    given: Mapping[str, Any] = field(default_factory=dict)
+    limits_mps: tuple[float, ...] = ()
 
     @property
     def options(self) -> Mapping[str, inspect.Parameter]:
@@ -46,6 +51,7 @@ class ScenarioEntry:
         Raises:
             InputError: if an option is unknown or out of range; the message names it.
         """
+        options = {**self.given, **options}
         for name, value in options.items():
             parameter = lookup(self.options, name, f"option of scenario {self.name!r},")
             if not _fits(value, parameter.default):
@@ -96,12 +102,21 @@ SCENARIOS: Final[Registry[ScenarioEntry]] = Registry(
 
 
 def get_scenario(name: str) -> ScenarioEntry:
-    """The scenario of that name.
+    """The scenario of that name, or that a file describes.
+
+    Args:
+        name: a key of ``SCENARIOS``, the path of a scenario's file (``.toml``) or that of a map.
 
     Raises:
         InputError: if there is none; the message suggests the nearest name.
     """
-    return SCENARIOS[name]
+    from scenarios.own.file import is_path, scenario_at
+
+    if not is_path(name):
+        return SCENARIOS[name]
+    found = scenario_at(Path(name))
+    function = SCENARIOS[found.base].function if found.base else found.function
+    return ScenarioEntry(found.name, function, found.given, found.limits_mps)
 
 
 register_environments()

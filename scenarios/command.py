@@ -13,7 +13,7 @@ from typing import Any, Final
 from behaviors.display import printable
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from scenarios import get_scenario
+from scenarios import ScenarioEntry, get_scenario
 from sim.engines import ENGINES, get_engine
 from sim.frames import EventKind, Frame
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -104,6 +104,13 @@ def _value(text: str) -> bool | int | float | str:
     return text
 
 
+ROADS: Final[dict[str, str]] = {
+    "--net": "another road: a SUMO net, or a map that netconvert makes one of",
+    "--file": "another scenario: its TOML file",
+}
+"""The options that stand for another scenario than the command's own."""
+
+
 def parser(name: str) -> argparse.ArgumentParser:
     """The options of a scenario's command."""
     made = argparse.ArgumentParser(
@@ -114,6 +121,10 @@ def parser(name: str) -> argparse.ArgumentParser:
     made.add_argument("--engine", default="sumo", help=f"one of {', '.join(ENGINES)}")
     made.add_argument("--seed", type=int, default=0)
     options = get_scenario(name).options
+    roads = made.add_mutually_exclusive_group()
+    for flag, meaning in ROADS.items():
+        roads.add_argument(flag, metavar="FILE", help=meaning)
+    made.add_argument("--routes", metavar="FILE", help="SUMO routes for --net or --file")
     for option, settings in FLAGS.items():
         if option in options:
             default = options[option].default
@@ -146,9 +157,12 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         flags = {option: getattr(options, option, None) for option in FLAGS}
         given = {option: value for option, value in flags.items() if value is not None}
         given |= _set_options(options.set)
-        scenario = get_scenario(name)(**given)
+        if options.routes is not None:
+            given["routes"] = options.routes
+        entry = get_scenario(options.net or options.file or name)
+        scenario = entry(**given)
         agents = sample_agents(scenario, options.seed)
-        summary = _run(scenario, agents, options, given)
+        summary = _run(entry, scenario, agents, options, given)
     except OSError as error:
         sys.stderr.write(
             f"scenarios.{name}: error: {printable(str(options.out))}: {error.strerror}\n"
@@ -157,11 +171,12 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         sys.stderr.write(f"scenarios.{name}: error: {printable(str(error))}\n")
         return 2
-    sys.stdout.write("\n".join([f"scenario: {name}", *summary.lines(agents)]) + "\n")
+    sys.stdout.write("\n".join([f"scenario: {scenario.name}", *summary.lines(agents)]) + "\n")
     return 0
 
 
 def _run(
+    entry: ScenarioEntry,
     scenario: Scenario,
     agents: Sequence[AgentSpec],
     options: argparse.Namespace,
@@ -180,10 +195,10 @@ def _run(
     from sim.store.schema import EpisodeMeta
     from sim.store.writing import made_with, write_episode
 
-    defaults = get_scenario(scenario.name).options
+    defaults = entry.options
     chosen = {
         **({"flow": defaults["flow"].default} if "flow" in defaults else {}),
-        **given,
+        **{name: str(value) if name == "routes" else value for name, value in given.items()},
         "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
         "kinds": {str(kind): share for kind, share in scenario.kinds.items()},
         "spread": scenario.spread,
@@ -198,6 +213,6 @@ def _run(
         made_with=made_with(options.engine),
     )
     with new_folder(options.out):
-        entry = write_episode(options.out, meta, frames, agents, scenario.road.source)
-        write_manifest(options.out, {"scenario": scenario.name, **chosen}, [entry])
+        made = write_episode(options.out, meta, frames, agents, scenario.road.source)
+        write_manifest(options.out, {"scenario": scenario.name, **chosen}, [made])
     return summary

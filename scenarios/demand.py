@@ -50,12 +50,21 @@ def make_scenario(
     Raises:
         InputError: if an option is out of range; the message names it.
     """
-    given: dict[str, Any] = {
+    road = read_road(net_of(geometry), name)
+    return Scenario(name, road, tuple(flows), **parse_population(options))
+
+
+def parse_population(options: PopulationOptions) -> dict[str, Any]:
+    """The population as `Scenario` takes it, from options as a user writes them.
+
+    Raises:
+        InputError: if a share is unknown or out of range; the message names it.
+    """
+    return {
         **options,
         "mix": parse_mix(options.get("mix")),
         "kinds": parse_kinds(options.get("kinds")),
     }
-    return Scenario(name, read_road(net_of(geometry), name), tuple(flows), **given)
 
 
 def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flow") -> float:

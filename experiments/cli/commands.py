@@ -26,7 +26,9 @@ from experiments.cli.options import (
     Mix,
     ModelName,
     Net,
+    OwnNet,
     Quiet,
+    Routes,
     Seed,
     Spread,
     Verbose,
@@ -82,11 +84,12 @@ def list_names(json: Json = None) -> None:
 @app.command(epilog="example: graphrqi run straight_road --flow dense --stream --predict")
 def run(
     scenario: Annotated[
-        str,
+        str | None,
         typer.Argument(
-            help="Name of a scenario; see graphrqi list.", autocompletion=names_of("scenario")
+            help="Name of a scenario (see graphrqi list), its TOML file, or a map.",
+            autocompletion=names_of("scenario"),
         ),
-    ],
+    ] = None,
     engine: Engine = "sumo",
     stream: Annotated[bool, typer.Option("--stream", help="Classify drivers as they go.")] = False,
     predict: Annotated[bool, typer.Option("--predict", help="Predict, and score it.")] = False,
@@ -96,6 +99,8 @@ def run(
     mix: Mix = None,
     spread: Spread = None,
     duration_s: DurationS = None,
+    net: OwnNet = None,
+    routes: Routes = None,
     window: WindowText = None,
     quiet: Quiet = False,
     json: Json = None,
@@ -106,8 +111,8 @@ def run(
     from experiments.run import read_window, run_scenario
 
     config = read_config(
-        None, scenarios=[scenario], episodes=1, seed=seed, engine=engine, flow=flow, mix=mix,
-        spread=spread, duration_s=duration_s,
+        None, scenarios=[scenario] if scenario else None, net=net, routes=routes, episodes=1,
+        seed=seed, engine=engine, flow=flow, mix=mix, spread=spread, duration_s=duration_s,
     )  # fmt: skip
     used = model if stream or predict else None
     show_table(run_scenario(config, used, predict, quiet, read_window(window)), json)
@@ -119,7 +124,8 @@ def generate(
     scenario: Annotated[
         list[str] | None,
         typer.Option(
-            help="A scenario's name; repeat for several. Needed, here or in the file.",
+            help="A scenario's name, its TOML file, or a map; repeat for several. Needed, here or "
+            "in the file.",
             autocompletion=names_of("scenario"),
         ),
     ] = None,
@@ -144,6 +150,8 @@ def generate(
     duration_s: DurationS = None,
     seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    net: OwnNet = None,
+    routes: Routes = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of processes.")
     ] = None,
@@ -156,7 +164,8 @@ def generate(
 
     given = {
         "scenarios": scenario or None, "episodes": episodes, "engine": engine, "flow": flow,
-        "mix": mix, "spread": spread, "duration_s": duration_s, "seed": seed,
+        "mix": mix, "spread": spread, "duration_s": duration_s, "seed": seed, "net": net,
+        "routes": routes,
     }  # fmt: skip
     chosen = (
         read_config(config, **given)

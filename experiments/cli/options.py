@@ -69,6 +69,19 @@ Net = Annotated[
         help="SUMO net or map that a recording was made on.",
     ),
 ]
+OwnNet = Annotated[
+    str | None,
+    typer.Option(
+        "--net",
+        metavar="FILE",
+        help="Instead of a scenario, a map: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, "
+        "CommonRoad or Argoverse 2.",
+    ),
+]
+Routes = Annotated[
+    str | None,
+    typer.Option(metavar="FILE", help="SUMO routes for the map [default: made from the map]."),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 LabelsFile = Annotated[
     Path,

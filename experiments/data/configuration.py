@@ -19,7 +19,7 @@ class GenerateConfig(BaseModel):
     """What a dataset is generated from.
 
     Attributes:
-        scenarios: registered names.
+        scenarios: registered names, paths of scenarios' files (``.toml``), or of maps.
         episodes: episodes per scenario.
         seed: any non-negative integer.
         engine: registered name of the engine.
@@ -29,6 +29,7 @@ class GenerateConfig(BaseModel):
         duration_s: length of an episode, s; None for the scenario's own.
         step_s: time between frames, s; None for the scenario's own.
         limits_mps: speed limits that a scenario's episodes take in turn, m/s; None for its own.
+        routes: a SUMO route file, for a map; None for routes made from it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -43,14 +44,16 @@ class GenerateConfig(BaseModel):
     duration_s: float | None = None
     step_s: float | None = None
     limits_mps: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
+    routes: str | None = None
 
-    def options(self, index: int) -> dict[str, Any]:
+    def options(self, name: str, index: int) -> dict[str, Any]:
         """What a scenario of the episode with this index is called with."""
         given: dict[str, Any] = self.model_dump(
-            include={"flow", "mix", "spread", "duration_s", "step_s"}, exclude_none=True
+            include={"flow", "mix", "spread", "duration_s", "step_s", "routes"}, exclude_none=True
         )
-        if self.limits_mps is not None:
-            given["limit_mps"] = self.limits_mps[index % len(self.limits_mps)]
+        limits = self.limits_mps or get_scenario(name).limits_mps
+        if limits:
+            given["limit_mps"] = limits[index % len(limits)]
         return given
 
     def scenario(self, name: str, index: int = 0) -> Scenario:
@@ -59,7 +62,7 @@ class GenerateConfig(BaseModel):
         Raises:
             InputError: if there is no such scenario or an option is out of range.
         """
-        return get_scenario(name)(**self.options(index))
+        return get_scenario(name)(**self.options(name, index))
 
     def check(self) -> None:
         """Refuse what no episode can be made from.
@@ -70,10 +73,11 @@ class GenerateConfig(BaseModel):
         """
         get_engine(self.engine)
         for name in self.scenarios:
-            for index in range(len(self.limits_mps or (None,))):
+            for index in range(len(self.limits_mps or get_scenario(name).limits_mps or (None,))):
                 self.scenario(name, index)
-        if len(set(self.scenarios)) != len(self.scenarios):
-            raise InputError(f"scenarios: found {', '.join(self.scenarios)}, expected each once")
+        called = [get_scenario(name).name for name in self.scenarios]
+        if len(set(called)) != len(called):
+            raise InputError(f"scenarios: found {', '.join(called)}, expected each once")
 
 
 def _read_toml(path: Path | None) -> dict[str, object]:
@@ -112,7 +116,8 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
 
     Args:
         path: TOML file with the fields of `GenerateConfig`; None for none.
-        **given: fields given on the command line; None where not given.
+        **given: fields given on the command line; None where not given. In both, ``net`` stands for
+            a map as the only scenario.
 
     Returns:
         The configuration.
@@ -123,6 +128,11 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     fields = _read_toml(path)
     fields.pop("cluster", None)
     fields.update({name: value for name, value in given.items() if value is not None})
+    net = fields.pop("net", None)
+    if net is not None:
+        if fields.get("scenarios"):
+            raise InputError("--net: found a scenario beside it, expected one of them")
+        fields["scenarios"] = (str(net),)
     try:
         return GenerateConfig.model_validate(fields)
     except ValidationError as error:
@@ -131,5 +141,5 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
         if first["type"] == "missing":
             option = {"scenarios": "--scenario"}.get(where, f"--{where}")
             raise InputError(f"{option}: found none, expected one (or {where} in a file)") from None
-        wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "cluster"])
+        wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "cluster", "net"])
         raise InputError(f"{path or 'options'}: {wrong}") from None

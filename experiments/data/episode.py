@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.data.configuration import GenerateConfig
+from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.scenario import Scenario, sample_agents
 from sim.store.catalogue import finished_episode, keep_road
@@ -31,17 +32,23 @@ class Task:
     index: int
 
     @property
+    def name(self) -> str:
+        """What the scenario is called."""
+        return get_scenario(self.scenario).name
+
+    @property
     def seed(self) -> int:
         """The episode's own seed, independent of every other episode's."""
-        name = int.from_bytes(hashlib.sha256(self.scenario.encode()).digest()[:4], "big")
+        name = int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:4], "big")
         sequence = np.random.SeedSequence(self.config.seed, spawn_key=(name, self.index))
         return int(sequence.generate_state(1)[0] >> 1)  # SUMO takes 31 bits
 
     def meta(self, scenario: Scenario) -> EpisodeMeta:
         """What the episode is made from, given its scenario."""
-        given = self.config.options(self.index)
+        entry = get_scenario(self.scenario)
+        given = {**entry.given, **self.config.options(self.scenario, self.index)}
         return EpisodeMeta(
-            scenario=self.scenario,
+            scenario=entry.name,
             engine=self.config.engine,
             seed=self.seed,
             index=self.index,
@@ -58,7 +65,7 @@ class Task:
 
     def __str__(self) -> str:
         """Which episode it is, for messages."""
-        return f"{self.scenario} episode {self.index} (seed {self.seed})"
+        return f"{self.name} episode {self.index} (seed {self.seed})"
 
 
 def make_episode(folder: Path, task: Task) -> EpisodeEntry:

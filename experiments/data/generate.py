@@ -23,6 +23,7 @@ from experiments.data.episode import Task, make_episode
 from experiments.data.processes import make_in_processes
 from experiments.data.tasks import T
 from experiments.data.worlds.episode import WorldsConfig, WorldTask, make_world
+from scenarios import get_scenario
 from sim.store.atomic import PARTIAL_PREFIX, remove_partial
 from sim.store.catalogue import MANIFEST, unlisted_episodes, write_manifest
 from sim.store.dataset import open_dataset
@@ -73,10 +74,11 @@ def _wanted(config: AnyConfig, entry: EpisodeMeta) -> EpisodeMeta | None:
     """What the configuration's episode of that scenario and index is made from; None if none."""
     if isinstance(config, WorldsConfig):
         return WorldTask(config, entry.index).meta() if entry.index < config.worlds else None
-    if entry.scenario not in config.scenarios or entry.index >= config.episodes:
+    by_name = {get_scenario(given).name: given for given in config.scenarios}
+    if entry.scenario not in by_name or entry.index >= config.episodes:
         return None
-    task = Task(config, entry.scenario, entry.index)
-    return task.meta(config.scenario(entry.scenario))
+    given = by_name[entry.scenario]
+    return Task(config, given, entry.index).meta(config.scenario(given, entry.index))
 
 
 def _check_same_manifest(folder: Path, config: AnyConfig) -> None:

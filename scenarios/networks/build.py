@@ -140,30 +140,53 @@ def build(folder: Path) -> Path:
     return net
 
 
-def run_program(command: list[str], folder: Path, net: Path) -> None:
+def run_program(
+    command: list[str],
+    folder: Path,
+    net: Path,
+    *,
+    what: str | None = None,
+    within_s: float | None = None,
+) -> None:
     """Run netconvert or netgenerate in a folder; the net appears whole or not at all.
 
     Args:
         command: the program and its options, without the output file.
         folder: where it runs.
         net: the net that it is to make.
+        what: what messages call the sources; None for the folder's name.
+        within_s: it is stopped after this time, s; None for never.
 
     Raises:
-        InputError: if the program refuses.
+        InputError: if the program refuses, or takes too long.
     """
+    what, name = what or folder.name, Path(command[0]).stem
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch) / net.name
-        done = subprocess.run(
-            [*command, "--output-file", str(made)],
-            cwd=folder, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        try:
+            done = subprocess.run(
+                [*command, "--output-file", str(made)],
+                cwd=folder, capture_output=True, text=True, errors="replace", check=False,
+                timeout=within_s,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise InputError(f"{what}: {name} took more than {within_s:g} s") from None
         if done.returncode != 0 or not made.is_file():
-            reason = (done.stderr.strip() or "no reason given").splitlines()[0]
-            name = Path(command[0]).stem
-            raise InputError(f"{folder.name}: {name} refused the sources: {reason}")
-        partial = folder / f".{net.name}.partial"
-        partial.write_text(_without_header(made.read_text(encoding="utf-8")), encoding="utf-8")
-        partial.replace(net)
+            raise InputError(f"{what}: {name} refused the sources: {_reason(done.stderr)}")
+        text = _without_header(made.read_text(encoding="utf-8"))
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", dir=net.parent, prefix=f".{net.name}.", delete=False
+        ) as partial:
+            partial.write(text)
+        Path(partial.name).chmod(0o644)
+        Path(partial.name).replace(net)
+
+
+def _reason(stderr: str) -> str:
+    """The first error that a program printed, in one line."""
+    lines = [line.strip() for line in stderr.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("Error")]
+    return " ".join((errors or lines or ["no reason given"])[0].split())[:300]
 
 
 def _without_header(text: str) -> str:

@@ -19,6 +19,9 @@ FloatArray = NDArray[np.float64]
 STRAIGHT_TOLERANCE_M: Final = 1e-6
 """A line whose points are all this close to its chord is straight."""
 
+LEAST_LENGTH_M: Final = 0.01
+"""A line whose points are all this close together is drawn out to this length along +x, m."""
+
 BLEND_M: Final = 2.0
 """The heading turns from one piece's to the next's within this distance of the corner (our choice:
 half a wheelbase)."""
@@ -162,6 +165,8 @@ def make_lane(
     Returns:
         A straight lane if the line is straight, else a polyline.
     """
+    if np.hypot(*(points - points[0]).T).max() <= LEAST_LENGTH_M:  # no direction of its own
+        points = np.stack([points[0], points[0] + np.array([LEAST_LENGTH_M, 0.0])])
     chord = points[-1] - points[0]
     size = float(np.hypot(*chord))
     off = points - points[0]

@@ -11,6 +11,7 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -31,6 +32,9 @@ SAMPLE_M: Final = 0.5
 
 CONFLICT_M: Final = 2.2
 """Junction paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
+
+STUB_M: Final = 0.1
+"""A junction path between lanes that touch is this long, m."""
 
 OPPOSITE_M: Final = 1.2
 """An opposite lane is a neighbour if its centre line is within this many lane widths."""
@@ -124,6 +128,22 @@ class HighwayNetwork:
     exit_of: dict[LaneIndex, LaneIndex]
     wrong_side: dict[LaneIndex, LaneIndex]
     edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = field(default_factory=dict)
+
+    @cached_property
+    def ways_of_lane(self) -> dict[LaneIndex, tuple[tuple[str, str], ...]]:
+        """The stretches that each lane leads to."""
+        found: dict[LaneIndex, tuple[tuple[str, str], ...]] = {}
+        for lane, then in self.onward:
+            found[lane] = (*found.get(lane, ()), then)
+        return found
+
+    @cached_property
+    def ways_of_stretch(self) -> dict[tuple[str, str], tuple[tuple[str, str], ...]]:
+        """The stretches that each stretch leads to from any of its lanes."""
+        found: dict[tuple[str, str], dict[tuple[str, str], None]] = {}
+        for lane, then in self.onward:
+            found.setdefault(lane[:2], {})[then] = None
+        return {stretch: tuple(ways) for stretch, ways in found.items()}
 
     def stretches(self, route: Sequence[str]) -> list[tuple[str, str]]:
         """The stretches that a route of edges runs over.
@@ -313,16 +333,20 @@ def _add_junction_paths(
     onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex] = {}
     exit_of: dict[LaneIndex, LaneIndex] = {}
     for link in connections:
-        if link.from_lane not in places:
-            continue
+        if link.from_lane not in places or link.to_lane not in places:
+            continue  # a lane that cars may not use
         begin, end = by_id[link.from_lane], by_id[link.to_lane]
         from_index, to_index = places[begin.id][0][0], places[end.id][0][0]
+        if (from_index, to_index[:2]) in onward:
+            continue  # the same stretch is reached already, on a lane beside
         inner = [by_id[via] for via in link.via]
         points = (
             np.concatenate([_points(piece) for piece in inner])
             if inner
             else np.stack([_points(begin)[-1], _points(end)[0]])
         )
+        if np.hypot(*(points - points[0]).T).max() < STUB_M:
+            points = _stub(points[0], _points(begin))
         key = (from_index[1], to_index[0])
         index = (*key, len(net.graph.get(key[0], {}).get(key[1], [])))
         limit = min((p.speed_limit_mps for p in inner), default=end.speed_limit_mps)
@@ -340,6 +364,13 @@ def _add_junction_paths(
             must_stop=link.must_stop,
         )
     return info, onward, exit_of
+
+
+def _stub(at: FloatArray, before: FloatArray) -> FloatArray:
+    """A short path from a point, in the direction in which the lane before it ends."""
+    step = before[-1] - before[max(np.flatnonzero((before != before[-1]).any(axis=1)), default=0)]
+    size = float(np.hypot(*step))
+    return np.stack([at, at + STUB_M * (step / size if size > 0 else np.array([1.0, 0.0]))])
 
 
 def _points(lane: Lane) -> FloatArray:

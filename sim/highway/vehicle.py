@@ -109,7 +109,8 @@ class DriverCommands:
         held: whether a light or a sign makes the driver stop at the junction's stop line.
         yields_to: the crossings whose pedestrians the driver lets go first.
         changes: whether lane changes are allowed here.
-        overtaking_lane: the lane to head for, of a driver that overtakes on the wrong side.
+        forced_lane: the lane to head for, of a driver that overtakes on the wrong side or has to
+            get over; None for a free choice.
     """
 
     stop_gap: float = math.inf
@@ -117,7 +118,7 @@ class DriverCommands:
     held: bool = False
     yields_to: frozenset[int] = field(default_factory=frozenset)
     changes: bool = True
-    overtaking_lane: LaneIndex | None = None
+    forced_lane: LaneIndex | None = None
 
     def stop_within(self, gap: float) -> None:
         """Stop at a line, m ahead, unless an earlier stop is demanded already."""
@@ -374,8 +375,8 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         return float(accel)
 
     def _choose_lane(self, here: Neighbours) -> LaneIndex:
-        if self.commands.overtaking_lane is not None:
-            return self.commands.overtaking_lane
+        if self.commands.forced_lane is not None:
+            return self.commands.forced_lane
         if self.lane_index != self.target_lane_index:
             return self._go_on_changing()
         if self.timer <= self.LANE_CHANGE_DELAY:

@@ -260,6 +260,7 @@ def _connections(net: Any, group_of: dict[tuple[str, int], int]) -> list[Connect
             if other != i
             and place[i] >= 0
             and place[other] >= 0
+            and place[i] in prohibits  # unregulated junctions have no rules
             and prohibits[place[i]][-(place[other] + 1)] == "1"
         )
         via = []

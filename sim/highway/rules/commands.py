@@ -22,6 +22,7 @@ from sim.highway.rules.junctions import (
     yield_to_conflicts,
 )
 from sim.highway.rules.way_ahead import ENTERED_M, RANGE_M, WayAhead, way_ahead
+from sim.highway.rules.wrong_lane import lane_to_get_over_to
 from sim.highway.rules.wrong_way import wrong_way_lane
 from sim.highway.state import Arrival, RoadState, agent_of
 from sim.highway.vehicle import DriverCommands, ProfileVehicle
@@ -60,7 +61,9 @@ def give_commands(road: RoadState) -> None:
     for way, given in zip(ahead, commands, strict=True):
         if given is not None:
             way.vehicle.commands = given
-            given.overtaking_lane = wrong_way_lane(road, way.vehicle)
+            given.forced_lane = wrong_way_lane(road, way.vehicle)
+            if given.forced_lane is None:
+                given.forced_lane = lane_to_get_over_to(road, way)
         for place, arrival in find_arrivals(road, way, given):
             arrivals.setdefault(place, []).append(arrival)
     road.arrivals = arrivals
@@ -81,7 +84,8 @@ def _commands(
         commands.changes = False
     elif network.exit_of or then is not None:
         commands.changes = way.s > NO_CHANGE_M[0] and (then is None or way.to_line > NO_CHANGE_M[1])
-        if then is not None and way.path is None and near:  # on a lane that does not lead there
+        merging = vehicle.target_lane_index != way.lane and not network.ways_of_lane.get(way.lane)
+        if then is not None and way.path is None and near and not merging:  # on a wrong lane
             commands.stop_gap = way.to_line
             commands.held = True
             commands.changes = True

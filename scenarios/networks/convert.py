@@ -1,0 +1,186 @@
+"""Maps of other kinds as SUMO nets, made by netconvert (``pip install graphrqi[networks]``).
+
+OpenStreetMap and OpenDRIVE are read by netconvert itself. Lanelet2, CommonRoad and Argoverse 2 maps
+are read as recordings read them, and written lane by lane for netconvert
+(`scenarios.networks.lanes`). A net is kept for the next time under the hash of what it was made
+from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from behaviors.errors import InputError
+from scenarios.networks.build import NET, cache_folder, find_program, run_program
+from sim.road.files import read_road_file
+from sim.xml_tree import DECLARED, read_bytes
+
+MAX_MAP_BYTES: Final = 2**28
+"""Largest map, unpacked (our choice: 256 MiB, as of nets)."""
+
+LONGEST_S: Final = 600.0
+"""netconvert may take this long for a map, s (our choice: a district takes seconds)."""
+
+KINDS: Final[dict[str, str]] = {
+    "sumo": "SUMO net",
+    "openstreetmap": "OpenStreetMap",
+    "opendrive": "OpenDRIVE",
+    "lanelet2": "Lanelet2",
+    "commonroad": "CommonRoad",
+    "argoverse2": "Argoverse 2",
+    "stored": "road of a dataset",
+}
+"""The kinds of maps that can be driven on, and what they are called."""
+
+_COMMON: Final = (
+    "--no-turnarounds", "true", "--no-warnings", "true", "--offset.disable-normalization", "false",
+    "--tls.default-type", "static",
+)  # fmt: skip
+OPTIONS: Final[dict[str, tuple[str, ...]]] = {
+    "openstreetmap": (
+        *_COMMON, "--geometry.remove", "true", "--roundabouts.guess", "true",
+        "--junctions.join", "true", "--tls.guess-signals", "true", "--tls.discard-simple", "true",
+        "--tls.join", "true", "--ramps.guess", "true", "--keep-edges.by-vclass", "passenger",
+        "--junctions.corner-detail", "5", "--junctions.limit-turn-speed", "5.5",
+        "--osm.all-attributes", "false",
+    ),
+    "opendrive": (
+        *_COMMON, "--opendrive.curve-resolution", "2", "--junctions.limit-turn-speed", "5.5",
+    ),
+    "lanes": (*_COMMON, "--junctions.limit-turn-speed", "5.5", "--geometry.remove", "false"),
+}  # fmt: skip
+"""netconvert's options for each kind of map (after SUMO's own guide for OpenStreetMap): signals
+where the map has them, with fixed programmes; nobody turns round; turns are as slow as in our
+nets."""
+
+_ROOT: Final = re.compile(
+    rb"\A(?:\xef\xbb\xbf)?\s*(?:(?:<\?.*?\?>|<!--.*?-->)\s*)*<([A-Za-z_][\w.:-]*)", re.DOTALL
+)
+"""The root element of an XML file, behind its declaration and comments."""
+
+_UNUSABLE: Final = re.compile(r"[^\w.-]+")
+
+
+def kind_of(path: Path) -> str:
+    """Which kind of map a file is, by its name and its content.
+
+    Args:
+        path: the file.
+
+    Returns:
+        A key of ``KINDS``.
+
+    Raises:
+        InputError: if the file is missing, too large, declares a document type, or is no map.
+    """
+    data = _content(path)
+    name = path.name.lower().removesuffix(".gz")
+    if name.endswith(".road.json"):
+        return "stored"
+    if name.endswith(".json"):
+        return "argoverse2"
+    root = _ROOT.match(data)
+    found = root.group(1) if root else b""
+    if found == b"osm":
+        relation = re.search(rb"""k\s*=\s*["']type["']\s+v\s*=\s*["']lanelet["']""", data)
+        return "lanelet2" if relation else "openstreetmap"
+    roots = {b"net": "sumo", b"OpenDRIVE": "opendrive", b"commonRoad": "commonroad"}
+    if found in roots:
+        return roots[found]
+    shown = f"<{found.decode()[:40]}>" if found else "no XML"
+    raise InputError(f"{path}: found {shown}, expected a map: {', '.join(KINDS.values())}")
+
+
+def _content(path: Path) -> bytes:
+    """A map's bytes, unpacked; refused if they declare a document type."""
+    if path.is_dir():
+        raise InputError(f"{path}: found a folder, expected a map file")
+    data = read_bytes(path, MAX_MAP_BYTES)
+    if DECLARED.search(data.replace(b"\0", b"")):
+        raise InputError(f"{path}: found a document type or entity declaration, expected none")
+    return data
+
+
+def name_of(path: Path) -> str:
+    """What a map is called: its file's name up to the first dot.
+
+    Examples:
+        >>> name_of(Path("maps/old town.net.xml"))
+        'old_town'
+    """
+    return _UNUSABLE.sub("_", path.name.split(".")[0])[:60].strip("_") or "road"
+
+
+def drivable_net(path: Path) -> Path:
+    """The SUMO net of a map: the file itself if it is one, else one made now or before.
+
+    Args:
+        path: a map.
+
+    Returns:
+        The path of a SUMO net.
+
+    Raises:
+        InputError: if the map is broken, netconvert refuses it, or is needed and missing.
+    """
+    kind = kind_of(path)
+    if kind == "sumo":
+        return path
+    return kept_net([kind, *OPTIONS.get(kind, OPTIONS["lanes"])], _content(path), path, _made(kind))
+
+
+def kept_net(
+    what: list[str], content: bytes, path: Path, make: Callable[[Path, bytes, Path], None]
+) -> Path:
+    """The net that was made from some content in some way, made now if it was not before.
+
+    Args:
+        what: the way, in words.
+        content: of the map.
+        path: the map, for messages.
+        make: writes the net: takes the map's path, its content and the net's path.
+    """
+    digest = hashlib.sha256("\0".join([*what, ""]).encode() + content).hexdigest()[:16]
+    net = cache_folder() / "maps" / digest / NET
+    if not net.is_file():
+        net.parent.mkdir(parents=True, exist_ok=True)
+        make(path, content, net)
+    return net
+
+
+def _made(kind: str) -> Callable[[Path, bytes, Path], None]:
+    return _from_lanes if kind in ("lanelet2", "commonroad", "argoverse2", "stored") else _imported
+
+
+def _imported(path: Path, content: bytes, net: Path) -> None:
+    """A net of what netconvert reads itself."""
+    kind = kind_of(path)
+    option, file = {
+        "openstreetmap": ("--osm-files", "map.osm"),
+        "opendrive": ("--opendrive-files", "map.xodr"),
+    }[kind]
+    _convert(path, {file: content}, [option, file, *OPTIONS[kind]], net)
+
+
+def _from_lanes(path: Path, content: bytes, net: Path) -> None:
+    """A net of a map that the project reads itself, lane by lane."""
+    from scenarios.networks.lanes import plain_files
+
+    files = {name: text.encode("utf-8") for name, text in plain_files(read_road_file(path)).items()}
+    inputs = ["--node-files", "map.nod.xml", "--edge-files", "map.edg.xml"]
+    inputs += ["--connection-files", "map.con.xml"]
+    _convert(path, files, [*inputs, *OPTIONS["lanes"]], net)
+
+
+def _convert(path: Path, files: dict[str, bytes], options: list[str], net: Path) -> None:
+    """Run netconvert over files in a folder of their own; the net appears whole or not at all."""
+    program = find_program("netconvert")
+    with tempfile.TemporaryDirectory(prefix="graphrqi-map-") as scratch:
+        for name, data in files.items():
+            (Path(scratch) / name).write_bytes(data)
+        run_program([program, *options], Path(scratch), net, what=str(path), within_s=LONGEST_S)

@@ -1,0 +1,171 @@
+"""Roads lane by lane as the plain XML that netconvert turns into a SUMO net.
+
+Every lane for cars keeps its line, width and limit. Edges whose lanes are joined by connections
+meet in one node; netconvert works out there who has to let whom go first.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from typing import Final
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from behaviors.errors import InputError
+from scenarios.networks.geometry import LIMIT_MPS
+from sim.road import Connection, Lane, Road
+
+LEAST_LENGTH_M: Final = 0.5
+"""Lanes shorter than this have no direction of their own, m: their line is drawn out to it."""
+
+LEAST_WIDTH_M: Final = 1.0
+"""netconvert gets no narrower lane, m (our choice: a motorcycle's)."""
+
+MEET_M: Final = 1.0
+"""Ends of edges this near to each other meet in one node, m (our choice: netconvert refuses nodes
+that coincide)."""
+
+
+class _Meetings:
+    """The ends of edges that meet in one node: sets of (edge, whether it is the edge's end)."""
+
+    def __init__(self) -> None:
+        self._leader: dict[tuple[str, bool], tuple[str, bool]] = {}
+
+    def of(self, end: tuple[str, bool]) -> tuple[str, bool]:
+        """The first of the ends that an end meets."""
+        self._leader.setdefault(end, end)
+        while self._leader[end] != end:
+            self._leader[end] = self._leader[self._leader[end]]
+            end = self._leader[end]
+        return end
+
+    def join(self, one: tuple[str, bool], other: tuple[str, bool]) -> None:
+        """Let two ends meet."""
+        first, second = sorted((self.of(one), self.of(other)))
+        self._leader[second] = first
+
+
+def plain_files(road: Road) -> dict[str, str]:
+    """Text by file name: nodes, edges and connections of a road's lanes for cars.
+
+    Args:
+        road: any; its lanes inside junctions become ways between edges.
+
+    Returns:
+        ``map.nod.xml``, ``map.edg.xml`` and ``map.con.xml``.
+
+    Raises:
+        InputError: if the road has no lane for cars outside junctions.
+    """
+    edges: dict[str, list[Lane]] = {}
+    for lane in road.lanes:
+        if lane.cars and not lane.walking and not lane.internal:
+            edges.setdefault(lane.edge, []).append(lane)
+    if not edges:
+        raise InputError(f"road {road.name!r:.60}: found no lane for cars, expected at least one")
+    for lanes in edges.values():
+        lanes.sort(key=lambda lane: lane.index)
+    named = {edge: f"e{number}" for number, edge in enumerate(edges)}
+    place = {lane.id: (lane.edge, i) for lanes in edges.values() for i, lane in enumerate(lanes)}
+    links = [link for link in road.connections if link.from_lane in place and link.to_lane in place]
+    nodes, rows = _nodes(edges, links, place, road)
+    edge_rows = [
+        row
+        for edge, lanes in edges.items()
+        for row in _edge(named[edge], nodes[edge, False], nodes[edge, True], lanes)
+    ]
+    seen: set[tuple[str, int, str, int]] = set()
+    connection_rows = []
+    for link in links:
+        (begin, i), (end, j) = place[link.from_lane], place[link.to_lane]
+        if begin == end or (begin, i, end, j) in seen:
+            continue
+        seen.add((begin, i, end, j))
+        connection_rows.append(
+            f'    <connection from="{named[begin]}" to="{named[end]}" fromLane="{i}" toLane="{j}"/>'
+        )
+    return {
+        "map.nod.xml": _document("nodes", rows),
+        "map.edg.xml": _document("edges", edge_rows),
+        "map.con.xml": _document("connections", connection_rows),
+    }
+
+
+def _nodes(
+    edges: dict[str, list[Lane]],
+    links: list[Connection],
+    place: dict[str, tuple[str, int]],
+    road: Road,
+) -> tuple[dict[tuple[str, bool], str], list[str]]:
+    """The node of each end of an edge, and the nodes' elements."""
+    meetings = _Meetings()
+    for link in links:
+        if place[link.from_lane][0] != place[link.to_lane][0]:
+            meetings.join((place[link.from_lane][0], True), (place[link.to_lane][0], False))
+    points = {
+        (edge, end): np.mean([lane.centerline[-1 if end else 0] for lane in lanes], axis=0)
+        for edge, lanes in edges.items()
+        for end in (False, True)
+    }
+    cells: dict[tuple[int, int], tuple[str, bool]] = {}
+    for end, (x, y) in points.items():
+        other = cells.setdefault((math.floor(x / MEET_M), math.floor(y / MEET_M)), end)
+        if other[0] != end[0]:
+            meetings.join(other, end)
+    members: dict[tuple[str, bool], list[tuple[str, bool]]] = {}
+    for end in points:
+        members.setdefault(meetings.of(end), []).append(end)
+    lit = {
+        meetings.of((place[link.from_lane][0], True)) for link in links if link.signal >= 0
+    }  # fmt: skip
+    of_end: dict[tuple[str, bool], str] = {}
+    rows = []
+    for number, (leader, ends) in enumerate(members.items()):
+        x, y = np.mean([points[end] for end in ends], axis=0)
+        kind = "traffic_light" if leader in lit else "priority"
+        rows.append(f'    <node id="n{number}" x="{x:.2f}" y="{y:.2f}" type="{kind}"/>')
+        of_end |= dict.fromkeys(ends, f"n{number}")
+    for edge in edges:
+        if of_end[edge, False] == of_end[edge, True]:  # a ring of one edge: SUMO has none
+            number = len(rows)
+            x, y = points[edge, False]
+            rows.append(f'    <node id="n{number}" x="{x:.2f}" y="{y:.2f}" type="priority"/>')
+            of_end[edge, False] = f"n{number}"
+    return of_end, rows
+
+
+def _edge(name: str, begin: str, end: str, lanes: list[Lane]) -> Iterable[str]:
+    """An edge's element with a lane's element for each of its lanes."""
+    middle = lanes[len(lanes) // 2]
+    yield (
+        f'    <edge id={quoteattr(name)} from="{begin}" to="{end}" numLanes="{len(lanes)}" '
+        f'priority="1" spreadType="center" shape="{_shape(middle.centerline)}">'
+    )
+    for i, lane in enumerate(lanes):
+        limit = lane.speed_limit_mps
+        speed = limit if math.isfinite(limit) and limit > 0 else LIMIT_MPS
+        yield (
+            f'        <lane index="{i}" speed="{speed:.2f}" width="'
+            f'{max(lane.width_m, LEAST_WIDTH_M):.2f}" disallow="pedestrian" '
+            f'shape="{_shape(lane.centerline)}"/>'
+        )
+    yield "    </edge>"
+
+
+def _shape(line: np.ndarray) -> str:
+    """A line as SUMO writes it, without points that coincide."""
+    kept = [line[0]]
+    for point in line[1:]:
+        if math.dist(point, kept[-1]) > 0.05:
+            kept.append(point)
+    if len(kept) == 1 or sum(itertools.starmap(math.dist, itertools.pairwise(kept))) < 1e-6:
+        kept = [line[0], line[0] + np.array([LEAST_LENGTH_M, 0.0])]
+    return " ".join(f"{x:.2f},{y:.2f}" for x, y in kept)
+
+
+def _document(root: str, rows: Iterable[str]) -> str:
+    return "\n".join([f"<{root}>", *rows, f"</{root}>", ""])

@@ -1,0 +1,285 @@
+"""Demand made from a road: from every place where it begins to every place that can be reached.
+
+Vehicles enter at edges that no other edge leads to and leave at edges that lead nowhere; a way back
+to where one comes from (a turnaround) counts as neither. On a road without such edges, a ring say,
+every edge is both. Each pair of edges that a way joins gets a share of the traffic by the lanes of
+both, on the way that takes the least time. The traffic as a whole is so much that the lane that is
+used most carries a given share of what it can.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from sim.road import Connection, Lane, Road
+from sim.scenario import MAX_PER_HOUR, RouteFlow
+
+LEVELS: Final[dict[str, float]] = {"light": 0.15, "medium": 0.3, "dense": 0.5}
+"""Share of its capacity that the busiest lane carries in each named flow (our choice: free,
+interacting, and as much as junctions of any shape still pass on both engines)."""
+
+LANE_CAPACITY_PER_H: Final = 1800.0
+"""Vehicles per hour that a lane passes where nothing stops them (a headway of 2 s; Highway Capacity
+Manual: 1700 to 2400)."""
+
+SIGNAL_SHARE: Final = 0.4
+"""Share of the time that a lane at a signal is let go (our choice: 24 of 60 s)."""
+
+YIELDING_SHARE: Final = 0.35
+"""What a lane whose way yields to others passes of it (our choice, after the capacity of minor
+roads at moderate traffic)."""
+
+MOST_ROUTES: Final = 600
+"""Most routes of a demand (our choice): of more pairs, so many are drawn, by their weight."""
+
+MOST_EDGES: Final = 120
+"""Most edges at which vehicles enter, and most at which they leave (our choice): of more, so many
+are taken, those with most lanes first."""
+
+SLOWEST_MPS: Final = 0.5
+"""Lanes with a lower limit are on no way (our choice: nobody would leave within an episode)."""
+
+TURN_S: Final = 3.0
+"""What a turn costs beside its length, s (our choice: routes go straight on where they can)."""
+
+SHORTEST_ENTRY_M: Final = 15.0
+"""Vehicles enter and leave at edges at least this long, where there are any (our choice: a bus
+fits)."""
+
+
+@dataclass(frozen=True)
+class EdgeGraph:
+    """The edges of a road on which cars may drive, and the ways between them.
+
+    Attributes:
+        road: where it came from.
+    """
+
+    road: Road
+
+    @cached_property
+    def lanes(self) -> dict[str, list[Lane]]:
+        """The lanes for cars of each edge, from right to left."""
+        found: dict[str, list[Lane]] = {}
+        for lane in self.road.lanes:
+            usable = not math.isfinite(lane.speed_limit_mps) or lane.speed_limit_mps >= SLOWEST_MPS
+            if lane.cars and not lane.walking and not lane.internal and usable:
+                found.setdefault(lane.edge, []).append(lane)
+        return {edge: sorted(lanes, key=lambda one: one.index) for edge, lanes in found.items()}
+
+    @cached_property
+    def links(self) -> dict[tuple[str, str], list[Connection]]:
+        """The connections between the lanes of two edges, by both edges."""
+        edge = {lane.id: lane.edge for lanes in self.lanes.values() for lane in lanes}
+        found: dict[tuple[str, str], list[Connection]] = {}
+        for link in self.road.connections:
+            if link.from_lane in edge and link.to_lane in edge:
+                found.setdefault((edge[link.from_lane], edge[link.to_lane]), []).append(link)
+        return found
+
+    @cached_property
+    def onward(self) -> dict[str, list[str]]:
+        """The edges after each edge, without the way back."""
+        found: dict[str, list[str]] = {edge: [] for edge in self.lanes}
+        for (one, then), links in self.links.items():
+            if not all(link.direction == "turnaround" for link in links):
+                found[one].append(then)
+        return found
+
+    @cached_property
+    def travel_s(self) -> dict[str, float]:
+        """Time to drive over each edge at its limit, s."""
+        return {edge: _travel_s(lanes) for edge, lanes in self.lanes.items()}
+
+    @cached_property
+    def sources(self) -> tuple[str, ...]:
+        """Edges at which vehicles enter: those that no other edge leads to."""
+        entered = {then for ways in self.onward.values() for then in ways}
+        return self._chosen([edge for edge in self.lanes if edge not in entered])
+
+    @cached_property
+    def sinks(self) -> tuple[str, ...]:
+        """Edges at which vehicles leave: those that lead to no other."""
+        return self._chosen([edge for edge, ways in self.onward.items() if not ways])
+
+    def _chosen(self, fringe: list[str]) -> tuple[str, ...]:
+        """The long and wide edges of the fringe, or of all edges where there is no fringe."""
+        edges = fringe or list(self.lanes)
+        long_enough = [edge for edge in edges if self.length_m(edge) >= SHORTEST_ENTRY_M]
+        edges = long_enough or edges
+        widest = sorted(edges, key=lambda edge: (-len(self.lanes[edge]), edge))[:MOST_EDGES]
+        return tuple(sorted(widest))
+
+    def length_m(self, edge: str) -> float:
+        """Length of an edge's first lane, m."""
+        return self.lanes[edge][0].length_m
+
+    def ways_from(self, start: str, ends: Collection[str]) -> dict[str, tuple[str, ...]]:
+        """The quickest ways from an edge to others, without ways back.
+
+        Args:
+            start: an edge of ``lanes``.
+            ends: where they are to lead.
+
+        Returns:
+            Edges from ``start`` to each of the ends that can be reached, by the end.
+        """
+        best: dict[str, float] = {start: self.travel_s[start]}
+        before: dict[str, str] = {}
+        queue = [(best[start], start)]
+        while queue:
+            cost, edge = heapq.heappop(queue)
+            if cost > best[edge]:
+                continue
+            for then in self.onward[edge]:
+                straight = any(link.direction == "straight" for link in self.links[edge, then])
+                new = cost + self.travel_s[then] + (0.0 if straight else TURN_S)
+                if new < best.get(then, math.inf):
+                    best[then], before[then] = new, edge
+                    heapq.heappush(queue, (new, then))
+        found = {}
+        for end in ends:
+            if end not in before:
+                continue
+            way = [end]
+            while way[-1] != start:
+                way.append(before[way[-1]])
+            found[end] = tuple(reversed(way))
+        return found
+
+    def capacity_per_h(self, one: str, then: str | None) -> float:
+        """Vehicles per hour that the lanes from an edge to the next one pass."""
+        if then is None:
+            return LANE_CAPACITY_PER_H * len(self.lanes[one])
+        links = self.links[one, then]
+        share: dict[str, float] = {}
+        for link in links:
+            passed = SIGNAL_SHARE if link.signal >= 0 else 1.0
+            passed *= YIELDING_SHARE if link.must_yield or link.must_stop else 1.0
+            share[link.from_lane] = max(share.get(link.from_lane, 0.0), passed)
+        return LANE_CAPACITY_PER_H * sum(share.values())
+
+
+def _travel_s(lanes: Sequence[Lane]) -> float:
+    limits = [lane.speed_limit_mps for lane in lanes if math.isfinite(lane.speed_limit_mps)]
+    return lanes[0].length_m / max([SLOWEST_MPS, *limits])
+
+
+def routes_of(graph: EdgeGraph) -> dict[tuple[str, ...], float]:
+    """The routes of a road, and the share of the traffic on each.
+
+    Args:
+        graph: of the road.
+
+    Returns:
+        Shares that sum to 1, by route.
+
+    Raises:
+        InputError: if no way leads from any edge to another, and no edge both begins and ends.
+    """
+    sources, sinks = graph.sources, set(graph.sinks)
+    found: dict[tuple[str, ...], float] = {}
+    for start in sources:
+        weight = len(graph.lanes[start])
+        ways = graph.ways_from(start, graph.sinks)
+        if start in sinks and not graph.onward[start]:
+            ways[start] = (start,)
+        total = sum(len(graph.lanes[end]) for end in ways)
+        for end in sorted(ways):
+            found[ways[end]] = weight * len(graph.lanes[end]) / total
+    if not found:
+        raise InputError(
+            f"road {graph.road.name!r:.60}: found no edge from which another one can be reached, "
+            "expected at least one"
+        )
+    return _thinned(found)
+
+
+def _thinned(routes: Mapping[tuple[str, ...], float]) -> dict[tuple[str, ...], float]:
+    """At most `MOST_ROUTES` routes, drawn by their weight; shares sum to 1."""
+    ways, weights = list(routes), np.array(list(routes.values()))
+    weights = weights / weights.sum()
+    if len(ways) > MOST_ROUTES:
+        # Gumbel's trick: the largest keys are a draw without replacement
+        keys = np.log(weights) + np.random.default_rng(0).gumbel(size=weights.size)
+        kept = np.sort(np.argsort(-keys, kind="stable")[:MOST_ROUTES])
+        ways, weights = [ways[i] for i in kept], np.full(kept.size, 1.0 / kept.size)
+    return dict(zip(ways, weights.tolist(), strict=True))
+
+
+def capacity_per_h(graph: EdgeGraph, routes: Mapping[tuple[str, ...], float]) -> float:
+    """Vehicles per hour over all routes at which the busiest lane is as busy as it can be.
+
+    Junctions count by what they pass: the loads of ways that keep each other waiting add up.
+
+    Args:
+        graph: of the road.
+        routes: shares by route.
+    """
+    load: dict[tuple[str, str | None], float] = {}
+    for way, share in routes.items():
+        for one, then in itertools.pairwise([*way, None]):
+            assert one is not None
+            load[one, then] = load.get((one, then), 0.0) + share
+    of_edge: dict[str, float] = {}
+    busiest = 0.0
+    for (one, then), share in load.items():
+        needed = share / graph.capacity_per_h(one, then)
+        of_edge[one] = of_edge.get(one, 0.0) + share
+        busiest = max(busiest, needed, of_edge[one] / graph.capacity_per_h(one, None))
+    return min(1.0 / busiest, MAX_PER_HOUR)
+
+
+def flows_of(road: Road, flow: str | float, demand: Mapping[str, float] | None) -> list[RouteFlow]:
+    """The demand on a road.
+
+    Args:
+        road: where.
+        flow: a key of ``LEVELS``, or vehicles per hour over all routes.
+        demand: vehicles per hour that enter at each edge, which replace ``flow``; None for none.
+
+    Returns:
+        A flow for each route.
+
+    Raises:
+        InputError: if an edge of the demand is not on the road or leads nowhere, or no route is
+            found.
+    """
+    from scenarios.demand import parse_flow
+
+    graph = EdgeGraph(road)
+    if demand is not None:
+        return list(_demanded(graph, demand))
+    routes = routes_of(graph)
+    capacity = capacity_per_h(graph, routes)
+    levels = {name: share * capacity for name, share in LEVELS.items()}
+    vehicles = parse_flow(flow, levels)
+    return [RouteFlow(way, vehicles * share) for way, share in routes.items()]
+
+
+def _demanded(graph: EdgeGraph, demand: Mapping[str, float]) -> Iterable[RouteFlow]:
+    """A flow for each route from the edges of a demand, by the lanes of its last edge."""
+    sinks = set(graph.sinks)
+    for start, per_hour in demand.items():
+        if start not in graph.lanes:
+            raise InputError(
+                f"demand: found edge {start!r:.60}, expected an edge for cars of road "
+                f"{graph.road.name!r:.60}"
+            )
+        ways = graph.ways_from(start, graph.sinks)
+        if start in sinks:
+            ways[start] = (start,)
+        if not ways:
+            raise InputError(f"demand: found edge {start!r:.60}, from which no way leads out")
+        total = sum(len(graph.lanes[end]) for end in ways)
+        for end in sorted(ways):
+            yield RouteFlow(ways[end], per_hour * len(graph.lanes[end]) / total)

@@ -1,0 +1,217 @@
+"""Scenarios from TOML files and of maps: what a path given as a scenario's name stands for.
+
+The keys of a scenario's file are those of `ScenarioFile`. All but ``scenario``, ``net``,
+``limits_mps`` and ``name`` are options of the scenario that the file is about, as its docstring
+explains them.
+"""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from behaviors.errors import InputError
+from scenarios.networks.convert import name_of
+from scenarios.own.road import own_road
+from sim.invalid_fields import first_wrong_field
+from sim.scenario import RouteFlow, Scenario
+
+SUFFIX: Final = ".toml"
+"""How the names of scenario files end."""
+
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Shares = str | dict[str, float]
+
+
+class Flow(BaseModel):
+    """The demand along one route: a table ``[[flows]]`` of a scenario's file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    route: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Edges from first to last, each joined to the next."""
+
+    per_hour: _Rate
+    """Agents per hour."""
+
+    walking: bool = False
+    """Whether they walk; the edges then have sidewalks."""
+
+
+class ScenarioFile(BaseModel):
+    """The keys of a scenario's file; without ``scenario`` and ``net`` there is no road."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
+    )
+
+    scenario: str | None = None
+    """A registered scenario that this one differs from."""
+
+    net: str | None = None
+    """A map instead: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2; a
+    path from the file's folder."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[\w.-]+$")] | None = None
+    """What it is called; by default the file's name."""
+
+    routes: str | None = None
+    """A SUMO route file, for a map; a path from the file's folder."""
+
+    flow: str | float | None = None
+    """"light", "medium", "dense" or vehicles per hour over all routes."""
+
+    demand: dict[str, _Rate] | None = None
+    """Vehicles per hour that enter at each edge, for a map."""
+
+    flows: Annotated[tuple[Flow, ...], Field(min_length=1, strict=False)] | None = None
+    """The demand along each route, for a map: tables with ``route``, ``per_hour``, ``walking``."""
+
+    pedestrians_per_h: _Rate | None = None
+    """Pedestrians per hour, for a registered scenario."""
+
+    mix: _Shares | None = None
+    """Share of each behaviour: a table or "impatient=.2,timid=.8"."""
+
+    kinds: _Shares | None = None
+    """Share of each kind of vehicle: a table or "car=.9,truck=.1"."""
+
+    spread: float | None = None
+    """How much drivers of one behaviour differ, 0 to 1."""
+
+    jaywalk_share: float | None = None
+    """Share of pedestrians who cross on red and anywhere."""
+
+    duration_s: float | None = None
+    """Length of an episode, s."""
+
+    step_s: float | None = None
+    """Time between frames, s."""
+
+    lanes: int | None = None
+    """Lanes per direction, of a registered scenario."""
+
+    limit_mps: _Positive | None = None
+    """Speed limit, m/s; of a map, the greatest."""
+
+    limits_mps: Annotated[tuple[_Positive, ...], Field(min_length=1, strict=False)] | None = None
+    """Speed limits that the episodes of a dataset take in turn, m/s."""
+
+    signals: bool | None = None
+    """Whether a map's traffic lights work; without them priority rules."""
+
+    options: dict[str, Any] | None = None
+    """Further options of a registered scenario, such as control, crossing, two_way, length_m."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> ScenarioFile:
+        if (self.scenario is None) == (self.net is None):
+            raise InputError("scenario: expected either it or net")
+        if self.limit_mps is not None and self.limits_mps is not None:
+            raise InputError("limits_mps: found limit_mps beside it, expected one of them")
+        return self
+
+    def given(self, folder: Path) -> dict[str, Any]:
+        """The options that the scenario is made with; paths begin in a folder."""
+        left_out = {"scenario", "net", "name", "limits_mps", "options", "flows", "routes"}
+        found = {
+            name: value
+            for name in type(self).model_fields
+            if name not in left_out and (value := getattr(self, name)) is not None
+        }
+        for name, value in (self.options or {}).items():
+            if name in type(self).model_fields:
+                raise InputError(f"options: found {name!r}, expected it outside the table")
+            found[name] = value
+        if self.flows is not None:
+            found["flows"] = [RouteFlow(one.route, one.per_hour, one.walking) for one in self.flows]
+        if self.routes is not None:
+            found["routes"] = folder / self.routes
+        if self.limits_mps is not None:
+            found["limit_mps"] = self.limits_mps[0]
+        return found
+
+
+@dataclass(frozen=True)
+class PathScenario:
+    """What a path stands for as a scenario.
+
+    Attributes:
+        name: what it is called.
+        function: makes it.
+        base: name of the registered scenario that it differs from; "" for a map.
+        given: options that are set.
+        limits_mps: speed limits that episodes take in turn, m/s; empty for none.
+    """
+
+    name: str
+    function: Callable[..., Scenario]
+    base: str
+    given: Mapping[str, Any]
+    limits_mps: tuple[float, ...] = ()
+
+
+def is_path(name: str) -> bool:
+    """Whether a scenario's name is a path: registered names have no dot and no slash.
+
+    Examples:
+        >>> is_path("town.net.xml"), is_path("straight_road")
+        (True, False)
+    """
+    return "." in name or "/" in name or "\\" in name
+
+
+def scenario_at(path: Path) -> PathScenario:
+    """The scenario of a TOML file or of a map.
+
+    Raises:
+        InputError: if the file is missing or broken; the message names the key.
+    """
+    if path.suffix != SUFFIX:
+        if not path.is_file():
+            raise InputError(f"{path}: found no file, expected a map or a scenario ({SUFFIX})")
+        return PathScenario(name_of(path), functools.partial(own_road, net=path), "", {})
+    read = read_scenario_file(path)
+    try:
+        given = read.given(path.parent)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    name, limits = read.name or name_of(path), read.limits_mps or ()
+    if read.net is not None:
+        function = functools.partial(own_road, net=path.parent / read.net)
+        return PathScenario(name, function, "", given, limits)
+    assert read.scenario is not None
+    if is_path(read.scenario):
+        raise InputError(
+            f"{path}: scenario: found {read.scenario!r:.60}, expected a registered one"
+        )
+    return PathScenario(name, own_road, read.scenario, given, limits)
+
+
+def read_scenario_file(path: Path) -> ScenarioFile:
+    """The keys of a scenario's file.
+
+    Raises:
+        InputError: if the file is missing or broken, or a key is unknown or wrong.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        return ScenarioFile.model_validate(tomllib.loads(text))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}, expected a scenario's file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: {' '.join(str(error).split())}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        cause = first.get("ctx", {}).get("error")
+        wrong = cause if isinstance(cause, InputError) else first_wrong_field(
+            error, list(ScenarioFile.model_fields)
+        )  # fmt: skip
+        raise InputError(f"{path}: {wrong}") from None

@@ -1,0 +1,78 @@
+"""The scenario of one's own road: any map, with routes from a file or made from the map."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Unpack
+
+from behaviors.errors import InputError
+from scenarios.demand import PopulationOptions, parse_flow, parse_population
+from scenarios.networks.convert import drivable_net, name_of
+from scenarios.networks.edited import edited_net
+from scenarios.own.demand import flows_of
+from scenarios.own.routes import read_routes
+from sim.road.net import read_road
+from sim.scenario import RouteFlow, Scenario
+
+
+def own_road(
+    *,
+    net: str | Path,
+    routes: str | Path | None = None,
+    flow: str | float | None = None,
+    demand: Mapping[str, float] | None = None,
+    flows: Sequence[RouteFlow] | None = None,
+    signals: bool = True,
+    limit_mps: float | None = None,
+    **population: Unpack[PopulationOptions],
+) -> Scenario:
+    """Any road: a SUMO net, or a map that netconvert turns into one.
+
+    Args:
+        net: the map: a SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2.
+        routes: a SUMO route file; None for routes made from the map, as
+            `scenarios.own.demand.flows_of` does.
+        flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all routes; None for what
+            the route file says, or else ``medium``. Levels need routes made from the map.
+        demand: vehicles per hour that enter at each edge, by edge; instead of ``flow``.
+        flows: the routes themselves with their flows; instead of ``routes``, ``flow`` and
+            ``demand``.
+        signals: whether traffic lights work; else priority rules at their junctions.
+        limit_mps: greatest speed limit, m/s; None for the map's own.
+        population: see `scenarios.demand.PopulationOptions`.
+
+    Returns:
+        The scenario, named after the map.
+
+    Raises:
+        InputError: if a file is broken, an option is out of range, or nobody can drive there; one
+            line that names it.
+    """
+    given = [name for name, value in (("routes", routes), ("demand", demand), ("flows", flows))
+             if value is not None]  # fmt: skip
+    if len(given) > 1 or (given and given[0] != "routes" and flow is not None):
+        both = given if len(given) > 1 else [*given, "flow"]
+        raise InputError(f"{both[0]}: found {both[1]} beside it, expected one of them")
+    path = Path(net)
+    name = name_of(path)
+    road = read_road(edited_net(drivable_net(path), signals, limit_mps), name)
+    if flows is not None:
+        wanted = list(flows)
+    elif routes is not None:
+        wanted = _scaled(read_routes(Path(routes), road), flow)
+    else:
+        wanted = flows_of(road, "medium" if flow is None else flow, demand)
+    return Scenario(name, road, tuple(wanted), **parse_population(population))
+
+
+def _scaled(flows: list[RouteFlow], flow: str | float | None) -> list[RouteFlow]:
+    """The flows of a file, so many vehicles an hour in all if a number is given."""
+    if flow is None:
+        return flows
+    vehicles = parse_flow(flow, {})
+    total: Any = sum(one.per_hour for one in flows)
+    if not total > 0:
+        raise InputError("flow: found routes without vehicles, expected some to share it out")
+    return [dataclasses.replace(one, per_hour=one.per_hour * vehicles / total) for one in flows]

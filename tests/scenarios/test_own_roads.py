@@ -1,0 +1,199 @@
+"""Roads of one's own: demand made from a net, routes from a file, scenarios from a file."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import pytest
+
+from behaviors import InputError
+from scenarios import get_scenario
+from scenarios.networks.grid import grid_net
+from scenarios.networks.written import ramp_net, straight_net
+from scenarios.own.demand import EdgeGraph, capacity_per_h, flows_of, routes_of
+from scenarios.own.road import own_road
+from sim.engines import get_engine
+from sim.road.net import read_road
+from sim.scenario import sample_agents
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def ramp(tmp_path):
+    net = tmp_path / "ramp.net.xml"
+    net.write_text(ramp_net(2, 25.0, 600.0))
+    return net
+
+
+def ride(scenario, engine: str, demand_s: float, most_s: float):
+    """Who entered, and who is still on the road at the end."""
+    agents = sample_agents(dataclasses.replace(scenario, duration_s=demand_s), 0)
+    longer = dataclasses.replace(scenario, duration_s=most_s)
+    entered: set[int] = set()
+    present: set[int] = set()
+    for frame in get_engine(engine)(longer, agents, 0):
+        present = set(frame.ids.tolist())
+        entered |= present
+        if frame.time_s > demand_s and len(entered) == len(agents) and not present:
+            break
+    return entered, present
+
+
+def test_demand_leads_from_fringe_to_fringe_over_joined_edges():
+    road = read_road(grid_net(3), "grid")
+    graph = EdgeGraph(road)
+    assert len(graph.sources) == len(graph.sinks) == 12
+    flows = flows_of(road, 1200.0, None)
+    assert len(flows) == 12 * 12
+    assert sum(flow.per_hour for flow in flows) == pytest.approx(1200.0)
+    for flow in flows:
+        assert flow.route[0] in graph.sources
+        assert flow.route[-1] in graph.sinks
+        assert all(pair in graph.links for pair in itertools.pairwise(flow.route))
+
+
+def test_wider_entries_get_more_of_the_traffic(ramp):
+    road = read_road(ramp, "ramp")
+    shares = {
+        edge: sum(f.per_hour for f in flows_of(road, 900.0, None) if f.route[0] == edge)
+        for edge in ("before", "on")
+    }
+    assert shares == {"before": pytest.approx(600.0), "on": pytest.approx(300.0)}
+
+
+def test_levels_follow_what_the_busiest_lane_can_carry(ramp):
+    graph = EdgeGraph(read_road(ramp, "ramp"))
+    assert capacity_per_h(graph, routes_of(graph)) == pytest.approx(5400.0)  # of three lanes
+    given = [own_road(net=ramp, flow=level).per_hour(walking=False)
+             for level in ("light", "medium", "dense")]  # fmt: skip
+    assert given == sorted(given)
+    assert 0 < given[0] < given[-1] < 5400.0
+
+
+@pytest.mark.parametrize("engine", ["sumo", "highway"])
+def test_everybody_leaves_a_grid_where_turns_need_the_right_lane(engine):
+    entered, present = ride(own_road(net=grid_net(3), flow=1500.0), engine, 12.0, 300.0)
+    assert len(entered) >= 5
+    assert not present
+
+
+@pytest.mark.parametrize("engine", ["sumo", "highway"])
+def test_everybody_leaves_a_road_with_ramps(engine, ramp):
+    entered, present = ride(own_road(net=ramp, flow=2000.0), engine, 20.0, 200.0)
+    assert len(entered) > 5
+    assert not present
+
+
+def test_a_route_file_says_how_often_each_route_is_driven(ramp, tmp_path):
+    routes = tmp_path / "ramp.rou.xml"
+    routes.write_text(
+        '<routes><route id="through" edges="before between after"/>'
+        '<flow id="a" route="through" begin="0" end="600" number="100"/>'
+        '<flow id="b" from="on" to="after" period="exp(0.05)"/>'
+        '<trip id="c" depart="0:00:10" from="before" to="off"/></routes>'
+    )
+    flows = own_road(net=ramp, routes=routes).flows
+    assert {flow.route: flow.per_hour for flow in flows} == {
+        ("before", "between", "after"): pytest.approx(600.0),
+        ("on", "between", "after"): pytest.approx(180.0),
+        ("before", "between", "off"): pytest.approx(60.0),
+    }
+    scaled = own_road(net=ramp, routes=routes, flow=420.0)
+    assert scaled.per_hour(walking=False) == pytest.approx(420.0)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("<routes/>", "found no vehicle, trip or flow"),
+        ("<net/>", "found <net>, expected <routes>"),
+        ('<routes><vehicle id="v" depart="0"/></routes>', "vehicle 'v': found no route"),
+        ('<routes><flow id="f" from="on" to="nowhere" period="1"/></routes>', "edge 'nowhere'"),
+        ('<routes><flow id="f" from="off" to="on" period="1"/></routes>', "no way from 'off'"),
+        ('<routes><flow id="f" from="on" to="off"/></routes>', "found no rate"),
+        ('<routes><flow id="f" from="on" to="off" period="0"/></routes>', "found 0, expected s"),
+        ('<routes><route id="r" edges="on after"/></routes>', "no way from 'on' to 'after'"),
+        ('<routes><vehicle id="v" route="r" depart="0"/></routes>', "found route 'r'"),
+        ('<routes><flow id="f" from="on" to="off" number="many"/></routes>', "found 'many'"),
+    ],
+)
+def test_broken_route_files_are_refused_in_one_line(ramp, tmp_path, content, said):
+    routes = tmp_path / "bad.rou.xml"
+    routes.write_text(content)
+    with pytest.raises(InputError) as caught:
+        own_road(net=ramp, routes=routes)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_describes_a_scenario(ramp, tmp_path):
+    file = tmp_path / "rush.toml"
+    file.write_text(
+        'net = "ramp.net.xml"\nduration_s = 30\nstep_s = 0.5\nlimits_mps = [10, 20]\n'
+        "[demand]\non = 300\n[mix]\ntimid = 1.0\n"
+    )
+    entry = get_scenario(str(file))
+    scenario = entry()
+    assert (scenario.name, scenario.steps, entry.limits_mps) == ("rush", 60, (10.0, 20.0))
+    assert {flow.route[0] for flow in scenario.flows} == {"on"}
+    assert scenario.per_hour(walking=False) == pytest.approx(300.0)
+    assert max(lane.speed_limit_mps for lane in scenario.road.lanes) == pytest.approx(10.0)
+    assert entry(limit_mps=20.0).road.lanes[0].speed_limit_mps == pytest.approx(20.0)
+
+
+def test_a_file_changes_a_registered_scenario(tmp_path):
+    file = tmp_path / "quiet.toml"
+    file.write_text(
+        'scenario = "four_way_intersection"\nname = "quiet"\nflow = "light"\nlanes = 1\n'
+        'pedestrians_per_h = 0\nkinds = "car=.5,bus=.5"\n[options]\ncontrol = "priority"\n'
+    )
+    scenario = get_scenario(str(file))(duration_s=5.0)
+    assert (scenario.name, scenario.road.signal_groups) == ("quiet", ())
+    assert scenario.per_hour(walking=True) == 0.0
+    assert set(scenario.kinds.values()) == {0.5}
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("", "expected either it or net"),
+        ('scenario = "a"\nnet = "b"', "expected either it or net"),
+        ('scenario = "straight_road"\nflo = 3', "did you mean 'flow'"),
+        ('scenario = "straight_rod"', "straight_road"),
+        ('scenario = "straight_road"\nsignals = false', "signals"),
+        ('scenario = "straight_road"\nduration_s = "long"', "duration_s"),
+        ('net = "missing.net.xml"', "found no file"),
+        ('net = "ramp.net.xml"\ndemand = { on = -1 }', "demand.on"),
+        ('net = "ramp.net.xml"\ndemand = { nowhere = 1 }', "edge 'nowhere'"),
+        ('net = "ramp.net.xml"\nflow = 1\ndemand = { on = 1 }', "found flow beside it"),
+        ('net = "ramp.net.xml"\nflows = [{ route = [], per_hour = 3 }]', "flows.0.route"),
+        ("net = [", "Invalid value"),
+    ],
+)
+def test_broken_scenario_files_are_refused_in_one_line(ramp, tmp_path, content, said):
+    file = tmp_path / "bad.toml"
+    file.write_text(content)
+    with pytest.raises(InputError) as caught:
+        get_scenario(str(file))()
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_signals_can_be_taken_out_of_a_net():
+    lit, dark = own_road(net=grid_net(3)), own_road(net=grid_net(3), signals=False)
+    assert lit.road.signal_groups
+    assert not dark.road.signal_groups
+    assert all(link.signal < 0 for link in dark.road.connections)
+    assert any(link.must_yield for link in dark.road.connections)
+
+
+def test_a_net_on_which_nobody_can_drive_anywhere_is_refused(tmp_path):
+    net = tmp_path / "slow.net.xml"
+    net.write_text(straight_net(1, 25.0, 300.0).replace('speed="25.00"', 'speed="0.00"'))
+    with pytest.raises(InputError, match="found no edge"):
+        own_road(net=net)
