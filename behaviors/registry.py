@@ -106,6 +106,17 @@ class Registry(Mapping[str, T], Generic[T]):
         plugin = self._plugins().get(name)
         return "graphrqi" if plugin is None else _distribution(plugin)
 
+    def source(self, name: str) -> str | None:
+        """The "module:attribute" behind an entry of this package, with nothing imported.
+
+        Of an entry that keeps its own, such as the ``reader`` of a format, that one; None of a
+        plugin's entry and of one that is written out.
+        """
+        entry = self._entries.get(name)
+        if entry is not None and not isinstance(entry, str):
+            entry = getattr(entry, "reader", None) or getattr(entry, "writer", None)
+        return entry if isinstance(entry, str) else None
+
     def _plugins(self) -> Mapping[str, EntryPoint]:
         """The entries that other distributions add; no name stands twice."""
         found: dict[str, EntryPoint] = {}

@@ -128,7 +128,7 @@ def from_agreement(first: FloatArray, second: FloatArray) -> Adaptation:
     """
     if len(first) < LEAST_PAIRS:
         raise InputError(
-            f"recordings: found {len(first)} drivers that are seen long enough for two answers, "
+            f"from_agreement: found two answers about {len(first)} drivers, "
             f"expected at least {LEAST_PAIRS}"
         )
     agreed = ((aggressive_share(first) > 0.5) == (aggressive_share(second) > 0.5)).mean()

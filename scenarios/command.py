@@ -67,7 +67,7 @@ class RunSummary:
 
 FLAGS: Final[dict[str, dict[str, Any]]] = {
     "flow": {"help": "light, medium, dense or vehicles per hour"},
-    "mix": {"help": "share of each behaviour: impatient=.2,timid=.8"},
+    "mix": {"help": "shares of behaviours or styles: aggressive=.2,timid=.8"},
     "kinds": {"help": "share of each kind: car=.9,truck=.1"},
     "spread": {"type": float, "help": "spread between drivers of one behaviour"},
     "duration_s": {"type": float, "help": "length, s"},

@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Any, TypedDict, TypeVar
 
 from behaviors.errors import InputError
-from behaviors.labels import Behavior
+from behaviors.labels import Behavior, Style
 from scenarios.networks.build import net_of
 from scenarios.networks.geometry import Geometry
 from sim.frames import AgentKind
@@ -20,7 +20,7 @@ class PopulationOptions(TypedDict, total=False):
     """Options that every scenario takes, beside its own; the defaults are those of `Scenario`.
 
     Attributes:
-        mix: share of each behaviour, as a mapping or ``"impatient=.2,..."``; None for equal.
+        mix: shares of behaviours or styles, see `parse_mix`; None for equal.
         kinds: share of each kind of vehicle, as a mapping or ``"car=.9,truck=.1"``; None for cars.
         spread: how much drivers of one behaviour differ.
         duration_s: length of an episode, s.
@@ -103,8 +103,9 @@ def parse_mix(
     """The share of each behaviour among drivers.
 
     Args:
-        mix: None for equal shares, a mapping, or text like ``"impatient=.2,timid=.8"``.
-            Behaviours that are not named have no share.
+        mix: None for equal shares, a mapping, or text like ``"impatient=.2,timid=.8"``. A style,
+            as in ``"aggressive=.2,conservative=.8"``, stands for its three behaviours in equal
+            shares. Behaviours that are not named have no share.
 
     Returns:
         Shares by behaviour.
@@ -116,8 +117,13 @@ def parse_mix(
     Examples:
         >>> parse_mix("reckless=.25, timid=.75")
         {<Behavior.RECKLESS: 'reckless'>: 0.25, <Behavior.TIMID: 'timid'>: 0.75}
+        >>> [round(share, 2) for share in parse_mix("aggressive=.3,timid=.7").values()]
+        [0.1, 0.1, 0.1, 0.7]
     """
-    return dict(EQUAL_MIX) if mix is None else _shares("mix", mix, list(Behavior))
+    if mix is None:
+        return dict(EQUAL_MIX)
+    styles = {str(s): [b for b in Behavior if b.style is s] for s in Style}
+    return _shares("mix", mix, list(Behavior), styles)
 
 
 def parse_kinds(
@@ -146,26 +152,31 @@ K = TypeVar("K", bound=StrEnum)
 
 
 def _shares(
-    field: str, given: str | Mapping[K, float] | Mapping[str, float], members: Sequence[K]
+    field: str,
+    given: str | Mapping[K, float] | Mapping[str, float],
+    members: Sequence[K],
+    groups: Mapping[str, Sequence[K]] | None = None,
 ) -> dict[K, float]:
+    """Shares by member; the name of a group gives each of its members an equal part."""
     if not isinstance(given, (str, Mapping)):
         raise InputError(f"{field}: found {given!r}, expected shares by name")
-    names = {str(member): member for member in members}
+    names = {**{str(member): [member] for member in members}, **(groups or {})}
     pairs = _split(field, given) if isinstance(given, str) else [*given.items()]
     shares: dict[K, float] = {}
     for name, value in pairs:
         if str(name) not in names:
             raise InputError(f"{field}: found {str(name)!r}, expected one of {', '.join(names)}")
-        member = names[str(name)]
-        if member in shares:
-            raise InputError(f"{field}: found {str(name)!r} twice, expected it once")
+        named = names[str(name)]
+        for member in named:
+            if member in shares:
+                raise InputError(f"{field}: found {str(member)!r} twice, expected it once")
         try:
             share = float(value)
         except (TypeError, ValueError):
             raise InputError(f"{field}: found {name}={value!r}, expected a share >= 0") from None
         if not math.isfinite(share) or share < 0:
             raise InputError(f"{field}: found {name}={share:g}, expected a share >= 0")
-        shares[member] = share
+        shares.update(dict.fromkeys(named, share / len(named)))
     total = sum(shares.values())
     if abs(total - 1.0) > 1e-6:
         raise InputError(f"{field}: found shares adding to {total:g}, expected 1")

@@ -29,7 +29,8 @@ LOGGER: Final = logging.getLogger("graphrqi")
 Python shows neither by itself, as befits a library; the command line shows the first."""
 
 NOTICE: Final = (
-    "compiling numerical kernels, once per installation: 15 to 30 s at the first use ..."
+    "compiling numerical kernels that are used for the first time, up to 30 s; later runs find "
+    "them compiled ..."
 )
 """What a first use waits for."""
 

@@ -43,6 +43,26 @@ class BenchGroup(TyperGroup):
 
         return bench_command(BENCHES[cmd_name]) if cmd_name in BENCHES else None
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The bench that the arguments name, and what follows.
+
+        Raises:
+            InputError: if there is no such bench; the message suggests the nearest name.
+        """
+        from behaviors.errors import lookup
+        from experiments.benches.registry import BENCHES
+
+        if not ctx.resilient_parsing:
+            lookup(BENCHES, args[0], "bench")
+        return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """What follows ``graphrqi bench``; where nothing does, the help is shown."""
+        if not args and not ctx.resilient_parsing:  # as it is while the shell completes a name
+            typer.echo(ctx.get_help())
+            ctx.exit()
+        return super().parse_args(ctx, args)
+
 
 def bench_command(bench: Bench[Any]) -> Any:
     """A bench's command: an option for every field of its settings that is one.

@@ -283,7 +283,12 @@ def replay(
         Path, typer.Option(dir_okay=False, metavar="FILE.html", help="The page.")
     ] = Path("replay.html"),
     episode: Annotated[
-        str | None, typer.Option(metavar="ID", help="Its id or the beginning of it, or a scenario.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="A name as classify shows it, an id or its beginning, or a scenario [default: "
+            "the first].",
+        ),
     ] = None,
     labels: Annotated[
         Path | None,
@@ -401,7 +406,7 @@ def export(
     from experiments.data.exchange import export_dataset
 
     written = export_dataset(dataset, out, format, quiet)
-    say(f"{out}: {len(written)} written")
+    say(f"{out}: {len(written)} files written")
 
 
 @app.command(epilog="example: graphrqi verify data --repair")
@@ -431,7 +436,6 @@ app.add_typer(
         cls=BenchGroup,
         help="Measure, and print one row per figure.",
         epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
-        no_args_is_help=True,
         rich_markup_mode=None,
     ),
     name="bench",

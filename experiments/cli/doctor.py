@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib.util
 import inspect
 import json
 import os
@@ -12,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import metadata
+from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import unquote, urlsplit
 
@@ -68,8 +71,18 @@ REGISTRIES: Final[dict[str, str]] = {
 }
 """The registries, as "module:attribute", by what they hold."""
 
-DESCRIBED: Final = ("scenario", "method", "bench")
-"""Registries whose entries say what they are; those of the others are not imported to be listed."""
+SUMMARIES: Final[dict[str, Literal["entry", "function", "module"]]] = {
+    "scenario": "entry",
+    "engine": "function",
+    "method": "entry",
+    "solver": "module",
+    "predictor": "function",
+    "classifier": "function",
+    "format": "module",
+    "bench": "entry",
+}
+"""What says in one line what an entry of a registry is: the entry itself, which is imported; or the
+docstring of its function (or class) or of its module, which is read without importing it."""
 
 
 def names_of(what: str) -> list[str]:
@@ -95,7 +108,7 @@ def registered_names() -> list[Row]:
             "what": what,
             "name": name,
             "from": registry.origin(name),
-            "about": _about(registry, name) if what in DESCRIBED else "",
+            "about": _about(registry, name, SUMMARIES[what]),
         }
         for what in REGISTRIES
         for registry in (_registry(what),)
@@ -108,19 +121,42 @@ def _registry(what: str) -> Registry[object]:
     return registry
 
 
-def _about(registry: Registry[Any], name: str) -> str:
-    """One line on an entry that has a summary or is made by a documented function, else ""."""
-    try:
-        entry = registry[name]
-    except InputError as error:  # a plugin that does not load
-        return str(error)
+def _about(registry: Registry[Any], name: str, summary: str) -> str:
+    """One line on an entry: its summary, or the first line of a docstring without its marks."""
+    source = registry.source(name)
+    if summary == "entry" or source is None:
+        try:
+            return _summary(registry[name])
+        except InputError as error:  # a plugin that does not load
+            return str(error)
+    module, attribute = source.split(":")
+    written = importlib.util.find_spec(module)
+    assert written is not None, module
+    assert written.origin is not None, module
+    tree: ast.Module | ast.FunctionDef | ast.ClassDef = ast.parse(
+        Path(written.origin).read_bytes(), written.origin
+    )
+    if summary == "function":
+        tree = next(
+            node
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == attribute
+        )
+    return _first_line(ast.get_docstring(tree))
+
+
+def _summary(entry: Any) -> str:
+    """One line on an entry that has a summary or is, or is made by, a documented function."""
     if hasattr(entry, "summary"):
         return str(entry.summary)
-    made_by = getattr(entry, "function", None)
-    documented = inspect.getdoc(getattr(made_by, "func", made_by)) if made_by else None
-    about = (documented or "").partition("\n")[0]
+    made_by = getattr(entry, "function", entry)
+    about = _first_line(inspect.getdoc(getattr(made_by, "func", made_by)))
     fixed = ", ".join(f"{k}={v}" for k, v in getattr(made_by, "keywords", {}).items())
     return f"{about} Here {fixed}." if fixed else about
+
+
+def _first_line(docstring: str | None) -> str:
+    return (docstring or "").partition("\n")[0].replace("`", "")
 
 
 def version_line() -> str:

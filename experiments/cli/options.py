@@ -112,7 +112,7 @@ Flow = Annotated[
 ]
 Mix = Annotated[
     str | None,
-    typer.Option(metavar="MIX", help="Share of each behaviour: impatient=.2,timid=.8."),
+    typer.Option(metavar="MIX", help="Shares of behaviours or styles: aggressive=.2,timid=.8."),
 ]
 Spread = Annotated[
     float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")

@@ -85,9 +85,24 @@ def _reason(error: Exception) -> str | None:
     from behaviors.errors import InputError
 
     if isinstance(error, TyperException):
-        return error.format_message()
+        return _in_our_words(error)
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return None
+
+
+def _in_our_words(error: TyperException) -> str:
+    """What typer says; values that are no numbers or out of bounds as in files' wrong fields."""
+    said = error.format_message()
+    if not said.startswith("Invalid value for "):
+        return said
+    from pydantic import ValidationError
+
+    from sim.invalid_fields import first_wrong_field
+
+    if not isinstance(error.__cause__, ValidationError):
+        return said
+    option = said.removeprefix("Invalid value for ").partition(": ")[0].strip("'")
+    return f"{option}: {first_wrong_field(error.__cause__)}"

@@ -74,7 +74,10 @@ def import_recordings(
         if len(others) > LEFT_OUT_NAMED:
             configuration["left_out"] += f" and {len(others) - LEFT_OUT_NAMED} more"
         LOGGER.warning(
-            "%s: left out, no %s files: %s", source, " or ".join(names), configuration["left_out"]
+            "%s: left out, because they are not in the format %s: %s",
+            source,
+            " or ".join(names),
+            configuration["left_out"],
         )
     entries: list[EpisodeEntry] = []
     with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
@@ -165,6 +168,8 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
     """
     writer = get_writer(name)
     opened = open_dataset(dataset)
+    if (out / MANIFEST).is_file():
+        raise InputError(f"{out}: found a dataset, expected another folder for the exported files")
     out.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     left_out: list[NoWindowError] = []

@@ -279,20 +279,16 @@ class Painter:
             behavior = scene.tracks.behavior
             codes = np.full(rows.size, -1) if behavior is None else behavior[rows]
             return [UNKNOWN_COLOR if c < 0 else COLORS[BEHAVIORS[c]] for c in codes]
-        sample = int(np.searchsorted(scene.beliefs.time_s, time_s + 1e-6)) - 1
-        believed = scene.beliefs.probability[rows, max(sample, 0)]
-        known = np.isfinite(believed).all(axis=1)
-        likeliest = np.nan_to_num(believed)
+        ids = scene.beliefs.ids[rows]
+        posterior = scene.beliefs.at(time_s)
         if self.mode == "confidence":
-            sure = (likeliest.max(axis=1) - 1 / 6) * 6 / 5
+            sure = dict(zip(posterior.ids, posterior.probability.max(axis=1), strict=True))
             return [
-                ramp_color(float(v)) if k else UNKNOWN_COLOR
-                for v, k in zip(sure, known, strict=True)
+                ramp_color(float((sure[i] - 1 / 6) * 6 / 5)) if i in sure else UNKNOWN_COLOR
+                for i in ids
             ]
-        codes = likeliest.argmax(axis=1)
-        return [
-            COLORS[BEHAVIORS[c]] if k else UNKNOWN_COLOR for c, k in zip(codes, known, strict=True)
-        ]
+        told = dict(zip(posterior.ids, posterior.behaviors, strict=True))
+        return [UNKNOWN_COLOR if (b := told.get(i)) is None else COLORS[b] for i in ids]
 
     def _draw_stops(
         self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, shapes: RoadShapes,

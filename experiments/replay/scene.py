@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Final
 
@@ -33,6 +34,9 @@ SHOWN_EVERY_S: Final = 0.1
 
 MAX_PLACES: Final = 1_000_000
 """Most places of agents in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
+
+NAMED: Final = 6
+"""Most episodes that a message names (our choice)."""
 
 DEFAULT_PREDICTOR: Final = "graphrqi-predict"
 
@@ -87,7 +91,7 @@ def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
     the index), or its scenario, of which it is the first then.
 
     Raises:
-        InputError: if there is none, or more than one, that begins so.
+        InputError: if there is none, or if several have that name or begin so.
     """
     entries = dataset.manifest.episodes
     if not entries:
@@ -95,15 +99,21 @@ def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
     if episode is None:
         return entries[0]
     found = [entry for entry in entries if entry.id.startswith(episode)]
-    found = found or [e for e in entries if episode in (e.scenario, e.name)][:1]
+    found = found or [entry for entry in entries if entry.name == episode]
+    found = found or [entry for entry in entries if entry.scenario == episode][:1]
     if len(found) != 1:
-        known = ", ".join(f"{e.id} ({e.name})" for e in entries[:6])
-        more = ", ..." if len(entries) > 6 else ""
+        nearest = found or sorted(entries, key=lambda entry: -_likeness(entry.name, episode))
+        known = ", ".join(f"{e.id} ({e.name})" for e in nearest[:NAMED])
+        more = ", ..." if len(nearest) > NAMED else ""
         raise InputError(
             f"--episode: found {len(found)} episodes called {episode!r}, expected one of "
             f"{known}{more}"
         )
     return found[0]
+
+
+def _likeness(name: str, wanted: str) -> float:
+    return SequenceMatcher(None, name.casefold(), wanted.casefold()).ratio()
 
 
 def gather(

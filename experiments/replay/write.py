@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from behaviors.errors import InputError, lookup
+from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
 from experiments.replay.page import MODES, default_mode, write_page
 from experiments.replay.picture import write_picture
@@ -20,7 +21,7 @@ class ReplayOptions:
     """What a replay shows, and what is made of it beside the page.
 
     Attributes:
-        episode: the beginning of an episode's id; None for the first.
+        episode: which one, as `chosen_entry` takes it; None for the first.
         format: format of a recording; None to recognise it by its content.
         net: the SUMO net that a recording was made on.
         labels: a labels file; None to classify with ``model``.
@@ -84,8 +85,11 @@ def write_replay(
         raise InputError(f"--picture: found {o.picture.name!r}, expected a name that ends in .png")
     with as_dataset(source, o.format, o.net) as folder:
         dataset = open_dataset(folder)
+        entry, many = chosen_entry(dataset, o.episode), len(dataset.manifest.episodes)
+        if o.episode is None and many > 1:
+            LOGGER.info("%s: showing %s, the first of %d episodes", source, entry.name, many)
         scene = gather(
-            dataset, chosen_entry(dataset, o.episode), model=o.model, labels=o.labels,
+            dataset, entry, model=o.model, labels=o.labels,
             predictions=o.predictions, predictor=o.predictor, quiet=quiet,
         )  # fmt: skip
     first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])

@@ -126,7 +126,10 @@ def write_comparison(paths: Sequence[Path], out: Path) -> Path:
     names = _distinct_names(sources)
     compared = compare(dict(zip(names, (s.rows for s in sources), strict=True)))
     if not compared:
-        raise InputError(f"runs: found no kind of figure that {', '.join(names)} have in common")
+        raise InputError(
+            f"{out}: found no kind of figure that {' and '.join(names)} have in common, expected "
+            "one to compare; each has a page of its own"
+        )
     _write(out, "comparison.html", names=names, sources=sources, sections=compared)
     return out
 

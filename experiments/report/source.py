@@ -15,6 +15,8 @@ from experiments.report.run_file import Metrics, RunFile, read_run
 from experiments.rows import Cell, Row, of_bench, read_rows
 from experiments.scoring.prediction_errors import prediction_keys
 from graphrqi.model_files import load_model
+from sim.invalid_fields import first_wrong_field
+from sim.store.catalogue import MANIFEST
 
 _SCORES: Final = TypeAdapter(dict[str, dict[str, dict[str, str | int | float | None]]])
 """Scores in a model's card: by scenario and metric."""
@@ -67,8 +69,11 @@ def read_source(path: Path) -> Source:
         return Source(path, run.name, run, by_bench(rows), run.protocol)
     if (path / "model.json").is_file():
         return _read_model(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: found nothing there, expected a run's folder or a file of rows")
+    if (path / MANIFEST).is_file():
+        raise InputError(
+            f"{path}: found a dataset, expected a run, a model or files of rows; graphrqi replay "
+            "shows an episode, and graphrqi predict and bench write rows with --json"
+        )
     if not files:
         raise InputError(
             f"{path}: found no run.json, no model.json and no file of rows, expected a folder that "
@@ -84,9 +89,8 @@ def _read_model(path: Path) -> Source:
     try:
         scores = _SCORES.validate_python(model.card.get("scores", {}))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(("card", "scores", *map(str, first["loc"])))
-        raise InputError(f"{path / 'model.json'}: {where}: {first['msg']}") from None
+        wrong = first_wrong_field(error)
+        raise InputError(f"{path / 'model.json'}: card.scores.{wrong}") from None
     rows: list[Row] = [
         {
             **_classification_keys(scenario, model.method.name), "metric": metric,

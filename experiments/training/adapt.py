@@ -18,7 +18,7 @@ from experiments.console.progress import Progress
 from experiments.data.windows import measured
 from experiments.rows import Row
 from experiments.scoring.metrics import auc
-from graphrqi.adaptation import from_agreement, from_labels
+from graphrqi.adaptation import LEAST_PAIRS, from_agreement, from_labels
 from graphrqi.methods import Model
 from graphrqi.model_files import check_model_folder, load_model, save_model
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
@@ -184,6 +184,11 @@ def adapt(
     drivers = drivers_of(open_dataset(recordings), trained, quiet)
     rows: list[Row] = [{"what": "drivers", "value": len(drivers.names)}]
     if given is None:
+        if len(drivers.pairs[0]) < LEAST_PAIRS:
+            raise InputError(
+                f"{recordings}: found {len(drivers.pairs[0])} drivers that are seen for "
+                f"{2 * PAIR_S:g} s or longer, expected at least {LEAST_PAIRS}, or labels of some"
+            )
         first, second = (trained.posterior(part) for part in drivers.pairs)
         adaptation = from_agreement(first, second)
         rows.append({"what": "drivers with two answers", "value": len(first)})

@@ -32,7 +32,7 @@ class _Network(nn.Module):
 
 
 class LstmClassifier:
-    """A recurrent network (Hochreiter and Schmidhuber 1997).
+    """Long short-term memory, a recurrent network (Hochreiter and Schmidhuber 1997).
 
     Args:
         num_classes: C.

@@ -75,8 +75,8 @@ class TrafficConfig(BaseModel):
     """Traffic: "light", "medium", "dense" or vehicles per hour."""
 
     mix: Annotated[str | Mapping[str, float] | None, SkipValidation] = None
-    """Share of each behaviour among the drivers: a mapping or "impatient=.2,..."; None for equal
-    shares."""
+    """Shares of behaviours or styles among the drivers: a mapping or "aggressive=.2,timid=.8"; None
+    for equal shares."""
 
     spread: Annotated[float, SkipValidation] = DEFAULT_SPREAD
     """How much drivers of one behaviour differ."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -286,7 +287,9 @@ def formats_in(path: Path) -> list[str]:
             found.append(name)
             known.update(here)
     if not found:
-        raise InputError(f"{path}: found no known format, expected one of {', '.join(FORMATS)}")
+        seen = "an empty folder" if path.is_dir() and not any(path.iterdir()) else "no known format"
+        known_names = [name for name, entry in FORMATS.items() if entry.reader is not None]
+        raise InputError(f"{path}: found {seen}, expected one of {', '.join(known_names)}")
     return found
 
 
@@ -362,7 +365,8 @@ def read_recordings(
 
     Yields:
         The recordings, one at a time, in order of the files' names; see `recording_files` for
-        what is left out.
+        what is left out. Files of one name in several folders make recordings that are called by
+        their folders, too: ``north/vehicle_tracks_000``.
 
     Raises:
         InputError: if a file is broken, or there is none.
@@ -375,10 +379,19 @@ def read_recordings(
         if name != "sumo-fcd":
             raise InputError(f"types: found format {name}, expected sumo-fcd: only it needs them")
         reader = partial(cast("Callable[..., Iterator[Recording]]", reader), types=types)
-    for file in recording_files(path, name)[0]:
+    files = recording_files(path, name)[0]
+    alike = Counter(file.name for file in files)
+    for file in files:
+        folder = f"{file.parent.relative_to(path).as_posix()}/" if alike[file.name] > 1 else ""
+        folder = folder.removeprefix("./")
         for recording in reader(file):
             tracks, found = with_true_times(recording.tracks, FORMATS[name].clock)
-            yield replace(recording, tracks=tracks, notes=(*recording.notes, *found))
+            yield replace(
+                recording,
+                name=folder + recording.name,
+                tracks=tracks,
+                notes=(*recording.notes, *found),
+            )
 
 
 __all__ = [

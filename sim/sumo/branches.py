@@ -29,6 +29,7 @@ from behaviors.labels import BEHAVIORS, Behavior
 from sim.frames import Frame
 from sim.scenario import AgentSpec, CarFollowing, Scenario, with_behavior
 from sim.sumo.control.acting import Action, Command
+from sim.sumo.control.controls import NAMED
 from sim.sumo.engine import run_changeable
 
 FRAMES_A_MESSAGE: Final = 20
@@ -184,7 +185,10 @@ class Trunk(_Closing):
             InputError: if there is no driver of that id.
         """
         if agent not in self._drivers:
-            raise InputError(f"agent {agent}: found no such driver in the episode")
+            raise InputError(
+                f"agent {agent}: found no such driver in the episode, expected one such as "
+                f"{', '.join(map(str, sorted(self._drivers)[:NAMED]))}"
+            )
         return self._drivers[agent]
 
     def alternative(self, agent: int, behavior: Behavior) -> AgentSpec:

@@ -44,7 +44,7 @@ OPTIONS: Final[tuple[str, ...]] = (
 
 
 def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
-    """Drive a scenario in SUMO.
+    """Drive a scenario in SUMO; drivers follow by Krauss's law.
 
     Args:
         scenario: the road, the duration and the step.
@@ -64,7 +64,7 @@ def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[
 
 
 def run_idm(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
-    """Drive a scenario in SUMO where all drivers follow by IDM instead of Krauss's law; see `run`.
+    """Drive a scenario in SUMO; drivers follow by IDM. See `run`.
 
     The profiles are the same. A model that is trained on both laws depends less on the traces that
     either law leaves in the motion.

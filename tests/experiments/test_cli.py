@@ -18,8 +18,6 @@ from sim.scenario import MAX_DURATION_S, MAX_PER_HOUR
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
 
 
-LISTED_WITH_SUMMARY = ("scenario", "method", "bench")
-
 ONE = ("generate", "--scenario", "straight_road", "--episodes", "1")
 
 
@@ -69,7 +67,10 @@ def test_help_imports_nothing_heavy() -> None:
         (["classify", "{tmp}/none", "--out", "{tmp}/l"], "none"),
         (["run", "straight_road", "--engine", "sumoo"], "did you mean 'sumo'"),
         (["run", "straight_road", "--mix", "timid=3"], "mix: found shares adding to 3"),
-        (["run", "straight_road", "--seed", "-1"], "--seed"),
+        (["run", "straight_road", "--seed", "-1"], "--seed: found '-1', expected at least 0"),
+        (["run", "straight_road", "--seed", "x"], "--seed: found 'x', expected a valid integer"),
+        (["generate", "--worlds", "0", "--out", "{tmp}/x"], "--worlds: found 0, expected at least"),
+        (["bench", "spektrum"], "did you mean 'spectrum'"),
         (["train", "{tmp}/none", "--out", "{tmp}/m"], "none"),
         (["train", "{tmp}", "--out", "{tmp}/m"], "manifest.json"),
         (["train", "{tmp}/file", "--out", "{tmp}/m"], "found a file, expected a dataset"),
@@ -97,6 +98,13 @@ def test_every_mistake_is_one_line_and_exit_code_2(
     assert out == ""
 
 
+def test_bench_alone_shows_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = graphrqi(capsys, "bench")
+    assert (code, err) == (0, "")
+    assert "spectrum" in out
+    assert out == graphrqi(capsys, "bench", "--help")[1]
+
+
 def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     import experiments.cli.doctor
 
@@ -113,9 +121,10 @@ def test_list_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     rows = json.loads(out)
     names = {(row["what"], row["name"]) for row in rows}
     assert code == 0
-    about = {row["name"]: row["about"] for row in rows if row["what"] in LISTED_WITH_SUMMARY}
-    assert about["highway"] == BENCHES["highway"].summary
-    assert all(about.values())
+    about = {(row["what"], row["name"]): row["about"] for row in rows}
+    assert about["bench", "highway"] == BENCHES["highway"].summary
+    assert about["engine", "sumo-idm"].startswith("Drive a scenario in SUMO; drivers follow by IDM")
+    assert [key for key, said in about.items() if not said] == []
     assert {("scenario", "straight_road"), ("engine", "sumo"), ("solver", "graphrqi")} <= names
     assert {row["from"] for row in json.loads(out)} == {"graphrqi"}
 

@@ -35,6 +35,13 @@ def test_datasets_go_out(generated: Path, tmp_path: Path, name: str) -> None:
     assert all(path.exists() for path in written)
 
 
+def test_no_file_is_exported_into_a_dataset(generated: Path) -> None:
+    before = sorted(generated.rglob("*"))
+    with pytest.raises(InputError, match="found a dataset, expected another folder"):
+        export_dataset(generated, generated, "sumo-fcd", quiet=True)
+    assert sorted(generated.rglob("*")) == before
+
+
 def test_out_and_in_again(generated: Path, tmp_path: Path) -> None:
     export_dataset(generated, tmp_path / "out", "sumo-fcd", quiet=True)
     import_recordings(tmp_path / "out", tmp_path / "back", quiet=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import shutil
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from behaviors.colors import COLORS, rgb
+from behaviors.colors import COLORS, UNKNOWN_COLOR, rgb
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.replay.beliefs import read_beliefs
@@ -201,6 +202,41 @@ def test_an_episode_is_found_by_its_beginning_or_refused(dataset):
     assert chosen_entry(opened, first.name) == first
     with pytest.raises(InputError, match=f"called 'zz', expected .*{first.id} .{first.name}"):
         chosen_entry(opened, "zz")
+
+
+def test_an_episode_whose_name_several_have_is_refused_by_ids(dataset, tmp_path):
+    opened = open_dataset(dataset)
+    first, second = opened.manifest.episodes
+    twin = second.model_copy(update={"options": first.options})
+    folder = tmp_path / "data"
+    shutil.copytree(dataset, folder)
+    write_manifest(folder, {}, [first, twin])
+    with pytest.raises(InputError, match=f"found 2 episodes .*{first.id}.*{second.id}"):
+        chosen_entry(open_dataset(folder), first.name)
+
+
+def test_the_names_nearest_to_a_wrong_one_come_first(dataset):
+    with pytest.raises(InputError, match=r"expected one of \w+ \(pixels\), \w+ \(mapped\)"):
+        chosen_entry(open_dataset(dataset), "Pixel")
+
+
+def test_a_page_of_many_episodes_says_which_is_shown(dataset, tmp_path, caplog):
+    caplog.set_level("INFO", logger="graphrqi")
+    options = ReplayOptions(predictor="none")
+    write_replay(dataset, tmp_path / "page.html", options, quiet=True)
+    assert f"{dataset}: showing mapped, the first of 2 episodes" in caplog.text
+
+
+def test_the_picture_shows_nobody_in_a_colour_that_is_not_earned(scene):
+    unsure = np.where(np.isnan(scene.beliefs.probability), np.nan, 1 / 6).astype(np.float32)
+    unsure[..., 0] += 0.1
+    unsure[..., 5] -= 0.1
+    beliefs = dataclasses.replace(scene.beliefs, probability=unsure)
+    image = Painter(dataclasses.replace(scene, beliefs=beliefs), "predicted", words=False)
+    seen = np.asarray(image.draw(8.0)).reshape(-1, 3)
+    assert (seen == rgb(UNKNOWN_COLOR)).all(axis=1).any()
+    for color in COLORS.values():
+        assert not (seen == rgb(color)).all(axis=1).any()
 
 
 @pytest.mark.parametrize("mode", ["true", "predicted"])

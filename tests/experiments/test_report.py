@@ -207,6 +207,12 @@ def test_runs_are_compared_column_by_column(study, tmp_path):
     assert not (tmp_path / "d.html").exists()
 
 
+def test_a_dataset_is_no_run(tmp_path):
+    (tmp_path / "manifest.json").write_text("{}")
+    with pytest.raises(InputError, match="found a dataset, expected a run"):
+        read_source(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

@@ -140,10 +140,10 @@ def factual_id(files: dict[str, bytes]) -> str:
     [
         ({"at_s": 14.05}, "at_s: found 14.05, expected a multiple of 0.1 s"),
         ({"at_s": 24.0}, "at_s: found 24"),
-        ({"agent": 9999}, "agent 9999: found no such driver"),
+        ({"agent": 9999}, "agent 9999: found no such driver in the episode, expected one such as"),
         ({"behaviors": (), "actions": ()}, "expected --behavior or --action"),
         ({"behaviors": (Behavior.TIMID,) * 2}, "expected each once"),
-        ({"at_s": 0.1}, "agent 4: found it not on the road at 0.1 s"),
+        ({"at_s": 0.1}, "agent 4: found it not on the road at 0.1 s, expected one that is"),
         ({"episode": EPISODE.model_copy(update={"engine": "highway"})}, "found 'highway'"),
     ],
     ids=["between frames", "at the end", "nobody", "no change", "twice", "too early", "engine"],

@@ -193,6 +193,11 @@ def test_flow_mix_and_kinds():
     assert parse_flow("1e3", {}) == 1000.0
     assert parse_mix(None) == pytest.approx(dict.fromkeys(Behavior, 1 / 6))
     assert parse_mix({"timid": 1}) == {Behavior.TIMID: 1.0}
+    styles = parse_mix("aggressive=.2,conservative=.8")
+    assert styles[Behavior.RECKLESS] == pytest.approx(0.2 / 3)
+    assert styles[Behavior.TIMID] == pytest.approx(0.8 / 3)
+    with pytest.raises(InputError, match="found 'reckless' twice"):
+        parse_mix("reckless=.2,aggressive=.8")
     assert parse_kinds({AgentKind.BUS: 1.0}) == {AgentKind.BUS: 1.0}
 
 

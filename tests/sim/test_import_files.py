@@ -10,7 +10,7 @@ import pytest
 
 from behaviors.errors import InputError
 from experiments.data.exchange import as_dataset, import_recordings
-from sim.formats import read_recordings, recognise, recording_files
+from sim.formats import formats_in, read_recordings, recognise, recording_files
 from sim.frames import KINDS, AgentKind
 from tests.sim.test_formats import (
     AV1,
@@ -44,7 +44,7 @@ def test_others_with_a_common_ending_are_left_out_and_named(
     (source / "notes.csv").write_text("who,what\n")
     manifest = import_recordings(source, tmp_path / "out", quiet=True)
     assert len(manifest.episodes) == 1
-    assert "left out, no ngsim files: notes.csv" in caplog.text
+    assert "left out, because they are not in the format ngsim: notes.csv" in caplog.text
     assert "notes.csv" in (tmp_path / "out" / "README.md").read_text()
 
 
@@ -212,3 +212,19 @@ def test_a_folder_without_a_name_of_its_own(
     monkeypatch.chdir(tmp_path / "inside")
     with as_dataset(Path("..")) as folder:
         assert (folder / "manifest.json").is_file()
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    for folder in ("north", "south"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "00_tracks.csv").write_text(IND)
+    (tmp_path / "01_tracks.csv").write_text(IND)
+    names = [recording.name for recording in read_recordings(tmp_path)]
+    alone = [recording.name for recording in read_recordings(tmp_path / "north")]
+    assert [name.rpartition("/")[0] for name in names] == ["", "north", "south"]
+    assert alone == [names[1].removeprefix("north/")]
+
+
+def test_an_empty_folder_is_called_empty(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="found an empty folder, expected one of argoverse2"):
+        formats_in(tmp_path)

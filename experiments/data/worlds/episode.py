@@ -16,6 +16,7 @@ from behaviors.errors import InputError
 from experiments.data.worlds.world import DURATION_S, WARM_UP_S, World, draw_world
 from sim.engines import get_engine
 from sim.frames import Frame, Tracks
+from sim.invalid_fields import first_wrong_field
 from sim.road.net import read_road
 from sim.scenario import AgentSpec, Scenario, sample_agents
 from sim.store.catalogue import finished_episode, keep_road
@@ -68,8 +69,7 @@ def read_worlds_config(path: Path | None, worlds: int, **given: object) -> World
     try:
         return WorldsConfig.model_validate({**fields, "worlds": worlds})
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise InputError(f"--{first['loc'][0]}: {first['msg']}") from None
+        raise InputError(f"--{first_wrong_field(error)}") from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,13 +94,13 @@ def lstm(scene: Scene, posterior: Posterior) -> Prediction:
 
 
 def unlabelled_predict(scene: Scene, posterior: Posterior) -> Prediction:
-    """`graphrqi_predict` without beliefs about anybody: the baseline for the labels' worth."""
+    """As `graphrqi-predict`, without beliefs about anybody: the baseline for the labels' worth."""
     nothing = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
     return graphrqi_predict(scene, nothing)
 
 
 def oracle_predict(scene: Scene, posterior: Posterior) -> Prediction:
-    """`graphrqi_predict` given every driver's true behaviour.
+    """As `graphrqi-predict`, given every driver's true behaviour.
 
     Raises:
         InputError: if the history carries no labels.
@@ -109,5 +109,5 @@ def oracle_predict(scene: Scene, posterior: Posterior) -> Prediction:
 
 
 def shuffled_predict(scene: Scene, posterior: Posterior) -> Prediction:
-    """`graphrqi_predict` given other drivers' behaviours: how far wrong labels mislead it."""
+    """As `graphrqi-predict`, given other drivers' behaviours: how far wrong labels mislead it."""
     return graphrqi_predict(scene, shuffled_posterior(scene, posterior))

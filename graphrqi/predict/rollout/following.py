@@ -41,7 +41,7 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
 
 
 def wary_following(scene: Scene, posterior: Posterior) -> Prediction:
-    """`aware`, and conservative drivers keep away from neighbours believed to be aggressive."""
+    """As `car-following`, and conservative drivers keep away from aggressive neighbours."""
     return wary_with(scene, posterior.worth(scene.ids), default_table())
 
 
@@ -68,7 +68,7 @@ def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Predicti
 
 
 def oracle(scene: Scene, posterior: Posterior) -> Prediction:
-    """`aware` knowing every driver's true behaviour: what perfect classification would give.
+    """As `car-following`, knowing the true behaviours: what perfect classification would give.
 
     Raises:
         InputError: if the history carries no labels.
@@ -96,7 +96,7 @@ def certain(code: IntArray) -> FloatArray:
 
 
 def shuffled(scene: Scene, posterior: Posterior) -> Prediction:
-    """`aware` with the beliefs dealt out to the wrong drivers: what wrong labels cost."""
+    """As `car-following`, with the beliefs about other drivers: what wrong labels cost."""
     return aware(scene, shuffled_posterior(scene, posterior))
 
 

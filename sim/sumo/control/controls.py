@@ -19,6 +19,9 @@ from sim.sumo.control.stopping import Stopping
 from sim.sumo.control.wrong_way import WrongWay
 from sim.sumo.vehicle_types import alternative_name
 
+NAMED: Final = 8
+"""Most drivers that an error suggests instead (our choice)."""
+
 DRIVERS_ACT_S: Final = 0.2
 """How often the controllers of drivers act, s; jaywalkers are moved at every step."""
 
@@ -90,7 +93,11 @@ class Controls:
         """
         name = str(to.agent if isinstance(to, Command) else to.id)
         if name not in self._sumo.vehicle_getIDList():
-            raise InputError(f"agent {name}: found it not on the road at {time_s:g} s")
+            there = ", ".join(sorted(self._sumo.vehicle_getIDList(), key=int)[:NAMED])
+            raise InputError(
+                f"agent {name}: found it not on the road at {time_s:g} s, expected one that is, "
+                f"such as {there or 'nobody yet'}"
+            )
         if self._wrong_way.overtakes(name):
             raise InputError(f"agent {name}: found it overtaking on the wrong side at {time_s:g} s")
         if isinstance(to, Command):
