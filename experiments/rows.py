@@ -107,6 +107,19 @@ def read_rows(path: Path) -> list[Row]:
         found: Any = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: found no JSON ({error}), expected {EXPECTED}") from None
+    return checked_rows(found, str(path))
+
+
+def checked_rows(found: Any, path: str) -> list[Row]:
+    """Rows that somebody may have altered.
+
+    Args:
+        found: what JSON gave.
+        path: where it is from, for messages.
+
+    Raises:
+        InputError: if it is not a list of flat rows with a bench, a metric and a value.
+    """
     if not isinstance(found, list):
         raise InputError(f"{path}: found {type(found).__name__}, expected {EXPECTED}")
     for number, row in enumerate(found):

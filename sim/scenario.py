@@ -15,7 +15,7 @@ import numpy as np
 
 from behaviors.display import counted, html_table
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS, Behavior, Style
 from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
@@ -72,7 +72,7 @@ class AgentSpec:
     Attributes:
         id: unique within the episode.
         kind: what it is.
-        behavior: its driver's true behaviour; None for pedestrians.
+        behavior: its driver's true behaviour; None for pedestrians, and where it is not known.
         profile: its driver's own numbers; None for pedestrians.
         route: edge ids from first to last.
         depart_s: when it wants to enter, s.
@@ -81,6 +81,7 @@ class AgentSpec:
         speed_mps: walking speed of a pedestrian, m/s; 0 for those that drive.
         seed: seed of the agent's own chance decisions.
         jaywalks: whether a pedestrian crosses anywhere and on red.
+        style_label: the style of a driver of whom no more is known; see `style`.
     """
 
     id: int
@@ -94,6 +95,12 @@ class AgentSpec:
     speed_mps: float = 0.0
     seed: int = 0
     jaywalks: bool = False
+    style_label: Style | None = None
+
+    @property
+    def style(self) -> Style | None:
+        """The style of its behaviour, or else what is known of it."""
+        return self.style_label if self.behavior is None else self.behavior.style
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ too few to resample.
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -150,12 +149,6 @@ VIEWS: Final[dict[str, Callable[[Tracks], FloatArray]]] = {
 # --- reading ------------------------------------------------------------------------------------
 
 
-def video_number(path: Path) -> int | None:
-    """The number by which sheets name a video: the last one in the file's name."""
-    found = re.search(r"(\d+)_gt$", path.stem)
-    return int(found[1]) if found else None
-
-
 def read_video(
     path: Path, annotations: Path, views: Sequence[str], rule: Resolution = "lenient"
 ) -> Video | None:
@@ -170,7 +163,7 @@ def read_video(
     Returns:
         The video, or None if nobody annotated it.
     """
-    number = video_number(path)
+    number = traf_sheets.video_number(path)
     sheets = () if number is None else traf_sheets.sheets_of(annotations, number)
     if not sheets:
         return None

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import FormatName, Json, Net, Quiet
+from experiments.cli.options import FormatName, GivenLabels, Json, Net, Quiet
 
 
 def adapt(
@@ -16,18 +16,12 @@ def adapt(
     out: Annotated[
         Path, typer.Option(file_okay=False, metavar="FOLDER", help="Folder of the adapted model.")
     ],
-    labels: Annotated[
-        Path | None,
-        typer.Option(
-            dir_okay=False, metavar="FILE",
-            help="CSV of some drivers: name,label with a behaviour or a style.",
-        ),
-    ] = None,
+    labels: GivenLabels = None,
     format: FormatName = None,
     net: Net = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:  # fmt: skip
+) -> None:
     """Adapt a model to the place of some recordings, with few labels or none."""
     from experiments.console.tables import show_table
     from experiments.data.exchange import as_dataset

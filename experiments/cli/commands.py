@@ -16,12 +16,13 @@ import typer
 
 from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
-from experiments.cli.classify import classify
+from experiments.cli.classify import classify, evaluate
 from experiments.cli.options import (
     DurationS,
     Engine,
     Flow,
     FormatName,
+    GivenLabels,
     Json,
     Mix,
     ModelName,
@@ -35,6 +36,7 @@ from experiments.cli.options import (
     Version,
     WindowText,
     names_of,
+    table_to_write,
 )
 from experiments.cli.predictors import train_predictor
 from experiments.cli.what_if import blame, what_if
@@ -190,21 +192,20 @@ def train(
     quiet: Quiet = False,
 ) -> None:
     """Train a method on a dataset's training split, and score it on the test split."""
-    from experiments.console.tables import show_table
+    from experiments.cli.classify import show_evaluation
     from experiments.rows import write_json
-    from experiments.scoring.models import card_rows, scores_table
     from experiments.training.classifier import train_on
 
-    rows = card_rows(train_on([dataset], method, out, seed, quiet, jobs).card)
+    rows = train_on([dataset], method, out, seed, quiet, jobs).card["evaluation"]
     if json is not None:
         write_json(rows, json)
     if str(json) == "-":
         return
     say(f"{out}: {method} trained on {dataset}")
     if rows:
-        show_table(scores_table(rows), title=f"after 10 s of observation, {rows[0]['split']} split")
+        show_evaluation(rows)
     else:
-        typer.echo("not scored: the dataset has no test episode with a driver seen for 10 s")
+        typer.echo("not scored: the dataset has no test episode with a driver seen for 1 s")
 
 
 app.command("train-predictor", epilog="example: graphrqi train-predictor recordings --out weights")(
@@ -213,6 +214,7 @@ app.command("train-predictor", epilog="example: graphrqi train-predictor recordi
 
 
 app.command(epilog="example: graphrqi classify data --out labels.parquet")(classify)
+app.command(epilog="example: graphrqi evaluate graphrqi-plus data --json scores.json")(evaluate)
 app.command(epilog="example: graphrqi adapt graphrqi-plus data --labels few.csv --out mine")(adapt)
 
 
@@ -229,7 +231,10 @@ def predict(
     out: Annotated[
         Path | None,
         typer.Option(
-            dir_okay=False, metavar="FILE", help="Parquet file for the futures themselves."
+            dir_okay=False,
+            callback=table_to_write,
+            metavar="FILE",
+            help="File for the futures themselves: .parquet or .csv.",
         ),
     ] = None,
     submission: Annotated[
@@ -377,12 +382,13 @@ def import_(
         Path | None,
         typer.Option(dir_okay=False, metavar="FILE", help="vTypes of a SUMO recording, for sizes."),
     ] = None,
+    labels: GivenLabels = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset of recordings in other formats."""
     from experiments.data.exchange import import_recordings
 
-    manifest = import_recordings(source, out, format, net, quiet=quiet, types=types)
+    manifest = import_recordings(source, out, format, net, quiet=quiet, types=types, labels=labels)
     steps = sum(e.agent_steps for e in manifest.episodes)
     say(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
 

@@ -23,6 +23,19 @@ def in_a_folder(path: Path | None) -> Path | None:
     return path
 
 
+def table_to_write(path: Path | None) -> Path | None:
+    """Refuse a table of another ending than those written, or whose folder is missing.
+
+    Raises:
+        InputError: naming the ending or the folder.
+    """
+    if path is not None:
+        from experiments.scoring.table_file import check_ending
+
+        check_ending(path)
+    return in_a_folder(path)
+
+
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 
@@ -87,9 +100,18 @@ LabelsFile = Annotated[
     Path,
     typer.Option(
         dir_okay=False,
-        callback=in_a_folder,
+        callback=table_to_write,
         metavar="FILE",
-        help="Parquet file for the labels.",
+        help="File for the answers: .parquet or .csv.",
+    ),
+]
+GivenLabels = Annotated[
+    Path | None,
+    typer.Option(
+        "--labels",
+        dir_okay=False,
+        metavar="FILE.csv",
+        help="Known drivers: columns name and label (a behaviour or style), or also recording.",
     ),
 ]
 Version = Annotated[

@@ -17,6 +17,7 @@ from experiments.data.admission import SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
 from sim.formats import FORMATS, formats_in, get_reader, get_writer, left_out_files, read_recordings
+from sim.formats.common.label_file import read_driver_labels
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
 from sim.store.catalogue import MANIFEST, write_manifest
@@ -37,6 +38,7 @@ def import_recordings(
     split: Split | None = None,
     quiet: bool = False,
     types: Path | None = None,
+    labels: Path | None = None,
 ) -> Manifest:
     """Make a dataset of recordings, their numbers kept to the last digit.
 
@@ -52,6 +54,8 @@ def import_recordings(
         split: which part of the data everything belongs to; None to split by index.
         quiet: whether to show no progress.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
+        labels: a CSV file with labels of some drivers, as `sim.formats.common.label_file` reads
+            it. They replace those that come with the recordings.
 
     Returns:
         The manifest.
@@ -67,6 +71,7 @@ def import_recordings(
     if types is not None and "sumo-fcd" not in names:
         raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
     roads = RecordedRoads(net)
+    given = None if labels is None else read_driver_labels(labels)
     configuration = {"format": ", ".join(names), "source": source.name}
     others = left_out_files(source, names)
     if others:
@@ -83,13 +88,17 @@ def import_recordings(
     with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
         for index, (key, recording) in enumerate(_recordings(source, names, types)):
             LOGGER.debug("%s: read %s as %s", source, recording.name, key)
+            if given is not None:
+                found_labels = given.of(recording.tracks.names, recording.name, recording.file)
+                recording = recording.labelled(found_labels)
             unit = FORMATS[key].unit
             recording, doubt = admitted(recording, unit)
             if doubt:
                 LOGGER.warning("%s: %s", recording.name, doubt)
             road, found = roads.of(recording)
             options: dict[str, JsonValue] = {
-                "recording": recording.name, "notes": [*recording.notes, *found],
+                "recording": recording.name, "file": recording.file,
+                "notes": [*recording.notes, *found],
             }  # fmt: skip
             if unit != "m":
                 options[SCALED] = True
@@ -101,10 +110,12 @@ def import_recordings(
                 options=options,
                 made_with=made_with(key),
             )
-            entry = write_recording(out, meta, recording.tracks, road)
+            entry = write_recording(out, meta, recording.tracks, road, recording.styles)
             entries.append(entry)
             shown.advance(entry.agents, entry.agent_steps)
         roads.check()
+        if given is not None:
+            given.check()
         manifest = write_manifest(out, configuration, entries)
         write_data_card(out)
     return manifest

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from behaviors.errors import InputError
 from experiments.replay.beliefs import Beliefs, agent_rows, episode_rows, sampled
 from experiments.scoring.prediction_file import PREDICTIONS
+from experiments.scoring.table_file import JOINED
 from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
@@ -27,7 +28,9 @@ LEAST_PROBABILITY: Final = 0.02
 """Futures less likely than this are not kept (our choice)."""
 
 
-FORECASTS: Final = pa.schema([f for f in PREDICTIONS if f.name not in ("recording", "name")])
+FORECASTS: Final = pa.schema(
+    [f for f in PREDICTIONS if f.name not in {"name", *(g.name for g in JOINED[1:])}]
+)
 """The columns of a predictions file that are read."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +12,7 @@ from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.replay.ramp import ramp_color
+from experiments.report.evaluation import confusion_of, confusions
 from experiments.report.excerpts import take_excerpts
 from experiments.report.run_file import Metrics
 from experiments.report.sections import (
@@ -33,30 +33,6 @@ OURS: Final = b"GraphRQI"
 
 HEAD_BYTES: Final = 2000
 """How much of a page is looked at to tell whether it was written here."""
-
-
-@dataclass(frozen=True, slots=True)
-class Confusion:
-    """A confusion matrix in per cent of each true behaviour.
-
-    Attributes:
-        title: whose answers.
-        rows: true behaviour, how many cases, and the share of each answer, 0 to 100.
-    """
-
-    title: str
-    rows: tuple[tuple[str, int, tuple[float, ...]], ...]
-
-
-def confusion_table(matrix: Sequence[Sequence[int]], title: str) -> Confusion:
-    """Rows are true behaviours, columns answers; each row adds to 100 %."""
-    return Confusion(
-        title,
-        tuple(
-            (str(b), sum(row), tuple(100 * count / max(sum(row), 1) for count in row))
-            for b, row in zip(BEHAVIORS, matrix, strict=True)
-        ),
-    )
 
 
 def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Path:
@@ -83,11 +59,14 @@ def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Pat
         scenarios = list(dict.fromkeys(words(r["scenario"]) for r in source.rows["classification"]))
         name = shown_predictor(predicted) if predicted else "none"
         excerpts = take_excerpts(path, run.dataset, run.model, scenarios, name, jobs, quiet)
-    confusions = [
-        confusion_table(matrix, f"{method}, {scenario}")
-        for scenario, methods in (run.confusion if run else {}).items()
-        for method, matrix in methods.items()
-    ]
+    matrices = {
+        "classification": [
+            confusion_of(matrix, f"{method}, {scenario}")
+            for scenario, methods in (run.confusion if run else {}).items()
+            for method, matrix in methods.items()
+        ],
+        "evaluation": confusions(source.rows.get("evaluation", ())),
+    }
     out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
     _write(
         out, "page.html", source=source, run=run, sections=sections(source.rows),
@@ -96,7 +75,7 @@ def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Pat
             (ramp_color(0.0), "none"), (ramp_color(0.5), "a quarter"),
             (ramp_color(1.0), "the largest"),
         ],
-        confusions=confusions, behaviors=[str(b) for b in BEHAVIORS], excerpts=excerpts,
+        confusions=matrices, behaviors=[str(b) for b in BEHAVIORS], excerpts=excerpts,
         missing=[
             (layout.title, layout.made_by)
             for bench, layout in LAYOUTS.items()

@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from behaviors.labels import BEHAVIORS
 from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.evaluation import DRAWN, reliability_charts
 from experiments.report.tables import Table, name_of, pivot, words
 from experiments.rows import Row
 
@@ -56,6 +57,17 @@ LAYOUTS: Final[dict[str, Layout]] = {
         "windows: the last 10 s of one driver, one a second. Style: aggressive or conservative. "
         "Inductive: unseen episodes; transductive: windows of seen episodes too. Intervals, where "
         "there are some, are over episodes.",
+    ),
+    "evaluation": Layout(
+        "How good the answers are", ("model",), ("scenario", "split"), ("metric",),
+        ("drivers", "weighted_accuracy", "majority_weighted_accuracy", "told_accuracy",
+         "balanced_accuracy", "macro_f1", "ece", "style_balanced_accuracy", "style_auc",
+         "unknown_share"),
+        "graphrqi evaluate",
+        "Every driver once, by the last answer about it. Majority class: the accuracy of always "
+        "naming the most frequent behaviour of the drivers that are scored. Where told: only "
+        "drivers whose behaviour or style is likely enough to be told; the others are unknown. "
+        "Style: aggressive or conservative. Intervals, where there are some, are over episodes.",
     ),
     "real-data": Layout(
         "Real drivers", ("dataset", "protocol", "classes"), ("method", "fold"), ("metric",),
@@ -152,7 +164,7 @@ def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
     """
     found = []
     for bench, layout in layouts(rows).items():
-        tables, more = _tables(rows[bench], layout)
+        tables, more = _tables([r for r in rows[bench] if r["metric"] not in DRAWN], layout)
         charts = tuple(chart for chart in _charts(bench, rows[bench]) if chart)
         found.append(
             Section(bench, layout.title, layout.told, layout.made_by, tables, more, charts)
@@ -220,6 +232,8 @@ def _charts(bench: str, rows: Sequence[Row]) -> list[Markup]:
         return _prediction_charts(rows)
     if bench == "classification":
         return _early_charts(rows)
+    if bench == "evaluation":
+        return reliability_charts(rows)
     if bench == "loop":
         return _loop_charts(rows)
     return _runtime_charts(rows) if bench == "spectrum" else []

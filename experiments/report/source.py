@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from behaviors.errors import InputError
 from experiments.data.windows import OBSERVED_S
 from experiments.report.run_file import Metrics, RunFile, read_run
-from experiments.rows import Cell, Row, of_bench, read_rows
+from experiments.rows import Cell, Row, checked_rows, of_bench, read_rows
 from experiments.scoring.prediction_errors import prediction_keys
 from graphrqi.model_files import load_model
 from sim.invalid_fields import first_wrong_field
@@ -99,10 +99,15 @@ def _read_model(path: Path) -> Source:
         for scenario, metrics in scores.items()
         for metric, score in metrics.items()
     ]  # fmt: skip
+    evaluation = checked_rows(
+        model.card.get("evaluation", []), f"{path / 'model.json'}: card: evaluation"
+    )
+    name = path.resolve().name
+    rows += [{**row, "model": name} for row in evaluation]
     if not rows:
         raise InputError(f"{path / 'model.json'}: found no scores in its card, expected some")
     protocol = str(model.card.get("protocol", ""))
-    return Source(path, path.resolve().name, None, by_bench(rows), protocol)
+    return Source(path, name, None, by_bench(rows), protocol)
 
 
 def by_bench(rows: Sequence[Row]) -> dict[str, tuple[Row, ...]]:

@@ -14,6 +14,10 @@ _NAMES: Final = {
     "balanced_accuracy": "balanced accuracy",
     "macro_f1": "macro-F1",
     "style_balanced_accuracy": "style balanced accuracy",
+    "told_accuracy": "accuracy where told",
+    "style_auc": "style AUC",
+    "style_ece": "calibration error of the style",
+    "unknown_share": "unknown",
     "ece": "calibration error",
     "ade_m": "ADE, m",
     "fde_m": "FDE, m",
@@ -31,7 +35,8 @@ _NAMES: Final = {
 _LESS: Final = frozenset(
     {
         "ade_m", "fde_m", "min_ade_m", "min_fde_m", "rmse_m", "miss_rate", "brier_min_fde_m", "nll",
-        "collisions", "off_road", "ece", "cpu_ms", "wall_ms", "ms_per_frame", "ms_median", "ms_p99",
+        "collisions", "off_road", "ece", "style_ece", "unknown_share", "cpu_ms", "wall_ms",
+        "ms_per_frame", "ms_median", "ms_p99",
         "bytes_per_agent_step",
     }
 )  # fmt: skip
@@ -132,8 +137,10 @@ def pivot(
     found = {
         (tuple(_line(k, r) for k in varying), tuple(_head(k, r) for k in across)): r for r in rows
     }
+    # Nothing is the best of figures that were measured on different data.
+    alike = not {"scenario", "split"} & set(varying)
     best: dict[tuple[str, ...], float] = {}
-    for head in heads:
+    for head in heads if alike else ():
         column = [found[line, head] for line in lines if (line, head) in found]
         metric = str(column[0]["metric"])
         fair = [_value(r) for r in column if "majority" not in words(r.get("method"))]
@@ -155,7 +162,7 @@ def pivot(
         if not counts
         else f"n = {min(counts)}" + (f" to {max(counts)}" if max(counts) > min(counts) else "")
     )
-    split = {str(r["split"]) for r in rows if r.get("split")}
+    split = {str(r["split"]) for r in rows if r.get("split") and "split" not in varying}
     cells = [cell for _, line in body for cell in line]
     said = [
         caption,

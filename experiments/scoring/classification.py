@@ -11,25 +11,24 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
+from experiments.data.windows import measured, places_of
 from experiments.rows import Cell, Row
 from experiments.scoring.metrics import of_likelier_style
+from experiments.scoring.table_file import JOINED, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
-from sim.frames import Tracks
-from sim.store.atomic import whole_file
-from sim.store.dataset import open_dataset
+from sim.formats.common.label_file import DriverLabel, DriverLabels, read_driver_labels
+from sim.store.dataset import Episode, open_dataset
 
 LABELS: Final = pa.schema(
     [
-        pa.field("episode", pa.string()),
-        pa.field("recording", pa.string()),
+        *JOINED,
         pa.field("agent", pa.int64()),
         pa.field("name", pa.string()),
         pa.field("time_s", pa.float64()),
@@ -39,33 +38,32 @@ LABELS: Final = pa.schema(
         pa.field("domain", pa.float32()),
         pa.field("unknown", pa.float32()),
         pa.field("truth", pa.string()),
+        pa.field("true_style", pa.string()),
     ]
 )
 """Columns of a labels file: one row per driver and frame from one second of observation on.
 
-``recording`` is the name of the file that an episode was read from (null for simulated ones),
-``agent`` the id in the dataset's tables, ``name`` the source's own id. ``behavior`` is the most
-likely one, ``style`` the style with the larger sum of probabilities; each is null where it is not
-likely enough to be told (`graphrqi.posterior`). ``domain`` is how foreign the traffic is to the
-model, ``unknown`` the probability that no answer is earned, ``truth`` the behaviour that the driver
-was drawn or labelled with (null where nobody knows)."""
+The first are those of `JOINED`; ``agent`` is the id in the dataset's tables, ``name`` the source's
+own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum of
+probabilities; each is null where it is not likely enough to be told (`graphrqi.posterior`).
+``domain`` is how foreign the traffic is to the model, ``unknown`` the probability that no answer is
+earned, ``truth`` the behaviour that the driver was drawn or labelled with and ``true_style`` its
+style (null where nobody knows; of some drivers only the style is known)."""
 
 
-def label_tracks(
-    tracks: Tracks, model: Model, episode: str, recording: str | None = None
-) -> pa.Table:
-    """Posteriors of every driver at every frame of a recording.
+def label_episode(episode: Episode, model: Model) -> pa.Table:
+    """Posteriors of every driver at every frame of an episode.
 
     Args:
-        tracks: the recording; its labels, if any, only fill the column ``truth``.
+        episode: as read from a dataset; what is known of its drivers only fills the columns
+            ``truth`` and ``true_style``.
         model: a trained model.
-        episode: the episode's id.
-        recording: name of the recording; None for a simulated episode.
 
     Returns:
         A table with the columns ``LABELS``.
     """
     stream = BehaviorStream(model)
+    tracks = measured(episode)
     agents, times, answers = [], [], list[Posterior]()
     for frame in tracks.frames():
         posterior = stream.update(frame)
@@ -77,10 +75,12 @@ def label_tracks(
     row, probability = np.concatenate(agents), np.concatenate([a.probability for a in answers])
     style_told = np.concatenate([a.style_told for a in answers])
     told = np.concatenate([a.told for a in answers])
-    truth = np.full(len(tracks.ids), -1) if tracks.behavior is None else tracks.behavior
+    known = {agent.id: agent for agent in episode.agents}
+    truth = pa.array([known[i].behavior for i in tracks.ids.tolist()], pa.string())
+    true_style = pa.array([known[i].style for i in tracks.ids.tolist()], pa.string())
+    joined = joined_columns(episode.entry, row.size)
     columns = {
-        "episode": _repeated(episode, row.size),
-        "recording": _repeated(recording, row.size),
+        **dict(zip((field.name for field in JOINED), joined, strict=True)),
         "agent": pa.array(tracks.ids[row]),
         "name": pa.array(tracks.names, pa.string()).take(pa.array(row)),
         "time_s": pa.array(np.concatenate(times)),
@@ -90,15 +90,54 @@ def label_tracks(
         ),
         "domain": pa.array(np.repeat([a.domain for a in answers], [a.ids.size for a in answers])),
         "unknown": pa.array(np.concatenate([a.unknown for a in answers])),
-        "truth": _words(BEHAVIORS, truth[row]),
+        "truth": truth.take(pa.array(row)),
+        "true_style": true_style.take(pa.array(row)),
     }
     for behavior, share in zip(BEHAVIORS, probability.T.astype(np.float32), strict=True):
         columns[f"p_{behavior.value}"] = pa.array(share)
     return pa.table(columns).select(LABELS.names).cast(LABELS)
 
 
-def _repeated(text: str | None, count: int) -> pa.Array:
-    return pa.array([text], pa.string()).take(pa.array(np.zeros(count, dtype=np.int64)))
+def with_truth(
+    table: pa.Table, names: Sequence[str], labels: Sequence[DriverLabel | None]
+) -> pa.Table:
+    """Answers with labels that are given now instead of what was known.
+
+    Args:
+        table: with the columns ``LABELS``, of one episode.
+        names: of the episode's agents.
+        labels: of each; None leaves what was known.
+
+    Returns:
+        The table.
+    """
+    given = {name: one for name, one in zip(names, labels, strict=True) if one is not None}
+    if not given:
+        return table
+    new: dict[str, list[str | None]] = {"truth": [], "true_style": []}
+    before = (table[column].to_pylist() for column in ("name", *new))
+    for name, truth, style in zip(*before, strict=True):
+        label = given.get(name)
+        new["truth"].append(truth if label is None else label.behavior)
+        new["true_style"].append(style if label is None else label.style)
+    for column, words in new.items():
+        at = table.column_names.index(column)
+        table = table.set_column(at, column, pa.array(words, pa.string()))
+    return table
+
+
+def last_answers(table: pa.Table) -> pa.Table:
+    """The last row of every driver of an episode.
+
+    Args:
+        table: with the columns ``LABELS``, of one episode, in order of time.
+
+    Returns:
+        Its rows in order of agent.
+    """
+    agent = table["agent"].to_numpy()
+    _, last = np.unique(agent[::-1], return_index=True)
+    return table.take(pa.array(agent.size - 1 - last))
 
 
 def _words(names: Sequence[StrEnum], codes: NDArray[np.integer[Any]]) -> pa.Array:
@@ -108,70 +147,80 @@ def _words(names: Sequence[StrEnum], codes: NDArray[np.integer[Any]]) -> pa.Arra
     )
 
 
-def classify_dataset(source: Path, model: str | Path, out: Path, quiet: bool = False) -> list[Row]:
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """The last answers about the drivers of one episode.
+
+    Attributes:
+        place: scenario, where the data are of several engines with the engine.
+        names: of all agents, those about whom there is no answer too.
+        table: one row per driver, with the columns ``LABELS``.
+    """
+
+    place: str
+    names: tuple[str, ...]
+    table: pa.Table
+
+
+def classify_dataset(
+    source: Path, model: str | Path, out: Path, quiet: bool = False, labels: Path | None = None
+) -> tuple[list[Row], list[Answered]]:
     """What ``graphrqi classify`` does: write a labels file.
 
     Args:
         source: folder of a dataset.
         model: a shipped model's name or a folder.
-        out: the Parquet file to write; it appears whole or not at all.
+        out: the file to write, .parquet or .csv; it appears whole or not at all.
         quiet: whether to show no progress.
+        labels: a CSV file with labels of some drivers (`sim.formats.common.label_file`), which
+            fill the columns ``truth`` and ``true_style``.
 
     Returns:
-        A row per episode, then one per split whose ``episode`` is "all"; see `summary_of`. The
-        split matters, since a model knows the drivers that it was trained on.
+        A row per episode, then one per split whose ``episode`` is "all", see `summary_of`; the
+        split matters, since a model knows the drivers that it was trained on. And the last
+        answers, which `experiments.scoring.evaluation` scores.
     """
     trained = load_model(model)
+    given = None if labels is None else read_driver_labels(labels)
     dataset = open_dataset(source)
     episodes = dataset.manifest.episodes
     rows: list[Row] = []
-    drivers: dict[str, list[_Driver]] = {}
+    found: list[Answered] = []
     with (
         Progress("classifying episodes", len(episodes), quiet) as progress,
-        whole_file(out) as partial,
-        pq.ParquetWriter(partial, LABELS, compression="zstd") as writer,
+        table_file(out, LABELS) as writer,
     ):
-        for entry in episodes:
-            tracks = dataset.read(entry).tracks
-            table = label_tracks(tracks, trained, entry.id, entry.recording)
+        for entry, place in zip(episodes, places_of([dataset]), strict=True):
+            episode = dataset.read(entry)
+            table = _known(label_episode(episode, trained), episode, given)
             writer.write_table(table)
-            found = _last_answers(table)
+            last = last_answers(table)
+            found.append(Answered(place, episode.tracks.names, last))
             head = {"episode": entry.id, "name": entry.name, "split": entry.split}
-            rows.append({**head, **summary_of(found), "rows": table.num_rows})
-            drivers.setdefault(entry.split, []).extend(found)
+            rows.append({**head, **summary_of(last), "rows": table.num_rows})
             progress.advance()
-    for split, found in drivers.items():
-        rows.append({"episode": "all", "name": None, "split": split, **summary_of(found)})
-    return rows
+        if given is not None:
+            given.check()
+    for split in dict.fromkeys(entry.split for entry in episodes):
+        own = [a.table for a, e in zip(found, episodes, strict=True) if e.split == split]
+        rows.append(
+            {"episode": "all", "name": None, "split": split, **summary_of(pa.concat_tables(own))}
+        )
+    return rows, found
 
 
-@dataclass(frozen=True, slots=True)
-class _Driver:
-    """The last answer about one driver."""
-
-    behavior: str | None
-    style: str | None
-    confidence: float
-    domain: float
-    truth: str | None
+def _known(table: pa.Table, episode: Episode, labels: DriverLabels | None) -> pa.Table:
+    if labels is None:
+        return table
+    names, entry = episode.tracks.names, episode.entry
+    return with_truth(table, names, labels.of(names, entry.name, entry.file, entry.id))
 
 
-def _last_answers(table: pa.Table) -> list[_Driver]:
-    agent = table["agent"].to_numpy()
-    # Rows are in order of time, so an agent's first row from the end is its last.
-    _, last = np.unique(agent[::-1], return_index=True)
-    rows = table.take(pa.array(agent.size - 1 - last))
-    confidence = np.stack([rows[f"p_{b.value}"].to_numpy() for b in BEHAVIORS]).max(axis=0)
-    told = (rows[name].to_pylist() for name in ("behavior", "style"))
-    domain, truth = (rows[name].to_pylist() for name in ("domain", "truth"))
-    return list(map(_Driver, *told, confidence.tolist(), domain, truth))
-
-
-def summary_of(drivers: Sequence[_Driver]) -> dict[str, Cell]:
+def summary_of(last: pa.Table) -> dict[str, Cell]:
     """What was answered about some drivers, each counted once with its last answer.
 
     Args:
-        drivers: the last answers.
+        last: the last answers, with the columns ``LABELS``.
 
     Returns:
         ``drivers``: how many; a count for each behaviour; ``unknown``: how many have no answer;
@@ -181,23 +230,31 @@ def summary_of(drivers: Sequence[_Driver]) -> dict[str, Cell]:
         of those the answer is right, and ``most_frequent`` how many would be right if everybody
         were of the most frequent behaviour among them.
     """
-    answered = Counter(driver.behavior for driver in drivers)
-    foreign = [driver.domain for driver in drivers]
-    known = Counter(driver.truth for driver in drivers if driver.truth is not None)
-    sure = [driver.confidence for driver in drivers]
-    summary: dict[str, Cell] = {"drivers": len(drivers)}
+    behavior, truth = last["behavior"].to_pylist(), last["truth"].to_pylist()
+    answered = Counter(behavior)
+    known = Counter(word for word in truth if word is not None)
+    summary: dict[str, Cell] = {"drivers": last.num_rows}
     summary |= {b.value: answered[b.value] for b in BEHAVIORS}
     summary["unknown"] = answered[None]
-    summary["style_told"] = sum(driver.style is not None for driver in drivers)
-    summary["foreign"] = sum(foreign) / len(foreign) if foreign else None
-    summary["confidence"] = sum(sure) / len(sure) if sure else None
+    summary["style_told"] = last.num_rows - last["style"].null_count
+    summary["foreign"] = float(last["domain"].to_numpy().mean()) if last.num_rows else None
+    summary["confidence"] = float(probabilities(last).max(axis=1).mean()) if last.num_rows else None
     if known:
         summary |= {
             "true_known": known.total(),
-            "right_at_end": sum(driver.behavior == driver.truth for driver in drivers),
+            "right_at_end": sum(
+                word is not None and word == true
+                for word, true in zip(behavior, truth, strict=True)
+            ),
             "most_frequent": max(known.values()),
         }
     return summary
+
+
+def probabilities(table: pa.Table) -> NDArray[np.float64]:
+    """(n, 6) the probabilities in a table with the columns ``LABELS``."""
+    columns = [table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS]
+    return np.stack(columns, axis=1).astype(np.float64)
 
 
 def episodes_table(rows: Sequence[Row]) -> list[Row]:

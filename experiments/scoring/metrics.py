@@ -293,6 +293,50 @@ def bootstrap(
     return value, float(low), float(high)
 
 
+def auc_over_episodes(
+    score: FloatArray, positive: NDArray[np.bool_], episode: IntArray, seed: int = 0
+) -> tuple[float, float, float]:
+    """Area under the ROC curve over all pairs, with an interval over episodes.
+
+    Args:
+        score: (n,) larger for positives.
+        positive: (n,) truth.
+        episode: (n,) episode numbers.
+        seed: of the resampling.
+
+    Returns:
+        Value, low, high; NaN where there are no pairs, low and high with a single episode too.
+
+    Examples:
+        >>> truth, where = np.array([True, False, True]), np.array([0, 0, 1])
+        >>> auc_over_episodes(np.array([0.9, 0.5, 0.4]), truth, where)[0]
+        0.5
+    """
+    _, number = np.unique(episode, return_inverse=True)
+    count = int(number.max()) + 1 if number.size else 0
+    ups, downs = np.bincount(number[positive], minlength=count), number[~positive]
+    won = np.zeros((count, count))
+    for each in range(count):
+        below = np.sort(score[~positive][downs == each])
+        left, right = (np.searchsorted(below, score[positive], side=s) for s in ("left", "right"))
+        won[:, each] = np.bincount(number[positive], 0.5 * (left + right), minlength=count)
+    pairs = np.outer(ups, np.bincount(downs, minlength=count)).astype(np.float64)
+
+    def area(weight: FloatArray) -> FloatArray:
+        with np.errstate(invalid="ignore"):
+            return np.asarray(
+                ((weight @ won) * weight).sum(axis=-1) / ((weight @ pairs) * weight).sum(axis=-1)
+            )
+
+    value = float(area(np.ones(count))) if count else float("nan")
+    if count < 2 or not np.isfinite(value):
+        return value, float("nan"), float("nan")
+    rng = np.random.default_rng(seed)
+    drawn = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
+    low, high = np.nanquantile(area(drawn.astype(np.float64)), [0.025, 0.975])
+    return value, float(low), float(high)
+
+
 def score(
     truth: NDArray[np.int8],
     probability: FloatArray,

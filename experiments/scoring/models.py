@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from experiments.data.windows import gather, places_of
-from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import Estimate, confusion, score
 from graphrqi.methods import Model
 from graphrqi.samples import Samples
@@ -77,31 +75,6 @@ def score_model(
             score(here.codes, probability, here.episode, majority, split), counts.astype(np.int64)
         )
     return found
-
-
-def card_rows(card: Mapping[str, Any]) -> list[Row]:
-    """The scores in a model's card as tidy rows: scenario, metric, value, low, high, n, split."""
-    return [
-        {
-            **tidy_row({"scenario": scenario}, name, *(found[k] for k in _FIGURE)),
-            "split": found["split"],
-        }
-        for scenario, scores in card.get("scores", {}).items()
-        for name, found in scores.items()
-    ]
-
-
-_FIGURE: Final = ("value", "low", "high", "n")
-
-
-def scores_table(rows: Sequence[Row]) -> list[Row]:
-    """The rows of `card_rows` as a table for people: a line per scenario, a column per metric."""
-    lines: dict[Cell, dict[str, Cell]] = {}
-    for row in rows:
-        line = lines.setdefault(row["scenario"], {"scenario": row["scenario"], "windows": row["n"]})
-        interval = "" if row["low"] is None else f" [{row['low']:.2f}, {row['high']:.2f}]"
-        line[str(row["metric"]).replace("_", " ")] = f"{row['value']:.2f}{interval}"
-    return list(lines.values())
 
 
 def majority_of(samples: Samples) -> int:

@@ -1,4 +1,4 @@
-"""Predictions on disk: one tidy Parquet file, a row per future and place.
+"""Predictions on disk: one tidy table, a row per future and place.
 
 The futures of each predictor, agent and instant are told apart by ``mode``; a future's probability
 is repeated in each of its rows. Places are given every half second.
@@ -6,25 +6,22 @@ is repeated in each of its rows. Places are given every half second.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from experiments.scoring.table_file import JOINED, TakesTables, joined_columns, table_file
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from sim.frames import Tracks
-from sim.store.atomic import whole_file
 from sim.store.schema import EpisodeEntry
 
 PREDICTIONS: Final = pa.schema(
     [
-        pa.field("episode", pa.string()),
-        pa.field("recording", pa.string()),
+        *JOINED,
         pa.field("predictor", pa.dictionary(pa.int32(), pa.string())),
         pa.field("agent", pa.int64()),
         pa.field("name", pa.string()),
@@ -36,9 +33,9 @@ PREDICTIONS: Final = pa.schema(
         pa.field("y_m", pa.float64()),
     ]
 )
-"""Columns of a predictions file. ``recording`` is the name of the file that an episode was read
-from (null for simulated ones), ``agent`` the id in the dataset's tables, ``name`` the source's own
-id, ``time_s`` when it was predicted, ``ahead_s`` how much later it is to be there."""
+"""Columns of a predictions file: those of `JOINED`; ``agent`` is the id in the dataset's tables,
+``name`` the source's own id, ``time_s`` when it was predicted, ``ahead_s`` how much later it is to
+be there."""
 
 
 def predictions_table(
@@ -63,8 +60,7 @@ def predictions_table(
     rows = n * modes * times
     agent = np.repeat(np.searchsorted(history.ids, prediction.ids), modes * times)
     columns = [
-        pa.array([entry.id] * rows, pa.string()),
-        pa.array([entry.recording] * rows, pa.string()),
+        *joined_columns(entry, rows),
         pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), [predictor]),
         pa.array(history.ids[agent]),
         pa.array(history.names, pa.string()).take(pa.array(agent)),
@@ -78,23 +74,6 @@ def predictions_table(
     return pa.Table.from_arrays(columns, schema=PREDICTIONS)
 
 
-class TakesTables(Protocol):
-    """What tables are written to."""
-
-    def write_table(self, table: pa.Table) -> None:
-        """Add a table's rows."""
-        ...
-
-
-@contextmanager
-def predictions_file(path: Path) -> Iterator[TakesTables]:
-    """A new predictions file; it appears whole when the block ends, or not at all.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
-    with (
-        whole_file(path) as partial,
-        pq.ParquetWriter(partial, PREDICTIONS, compression="zstd") as writer,
-    ):
-        yield writer
+def predictions_file(path: Path) -> AbstractContextManager[TakesTables]:
+    """A new predictions file; see `experiments.scoring.table_file.table_file`."""
+    return table_file(path, PREDICTIONS)

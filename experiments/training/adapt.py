@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior, Style
+from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.windows import measured
 from experiments.rows import Row
@@ -23,6 +22,7 @@ from graphrqi.methods import Model
 from graphrqi.model_files import check_model_folder, load_model, save_model
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.samples import NoSamplesError, Samples, collect
+from sim.formats.common.label_file import DriverLabel, DriverLabels, read_driver_labels
 from sim.store.dataset import Dataset, open_dataset
 
 FloatArray = NDArray[np.float64]
@@ -46,28 +46,39 @@ class Drivers:
     """Every driver of some recordings, at its last look.
 
     Attributes:
-        names: (n,) the recording's own id of each.
+        labels: (n,) of each, where one is given.
         features: (n, F) of its whole track.
         pairs: (2, m, F) of two stretches of the tracks that are long enough.
     """
 
-    names: tuple[str, ...]
+    labels: tuple[DriverLabel | None, ...]
     features: FloatArray
     pairs: FloatArray
 
 
-def drivers_of(dataset: Dataset, model: Model, quiet: bool = True) -> Drivers:
+def drivers_of(
+    dataset: Dataset, model: Model, given: DriverLabels | None = None, quiet: bool = True
+) -> Drivers:
     """Observe every driver of a dataset.
 
+    Args:
+        dataset: what is observed.
+        model: whose features are taken.
+        given: labels of some drivers.
+        quiet: whether to show no progress.
+
     Raises:
-        InputError: if nobody is seen for long enough.
+        InputError: if nobody is seen for long enough, or labels are of nobody.
     """
-    names: list[str] = []
+    labels: list[DriverLabel | None] = []
     features, firsts, lasts = [], [], []
     episodes = dataset.manifest.episodes
     with Progress("observing drivers", len(episodes), quiet) as progress:
         for entry in episodes:
             tracks = measured(dataset.read(entry))
+            known: list[DriverLabel | None] = [None] * len(tracks.names)
+            if given is not None:
+                known = given.of(tracks.names, entry.name, entry.file, entry.id)
             unlabelled = np.zeros(tracks.ids.size, dtype=np.int8)  # any label: none is used
             try:
                 found = collect(
@@ -80,17 +91,19 @@ def drivers_of(dataset: Dataset, model: Model, quiet: bool = True) -> Drivers:
                 life = found.where(np.isinf(found.window_s))
                 ids, last = _ends(life, latest=True)
                 rows = np.searchsorted(tracks.ids, ids)
-                names += [tracks.names[row] for row in rows]
+                labels += [known[row] for row in rows]
                 features.append(life.features[last])
                 first, second = _apart(found.where(found.window_s == PAIR_S))
                 firsts.append(first)
                 lasts.append(second)
             progress.advance()
-    if not names:
+    if not labels:
         raise InputError(f"{dataset.path}: found no driver seen for 1 s, expected at least one")
+    if given is not None:
+        given.check()
     pairs = np.stack([np.concatenate(firsts), np.concatenate(lasts)])
     return Drivers(
-        tuple(names), np.concatenate(features).astype(np.float64), pairs.astype(np.float64)
+        tuple(labels), np.concatenate(features).astype(np.float64), pairs.astype(np.float64)
     )
 
 
@@ -109,56 +122,6 @@ def _apart(windows: Samples) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     return windows.features[first[apart]], windows.features[last[apart]]
 
 
-def read_labels(path: Path) -> dict[str, BoolArray]:
-    """Labels of drivers: which behaviours each one's label allows.
-
-    Args:
-        path: a CSV file with the columns ``name`` (the recording's own id of the driver) and
-            ``label`` (a behaviour, or a style).
-
-    Returns:
-        (6,) flags by name.
-
-    Raises:
-        InputError: if the file is not such a table; the message names the line.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            table = csv.DictReader(file, strict=True)
-            if set(table.fieldnames or ()) != {"name", "label"}:
-                raise InputError(
-                    f"{path}: found the columns {list(table.fieldnames or ())}, "
-                    "expected name, label"
-                )
-            found: dict[str, BoolArray] = {}
-            for row in table:
-                name, label = row["name"], row["label"]
-                if name in found:
-                    raise InputError(
-                        f"{path}: line {table.line_num}: found {name!r} twice, expected it once"
-                    )
-                found[name] = _allowed(path, table.line_num, label)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: found {error}, expected a CSV file in UTF-8") from None
-    if not found:
-        raise InputError(f"{path}: found no label, expected at least one")
-    return found
-
-
-def _allowed(path: Path, line: int, label: str | None) -> BoolArray:
-    for one in Style:
-        if label == one.value:
-            return np.array([behavior.style is one for behavior in BEHAVIORS])
-    try:
-        one_behavior = Behavior(label or "")
-        return np.array([behavior is one_behavior for behavior in BEHAVIORS])
-    except ValueError:
-        expected = ", ".join([*(s.value for s in Style), *(b.value for b in BEHAVIORS)])
-        raise InputError(
-            f"{path}: line {line}: label: found {label!r}, expected one of {expected}"
-        ) from None
-
-
 def adapt(
     model: str | Path, recordings: Path, out: Path, labels: Path | None = None, quiet: bool = False
 ) -> list[Row]:
@@ -168,7 +131,7 @@ def adapt(
         model: a shipped model's name or a folder.
         recordings: folder of a dataset.
         out: folder of the adapted model.
-        labels: labels of some drivers, see `read_labels`; None to use none.
+        labels: labels of some drivers, see `sim.formats.common.label_file`; None to use none.
         quiet: whether to show no progress.
 
     Returns:
@@ -180,9 +143,9 @@ def adapt(
     """
     trained = load_model(model)
     check_model_folder(out)
-    given = None if labels is None else read_labels(labels)
-    drivers = drivers_of(open_dataset(recordings), trained, quiet)
-    rows: list[Row] = [{"what": "drivers", "value": len(drivers.names)}]
+    given = None if labels is None else read_driver_labels(labels)
+    drivers = drivers_of(open_dataset(recordings), trained, given, quiet)
+    rows: list[Row] = [{"what": "drivers", "value": len(drivers.labels)}]
     if given is None:
         if len(drivers.pairs[0]) < LEAST_PAIRS:
             raise InputError(
@@ -193,7 +156,7 @@ def adapt(
         adaptation = from_agreement(first, second)
         rows.append({"what": "drivers with two answers", "value": len(first)})
     else:
-        features, allowed = _labelled(drivers, given, labels)
+        features, allowed = _labelled(drivers, labels)
         adaptation = from_labels(trained.posterior(features), allowed)
         rows.append({"what": "labelled drivers", "value": len(features)})
         rows += _gains(trained, features, allowed)
@@ -203,24 +166,19 @@ def adapt(
         for behavior, offset in zip(BEHAVIORS, adaptation.offset, strict=True)
         if offset
     ]
-    card = {**trained.card, "adapted": {"drivers": len(drivers.names),
+    card = {**trained.card, "adapted": {"drivers": len(drivers.labels),
             "labelled": 0 if given is None else len(features)}}  # fmt: skip
     save_model(dataclasses.replace(trained, adaptation=adaptation, card=card), out)
     return rows
 
 
-def _labelled(
-    drivers: Drivers, given: Mapping[str, BoolArray], path: Path | None
-) -> tuple[FloatArray, BoolArray]:
+def _labelled(drivers: Drivers, path: Path | None) -> tuple[FloatArray, BoolArray]:
     """Features and allowed behaviours of the drivers that have a label."""
-    chosen = [row for row, name in enumerate(drivers.names) if name in given]
-    missing = sorted(set(given) - set(drivers.names))
-    if missing:
-        raise InputError(
-            f"{path}: found labels of {len(missing)} names that no driver has, the first is "
-            f"{missing[0]!r}, expected names in the recordings"
-        )
-    return drivers.features[chosen], np.array([given[drivers.names[row]] for row in chosen])
+    chosen = [row for row, label in enumerate(drivers.labels) if label is not None]
+    if not chosen:
+        raise InputError(f"{path}: found no label of a driver seen for 1 s, expected at least one")
+    allowed = [label.allowed for label in drivers.labels if label is not None]
+    return drivers.features[chosen], np.array(allowed)
 
 
 def _gains(model: Model, features: FloatArray, allowed: BoolArray) -> list[Row]:

@@ -11,6 +11,7 @@ from typing import Any, Final, get_args
 
 from experiments.console.notices import LOGGER
 from experiments.data.windows import OBSERVED_S, gather
+from experiments.scoring.evaluation import answers_of, evaluation_rows
 from experiments.scoring.models import Scored, majority_of, score_model
 from experiments.training.elsewhere import train_on_worlds
 from graphrqi.methods import METHODS, Model, train
@@ -143,10 +144,13 @@ def train_on(
         per_moment: window lengths drawn for each driver and moment.
 
     Returns:
-        The trained model.
+        The trained model; its card has the rows of `experiments.scoring.evaluation` on the test
+        episodes under ``evaluation``.
     """
     opened = [open_dataset(dataset) for dataset in datasets]
     check_model_folder(out)
     model, _ = train_model(opened, method, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet)
+    scores = evaluation_rows(answers_of(model, opened, "test", jobs, quiet), model.method.name)
+    model = dataclasses.replace(model, card={**model.card, "evaluation": scores})
     save_model(model, out)
     return model

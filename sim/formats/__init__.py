@@ -382,8 +382,8 @@ def read_recordings(
     files = recording_files(path, name)[0]
     alike = Counter(file.name for file in files)
     for file in files:
-        folder = f"{file.parent.relative_to(path).as_posix()}/" if alike[file.name] > 1 else ""
-        folder = folder.removeprefix("./")
+        called = (file.relative_to(path) if path.is_dir() else Path(file.name)).as_posix()
+        folder = called.removesuffix(file.name) if alike[file.name] > 1 else ""
         for recording in reader(file):
             tracks, found = with_true_times(recording.tracks, FORMATS[name].clock)
             yield replace(
@@ -391,6 +391,7 @@ def read_recordings(
                 name=folder + recording.name,
                 tracks=tracks,
                 notes=(*recording.notes, *found),
+                file=called,
             )
 
 

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from sim.formats.argo_labels import read_labels
 from sim.formats.common.csv_columns import read_columns
 from sim.formats.common.ego_motion import remove_ego_motion
@@ -50,11 +48,10 @@ def read(path: Path) -> Iterator[Recording]:
         if labels is not None:
             found = read_labels(labels)
             known = [found.get(name) for name in tracks.names]
-            behaviors = [None if label is None else label.behavior for label in known]
-            codes = [-1 if behavior is None else behavior.code for behavior in behaviors]
-            tracks = tracks.with_behavior(np.array(codes, dtype=np.int8))
             vague = sum(label is not None and label.behavior is None for label in known)
             notes.append(
-                f"{vague} agents are aggressive, but of which class is not known: no label"
+                f"{vague} agents are aggressive, but of which class is not known: a style alone"
             )
-        yield Recording(one.name, tracks, tuple(notes))
+            yield Recording(one.name, tracks, tuple(notes)).labelled(known)
+        else:
+            yield Recording(one.name, tracks, tuple(notes))

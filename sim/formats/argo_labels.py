@@ -6,38 +6,24 @@ the release does not say which is which, so such agents are known to be aggressi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
 from sim.formats.common.csv_columns import read_columns
+from sim.formats.common.label_file import DriverLabel
 
-
-@dataclass(frozen=True, slots=True)
-class ArgoLabel:
-    """The label of one agent.
-
-    Attributes:
-        style: its parent class.
-        behavior: the class, or None where the code does not identify it.
-    """
-
-    style: Style
-    behavior: Behavior | None
-
-
-CODES: Final[dict[int, ArgoLabel]] = {
-    **{code: ArgoLabel(Style.AGGRESSIVE, None) for code in (0, 1, 2)},
-    3: ArgoLabel(Style.CONSERVATIVE, Behavior.CAREFUL),
-    4: ArgoLabel(Style.CONSERVATIVE, Behavior.TIMID),
-    5: ArgoLabel(Style.CONSERVATIVE, Behavior.CAUTIOUS),
+CODES: Final[dict[int, DriverLabel]] = {
+    **{code: DriverLabel(Style.AGGRESSIVE) for code in (0, 1, 2)},
+    3: DriverLabel(Style.CONSERVATIVE, Behavior.CAREFUL),
+    4: DriverLabel(Style.CONSERVATIVE, Behavior.TIMID),
+    5: DriverLabel(Style.CONSERVATIVE, Behavior.CAUTIOUS),
 }
 """The label of each code."""
 
 
-def read_labels(path: Path) -> dict[str, ArgoLabel]:
+def read_labels(path: Path) -> dict[str, DriverLabel]:
     """Read one label file.
 
     Args:

@@ -3,7 +3,8 @@
 x and y are the top-left corner of a box in a 640 x 480 image with y down, seen by a camera that
 stands still. Neither the frame rate nor a scale is part of the format: positions stay in pixels,
 and the frame rate is assumed. Some ids name two boxes in one frame: the box that continues
-the track keeps the name, the other gets a name of its own.
+the track keeps the name, the other gets a name of its own. Labels come from the annotators' sheets
+that lie beside the tracks (`sim.formats.traf_sheets`), if any.
 
 References:
     Chandra et al. (2019), TraPHic, CVPR.
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +23,7 @@ import numpy as np
 from behaviors.errors import InputError
 from sim.formats.common.packed import opened, stem
 from sim.formats.common.recording import MAX_ROWS, Recording, Rows, check_size, recordings
+from sim.formats.traf_sheets import Sheet, defects, labels, sheets_beside
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second that are assumed (the usual rate of such video; not stated anywhere)."""
@@ -125,7 +127,7 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
 
     Yields:
         One recording, in pixels, y up. An agent's length and width are the median sides of its
-        box in the image.
+        box in the image. Annotators who disagree are resolved the ``lenient`` way.
 
     Raises:
         InputError: if the file is broken; the message names file and line.
@@ -167,4 +169,18 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
     ]
     if twins:
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
-    yield from recordings(path, stem(path), rows, notes)
+    sheets = sheets_beside(path)
+    for one in recordings(path, stem(path), rows, notes):
+        yield _labelled(one, sheets) if sheets else one
+
+
+def _labelled(recording: Recording, sheets: tuple[Sheet, ...]) -> Recording:
+    """A recording with the labels that its annotators' traits resolve to."""
+    codes = labels(recording.tracks, sheets, "lenient")
+    told = ", ".join(f"{sheet.annotator}{sheet.video}.xlsx" for sheet in sheets)
+    notes = (
+        f"{int((codes >= 0).sum())} labels are resolved from the traits in {told}",
+        *defects(recording.tracks, sheets),
+    )
+    tracks = recording.tracks.with_behavior(codes)
+    return replace(recording, tracks=tracks, notes=(*recording.notes, *notes))

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labelling import Resolution, resolve
 from behaviors.labels import Trait
+from sim.formats.common.packed import stem
 from sim.frames import Tracks
 
 TRAIT_CODES: Final[dict[int, Trait]] = {
@@ -178,6 +179,38 @@ def sheets_of(folder: Path, video: int) -> tuple[Sheet, ...]:
     """
     paths = sorted(folder.glob(f"[a-z]{video}.xlsx"))
     return tuple(read_sheet(path) for path in paths)
+
+
+def video_number(path: Path) -> int | None:
+    """The number by which sheets name a video: the last one in the file's name.
+
+    Examples:
+        >>> video_number(Path("TRAF53_8_gt.txt"))
+        8
+    """
+    found = re.search(r"(\d+)_gt$", stem(path))
+    return int(found[1]) if found else None
+
+
+def sheets_beside(path: Path) -> tuple[Sheet, ...]:
+    """The sheets that come with a video.
+
+    Args:
+        path: its tracks, ``..._gt.txt``.
+
+    Returns:
+        All annotators' sheets on it in the tracks' folder, or else in a folder ``annotations``
+        there or beside that folder; empty if there are none.
+
+    Raises:
+        InputError: if a sheet is broken.
+    """
+    number = video_number(path)
+    folder = path.resolve().parent
+    if number is None:
+        return ()
+    places = (folder, folder / "annotations", folder.parent / "annotations")
+    return next((found for place in places if (found := sheets_of(place, number))), ())
 
 
 def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:

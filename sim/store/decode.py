@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior, Trait
+from behaviors.labels import BEHAVIORS, Behavior, Style, Trait
 from behaviors.profiles import PROFILE_FIELDS, Profile
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
 from sim.scenario import AgentSpec
@@ -251,6 +251,7 @@ def _read_shown_traits(path: Path, data: bytes) -> tuple[ShownTrait, ...]:
 def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
     behavior = _codes(path, table, "behavior", BEHAVIORS, optional=True)
     _codes(path, table, "kind", KINDS)
+    _codes(path, table, "style", tuple(Style), optional=True)
     for name in ("length_m", "width_m", "depart_s", "walking_speed_mps", "seed"):
         _numbers(path, table, name)
     for name in ("name", "route", "jaywalks"):
@@ -279,6 +280,7 @@ def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
                 speed_mps=row["walking_speed_mps"],
                 seed=row["seed"],
                 jaywalks=row["jaywalks"],
+                style_label=None if code >= 0 or not row["style"] else Style(row["style"]),
             )
         )
     return tuple(specs)

@@ -213,7 +213,7 @@ def _agents_table(agents: Sequence[AgentSpec], names: Mapping[int, str]) -> pa.T
         "name": [names.get(a.id, str(a.id)) for a in agents],
         "kind": [a.kind.value for a in agents],
         "behavior": [None if a.behavior is None else a.behavior.value for a in agents],
-        "style": [None if a.behavior is None else a.behavior.style.value for a in agents],
+        "style": [None if a.style is None else a.style.value for a in agents],
         "length_m": [a.length_m for a in agents],
         "width_m": [a.width_m for a in agents],
         "depart_s": [a.depart_s for a in agents],

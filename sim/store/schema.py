@@ -105,7 +105,7 @@ AGENTS: Final = pa.schema(
         pa.field("name", pa.string(), nullable=False),  # the source's own id
         pa.field("kind", pa.string(), nullable=False),  # car bus truck motorcycle bicycle ...
         pa.field("behavior", pa.string()),  # null: not known, or does not drive
-        pa.field("style", pa.string()),  # aggressive or conservative; null with behavior
+        pa.field("style", pa.string()),  # aggressive, conservative; null: not known
         pa.field("length_m", pa.float64(), nullable=False),
         pa.field("width_m", pa.float64(), nullable=False),
         pa.field("depart_s", pa.float64(), nullable=False),  # when it is due to enter
@@ -240,6 +240,12 @@ class EpisodeEntry(EpisodeMeta):
         """Name of the recording that it was read from; None for a simulated episode."""
         recording = self.options.get("recording")
         return recording if isinstance(recording, str) else None
+
+    @property
+    def file(self) -> str | None:
+        """The file that the recording was read from; None for a simulated episode."""
+        file = self.options.get("file")
+        return file if isinstance(file, str) else None
 
     @property
     def name(self) -> str:

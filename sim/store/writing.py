@@ -6,16 +6,17 @@ The folder appears whole or not at all; the manifest (`sim.store.catalogue`) is 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, Style
 from behaviors.row_index import RowIndex
 from sim.episode.annotate import Annotations, annotate
 from sim.episode.rows import TrajectoryRows
@@ -210,7 +211,11 @@ def _annotated(steps: Steps, agents: Sequence[AgentSpec], road: Path) -> Annotat
 
 
 def write_recording(
-    folder: Path, meta: EpisodeMeta, tracks: Tracks, road: Path | Road | None = None
+    folder: Path,
+    meta: EpisodeMeta,
+    tracks: Tracks,
+    road: Path | Road | None = None,
+    styles: Mapping[str, Style] = MappingProxyType({}),
 ) -> EpisodeEntry:
     """Write tracks that come from elsewhere as one episode, exactly as they are.
 
@@ -219,6 +224,7 @@ def write_recording(
         meta: where the recording comes from.
         tracks: the recording.
         road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
+        styles: by name, of the drivers of whom the style is known but not the behaviour.
 
     Returns:
         The manifest's entry of the episode.
@@ -241,6 +247,7 @@ def write_recording(
             depart_s=float(first_s[i]),
             length_m=float(tracks.length[i]),
             width_m=float(tracks.width[i]),
+            style_label=styles.get(tracks.names[i]) if codes[i] < 0 else None,
         )
         for i in range(n)
     ]

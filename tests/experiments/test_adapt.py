@@ -11,7 +11,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.cli.__main__ import main
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
-from experiments.training.adapt import adapt, read_labels
+from experiments.training.adapt import adapt
 from graphrqi.model_files import load_model
 from sim.store.dataset import open_dataset
 
@@ -65,22 +65,6 @@ def test_without_labels_only_the_certainty_changes(data, tmp_path):
     adapted = load_model(tmp_path / "adapted").adaptation
     assert adapted.scale > 0.0
     assert adapted.offset.tolist() == [0.0] * 6
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("name,label\n3,angry\n", "line 2: label: found 'angry'"),
-        ("name,label\n3,careful\n3,timid\n", "line 3: found '3' twice"),
-        ("driver,label\n3,careful\n", "found the columns"),
-        ("name,label\n", "found no label"),
-    ],
-)
-def test_wrong_labels_are_refused_by_line(tmp_path, text, said):
-    path = tmp_path / "labels.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=said):
-        read_labels(path)
 
 
 def test_labels_of_nobody_are_refused_and_nothing_is_written(data, tmp_path):

@@ -62,8 +62,9 @@ def test_training_ends_with_its_scores(data, tmp_path, capsys) -> None:
     assert re.search(r"straight_road.*0\.\d\d", said)
     assert call("train", data, "--method", "majority", "--out", out, "-q", "--json", "-") == 0
     rows = json.loads(capsys.readouterr().out)
-    assert {"scenario", "metric", "value", "low", "high", "n", "split"} == set(rows[0])
-    assert "macro_f1" in {row["metric"] for row in rows}
+    keys = {"bench", "model", "scenario", "split", "metric", "value", "low", "high", "n"}
+    assert keys == set(rows[0])
+    assert {"macro_f1", "ece", "unknown_share", "confusion"} <= {row["metric"] for row in rows}
 
 
 def test_training_without_test_episodes_says_so(tmp_path, capsys) -> None:
@@ -98,6 +99,9 @@ def test_labels_carry_names_beside_hashes(tmp_path) -> None:
     table = pq.read_table(labels)
     assert table.schema.equals(LABELS)
     assert set(table["recording"].to_pylist()) == {"argo7_tracks"}
+    assert set(table["file"].to_pylist()) == {"argo7_tracks.csv"}
+    assert set(table["scenario"].to_pylist()) == {"argo"}
+    assert set(table["split"].to_pylist()) == {"test"}
     assert set(table["name"].to_pylist()) == {"0", "1"}
     assert table["truth"].null_count == table.num_rows
     assert set(table["style"].to_pylist()) <= {"aggressive", "conservative", None}

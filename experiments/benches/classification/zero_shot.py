@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recorded import last_beliefs, log_odds
 from experiments.benches.classification.rows import keys_of
-from experiments.benches.real_data import Video, evaluate_traf, read_video, video_number
+from experiments.benches.real_data import Video, evaluate_traf, read_video
 from experiments.data.parallel import in_parallel
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import auc_within
@@ -70,7 +70,7 @@ def answered_video(path: Path, annotations: Path, model: str) -> Answered | None
         return None
     tracks = next(iter(traf.read(path))).tracks
     beliefs, _ = last_beliefs(in_metres(tracks, image_scale(tracks)), load_model(model))
-    sheets = traf_sheets.sheets_of(annotations, video_number(path) or 0)
+    sheets = traf_sheets.sheets_of(annotations, traf_sheets.video_number(path) or 0)
     codes = traf_sheets.labels(tracks, sheets, "lenient")
     return Answered(video, beliefs[codes >= 0])
 
@@ -132,7 +132,9 @@ def zero_shot_rows(
     inside = folder if (folder / "tracks").is_dir() else folder / "traf"
     paths = sorted((inside / "tracks").glob("*_gt.txt"))
     paths = [
-        p for p in paths if traf_sheets.sheets_of(inside / "annotations", video_number(p) or 0)
+        p
+        for p in paths
+        if traf_sheets.sheets_of(inside / "annotations", traf_sheets.video_number(p) or 0)
     ]
     arguments = [(path, inside / "annotations", model) for path in paths[:most]]
     parts = in_parallel(answered_video, arguments, jobs) if arguments else ()

@@ -6,8 +6,8 @@ all readers share is here: order, duplicates, limits, and headings that follow f
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from behaviors.labels import Style
+from sim.formats.common.label_file import DriverLabel, relabelled
 from sim.frames import AgentKind, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
@@ -67,6 +69,8 @@ class Recording:
         road: the road that came with it, or its file as `sim.road.files.read_road_file` takes it;
             None where there is none.
         origin: latitude and longitude of (0, 0), degrees; None where not known.
+        styles: by name, of the drivers of whom the style is known but not the behaviour.
+        file: the file that it was read from, from the folder on that was read; "" where not known.
     """
 
     name: str
@@ -74,6 +78,20 @@ class Recording:
     notes: tuple[str, ...] = ()
     road: Path | Road | None = None
     origin: tuple[float, float] | None = None
+    styles: Mapping[str, Style] = field(default_factory=dict)
+    file: str = ""
+
+    def labelled(self, labels: Sequence[DriverLabel | None]) -> Recording:
+        """The same recording with labels.
+
+        Args:
+            labels: of each agent; None leaves what is known of it.
+
+        Returns:
+            The recording.
+        """
+        behavior, styles = relabelled(self.tracks, self.styles, labels)
+        return replace(self, tracks=self.tracks.with_behavior(behavior), styles=styles)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,222 @@
+"""Labels of drivers from a CSV file that somebody wrote, for recordings of any format.
+
+The file has the column ``name`` (the recording's own id of the driver) and one of ``label`` (a
+behaviour or a style), ``behavior`` or ``style``; both of the latter may be there. With a column
+``recording`` (the name of the recording, or of its file) a row speaks of that recording only.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior, Style
+from sim.frames import Tracks
+
+MAX_LABELS: Final = 10**6
+"""Most rows of a file (our choice: as many as a recording may have agents)."""
+
+_COLUMNS: Final = ("name", "recording", "label", "behavior", "style")
+_OTHER_WORDS: Final = {"behaviour": "behavior"}
+_EXPECTED: Final = "name and label (or behavior, or style), and at most recording"
+
+
+@dataclass(frozen=True, slots=True)
+class DriverLabel:
+    """What is known of one driver.
+
+    Attributes:
+        style: its style.
+        behavior: its behaviour, or None where only the style is known.
+    """
+
+    style: Style
+    behavior: Behavior | None = None
+
+    @property
+    def allowed(self) -> tuple[bool, ...]:
+        """(6,) which of ``BEHAVIORS`` the driver may be of.
+
+        Examples:
+            >>> DriverLabel(Style.AGGRESSIVE).allowed
+            (True, True, True, False, False, False)
+        """
+        return tuple(
+            b is self.behavior if self.behavior else b.style is self.style for b in BEHAVIORS
+        )
+
+
+class DriverLabels:
+    """Labels of drivers of one or several recordings, by name.
+
+    It keeps account of the rows that were used, so that a mistyped name is noticed.
+
+    Args:
+        path: the file that they come from, for messages.
+        labels: by recording (None: the row names none) and name of the driver.
+    """
+
+    def __init__(self, path: Path, labels: Mapping[tuple[str | None, str], DriverLabel]) -> None:
+        self._path = path
+        self._labels = labels
+        self._places = {place for place, _ in labels if place is not None}
+        self._used: dict[tuple[str | None, str], str] = {}
+
+    def __len__(self) -> int:
+        """How many rows there are."""
+        return len(self._labels)
+
+    def of(self, names: Sequence[str], *called: str | None) -> list[DriverLabel | None]:
+        """The labels of a recording's drivers.
+
+        Args:
+            names: the recording's own id of each.
+            called: the recording's names: its own first, then its file's.
+
+        Returns:
+            A label for each name; None where the file has none.
+
+        Raises:
+            InputError: if a row that names no recording fits the drivers of two.
+        """
+        own = {part for word in called if word for part in (word, re.split("[/\\\\]", word)[-1])}
+        places: list[str | None] = [None, *sorted(self._places & own)]
+        first = next((word for word in called if word), "")
+        found: list[DriverLabel | None] = [None] * len(names)
+        for place in places:
+            for row, name in enumerate(names):
+                label = self._labels.get((place, name))
+                if label is None:
+                    continue
+                before = self._used.setdefault((place, name), first)
+                if place is None and before != first:
+                    raise InputError(
+                        f"{self._path}: name {name!r}: found it in the recordings {before} and "
+                        f"{first}, expected a column recording that says which is meant"
+                    )
+                found[row] = label
+        return found
+
+    def check(self) -> None:
+        """Refuse labels of drivers that no recording has.
+
+        Raises:
+            InputError: naming the first.
+        """
+        missing = [key for key in self._labels if key not in self._used]
+        if missing:
+            place, name = missing[0]
+            where = f" of recording {place}" if place else ""
+            raise InputError(
+                f"{self._path}: found labels of {len(missing)} names that no driver has, the first "
+                f"is {name!r}{where}, expected names in the recordings"
+            )
+
+
+def read_driver_labels(path: Path) -> DriverLabels:
+    """Read a file of labels.
+
+    Args:
+        path: a CSV file in UTF-8, see the module.
+
+    Returns:
+        The labels.
+
+    Raises:
+        InputError: if the file is not such a table; the message names the line.
+    """
+    found: dict[tuple[str | None, str], DriverLabel] = {}
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, strict=True, skipinitialspace=True)
+            columns = _columns(path, table.fieldnames or ())
+            for row in table:
+                where = f"{path}: line {table.line_num}"
+                if len(found) == MAX_LABELS:
+                    raise InputError(f"{where}: found more than {MAX_LABELS} labels")
+                if None in row:
+                    raise InputError(f"{where}: found more cells than columns")
+                cells = {column: (row[raw] or "").strip() for column, raw in columns.items()}
+                place, name = cells.get("recording") or None, cells["name"]
+                if not name:
+                    raise InputError(f"{where}: name: found none, expected the driver's")
+                if (place, name) in found:
+                    raise InputError(f"{where}: found {name!r} twice, expected it once")
+                found[place, name] = _label(where, cells)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: found {error}, expected a CSV file in UTF-8") from None
+    if not found:
+        raise InputError(f"{path}: found no label, expected at least one")
+    return DriverLabels(path, found)
+
+
+def _columns(path: Path, header: Iterable[str]) -> dict[str, str]:
+    """The file's own heading of each known column."""
+    given = list(header)
+    columns = {_OTHER_WORDS.get(key, key): raw for raw in given for key in (raw.strip().lower(),)}
+    labels = {"label"} & set(columns) or {"behavior", "style"} & set(columns)
+    known = set(columns) <= {"name", "recording", *labels} and set(columns) <= set(_COLUMNS)
+    if "name" not in columns or not labels or not known or len(columns) != len(given):
+        raise InputError(f"{path}: found the columns {given}, expected {_EXPECTED}")
+    return columns
+
+
+def _label(where: str, cells: Mapping[str, str]) -> DriverLabel:
+    said = {key: cells[key].lower() for key in ("label", "behavior", "style") if cells.get(key)}
+    labels = [_word(where, key, word) for key, word in said.items()]
+    if not labels:
+        column = next(key for key in ("label", "behavior", "style") if key in cells)
+        _word(where, column, "")
+    if len({label.style for label in labels}) > 1:
+        raise InputError(
+            f"{where}: style: found {said['style']!r}, expected that of {said['behavior']}"
+        )
+    return labels[0]
+
+
+def _word(where: str, column: str, word: str) -> DriverLabel:
+    styles = () if column == "behavior" else tuple(Style)
+    behaviors = () if column == "style" else BEHAVIORS
+    for style in styles:
+        if word == style.value:
+            return DriverLabel(style)
+    for behavior in behaviors:
+        if word == behavior.value:
+            return DriverLabel(behavior.style, behavior)
+    expected = ", ".join([*(s.value for s in styles), *(b.value for b in behaviors)])
+    raise InputError(f"{where}: {column}: found {word!r:.60}, expected one of {expected}")
+
+
+def relabelled(
+    tracks: Tracks, styles: Mapping[str, Style], labels: Sequence[DriverLabel | None]
+) -> tuple[NDArray[np.int8], dict[str, Style]]:
+    """What is known of drivers, with labels that are given now.
+
+    Args:
+        tracks: with the behaviours that were known before, if any.
+        styles: by name, of drivers of whom the style alone was known before.
+        labels: of each of the tracks' agents; None leaves what was known.
+
+    Returns:
+        (N,) codes into ``BEHAVIORS``, -1 where not known; and the styles, by name, of those of whom
+        the style alone is known.
+    """
+    before = tracks.behavior
+    codes = np.full(len(labels), -1, dtype=np.int8) if before is None else before.copy()
+    found = dict(styles)
+    for row, (name, label) in enumerate(zip(tracks.names, labels, strict=True)):
+        if label is None:
+            continue
+        codes[row] = -1 if label.behavior is None else label.behavior.code
+        found.pop(name, None)
+        if label.behavior is None:
+            found[name] = label.style
+    return codes, found

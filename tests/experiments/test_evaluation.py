@@ -1,0 +1,259 @@
+"""Evaluating says what joining the answers with the truth gives; labels come in everywhere."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
+
+from behaviors.labels import BEHAVIORS, Behavior
+from experiments.cli.commands import main
+from experiments.data.configuration import GenerateConfig
+from experiments.data.exchange import import_recordings
+from experiments.data.generate import generate
+from experiments.scoring.classification import LABELS, Answered
+from experiments.scoring.evaluation import BENCH, evaluation_rows
+from sim.store.dataset import open_dataset
+
+FOLLOWERS = "frame,id,x,y\n" + "".join(
+    f"{t},{i},{t * (1 + i) * 0.8},{4 * i}\n" for t in range(60) for i in (0, 1, 2)
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("evaluated") / "data"
+    config = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=4, duration_s=25.0)
+    generate(config, folder, jobs=1, quiet=True)
+    return folder
+
+
+def call(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0)
+
+
+def figures(path: Path, **keys: str) -> dict[str, dict]:
+    rows = json.loads(path.read_text())
+    return {
+        row["metric"]: row
+        for row in rows
+        if all(row.get(key) == value for key, value in keys.items())
+        and not {"behavior", "confidence"} & set(row)
+    }
+
+
+def test_scores_are_those_of_the_joined_tables(data, tmp_path, capsys) -> None:
+    labels, scores = tmp_path / "labels.parquet", tmp_path / "scores.json"
+    assert call("classify", data, "--out", labels, "-q") == 0
+    assert call("evaluate", "graphrqi-plus", data, "--json", scores, "--jobs", 1, "-q") == 0
+    said = capsys.readouterr().out
+    assert "majority class" in said
+    assert "who is taken for whom, straight_road, test split" in said
+    table = pq.read_table(labels).to_pandas()
+    opened = open_dataset(data)
+    drawn = pd.DataFrame(
+        [
+            {"episode": entry.id, "agent": agent.id, "drawn": agent.behavior}
+            for entry in opened.episodes()
+            for agent in opened.read(entry).agents
+        ]
+    )
+    joined = table.merge(drawn, on=["episode", "agent"], how="left")
+    assert (joined["truth"] == joined["drawn"]).all()
+    last = table.sort_values("time_s").groupby(["episode", "agent"]).tail(1)
+    columns = [f"p_{b.value}" for b in BEHAVIORS]
+    answer = np.array([b.value for b in BEHAVIORS])[last[columns].to_numpy().argmax(axis=1)]
+    found = figures(scores, scenario="straight_road", split="all")
+    expected = {
+        "drivers": len(last),
+        "weighted_accuracy": (answer == last["truth"]).mean(),
+        "majority_weighted_accuracy": last["truth"].value_counts().max() / len(last),
+        "balanced_accuracy": balanced_accuracy_score(last["truth"], answer),
+        "macro_f1": f1_score(last["truth"], answer, average="macro"),
+        "unknown_share": last["behavior"].isna().mean(),
+        "style_auc": roc_auc_score(
+            last["true_style"] == "aggressive", last[columns[:3]].sum(axis=1)
+        ),
+    }
+    for metric, value in expected.items():
+        assert found[metric]["value"] == pytest.approx(value, abs=1e-6), metric
+    assert found["weighted_accuracy"]["low"] <= expected["weighted_accuracy"]
+    each = figures(scores, split="test")
+    assert each["weighted_accuracy"]["low"] is None  # one episode says nothing of the spread
+    rows = json.loads(scores.read_text())
+    assert {row["bench"] for row in rows} == {BENCH}
+    counts = [r["value"] for r in rows if r["metric"] == "confusion" and r["split"] == "all"]
+    assert sum(counts) == len(last)
+    right = [
+        r["value"] * r["n"] for r in rows if r["metric"] == "reliability" and r["split"] == "all"
+    ]
+    assert sum(right) == pytest.approx((answer == last["truth"]).sum())
+
+
+def last_answers(answers, truths, styles, confidence=0.7) -> pa.Table:
+    """A table of last answers, each as certain."""
+    rows = []
+    for agent, (answer, truth, style) in enumerate(zip(answers, truths, styles, strict=True)):
+        rest = (1.0 - confidence) / 5
+        rows.append({
+            "episode": "e", "scenario": "s", "split": "test", "agent": agent, "name": str(agent),
+            "behavior": answer, "style": Behavior(answer).style, "domain": 0.0, "unknown": 0.0,
+            "truth": truth, "true_style": style,
+            **{f"p_{b.value}": confidence if b.value == answer else rest for b in BEHAVIORS},
+        })  # fmt: skip
+    return pa.Table.from_pylist(rows, schema=LABELS)
+
+
+def test_known_answers_give_known_figures() -> None:
+    """Two of three behaviours right, at 70 %; of a fourth driver only the style is known."""
+    table = last_answers(
+        ["timid", "timid", "reckless", "careful"],
+        ["timid", "timid", "impatient", None],
+        ["conservative", "conservative", "aggressive", "aggressive"],
+    )
+    rows = evaluation_rows([Answered("s", ("0", "1", "2", "3"), table)], "m")
+    found = {row["metric"]: row for row in rows if "behavior" not in row}
+    value = {metric: row["value"] for metric, row in found.items()}
+    assert value["weighted_accuracy"] == pytest.approx(2 / 3)
+    assert value["majority_weighted_accuracy"] == pytest.approx(2 / 3)
+    assert value["balanced_accuracy"] == pytest.approx(0.5)
+    assert value["ece"] == pytest.approx(0.7 - 2 / 3)
+    assert found["reliability"]["confidence"] == pytest.approx(0.7)
+    assert value["reliability"] == pytest.approx(2 / 3)
+    assert (found["style_accuracy"]["n"], found["weighted_accuracy"]["n"]) == (4, 3)
+    assert value["style_accuracy"] == pytest.approx(3 / 4)
+    assert value["style_balanced_accuracy"] == pytest.approx(3 / 4)
+    assert value["majority_style_accuracy"] == pytest.approx(1 / 2)
+    recalls = {r["behavior"]: r["value"] for r in rows if r["metric"] == "recall"}
+    assert recalls == {"impatient": 0.0, "timid": 1.0}
+
+
+def recording(folder: Path) -> Path:
+    path = folder / "argo7_tracks.csv"
+    path.write_text(FOLLOWERS)
+    return path
+
+
+def labels_file(folder: Path) -> Path:
+    path = folder / "labels.csv"
+    path.write_text("name,label\n0,timid\n1,aggressive\n")
+    return path
+
+
+def test_labels_come_in_everywhere(tmp_path, capsys) -> None:
+    """A behaviour and a style, given to every command that takes recordings, mean the same."""
+    source, labels = recording(tmp_path), labels_file(tmp_path)
+    assert call("import", source, "--labels", labels, "--out", tmp_path / "data", "-q") == 0
+    dataset = open_dataset(tmp_path / "data")
+    agents = dataset.read(dataset.episodes()[0]).agents
+    assert [(a.behavior, a.style) for a in agents] == [
+        ("timid", "conservative"), (None, "aggressive"), (None, None),
+    ]  # fmt: skip
+    assert call("evaluate", "graphrqi-plus", tmp_path / "data", "--json", tmp_path / "a.json") == 0
+    options = ("--labels", labels, "--json", tmp_path / "b.json")
+    assert call("evaluate", "graphrqi-plus", source, *options) == 0
+    one, two = (figures(tmp_path / name) for name in ("a.json", "b.json"))
+    assert {m: r["value"] for m, r in one.items()} == {m: r["value"] for m, r in two.items()}
+    assert one["weighted_accuracy"]["n"] == 1
+    assert one["style_accuracy"]["n"] == 2
+    out = tmp_path / "answers.csv"
+    assert call("classify", source, "--labels", labels, "--out", out, "-q") == 0
+    assert "known" in capsys.readouterr().out
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    truth = {(r["name"], r["truth"], r["true_style"]) for r in rows}
+    assert truth == {("0", "timid", "conservative"), ("1", "", "aggressive"), ("2", "", "")}
+    assert list(rows[0]) == LABELS.names
+
+
+def test_without_labels_shares_are_shown_and_nothing_is_scored(tmp_path, capsys) -> None:
+    source = recording(tmp_path)
+    assert call("classify", source, "--out", tmp_path / "labels.parquet", "-q") == 0
+    said = capsys.readouterr().out
+    assert "confidence" in said
+    assert "majority" not in said
+    assert call("evaluate", "graphrqi-plus", source) == 2
+    message = capsys.readouterr().err
+    assert "found no driver whose behaviour or style is known" in message
+    assert "--labels FILE.csv" in message
+
+
+@pytest.mark.parametrize("command", ["import", "classify", "evaluate", "adapt"])
+def test_labels_of_nobody_are_refused_and_nothing_is_written(command, tmp_path, capsys) -> None:
+    source, labels = recording(tmp_path), labels_file(tmp_path)
+    labels.write_text("name,label\n0,timid\nnobody,timid\n")
+    arguments = {
+        "import": ["import", source, "--out", tmp_path / "out"],
+        "classify": ["classify", source, "--out", tmp_path / "out.parquet"],
+        "evaluate": ["evaluate", "graphrqi-plus", source, "--json", tmp_path / "out.json"],
+        "adapt": ["adapt", "graphrqi-plus", source, "--out", tmp_path / "out"],
+    }
+    before = sorted(tmp_path.iterdir())
+    assert call(*arguments[command], "--labels", labels, "-q") == 2
+    assert "found labels of 1 names that no driver has" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("command", ["classify", "predict"])
+def test_other_endings_are_refused_by_name(command, tmp_path, capsys) -> None:
+    out = tmp_path / "answers.xlsx"
+    assert call(command, tmp_path, "--out", out) == 2
+    assert f"{out}: found the ending .xlsx, expected .parquet or .csv" in capsys.readouterr().err
+
+
+def test_predictions_are_joined_by_the_same_columns(tmp_path) -> None:
+    source, out = recording(tmp_path), tmp_path / "futures.csv"
+    names = ["--predictors", "constant-velocity", "--horizon-s", 1, "-q"]
+    assert call("predict", source, *names, "--out", out) == 0
+    table = pyarrow.csv.read_csv(out)
+    assert table.column_names[:5] == LABELS.names[:5]
+    assert set(table["file"].to_pylist()) == {"argo7_tracks.csv"}
+    assert table["agent"].type == pa.int64()
+
+
+def test_files_in_folders_are_named_from_the_folder_on(tmp_path) -> None:
+    (tmp_path / "all" / "monday").mkdir(parents=True)
+    recording(tmp_path / "all" / "monday")
+    manifest = import_recordings(tmp_path / "all", tmp_path / "data", quiet=True)
+    assert [entry.file for entry in manifest.episodes] == ["monday/argo7_tracks.csv"]
+
+
+def test_a_report_draws_an_evaluation(tmp_path) -> None:
+    table = last_answers(
+        ["timid", "timid", "reckless"], ["timid", "timid", "impatient"],
+        ["conservative", "conservative", "aggressive"],
+    )  # fmt: skip
+    rows = evaluation_rows([Answered("s", ("0", "1", "2"), table)], "mine")
+    (tmp_path / "scores.json").write_text(json.dumps(rows))
+    assert call("report", tmp_path / "scores.json") == 0
+    page = (tmp_path / "scores.html").read_text()
+    assert "How good the answers are" in page
+    assert "Who is taken for whom" in page
+    assert "mine, s, test: how often answers of each confidence are right" in page
+    (matrix,) = [part for part in page.split("<table")[1:] if 'class="confusion"' in part[:40]]
+    impatient = matrix[matrix.index('scope="row">impatient') :].split("</tr>")[0]
+    shares = [cell.split(">")[1].split("<")[0] for cell in impatient.split("<td")[1:]]
+    assert shares == ["0", "100", "0", "0", "0", "0", "1"]
+
+
+def test_a_models_report_has_its_evaluation(data, tmp_path) -> None:
+    out = tmp_path / "model"
+    assert call("train", data, "--method", "majority", "--out", out, "-q", "--jobs", 1) == 0
+    assert call("report", out, "-q") == 0
+    page = (out / "report.html").read_text()
+    assert "How good the answers are" in page
+    assert "Who drives how" in page
+    card = json.loads((out / "model.json").read_text())
+    card["card"]["evaluation"] = [{"metric": {"nested": 1}}]
+    (out / "model.json").write_text(json.dumps(card))
+    assert call("report", out, "-q") == 2
