@@ -95,6 +95,7 @@ SCENARIOS: Final[Registry[ScenarioEntry]] = Registry(
         "priority_intersection": "scenarios.priority_intersection:priority_intersection",
         "all_way_stop": "scenarios.all_way_stop:all_way_stop",
         "right_before_left": "scenarios.right_before_left:right_before_left",
+        "city": "scenarios.city:city",
     },
     made=ScenarioEntry,
 )

@@ -1,18 +1,20 @@
-"""A city to drive in: a grid of blocks, and vehicles that go round it.
+"""A city to drive in: a grid of blocks with signals, and vehicles that turn at random in it.
 
-How many vehicles there are is given rather than their flow, because what a city costs is asked per
-vehicle. It has no name among ``SCENARIOS`` for that reason.
+`city` has a flow, as every scenario has. `city_scenario` has a number of vehicles instead, because
+what a city costs is asked per vehicle; all of them enter in the first seconds.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from collections.abc import Mapping
+from typing import Final, Unpack
 
 import numpy as np
 
 from behaviors.errors import InputError
-from scenarios.networks.grid import grid_net
+from scenarios.demand import PopulationOptions, parse_flow, parse_population
+from scenarios.networks.grid import SHIPPED_BLOCKS, grid_net
 from sim.road import Road
 from sim.road.net import read_road
 from sim.scenario import MAX_PER_HOUR, AgentSpec, RouteFlow, Scenario, sample_agents
@@ -23,7 +25,51 @@ ROUTE_EDGES: Final = 30
 MOST_ROUTES: Final = 2000
 """Different routes at most; vehicles share them (our choice: enough to fill every street)."""
 
+JUNCTION_FLOWS: Final[Mapping[str, float]] = {"light": 30.0, "medium": 60.0, "dense": 90.0}
+"""Vehicles per hour and junction of each named flow (our choice: a trip takes ten minutes, so that
+there are 5, 10 and 15 vehicles to a junction; with 15 queues begin to last for several cycles)."""
+
+JUNCTION_ROUTES: Final = 20
+"""Different routes of `city` per junction, at most `MOST_ROUTES` (our choice: every street is the
+first of one)."""
+
 _PER_HOUR: Final = 0.8 * MAX_PER_HOUR
+
+
+def city(
+    *,
+    flow: str | float = "medium",
+    blocks: int = SHIPPED_BLOCKS,
+    **population: Unpack[PopulationOptions],
+) -> Scenario:
+    """A grid of blocks of 150 m, two lanes each way, fixed-time signals at every junction.
+
+    Routes are drawn once, the same in every episode: they begin on any street, turn at random, and
+    end after `ROUTE_EDGES` blocks, as if vehicles were parked there.
+
+    Args:
+        flow: ``light``, ``medium``, ``dense`` or vehicles per hour in the whole city. A trip takes
+            some ten minutes: 6000 vehicles an hour are 1000 at a time.
+        blocks: junctions along each side; all but 3 need netgenerate.
+        population: see `scenarios.demand.PopulationOptions`.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        InputError: if an option is out of range, or netgenerate is needed and missing.
+
+    Examples:
+        >>> scenario = city(flow=900)
+        >>> len(scenario.road.lanes), round(scenario.per_hour(walking=False))
+        (276, 900)
+    """
+    junctions = blocks**2
+    per_hour = parse_flow(flow, {name: each * junctions for name, each in JUNCTION_FLOWS.items()})
+    road = read_road(grid_net(blocks), f"grid_{blocks}")
+    routes = random_routes(road, min(JUNCTION_ROUTES * junctions, MOST_ROUTES), 0)
+    flows = tuple(RouteFlow(route, per_hour / len(routes)) for route in routes)
+    return Scenario("city", road, flows, **parse_population(population))
 
 
 def city_scenario(blocks: int, vehicles: int, seed: int, duration_s: float = 60.0) -> Scenario:
@@ -103,3 +149,9 @@ def random_routes(road: Road, count: int, seed: int) -> list[tuple[str, ...]]:
             route.append(staying[int(rng.integers(len(staying)))])
         routes.append(tuple(route))
     return routes
+
+
+if __name__ == "__main__":
+    from scenarios.command import main
+
+    raise SystemExit(main("city"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -80,14 +80,28 @@ def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _set_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
-    """Options given as ``NAME=VALUE``: true, false, a number, or a word."""
+def read_options(
+    texts: Sequence[str], flags: Collection[str]
+) -> dict[str, bool | int | float | str]:
+    """Options given as ``NAME=VALUE``: true, false, a number, or a word.
+
+    Args:
+        texts: as given on the command line, after ``--set``.
+        flags: options that have a flag of their own.
+
+    Raises:
+        InputError: if one is written otherwise, or has a flag of its own.
+
+    Examples:
+        >>> read_options(["blocks=8", "crossing=true"], ["flow"])
+        {'blocks': 8, 'crossing': True}
+    """
     found: dict[str, bool | int | float | str] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise InputError(f"--set: found {text!r}, expected NAME=VALUE")
-        if name in FLAGS:
+        if name in flags:
             raise InputError(f"--set: found {name}, expected {_flag(name)} for it")
         found[name] = _value(value)
     return found
@@ -156,7 +170,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     try:
         flags = {option: getattr(options, option, None) for option in FLAGS}
         given = {option: value for option, value in flags.items() if value is not None}
-        given |= _set_options(options.set)
+        given |= read_options(options.set, FLAGS)
         if options.routes is not None:
             given["routes"] = options.routes
         entry = get_scenario(options.net or options.file or name)

@@ -18,6 +18,7 @@ from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
 from experiments.cli.classify import classify, evaluate
 from experiments.cli.options import (
+    FLAGS,
     DurationS,
     Engine,
     Flow,
@@ -30,6 +31,7 @@ from experiments.cli.options import (
     OwnNet,
     Quiet,
     Routes,
+    ScenarioOptions,
     Seed,
     Spread,
     Verbose,
@@ -103,6 +105,7 @@ def run(
     duration_s: DurationS = None,
     net: OwnNet = None,
     routes: Routes = None,
+    option: ScenarioOptions = None,
     window: WindowText = None,
     quiet: Quiet = False,
     json: Json = None,
@@ -111,10 +114,12 @@ def run(
     from experiments.console.tables import show_table
     from experiments.data.configuration import read_config
     from experiments.run import read_window, run_scenario
+    from scenarios.command import read_options
 
     config = read_config(
         None, scenarios=[scenario] if scenario else None, net=net, routes=routes, episodes=1,
         seed=seed, engine=engine, flow=flow, mix=mix, spread=spread, duration_s=duration_s,
+        scenario_options=read_options(option or [], FLAGS) or None,
     )  # fmt: skip
     used = model if stream or predict else None
     show_table(run_scenario(config, used, predict, quiet, read_window(window)), json)
@@ -150,6 +155,7 @@ def generate(
     mix: Mix = None,
     spread: Spread = None,
     duration_s: DurationS = None,
+    option: ScenarioOptions = None,
     seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     net: OwnNet = None,
@@ -163,11 +169,13 @@ def generate(
     from experiments.data.configuration import read_cluster, read_config
     from experiments.data.generate import generate as make
     from experiments.data.worlds.episode import read_worlds_config
+    from scenarios.command import read_options
 
     given = {
         "scenarios": scenario or None, "episodes": episodes, "engine": engine, "flow": flow,
         "mix": mix, "spread": spread, "duration_s": duration_s, "seed": seed, "net": net,
         "routes": routes,
+        "scenario_options": read_options(option or [], FLAGS) or None,
     }  # fmt: skip
     chosen = (
         read_config(config, **given)

@@ -148,3 +148,13 @@ WindowText = Annotated[
     ),
 ]
 DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s; at most 86400.")]
+ScenarioOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Another option of the scenario, such as lanes=2; repeat for several.",
+    ),
+]
+FLAGS = ("flow", "mix", "spread", "duration_s")
+"""Options of a scenario that commands have beside ``--set``."""

@@ -30,6 +30,8 @@ class GenerateConfig(BaseModel):
         step_s: time between frames, s; None for the scenario's own.
         limits_mps: speed limits that a scenario's episodes take in turn, m/s; None for its own.
         routes: a SUMO route file, for a map; None for routes made from it.
+        scenario_options: other options that every one of the scenarios takes, such as ``lanes`` or
+            ``blocks``; None for their own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -45,10 +47,12 @@ class GenerateConfig(BaseModel):
     step_s: float | None = None
     limits_mps: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
     routes: str | None = None
+    scenario_options: dict[str, bool | int | float | str] | None = None
 
     def options(self, name: str, index: int) -> dict[str, Any]:
         """What a scenario of the episode with this index is called with."""
-        given: dict[str, Any] = self.model_dump(
+        given: dict[str, Any] = dict(self.scenario_options or {})
+        given |= self.model_dump(
             include={"flow", "mix", "spread", "duration_s", "step_s", "routes"}, exclude_none=True
         )
         limits = self.limits_mps or get_scenario(name).limits_mps

@@ -54,6 +54,7 @@ class Task:
             index=self.index,
             split=split_of(self.index),
             options={
+                **(self.config.scenario_options or {}),
                 **{name: given[name] for name in ("flow", "limit_mps") if name in given},
                 "mix": {behavior.value: share for behavior, share in scenario.mix.items()},
                 "spread": scenario.spread,

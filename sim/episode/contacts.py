@@ -20,6 +20,11 @@ of 0.4 m, as cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and rec
 no more accurate)."""
 
 
+KEY_ERROR_M: Final = 0.01
+"""Pairs are looked for this much farther than circles reach, m: places along x and times are sorted
+as one number, which is rounded."""
+
+
 @dataclass(frozen=True, slots=True)
 class Contact:
     """Two agents that touch.
@@ -74,24 +79,34 @@ def contacts(steps: TrajectoryRows) -> tuple[Contact, ...]:
 
 
 def _near(steps: TrajectoryRows) -> tuple[IntArray, IntArray]:
-    """(k,) rows of both of a pair, wherever the circles about their outlines meet."""
+    """(k,) rows of both of a pair, wherever the circles about their outlines meet.
+
+    Rows are sorted along x within bands that are as high as the widest two circles reach, one time
+    after the other. So each row is compared with those near it in its own band and in the next,
+    however large the crowd and the map are.
+    """
     agent, x, y = steps.row_index.agent, steps.xy[:, 0], steps.xy[:, 1]
+    if not x.size:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
     reach = 0.5 * np.hypot(steps.length, steps.width)[agent]
-    widest = float(reach.max(initial=0.0))
-    # along x, one instant after the other, far enough apart that instants never meet
-    span = float(np.ptp(x)) + 4.0 * widest + 1.0 if x.size else 1.0
-    key = x + span * steps.row_index.step
+    far = 2.0 * float(reach.max()) + KEY_ERROR_M
+    band = np.floor((y - y.min()) / far).astype(np.int64)
+    bands = int(band.max()) + 2  # one stays empty between one time and the next
+    span = float(np.ptp(x)) + 2.0 * far + 1.0  # bands never meet
+    key = x - x.min() + span * (band + bands * steps.row_index.step)
     order = np.argsort(key)
     key = key[order]
-    until = np.searchsorted(key, key + 2.0 * widest, side="right")
-    count = until - np.arange(key.size) - 1
-    one = np.repeat(np.arange(key.size), count)
-    begin = np.cumsum(count) - count
-    other = np.arange(one.size) - np.repeat(begin, count) + one + 1
-    a, b = order[one], order[other]
-    near = np.hypot(x[a] - x[b], y[a] - y[b]) < reach[a] + reach[b]
-    near &= ~(steps.walking[a] & steps.walking[b])
-    a, b = a[near], b[near]
+    found = []
+    for first, last in ((None, key + far), (key + span - far, key + span + far)):
+        begin = np.arange(1, key.size + 1) if first is None else np.searchsorted(key, first, "left")
+        count = np.searchsorted(key, last, "right") - begin
+        one = np.repeat(np.arange(key.size), count)
+        other = np.arange(one.size) - np.repeat(np.cumsum(count) - count, count) + begin[one]
+        a, b = order[one], order[other]
+        near = np.hypot(x[a] - x[b], y[a] - y[b]) < reach[a] + reach[b]
+        near &= ~(steps.walking[a] & steps.walking[b])
+        found.append((a[near], b[near]))
+    a, b = (np.concatenate(part) for part in zip(*found, strict=True))
     return np.minimum(a, b), np.maximum(a, b)
 
 

@@ -5,30 +5,41 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame
 from sim.road import Road
+from sim.road.cells import Cells, boxes_of, cells_of
 from sim.road.net import signal_code
 from sim.scenario import AgentSpec
-from sim.sumo.vehicle_poses import vehicle_poses
+from sim.sumo.vehicle_poses import STRAIGHTENING_M, vehicle_poses
+
+AREA_CELL_M: Final = 50.0
+"""Width of the cells in which junctions are looked up, m (our choice: a large junction's)."""
 
 
-def _turning_area(road: Road) -> FloatArray:
-    """(2, 2) south-west and north-east corner of the area of all turns in junctions, m."""
-    lines = [
-        road.lanes[road.lane_index[name]].centerline
-        for link in road.connections
-        if link.direction != "straight"
-        for name in link.via
-    ]
-    if not lines:
-        return np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
-    points = np.concatenate(lines)
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+def turning_areas(road: Road) -> tuple[FloatArray, Cells]:
+    """Where the road turns: for each junction, the box round all turns in it.
+
+    Args:
+        road: SUMO names the lanes inside a junction after it: ``:NAME_NUMBER_LANE``.
+
+    Returns:
+        (J, 4) west, south, east and north side of each box, m, and the boxes by cell, with
+        `STRAIGHTENING_M` around them.
+    """
+    turns: dict[str, list[FloatArray]] = {}
+    for link in road.connections:
+        if link.direction != "straight":
+            for name in link.via:
+                line = road.lanes[road.lane_index[name]].centerline
+                turns.setdefault(name.rsplit("_", 2)[0], []).append(line)
+    areas = boxes_of([np.concatenate(lines) for lines in turns.values()], 0.0)
+    around = areas + np.array([-1.0, -1.0, 1.0, 1.0]) * (STRAIGHTENING_M + 1.0)
+    return areas, cells_of(around, np.arange(len(areas)), AREA_CELL_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +93,7 @@ class FrameReader:
         self._pedestrian = np.array([a.kind is AgentKind.PEDESTRIAN for a in agents], dtype=bool)
         self._any_pedestrian = bool(self._pedestrian.any())
         self._axles = np.full((len(agents), 4), np.nan)
-        self._turning_area = _turning_area(road)
+        self._areas = turning_areas(road)
         self._touching: set[tuple[int, int]] = set()
         self._events: list[Event] = []
         self._names: tuple[Sequence[str], Sequence[str]] = ((), ())
@@ -157,7 +168,7 @@ class FrameReader:
         front = np.fromiter(places, np.float64, 2 * n)
         xy, heading, speed = vehicle_poses(
             present.order, present.rows, front, np.fromiter(speeds, np.float64, n), angle,
-            self._length, self._pedestrian, self._turning_area, self._axles,
+            self._length, self._pedestrian, *self._areas, self._axles,
         )  # fmt: skip
         for array in (xy, heading, speed):
             array.setflags(write=False)

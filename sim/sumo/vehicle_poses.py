@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from sim.frames import BoolArray, FloatArray, IntArray
+from sim.road.cells import Cells
 
 AXLE_SHARE: Final = 0.8
 """The rear axle is this share of the length behind the front bumper (our choice: as in most
@@ -38,7 +39,8 @@ def vehicle_poses(
     angle: FloatArray,
     length: FloatArray,
     pedestrian: BoolArray,
-    turning_area: FloatArray,
+    areas: FloatArray,
+    cells: Cells,
     axles: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Centres and headings, from where the front bumpers are now and where they were before.
@@ -53,7 +55,8 @@ def vehicle_poses(
             vehicles that have just departed.
         length: (N,) of every agent, m.
         pedestrian: (N,) whether an agent is a pedestrian.
-        turning_area: (2, 2) south-west and north-east corner of where the road turns, m.
+        areas: (J, 4) west, south, east and north side of each place where the road turns, m.
+        cells: those of ``areas``, with at least `STRAIGHTENING_M` around them.
         axles: (N, 4) front bumper and rear axle at the last call, m; NaN for vehicles that have
             just departed. Updated in place.
 
@@ -62,15 +65,18 @@ def vehicle_poses(
         speeds, m/s.
 
     Examples:
+        >>> from sim.road.cells import cells_of
         >>> axles = np.full((1, 4), np.nan)
-        >>> agent, nowhere = np.zeros(1, np.int64), np.array([[np.inf] * 2, [-np.inf] * 2])
+        >>> agent, nowhere = np.zeros(1, np.int64), np.empty((0, 4))
+        >>> cells = cells_of(nowhere, agent[:0], 50.0)
         >>> for x, y in ((5.0, 0.0), (5.0, 1.0)):  # the front jumps sideways: so does the car
         ...     xy, heading, _ = vehicle_poses(
         ...         agent, agent, np.array([x, y]), np.ones(1), np.array([90.0]), np.array([4.0]),
-        ...         np.zeros(1, np.bool_), nowhere, axles)
+        ...         np.zeros(1, np.bool_), nowhere, cells, axles)
         >>> xy.tolist(), heading.tolist()
         ([[3.0, 1.0]], [0.0])
     """
+    x0, y0, size, columns, lines, first, items = cells
     n = rows.size
     xy, heading, ordered = np.empty((n, 2)), np.empty(n), np.empty(n)
     for i in range(n):
@@ -86,11 +92,17 @@ def vehicle_poses(
             old_east, old_north = (fx - ax) / reach, (fy - ay) / reach
             ahead = (x - fx) * old_east + (y - fy) * old_north
             aside = (y - fy) * old_east - (x - fx) * old_north
-            # how far outside the turning area the front is, and whether it drives away from it
-            out_x = x - min(max(x, turning_area[0, 0]), turning_area[1, 0])
-            out_y = y - min(max(y, turning_area[0, 1]), turning_area[1, 1])
-            leaves = out_x * old_east + out_y * old_north >= 0.0
-            turning = leaves and max(abs(out_x), abs(out_y)) < STRAIGHTENING_M
+            column, line = math.floor((x - x0) / size), math.floor((y - y0) / size)
+            turning = False
+            if 0 <= column < columns and 0 <= line < lines:
+                cell = int(line) * columns + int(column)
+                for p in range(first[cell], first[cell + 1]):
+                    area = areas[items[p]]
+                    # how far outside the area the front is, and whether it drives away from it
+                    out_x = x - min(max(x, area[0]), area[2])
+                    out_y = y - min(max(y, area[1]), area[3])
+                    leaves = out_x * old_east + out_y * old_north >= 0.0
+                    turning |= leaves and max(abs(out_x), abs(out_y)) < STRAIGHTENING_M
             most = (TURNING if turning else KEEPING) * max(ahead, 0.0)
             slid = aside - min(max(aside, -most), most)
             east, north = x - ax + slid * old_north, y - ay - slid * old_east

@@ -17,6 +17,7 @@ import pytest
 import experiments.data.generate
 import experiments.data.processes
 from behaviors import InputError
+from experiments.cli.commands import main
 from experiments.data.configuration import GenerateConfig, read_config
 from experiments.data.episode import Task, make_episode
 from experiments.data.generate import generate
@@ -381,6 +382,26 @@ def test_episodes_take_the_limits_in_turn(tmp_path):
     assert {lane.speed_limit_mps for lane in scenario.road.lanes if lane.id.startswith("east")} == {
         8.33
     }
+
+
+def test_a_scenario_takes_other_options(tmp_path):
+    folder = tmp_path / "data"
+    words = ["--scenario", "straight_road", "--episodes", "1", "--duration-s", "2", "--quiet"]
+    with pytest.raises(SystemExit, match="0"):
+        main(
+            ["generate", *words, "--set", "lanes=2", "--set", "kinds=truck=1", "--out", f"{folder}"]
+        )
+    manifest = open_dataset(folder).manifest
+    (entry,) = manifest.episodes
+    assert entry.options["lanes"] == 2
+    assert manifest.configuration["scenario_options"] == {"lanes": 2, "kinds": "truck=1"}
+    config = GenerateConfig(
+        scenarios=("city",), episodes=1, flow=400.0, scenario_options={"blocks": 3}
+    )
+    assert config.scenario("city").per_hour(walking=False) == pytest.approx(400.0)
+    wrong = config.model_copy(update={"scenario_options": {"block": 3}})
+    with pytest.raises(InputError, match="'block': did you mean 'blocks'"):
+        wrong.check()
 
 
 def test_a_mix_may_be_a_table(tmp_path):

@@ -21,6 +21,8 @@ from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec, sample_agents
 from sim.sumo.engine import SumoError, run
+from sim.sumo.frame_reader import turning_areas
+from sim.sumo.vehicle_poses import vehicle_poses
 from sim.sumo.vehicle_types import ATTRIBUTES, route_file, vehicle_type
 
 
@@ -408,3 +410,29 @@ def test_frames_are_read_only():
     frame = next(iter(run(scenario, [lone(scenario, depart_s=0.0)], 0)))
     with pytest.raises(ValueError, match="read-only"):
         frame.xy[:] = 0.0
+
+
+def test_each_junction_turns_by_itself():
+    areas, cells = turning_areas(SCENARIOS["city"]().road)
+    assert len(areas) == 9
+    assert (areas[:, 2:] - areas[:, :2] < 40.0).all()
+    (one,) = turning_areas(SCENARIOS["four_way_intersection"]().road)[0]
+    assert one[2] - one[0] == pytest.approx(one[3] - one[1])
+
+    def pose(x, y):
+        """A car of 4 m that heads east and whose front moves to (x, y), 1 m ahead and 2 m aside."""
+        axles = np.array([[x - 1.0, y - 2.0, x - 4.2, y - 2.0]])
+        row = np.zeros(1, np.int64)
+        return vehicle_poses(
+            row, row, np.array([x, y]), np.ones(1), np.zeros(1), np.array([4.0]),
+            np.zeros(1, np.bool_), areas, cells, axles,
+        )[1][0]  # fmt: skip
+
+    turned, kept = math.atan2(0.8, 4.2), math.atan2(0.25, 4.2)
+    for area in areas:
+        assert pose(*(0.5 * (area[:2] + area[2:]))) == pytest.approx(turned)
+        assert pose(area[2] + 5.0, area[3]) == pytest.approx(turned)
+        assert pose(area[2] + 7.0, area[3]) == pytest.approx(kept)
+        assert pose(area[0] - 5.0, area[3]) == pytest.approx(kept)  # on its way into the junction
+    for far in (-1e5, 1e5):
+        assert pose(far, far) == pytest.approx(kept)

@@ -64,7 +64,7 @@ def read_worlds_config(path: Path | None, worlds: int, **given: object) -> World
     fields = {name: value for name, value in given.items() if value is not None}
     for name in fields:
         if name not in WorldsConfig.model_fields:
-            option = name.removesuffix("s") if name == "scenarios" else name
+            option = {"scenarios": "scenario", "scenario_options": "set"}.get(name, name)
             raise InputError(f"--worlds: found --{option} beside it, expected none: it is drawn")
     try:
         return WorldsConfig.model_validate({**fields, "worlds": worlds})
