@@ -16,15 +16,28 @@ from experiments.console.progress import Progress
 from experiments.data.admission import SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
-from sim.formats import FORMATS, formats_in, get_reader, get_writer, left_out_files, read_recordings
+from sim.formats import (
+    FORMATS,
+    first_file,
+    formats_in,
+    get_reader,
+    get_writer,
+    left_out_files,
+    new_index,
+    read_recordings,
+)
 from sim.formats.common.label_file import read_driver_labels
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
-from sim.store.catalogue import MANIFEST, write_manifest
-from sim.store.dataset import open_dataset
+from sim.store.atomic import write_whole
+from sim.store.catalogue import MANIFEST, checksum, write_manifest
+from sim.store.dataset import Dataset, open_dataset
 from sim.store.lock import new_folder
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
 from sim.store.writing import made_with, write_recording
+
+MARKER: Final = ".graphrqi-export"
+"""File in a folder of exported files; it says which dataset they come from."""
 
 LEFT_OUT_NAMED: Final = 5
 """Most left-out files that are named (our choice: they fit one line)."""
@@ -165,7 +178,8 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
 
     Args:
         dataset: folder of the dataset.
-        out: where; created if need be. Files of the same names are replaced.
+        out: where; created if need be. Files of the same names are replaced if they were exported
+            from the same dataset.
         name: a key of ``sim.formats.FORMATS`` that has a writer.
         quiet: whether to show no progress.
 
@@ -173,8 +187,9 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
         What was written.
 
     Raises:
-        InputError: if the dataset is broken, an episode's step does not fit the format, or no
-            episode has a window of its length.
+        InputError: if the dataset is broken, an episode's step does not fit the format, no
+            episode has a window of its length, or the folder holds files of the format that come
+            from somewhere else.
         OSError: if something cannot be written.
     """
     writer = get_writer(name)
@@ -182,20 +197,44 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
     if (out / MANIFEST).is_file():
         raise InputError(f"{out}: found a dataset, expected another folder for the exported files")
     out.mkdir(parents=True, exist_ok=True)
+    _claim(out, name, opened)
+    index = new_index(name)
     written: list[Path] = []
     left_out: list[NoWindowError] = []
     episodes = opened.manifest.episodes
     with Progress("exporting episodes", len(episodes), quiet) as shown:
         for entry in episodes:
-            tracks = opened.read(entry).tracks
+            tracks, road = opened.read(entry).tracks, opened.road(entry)
             try:
-                written += writer(out, entry.id, tracks, opened.road(entry))
+                files = writer(out, entry.id, tracks, road)
             except NoWindowError as reason:
                 left_out.append(reason)
+            else:
+                written += files
+                if index is not None:
+                    index.add(files, entry.id, tracks, road)
             shown.advance(entry.agents, entry.agent_steps)
     if left_out:
         summary = f"{len(left_out)} of {len(episodes)} episodes left out, first {left_out[0]}"
         if not written:
+            (out / MARKER).unlink(missing_ok=True)
             raise InputError(f"{dataset}: {summary}")
         LOGGER.warning("%s: %s", dataset, summary)
-    return written
+    return written if index is None else [*written, *index.write(out)]
+
+
+def _claim(out: Path, name: str, dataset: Dataset) -> None:
+    """Refuse a folder with files that were not exported from this dataset, or mark it as ours."""
+    marker = out / MARKER
+    episodes = "\n".join(entry.id for entry in dataset.manifest.episodes)
+    identity = f"{checksum(episodes.encode())}\n"
+    known = marker.is_file() and marker.stat().st_size <= len(identity)
+    if known and marker.read_text(encoding="utf-8", errors="replace") == identity:
+        return
+    other = first_file(out, name)
+    if other is not None:
+        raise InputError(
+            f"{out}: found {other.relative_to(out)}, a {name} file that does not come from this "
+            "dataset, expected a folder without such files: readers would mix both"
+        )
+    write_whole(marker, identity.encode())

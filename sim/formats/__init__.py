@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 from behaviors.errors import InputError
 from behaviors.registry import Registry, loaded
@@ -25,6 +25,15 @@ if TYPE_CHECKING:
     from sim.formats.common.recording import Recording
     from sim.frames import Tracks
     from sim.road import Road
+
+    class Index(Protocol):
+        """Files that say what all written files of a folder hold."""
+
+        def add(self, files: Sequence[Path], name: str, tracks: Tracks, road: Road | None) -> None:
+            """Take note of an episode's files."""
+
+        def write(self, folder: Path) -> list[Path]:
+            """Write the index into the folder of the files."""
 
     Reader = Callable[[Path], Iterator[Recording]]
     Writer = Callable[[Path, str, Tracks, Road | None], list[Path]]
@@ -42,6 +51,7 @@ class Format:
         head: what the beginning of a file looks like (lower case).
         reader: "module:function", or None where it is only written.
         writer: "module:function", or None where it is only read.
+        index: "module:class" of the files that say what all written files hold, if there are any.
         unit: what its lengths are in: "m", or "px" where there is no scale.
         clock: whether its times are a clock's; else they are frames counted at a stated rate, which
             is corrected where motion and speeds show another.
@@ -55,6 +65,7 @@ class Format:
     head: re.Pattern[bytes]
     reader: str | None = None
     writer: str | None = None
+    index: str | None = None
     unit: str = "m"
     clock: bool = False
     own_names: bool = False
@@ -176,7 +187,10 @@ FORMATS: Final[Registry[Format]] = Registry(
             "sim.formats.waymo.scenario:read",
         ),
         "scenarionet": Format(
-            ("*.pkl",), re.compile(rb"(?!)"), writer="sim.formats.scenarionet:write"
+            ("*.pkl",),
+            re.compile(rb"(?!)"),
+            writer="sim.formats.scenarionet:write",
+            index="sim.formats.scenarionet:Index",
         ),
     },
 )
@@ -215,6 +229,21 @@ def get_writer(name: str) -> Writer:
         able = ", ".join(key for key, entry in FORMATS.items() if entry.writer)
         raise InputError(f"format {name}: found no writer, expected one of {able}")
     return cast("Writer", loaded(source))
+
+
+def new_index(name: str) -> Index | None:
+    """An empty index of files of a format; None where the format has none."""
+    source = FORMATS[name].index
+    return None if source is None else cast("Callable[[], Index]", loaded(source))()
+
+
+def first_file(folder: Path, name: str) -> Path | None:
+    """A file of a format in a folder; None where there is none."""
+    entry = FORMATS[name]
+    for file in _files(folder, entry.files):
+        if entry.reader is None or entry.own_names or entry.head.search(_head(file)):
+            return file
+    return None
 
 
 def _head(path: Path) -> bytes:
@@ -396,6 +425,6 @@ def read_recordings(
 
 
 __all__ = [
-    "FORMATS", "Format", "formats_in", "get_reader", "get_writer", "left_out_files",
-    "read_recordings", "recognise", "recording_files",
+    "FORMATS", "Format", "first_file", "formats_in", "get_reader", "get_writer", "left_out_files",
+    "new_index", "read_recordings", "recognise", "recording_files",
 ]  # fmt: skip

@@ -1,7 +1,8 @@
 """ScenarioNet: one dictionary per episode, for MetaDrive and the tools around it. Written only.
 
-The format is defined as a pickled dictionary. Pickles run code when they are read, so we write
-them when asked to and never read one.
+The format is defined as pickled dictionaries: one for each episode, ``dataset_summary.pkl`` with
+what each of them holds, and ``dataset_mapping.pkl`` with where it is. Pickles run code when they
+are read, so we write them when asked to and never read one.
 
 References:
     Li et al. (2023), ScenarioNet, NeurIPS Datasets and Benchmarks.
@@ -10,6 +11,8 @@ References:
 from __future__ import annotations
 
 import pickle
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +26,12 @@ from sim.road import Road
 from sim.store.atomic import write_whole
 
 VERSION: Final = "0.1"
+SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
+"""Names of the files that MetaDrive looks for in a folder."""
+
+MOVED_M: Final = 1.0
+"""An agent that goes farther than this is counted as moving, m (MetaDrive's number)."""
+
 HEIGHT_M: Final = 1.6
 """Height that is written for everyone, m: the format wants one and traffic here is flat."""
 
@@ -84,6 +93,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
                 "behavior": BEHAVIORS[code].value if code >= 0 else None,
             },
         }
+    features = {} if road is None else _map_features(road)
     longest = int(np.argmax(tracks.valid.sum(axis=1))) if len(tracks.names) else 0
     return {
         "id": name,
@@ -97,11 +107,89 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
             "sdc_id": tracks.names[longest] if tracks.names else "",
             "dataset": "graphrqi",
             "scenario_id": name,
+            "object_summary": {key: _object_summary(key, agent) for key, agent in agents.items()},
+            "number_summary": _number_summary(agents, len(features)),
         },
         "tracks": agents,
         "dynamic_map_states": {},
-        "map_features": {} if road is None else _map_features(road),
+        "map_features": features,
     }
+
+
+def _object_summary(name: str, agent: Mapping[str, Any]) -> dict[str, Any]:
+    """What the format says in short of one agent."""
+    state = agent["state"]
+    valid: NDArray[np.bool_] = state["valid"]
+    seen = np.flatnonzero(valid)
+    # how long it is seen from the first time on, until it is lost for the first time
+    lost = np.flatnonzero(~valid[seen[0] :]) if seen.size else seen
+    whole = 0 if not seen.size else int(lost[0]) if lost.size else int(valid.size - seen[0])
+    moved = np.diff(state["position"][seen, :2].astype(np.float64), axis=0)
+    return {
+        "type": agent["type"],
+        "object_id": name,
+        "track_length": int(valid.size),
+        "moving_distance": float(np.hypot(moved[:, 0], moved[:, 1]).sum()),
+        "valid_length": int(seen.size),
+        "continuous_valid_length": whole,
+    }
+
+
+def _number_summary(agents: Mapping[str, Mapping[str, Any]], features: int) -> dict[str, Any]:
+    """What the format counts in an episode; there are no lights and no heights in ours."""
+    types = Counter(agent["type"] for agent in agents.values())
+    moving = Counter(
+        agent["type"]
+        for name, agent in agents.items()
+        if _object_summary(name, agent)["moving_distance"] > MOVED_M
+    )
+    return {
+        "num_objects": len(agents),
+        "object_types": tuple(sorted(types)),
+        "num_objects_each_type": {name: types[name] for name in sorted(types)},
+        "num_moving_objects": moving.total(),
+        "num_moving_objects_each_type": {name: moving[name] for name in sorted(moving)},
+        "num_traffic_lights": 0,
+        "num_traffic_light_types": (),
+        "num_traffic_light_each_step": {},
+        "num_map_features": features,
+        "map_height_diff": 0.0,
+    }
+
+
+class Index:
+    """Summary and mapping of a folder's files, for MetaDrive's ``read_dataset_summary``."""
+
+    def __init__(self) -> None:
+        self._summary: dict[str, dict[str, Any]] = {}
+
+    def add(self, files: Sequence[Path], name: str, tracks: Tracks, road: Road | None) -> None:
+        """Take note of an episode's file.
+
+        Args:
+            files: what `write` gave.
+            name: the episode's id.
+            tracks: the episode.
+            road: where it happened, if known.
+        """
+        found = description(name, tracks, road)["metadata"]
+        for file in files:
+            self._summary[file.name] = {**found, "ts": found["ts"].tolist()}
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write both files.
+
+        Args:
+            folder: that of the episodes' files.
+
+        Returns:
+            The files written.
+        """
+        paths = [folder / SUMMARY, folder / MAPPING]
+        mapping = dict.fromkeys(self._summary, "")  # "": in the same folder
+        for path, content in zip(paths, (self._summary, mapping), strict=True):
+            write_whole(path, pickle.dumps(content, protocol=4))
+        return paths
 
 
 def _map_features(road: Road) -> dict[str, Any]:
