@@ -96,6 +96,9 @@ SCENARIOS: Final[Registry[ScenarioEntry]] = Registry(
         "all_way_stop": "scenarios.all_way_stop:all_way_stop",
         "right_before_left": "scenarios.right_before_left:right_before_left",
         "city": "scenarios.city:city",
+        "motorway": "scenarios.motorway:motorway",
+        "motorway_ramps": "scenarios.motorway_ramps:motorway_ramps",
+        "roundabout": "scenarios.roundabout:roundabout",
     },
     made=ScenarioEntry,
 )

@@ -5,7 +5,10 @@
 road and take highway-env's actions; the other drivers have the six behaviours' profiles.
 `scenarios.environments.environment.TrafficEnv` specifies observations, rewards and episodes.
 Configure an environment with ``gymnasium.make(id, config={...})`` or
-``reset(options={"config": {...}})``; unknown keys and unusable values are refused by name.
+``reset(options={"config": {...}})``; unknown keys and unusable values are refused by name. The keys
+``net``, ``routes`` and ``scenario`` set any of them on another road.
+`scenarios.environments.parallel` makes an environment for several agents of any of them
+(PettingZoo, extra ``multi``).
 """
 
 from __future__ import annotations
@@ -19,6 +22,14 @@ ENVIRONMENTS: Final[dict[str, str]] = {
     "graphrqi/FourWayIntersection-v0": (
         "scenarios.environments.four_way_intersection:FourWayIntersectionEnv"
     ),
+    "graphrqi/TwoWayRoad-v0": "scenarios.environments.roads:TwoWayRoadEnv",
+    "graphrqi/PriorityIntersection-v0": "scenarios.environments.roads:PriorityIntersectionEnv",
+    "graphrqi/AllWayStop-v0": "scenarios.environments.roads:AllWayStopEnv",
+    "graphrqi/RightBeforeLeft-v0": "scenarios.environments.roads:RightBeforeLeftEnv",
+    "graphrqi/Motorway-v0": "scenarios.environments.roads:MotorwayEnv",
+    "graphrqi/MotorwayRamps-v0": "scenarios.environments.roads:MotorwayRampsEnv",
+    "graphrqi/Roundabout-v0": "scenarios.environments.roads:RoundaboutEnv",
+    "graphrqi/OwnRoad-v0": "scenarios.environments.roads:OwnRoadEnv",
 }
 """Where each environment lives, by its id."""
 

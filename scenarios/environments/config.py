@@ -81,6 +81,19 @@ class TrafficConfig(BaseModel):
     spread: Annotated[float, SkipValidation] = DEFAULT_SPREAD
     """How much drivers of one behaviour differ."""
 
+    net: str | None = None
+    """A map to drive on instead (SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or
+    Argoverse 2); the ego vehicle takes a route of the traffic's, drawn anew for each episode."""
+
+    routes: str | None = None
+    """A SUMO route file for ``net``; None: routes made from the map."""
+
+    scenario: str | None = None
+    """Another scenario to drive in: a registered name, or a TOML file."""
+
+    ego_route: Sequence[str] | None = Field(default=None, min_length=1)
+    """The edges that the ego vehicle drives over; None: the environment's own, or a drawn one."""
+
     seed: int | None = Field(default=None, ge=0, lt=2**31)
     """Seed of every episode's traffic; None: each episode draws its own from ``reset(seed)``."""
 
@@ -133,6 +146,8 @@ class TrafficConfig(BaseModel):
                 f"policy_frequency: found {self.policy_frequency}, expected a divisor of "
                 f"simulation_frequency {self.simulation_frequency}"
             )
+        if self.net is not None and self.scenario is not None:
+            raise InputError("scenario: found net beside it, expected one of them")
         if isinstance(self.classifier, str) and self.observation == "posterior":
             resolve_classifier(self.classifier)
         return self

@@ -45,9 +45,10 @@ from sim.highway.engine import network_of, read_frame
 from sim.highway.fast_road import outlines_of
 from sim.highway.network import LaneIndex
 from sim.highway.state import agent_of
+from sim.highway.straight import is_single_stretch
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
-from sim.scenario import AgentSpec, sample_agents
+from sim.scenario import AgentSpec, Scenario, sample_agents
 
 NEAR_MISS_S: Final = 1.0
 """Time to collision below which a near miss is counted, s (Hayward 1972: 1 to 1.5 s)."""
@@ -169,17 +170,47 @@ class TrafficEnv(EgoEnv):
         """
         given = as_mapping("config", config)
         checked = read_config(self.config_model, {**self.config, **given})
-        self.scenario = get_scenario(self.scenario_name)(
-            flow=checked.flow,
-            mix=checked.mix,
-            spread=checked.spread,
-            duration_s=checked.duration_s + checked.warmup_s + LONGEST_WAIT_S,
-        )
+        self.scenario = self._scenario_of(checked)
+        if checked.ego_route is not None:
+            network_of(self.scenario.road).stretches(checked.ego_route)
         super().configure({key: getattr(checked, str(key)) for key in given})
 
+    def _scenario_of(self, checked: TrafficConfig) -> Scenario:
+        """The scenario of a configuration; another one's own options hold unless they are given."""
+        reference = checked.net or checked.scenario or self.scenario_name
+        options: dict[str, Any] = {
+            "flow": checked.flow, "mix": checked.mix, "spread": checked.spread
+        }  # fmt: skip
+        if reference != self.scenario_name:
+            usual = TrafficConfig()
+            options = {n: v for n, v in options.items() if v != getattr(usual, n)}
+        if checked.routes is not None:
+            options["routes"] = checked.routes
+        duration_s = checked.duration_s + checked.warmup_s + LONGEST_WAIT_S
+        return get_scenario(reference)(**options, duration_s=duration_s)
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the configuration names another road than the environment's own."""
+        return self.config["net"] is not None or self.config["scenario"] is not None
+
+    def _ego_route(self) -> tuple[str, ...]:
+        """The edges that the ego vehicle drives over in this episode."""
+        given = self.config["ego_route"]
+        if given is not None:
+            return tuple(given)
+        return self._drawn_route() if self.elsewhere else self._route()
+
+    def _drawn_route(self) -> tuple[str, ...]:
+        """A route of the traffic's, as often as vehicles take it."""
+        flows = [flow for flow in self.scenario.flows if not flow.walking]
+        rates = np.array([flow.per_hour for flow in flows])
+        weights = rates / rates.sum() if rates.sum() > 0 else None
+        return flows[int(self.np_random.choice(len(flows), p=weights))].route
+
     def _route(self) -> tuple[str, ...]:
-        """The edges that the ego vehicle drives over."""
-        raise NotImplementedError
+        """The edges that the ego vehicle drives over on the environment's own road."""
+        return self._drawn_route()
 
     # Episodes --------------------------------------------------------------------------------
 
@@ -190,7 +221,10 @@ class TrafficEnv(EgoEnv):
             traffic = int(self.np_random.integers(2**31))
         agents = self._draw_agents(traffic)
         network = network_of(self.scenario.road)
-        self.road = TrafficRoad(network, compiled=config.get("compiled", False))
+        compiled = config.get("compiled", False)
+        if compiled and self.elsewhere:
+            compiled = is_single_stretch(network)
+        self.road = TrafficRoad(network, compiled=compiled)
         self._demand = Demand(self.road, agents, traffic)
         self._agents = {agent.id: agent for agent in agents}
         self._classify = self._classifier()
@@ -233,7 +267,7 @@ class TrafficEnv(EgoEnv):
     def _enter_ego_vehicle(self) -> None:
         """Put the ego vehicle at the beginning of its route, once there is room."""
         road, network = self.road, self.road.network_info
-        route = tuple(network.stretches(self._route()))
+        route = tuple(network.stretches(self._ego_route()))
         lanes = network.lanes_towards(route[0], route[1] if len(route) > 1 else None)
         for _ in range(round(LONGEST_WAIT_S / self._dt)):
             road.locate()
@@ -246,10 +280,15 @@ class TrafficEnv(EgoEnv):
                 s, _ = road.place(vehicle, lane)
                 if abs(s - BEGIN_M) < 2.0 * ROOM_M and vehicle.lane_index[:2] == lane[:2]:
                     road.vehicles.remove(vehicle)
-        begin = 0.7 * float(network.lanes[lane].speed_limit)
-        self.add_ego_vehicle(
-            lane, BEGIN_M, min(begin, speed) if room < 40.0 else begin, route, self._ego_id
-        )
+        self._place_ego_vehicle(lane, room, speed, route)
+
+    def _place_ego_vehicle(
+        self, lane: LaneIndex, room: float, speed: float, route: tuple[tuple[str, str], ...]
+    ) -> None:
+        """Put the ego vehicle on a lane, as fast as the vehicle ahead allows."""
+        begin = 0.7 * float(self.road.network_info.lanes[lane].speed_limit)
+        begin = min(begin, speed) if room < 40.0 else begin
+        self.add_ego_vehicle(lane, BEGIN_M, begin, route, self._ego_id)
 
     def _roomiest(self, lanes: list[LaneIndex]) -> tuple[LaneIndex, float, float]:
         """The lane with most room at its beginning, that room, m, and the next vehicle's speed."""
@@ -303,13 +342,26 @@ class TrafficEnv(EgoEnv):
             self._advance()
             self.steps += 1
             self.road.locate()
-            near = self._near_ids()
-            self._near_misses += len(near - self._near)  # once each time somebody comes near
-            self._near = near
+            self._note_near()
             if frame < frames - 1:
                 self._automatic_rendering()
         self.enable_auto_render = False
         self.time += frames * self._dt
+        parts = self._judge(action, before, frames)
+        if self.render_mode == "human":
+            self.render()
+        reward = sum(REWARDS[name] * value for name, value in parts.items())
+        ended, cut = self._is_terminated(), self._is_truncated()
+        return self._observe(), float(reward), ended, cut, self._info(parts)
+
+    def _note_near(self) -> None:
+        """Count those that have come near since the last frame."""
+        near = self._near_ids()
+        self._near_misses += len(near - self._near)  # once each time somebody comes near
+        self._near = near
+
+    def _judge(self, action: int | NDArray[Any], before: float, frames: int) -> dict[str, float]:
+        """The parts of the reward for a policy step that began with so much of the way left."""
         if is_on_route(self.road, self.vehicle):
             self._distance_left = distance_left_m(self.road, self.vehicle)
         mine = [e for e in self._events if self._ego_id in (e.agent, e.other)]
@@ -318,12 +370,7 @@ class TrafficEnv(EgoEnv):
         limit = float(self.vehicle.lane.speed_limit)
         reachable_m = limit * frames * self._dt
         self._progress = float(np.clip((before - self._distance_left) / reachable_m, 0.0, 1.0))
-        if self.render_mode == "human":
-            self.render()
-        parts = self._rewards(action)
-        reward = sum(REWARDS[name] * value for name, value in parts.items())
-        ended, cut = self._is_terminated(), self._is_truncated()
-        return self._observe(), float(reward), ended, cut, self._info(parts)
+        return self._rewards(action)
 
     def _rewards(self, action: int | NDArray[Any]) -> dict[str, float]:
         return {
@@ -403,9 +450,9 @@ class TrafficEnv(EgoEnv):
         found = np.zeros((len(others), len(BEHAVIORS)))
         if option == "behavior":
             for row, other in enumerate(others):
-                behavior = self._agents[agent_of(other)].behavior
-                if behavior is not None:
-                    found[row, behavior.code] = 1.0
+                drawn = self._agents.get(agent_of(other))  # another ego vehicle is not drawn
+                if drawn is not None and drawn.behavior is not None:
+                    found[row, drawn.behavior.code] = 1.0
             return found
         if option != "posterior":
             return None

@@ -23,6 +23,7 @@ from scenarios.networks.geometry import (
     Geometry,
     StraightGeometry,
 )
+from scenarios.networks.more_geometry import MotorwayGeometry, RoundaboutGeometry
 
 FOLDER: Final = Path(__file__).resolve().parent
 """Where the shipped nets lie: ``<name>/road.net.xml`` beside its sources."""
@@ -60,6 +61,9 @@ SHIPPED: Final[dict[str, Geometry]] = {
     "four_way_3": FourWayGeometry(lanes=3),
     "four_way_priority_2": FourWayGeometry(control="priority", lanes=2),
     "four_way_right_before_left_2": FourWayGeometry(control="right_before_left", lanes=2),
+    "motorway": MotorwayGeometry(),
+    "motorway_ramps": MotorwayGeometry(ramps=True),
+    "roundabout": RoundaboutGeometry(),
     **{f"straight_road_{limit:g}_mps": StraightGeometry(limit_mps=limit) for limit in LIMITS_MPS},
     **{f"four_way_{limit:g}_mps": FourWayGeometry(limit_mps=limit) for limit in LIMITS_MPS},
 }

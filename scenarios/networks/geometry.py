@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, Protocol
 
 from behaviors.errors import InputError
 
@@ -45,12 +45,14 @@ _MOST_LANES: Final = 5
 """The most lanes per direction that a geometry may have (our choice)."""
 
 
-def _check_lanes(lanes: int) -> None:
+def check_lanes(lanes: int) -> None:
+    """Refuse a number of lanes that no geometry has."""
     if not isinstance(lanes, int) or not 1 <= lanes <= _MOST_LANES:
         raise InputError(f"lanes: found {lanes!r}, expected 1 to {_MOST_LANES}")
 
 
-def _check_positive(**values: float) -> None:
+def check_positive(**values: float) -> None:
+    """Refuse lengths and limits that are not above zero."""
     for name, value in values.items():
         if not isinstance(value, int | float) or not math.isfinite(value) or value <= 0:
             raise InputError(f"{name}: found {value!r}, expected a number > 0")
@@ -76,8 +78,8 @@ class StraightGeometry:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be built."""
-        _check_lanes(self.lanes)
-        _check_positive(length_m=self.length_m, limit_mps=self.limit_mps)
+        check_lanes(self.lanes)
+        check_positive(length_m=self.length_m, limit_mps=self.limit_mps)
 
     def sources(self) -> dict[str, str]:
         """Text by file name: nodes, edges, connections and netconvert's settings."""
@@ -108,10 +110,10 @@ class StraightGeometry:
                 f'width="{CROSSING_WIDTH_M:g}"/>'
             )
         return {
-            "road.nod.xml": _document("nodes", node_rows),
-            "road.edg.xml": _document("edges", edge_rows),
-            "road.con.xml": _document("connections", connection_rows),
-            "road.netccfg": _settings(opposites=self.two_way),
+            "road.nod.xml": document("nodes", node_rows),
+            "road.edg.xml": document("edges", edge_rows),
+            "road.con.xml": document("connections", connection_rows),
+            "road.netccfg": settings(opposites=self.two_way),
         }
 
 
@@ -135,8 +137,8 @@ class FourWayGeometry:
         """Refuse what cannot be built."""
         if self.control not in CONTROLS:
             raise InputError(f"control: found {self.control!r}, expected one of {CONTROLS}")
-        _check_lanes(self.lanes)
-        _check_positive(arm_m=self.arm_m, limit_mps=self.limit_mps)
+        check_lanes(self.lanes)
+        check_positive(arm_m=self.arm_m, limit_mps=self.limit_mps)
 
     def sources(self) -> dict[str, str]:
         """Text by file name: nodes, edges, connections and netconvert's settings."""
@@ -160,22 +162,38 @@ class FourWayGeometry:
             for arm in ARMS
         ]
         return {
-            "road.nod.xml": _document("nodes", node_rows),
-            "road.edg.xml": _document("edges", edge_rows),
-            "road.con.xml": _document("connections", connection_rows),
-            "road.netccfg": _settings(opposites=False),
+            "road.nod.xml": document("nodes", node_rows),
+            "road.edg.xml": document("edges", edge_rows),
+            "road.con.xml": document("connections", connection_rows),
+            "road.netccfg": settings(opposites=False),
         }
 
 
-Geometry: TypeAlias = StraightGeometry | FourWayGeometry
+class Geometry(Protocol):
+    """A road's shape: what netconvert makes a net of."""
+
+    @property
+    def limit_mps(self) -> float:
+        """Speed limit, m/s."""
+        ...
+
+    def sources(self) -> dict[str, str]:
+        """Text by file name: nodes, edges, connections and netconvert's settings."""
+        ...
 
 
-def _document(root: str, rows: list[str]) -> str:
+def document(root: str, rows: list[str]) -> str:
+    """An XML document of rows."""
     return "\n".join([f"<{root}>", *rows, f"</{root}>", ""])
 
 
-def _settings(opposites: bool) -> str:
-    """Netconvert's settings; ``opposites``: whether lanes may be used against their direction."""
+def settings(opposites: bool, *, limit_turns: bool = True) -> str:
+    """Netconvert's settings.
+
+    Args:
+        opposites: whether lanes may be used against their direction.
+        limit_turns: whether turns are as slow as their bends ask for.
+    """
     values = {
         "node-files": "road.nod.xml",
         "edge-files": "road.edg.xml",
@@ -188,6 +206,8 @@ def _settings(opposites: bool) -> str:
         "tls.allred.time": "3",
         "no-warnings": "true",
     }
+    if not limit_turns:
+        del values["junctions.limit-turn-speed"]
     if opposites:
         values |= {"opposites.guess": "true", "opposites.guess.fix-lengths": "true"}
-    return _document("configuration", [f'    <{k} value="{v}"/>' for k, v in values.items()])
+    return document("configuration", [f'    <{k} value="{v}"/>' for k, v in values.items()])

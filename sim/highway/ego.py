@@ -256,7 +256,7 @@ def distance_left_m(road: RoadState, ego: Vehicle) -> float:
     network, lane = road.network_info, ego.lane_index
     s, _ = ego.lane.local_coordinates(ego.position)
     left = ego.lane.length - s - ego.LENGTH / 2
-    for _ in range(20):
+    for _ in range(2 * len(ego.stretches) + 2):
         then = road.onward_lane(ego, lane)
         if then is None:
             if road.next_stretch(ego, lane[:2]) is not None:

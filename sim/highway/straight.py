@@ -405,17 +405,21 @@ class StraightTraffic:
             vehicle.update_standing()
 
 
+def is_single_stretch(network: HighwayNetwork) -> bool:
+    """Whether a road is one straight stretch."""
+    straight = all(type(lane) is StraightLane for lane in network.lanes.values())
+    return straight and len(set(network.stretch_of.values())) == 1
+
+
 def single_stretch(network: HighwayNetwork) -> tuple[str, str]:
     """The only stretch of a straight road.
 
     Raises:
         InputError: if there are several, or it bends.
     """
-    stretches = set(network.stretch_of.values())
-    straight = all(type(lane) is StraightLane for lane in network.lanes.values())
-    if len(stretches) != 1 or not straight:
+    if not is_single_stretch(network):
         raise InputError(
             f"compiled: found road {network.road.name!r} with junctions or bends, "
             "expected one straight stretch"
         )
-    return next(iter(stretches))
+    return next(iter(network.stretch_of.values()))

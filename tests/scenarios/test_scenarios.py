@@ -38,7 +38,7 @@ def test_the_command_runs_from_any_folder(tmp_path):
 def test_each_command_of_the_package_runs_the_scenario_of_its_file():
     texts = {path.stem: path.read_text() for path in build.FOLDER.parent.glob("*.py")}
     commands = {name: text for name, text in texts.items() if "SystemExit(main(" in text}
-    assert len(commands) == 7
+    assert len(commands) == 10
     for name, text in commands.items():
         assert name in SCENARIOS
         assert f'SystemExit(main("{name}"))' in text
