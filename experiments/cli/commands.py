@@ -41,6 +41,7 @@ from experiments.cli.options import (
     table_to_write,
 )
 from experiments.cli.predictors import train_predictor
+from experiments.cli.road import road
 from experiments.cli.what_if import blame, what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, say, show_notices
@@ -123,6 +124,9 @@ def run(
     )  # fmt: skip
     used = model if stream or predict else None
     show_table(run_scenario(config, used, predict, quiet, read_window(window)), json)
+
+
+app.command(epilog="example: graphrqi road town.osm --out town")(road)
 
 
 @app.command(epilog="example: graphrqi generate --scenario straight_road --episodes 9 --out roads")
