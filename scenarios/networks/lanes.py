@@ -16,7 +16,10 @@ import numpy as np
 
 from behaviors.errors import InputError
 from scenarios.networks.geometry import LIMIT_MPS
-from sim.road import Connection, Lane, Road
+from sim.road import Lane, Road
+
+_Link = tuple[str, int, str, int, bool]
+"""A way: its first edge and lane, its last edge and lane, and whether a signal controls it."""
 
 LEAST_LENGTH_M: Final = 0.5
 """Lanes shorter than this have no direction of their own, m: their line is drawn out to it."""
@@ -69,10 +72,20 @@ def plain_files(road: Road) -> dict[str, str]:
         raise InputError(f"road {road.name!r:.60}: found no lane for cars, expected at least one")
     for lanes in edges.values():
         lanes.sort(key=lambda lane: lane.index)
-    named = {edge: f"e{number}" for number, edge in enumerate(edges)}
     place = {lane.id: (lane.edge, i) for lanes in edges.values() for i, lane in enumerate(lanes)}
-    links = [link for link in road.connections if link.from_lane in place and link.to_lane in place]
-    nodes, rows = _nodes(edges, links, place, road)
+    links = [
+        (*place[link.from_lane], *place[link.to_lane], link.signal >= 0)
+        for link in road.connections
+        if link.from_lane in place and link.to_lane in place
+    ]
+    nodes, rows = _nodes(edges, links)
+    while loops := {edge for edge in edges if nodes[edge, False] == nodes[edge, True]}:
+        edges = {edge: lanes for edge, lanes in edges.items() if edge not in loops}
+        if not edges:
+            raise InputError(f"road {road.name!r:.60}: found lanes that lead to themselves only")
+        links = _without(links, loops)
+        nodes, rows = _nodes(edges, links)
+    named = {edge: f"e{number}" for number, edge in enumerate(edges)}
     edge_rows = [
         row
         for edge, lanes in edges.items()
@@ -80,8 +93,7 @@ def plain_files(road: Road) -> dict[str, str]:
     ]
     seen: set[tuple[str, int, str, int]] = set()
     connection_rows = []
-    for link in links:
-        (begin, i), (end, j) = place[link.from_lane], place[link.to_lane]
+    for begin, i, end, j, _ in links:
         if begin == end or (begin, i, end, j) in seen:
             continue
         seen.add((begin, i, end, j))
@@ -95,33 +107,52 @@ def plain_files(road: Road) -> dict[str, str]:
     }
 
 
+def _without(links: list[_Link], loops: set[str]) -> list[_Link]:
+    """The ways between edges, with those that lead over some edges joined to one each.
+
+    An edge that begins and ends in one node lies inside a junction.
+    """
+    kept = [link for link in links if link[0] not in loops and link[2] not in loops]
+    onward: dict[tuple[str, int], list[_Link]] = {}
+    for link in links:
+        if link[0] in loops:
+            onward.setdefault(link[:2], []).append(link)
+    for link in links:
+        if link[0] in loops or link[2] not in loops:
+            continue
+        seen, queue = {link[2:4]}, [link[2:4]]
+        while queue:
+            for then in onward.get(queue.pop(), ()):
+                if then[2] not in loops:
+                    kept.append((*link[:2], *then[2:4], link[4] or then[4]))
+                elif then[2:4] not in seen:
+                    seen.add(then[2:4])
+                    queue.append(then[2:4])
+    return kept
+
+
 def _nodes(
-    edges: dict[str, list[Lane]],
-    links: list[Connection],
-    place: dict[str, tuple[str, int]],
-    road: Road,
+    edges: dict[str, list[Lane]], links: list[_Link]
 ) -> tuple[dict[tuple[str, bool], str], list[str]]:
     """The node of each end of an edge, and the nodes' elements."""
     meetings = _Meetings()
-    for link in links:
-        if place[link.from_lane][0] != place[link.to_lane][0]:
-            meetings.join((place[link.from_lane][0], True), (place[link.to_lane][0], False))
+    for begin, _, end, _, _ in links:
+        if begin != end:
+            meetings.join((begin, True), (end, False))
     points = {
         (edge, end): np.mean([lane.centerline[-1 if end else 0] for lane in lanes], axis=0)
         for edge, lanes in edges.items()
         for end in (False, True)
     }
     cells: dict[tuple[int, int], tuple[str, bool]] = {}
-    for end, (x, y) in points.items():
-        other = cells.setdefault((math.floor(x / MEET_M), math.floor(y / MEET_M)), end)
-        if other[0] != end[0]:
-            meetings.join(other, end)
+    for place, (x, y) in points.items():
+        other = cells.setdefault((math.floor(x / MEET_M), math.floor(y / MEET_M)), place)
+        if other[0] != place[0]:
+            meetings.join(other, place)
     members: dict[tuple[str, bool], list[tuple[str, bool]]] = {}
-    for end in points:
-        members.setdefault(meetings.of(end), []).append(end)
-    lit = {
-        meetings.of((place[link.from_lane][0], True)) for link in links if link.signal >= 0
-    }  # fmt: skip
+    for place in points:
+        members.setdefault(meetings.of(place), []).append(place)
+    lit = {meetings.of((begin, True)) for begin, _, _, _, signal in links if signal}
     of_end: dict[tuple[str, bool], str] = {}
     rows = []
     for number, (leader, ends) in enumerate(members.items()):
@@ -129,12 +160,6 @@ def _nodes(
         kind = "traffic_light" if leader in lit else "priority"
         rows.append(f'    <node id="n{number}" x="{x:.2f}" y="{y:.2f}" type="{kind}"/>')
         of_end |= dict.fromkeys(ends, f"n{number}")
-    for edge in edges:
-        if of_end[edge, False] == of_end[edge, True]:  # a ring of one edge: SUMO has none
-            number = len(rows)
-            x, y = points[edge, False]
-            rows.append(f'    <node id="n{number}" x="{x:.2f}" y="{y:.2f}" type="priority"/>')
-            of_end[edge, False] = f"n{number}"
     return of_end, rows
 
 

@@ -34,7 +34,7 @@ APART_M: Final = 15.0
 choice: a large junction)."""
 
 SAME_LINE_M: Final = 0.3
-"""Lanes whose ends and middles are all this near to each other lie on each other, m (our choice)."""
+"""Lanes of one length whose ends are this near to each other lie on each other, m (our choice)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
-"""What OpenStreetMap and OpenDRIVE files lack and what is wrong in them, before netconvert mends it."""
+"""What OpenStreetMap and OpenDRIVE files lack and have wrong, as netconvert gets them."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -98,7 +99,7 @@ def _of_line(place: str, way: ET.Element, nodes: dict[str, ET.Element]) -> Itera
     if missing:
         yield Defect("missing node", place, f"found no node {missing[0][:40]}")
     points = [(nodes[n].get("lat"), nodes[n].get("lon")) for n in names if n in nodes]
-    same = sum(one == then for one, then in zip(points, points[1:], strict=False))
+    same = sum(one == then for one, then in itertools.pairwise(points))
     if same:
         yield Defect("coinciding points", place, f"found {same} of {len(points)}, expected none")
 

@@ -1,4 +1,4 @@
-"""A look at a map before driving on it: what was found, what it lacks, what is wrong, and a picture."""
+"""A look at a map before driving on it: what it holds, lacks and has wrong, and a picture."""
 
 from __future__ import annotations
 
