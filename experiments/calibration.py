@@ -1,0 +1,135 @@
+"""Calibrates the drivers of recordings: ``graphrqi calibrate RECORDING_OR_DATASET --out FOLDER``.
+
+Writes a folder with ``drivers.parquet`` (a row for each driver, law and number), one
+``population_LAW.toml`` for each law and ``population.toml`` for the law that fits better,
+``calibration.json`` and ``report.html``.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from behaviors.populations import NUMBERS
+from experiments.report.calibration import calibration_page
+from experiments.scoring.calibration import (
+    LAW_KNOWN,
+    Calibrated,
+    calibrate_recordings,
+    quantile_rows,
+)
+from graphrqi.calibrate.laws import FIELDS, Law
+from sim.store.atomic import write_whole
+from sim.store.lock import new_folder
+
+SCHEMA: Final = pa.schema(
+    [
+        ("recording", pa.string()),
+        ("agent", pa.int64()),
+        ("name", pa.string()),
+        ("seconds", pa.float64()),
+        ("law", pa.string()),
+        ("law_probability", pa.float64()),
+        ("number", pa.string()),
+        ("mean", pa.float64()),
+        ("low", pa.float64()),
+        ("high", pa.float64()),
+        ("known", pa.bool_()),
+    ]
+)
+"""Columns of ``drivers.parquet``: mean and 90 % interval of a number, and whether the data tell it;
+``law_probability`` is that of the row's law, both laws being as likely beforehand."""
+
+
+def driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
+    """A row for each driver, law and number; columns as `SCHEMA`."""
+    rows: list[dict[str, Any]] = []
+    for law, fitted in calibrated.laws.items():
+        told, share = fitted.summary(), calibrated.law_probability(law)
+        for i, driver in enumerate(calibrated.drivers):
+            rows += [
+                {
+                    "recording": calibrated.recording[i],
+                    "agent": driver.agent,
+                    "name": driver.name,
+                    "seconds": driver.drive.seconds,
+                    "law": str(law),
+                    "law_probability": float(share[i]),
+                    "number": number,
+                    "mean": float(told.mean[i, k]),
+                    "low": float(told.low[i, k]),
+                    "high": float(told.high[i, k]),
+                    "known": bool(told.known[i, k]),
+                }
+                for k, number in enumerate(NUMBERS)
+            ]
+    return rows
+
+
+def write_calibration(
+    source: Path, out: Path, format: str | None = None, net: Path | None = None, quiet: bool = False
+) -> Calibrated:
+    """Calibrate and write everything into a new folder.
+
+    Args:
+        source: a dataset, a recording or a folder of recordings.
+        out: folder, new or empty.
+        format: as in `calibrate_recordings`.
+        net: as in `calibrate_recordings`.
+        quiet: whether to show no progress.
+
+    Raises:
+        InputError: if there is nothing to calibrate or ``out`` is not empty.
+        OSError: if something cannot be written.
+    """
+    with new_folder(out):
+        calibrated = calibrate_recordings(source, format, net, quiet)
+        table = pa.Table.from_pylist(driver_rows(calibrated), schema=SCHEMA)
+        pq.write_table(table, out / "drivers.parquet")
+        for law in Law:
+            text = calibrated.population(law).to_toml()
+            write_whole(out / f"population_{law}.toml", text.encode())
+        best = calibrated.population(calibrated.better)
+        write_whole(out / "population.toml", best.to_toml().encode())
+        write_whole(
+            out / "calibration.json", (json.dumps(_card(calibrated), indent=1) + "\n").encode()
+        )
+        write_whole(out / "report.html", calibration_page(calibrated).encode())
+    return calibrated
+
+
+def _card(calibrated: Calibrated) -> dict[str, Any]:
+    """What ``calibration.json`` says."""
+    share = calibrated.law_probability(Law.IDM)
+    return {
+        "schema_version": 1,
+        "source": calibrated.source,
+        "drivers": len(calibrated.drivers),
+        "seconds": round(sum(driver.drive.seconds for driver in calibrated.drivers), 1),
+        "better_law": str(calibrated.better),
+        "law_told_idm": float((share >= LAW_KNOWN).mean()),
+        "law_told_krauss": float((share <= 1.0 - LAW_KNOWN).mean()),
+        "populations": {
+            str(law): {
+                "log_likelihood": float(fitted.evidence.sum()),
+                **{
+                    name: {
+                        "median": float(np.exp(fitted.mean[k])),
+                        "log_spread": float(fitted.spread[k]),
+                    }
+                    for k, name in enumerate(FIELDS[law])
+                },
+                "correlation": calibrated.population(law).correlation.round(6).tolist(),
+                "known": dict(
+                    zip(NUMBERS, map(float, fitted.summary().known.mean(axis=0)), strict=True)
+                ),
+            }
+            for law, fitted in calibrated.laws.items()
+        },
+        "profiles": quantile_rows([calibrated.population(law) for law in Law]),
+    }

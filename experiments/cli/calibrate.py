@@ -1,0 +1,34 @@
+"""The command ``graphrqi calibrate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.options import FormatName, Json, Net, Quiet
+
+
+def calibrate(
+    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    out: Annotated[
+        Path, typer.Option(file_okay=False, metavar="FOLDER", help="New folder for the results.")
+    ],
+    format: FormatName = None,
+    net: Net = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Infer every driver's car-following numbers, and the population they come from."""
+    from experiments.calibration import write_calibration
+    from experiments.console.tables import show_table
+    from experiments.rows import write_json
+    from experiments.scoring.calibration import population_rows
+
+    calibrated = write_calibration(source, out, format, net, quiet)
+    rows = population_rows(calibrated)
+    if json is not None:
+        write_json(rows, json)
+    if str(json) != "-":
+        show_table(rows, title=f"{out}: {len(calibrated.drivers)} drivers")

@@ -1,0 +1,148 @@
+"""The page of a calibration: the population beside the six profiles, and the drives it fits."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS
+from behaviors.populations import NUMBERS, Population
+from behaviors.profiles import PROFILES
+from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.scoring.calibration import LAW_KNOWN, Calibrated
+from graphrqi.calibrate.drives import Drive
+from graphrqi.calibrate.laws import Law
+
+FloatArray = NDArray[np.float64]
+
+WORDS: Final[dict[str, str]] = {
+    "desired_speed_mps": "desired speed, m/s",
+    "time_headway_s": "time headway, s",
+    "min_gap_m": "minimum gap, m",
+    "max_accel_mps2": "acceleration, m/s²",
+    "comfort_decel_mps2": "comfortable braking, m/s²",
+}
+"""The numbers' names on the page."""
+
+PAIRS_SHOWN: Final = 2
+"""So many of the best and of the worst fitted drives are shown."""
+
+LINE_POINTS: Final = 120
+"""Points of a drawn line."""
+
+
+def calibration_page(calibrated: Calibrated) -> str:
+    """The page as HTML.
+
+    Args:
+        calibrated: the drivers under both laws.
+    """
+    law = calibrated.better
+    population = calibrated.population(law)
+    environment = Environment(
+        loader=PackageLoader("experiments.report", "."), autoescape=True,
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    known = calibrated.laws[law].summary().known.mean(axis=0)
+    share = calibrated.law_probability(Law.IDM)
+    return environment.get_template("calibration.html").render(
+        name=calibrated.source,
+        law=str(law),
+        drivers=len(calibrated.drivers),
+        told=(float((share >= LAW_KNOWN).mean()), float((share <= 1.0 - LAW_KNOWN).mean())),
+        marginals=[_marginal(population, number) for number in NUMBERS],
+        numbers=[
+            (WORDS[n], population.median[k], population.log_spread[k], known[k],
+             population.correlation[k])
+            for k, n in enumerate(NUMBERS)
+        ],
+        words=[WORDS[n] for n in NUMBERS],
+        profiles=[
+            (str(b), [population.quantile(n, getattr(PROFILES[b], n)) for n in NUMBERS[1:]])
+            for b in BEHAVIORS
+        ],
+        drives=_drives(calibrated, law),
+    )  # fmt: skip
+
+
+def _marginal(population: Population, number: str) -> Markup:
+    """A number's density over the population, and where the six profiles' medians lie."""
+    k = NUMBERS.index(number)
+    centre, spread = np.log(population.median[k]), max(float(population.log_spread[k]), 1e-3)
+    logs = np.linspace(centre - 3.0 * spread, centre + 3.0 * spread, LINE_POINTS)
+    density = np.exp(-0.5 * ((logs - centre) / spread) ** 2)
+    lines = [
+        Line("population", tuple(
+            Point(float(np.exp(x)), float(y)) for x, y in zip(logs, density, strict=True)
+        ))
+    ]  # fmt: skip
+    if number in NUMBERS[1:]:
+        for behavior in BEHAVIORS:
+            at = float(getattr(PROFILES[behavior], number))
+            lines.append(Line(str(behavior), (Point(at, 0.0), Point(at, 0.5))))
+    return line_chart(WORDS[number], Axis(WORDS[number]), Axis("density over its largest"), lines)
+
+
+def _drives(calibrated: Calibrated, law: Law) -> list[tuple[str, float, Markup]]:
+    """The best and worst fitted drives: words, error of the gap, m, and a chart."""
+    fitted = calibrated.laws[law]
+    logs = np.einsum("nm,nmd->nd", fitted.weight, fitted.logs)
+    errors = []
+    for i, driver in enumerate(calibrated.drivers):
+        if driver.drive.led:
+            seen, simulated = simulated_gaps(law, np.exp(logs[i]), driver.drive)[1:]
+            errors.append((float(np.sqrt(np.mean((seen - simulated) ** 2))), i))
+    errors.sort()
+    half = min(PAIRS_SHOWN, len(errors) // 2)
+    chosen = [*errors[:half], *errors[len(errors) - max(half, 1) :]]
+    shown = []
+    for place, (error, i) in enumerate(chosen):
+        driver = calibrated.drivers[i]
+        time_s, seen, simulated = simulated_gaps(law, np.exp(logs[i]), driver.drive)
+        every = max(1, time_s.size // LINE_POINTS)
+        lines = [
+            Line(name, tuple(
+                Point(float(t), float(g))
+                for t, g in zip(time_s[::every], gap[::every], strict=True)
+            ))
+            for name, gap in (("recorded", seen), ("simulated", simulated))
+        ]  # fmt: skip
+        which = "best" if place < half else "worst"
+        title = f"{which} fitted: {driver.name} of {calibrated.recording[i]}"
+        shown.append((title, error, line_chart(title, Axis("time, s"), Axis("gap, m"), lines)))
+    return shown
+
+
+def simulated_gaps(
+    law: Law, numbers: FloatArray, drive: Drive
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The gap to the leader as recorded, and as the law drives from the same start.
+
+    Args:
+        law: the law.
+        numbers: (D,) the driver's.
+        drive: its longest stretch behind one leader is simulated.
+
+    Returns:
+        (n,) time since the start, s, recorded and simulated gaps, m.
+    """
+    from graphrqi.calibrate.kernels import drive_on
+
+    begins = drive.begins
+    led = [
+        (last - first, first, last)
+        for first, last in pairwise(begins.tolist())
+        if np.isfinite(drive.rows[3, first])
+    ]
+    _, first, last = max(led)
+    rows = np.ascontiguousarray(drive.rows[:, first:last])
+    driven = drive_on(law.code, numbers, 0.0, 1.0, rows[0, 0], rows[2, 0], rows, drive.step_s)
+    watched = rows[1] > 0.0
+    time_s = np.asarray(drive.step_s * np.flatnonzero(watched), dtype=np.float64)
+    leader = rows[3, watched]
+    return time_s, leader - rows[0, watched], leader - driven[0, watched]

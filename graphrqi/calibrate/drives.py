@@ -1,0 +1,156 @@
+"""From measured places along a lane to the rows that the filter of `kernels` takes.
+
+Own places are averaged over half a second, so that what recordings smooth away or tremble by within
+that time does not count; the leader's motion is smoothed by local parabolas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+OBSERVED_S: Final = 0.5
+"""Time between the observations of a driver's place, s (our choice: two a second show every change
+of acceleration that a driver makes, and hardly more than the laws describe)."""
+
+FINEST_S: Final = 0.1
+"""Longest step of the filter between observations, s (the usual step of simulators)."""
+
+LEAST_HALF_S, MOST_HALF_S = 0.3, 0.8
+"""Half the stretch over which a leader's motion is smoothed, s: for exact places, and from
+`FULL_NOISE_M` on."""
+
+FULL_NOISE_M: Final = 0.1
+"""Noise from which the longest stretch is smoothed, m."""
+
+LEAST_NOISE_M: Final = 0.01
+"""Places count as no more exact, m (our choice: what cameras resolve at best)."""
+
+LEAST_S: Final = 4.0
+"""Shorter stretches are left out, s (our choice: they show no reaction from beginning to end)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Part of a drive without a break, behind one leader or behind none.
+
+    Attributes:
+        time_s: (n,) increasing, s.
+        place: (n,) measured distance of the front bumper along the way, m.
+        leader: (n,) the leader's rear bumper in the same measure, m; +inf without one.
+    """
+
+    time_s: FloatArray
+    place: FloatArray
+    leader: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What is known of one driver, ready for `kernels.innovations`.
+
+    Attributes:
+        rows: (5, T) observed place, m, standard deviation of its error, m (0: not observed), speed,
+            m/s, rear of the leader, m (+inf: none), and the leader's speed, m/s.
+        begins: (B + 1,) where in ``rows`` each stretch begins, and T.
+        step_s: time between rows, s.
+    """
+
+    rows: FloatArray
+    begins: IntArray
+    step_s: float
+
+    @property
+    def seconds(self) -> float:
+        """How long the driver is known, s."""
+        return float((self.rows.shape[1] - self.begins.size + 1) * self.step_s)
+
+    @property
+    def led(self) -> bool:
+        """Whether it has a leader at any time."""
+        return bool(np.isfinite(self.rows[3]).any())
+
+
+def noise_of(values: FloatArray) -> float:
+    """Standard deviation of the independent errors of a smooth series, from its third differences.
+
+    Examples:
+        >>> rng = np.random.default_rng(0)
+        >>> bool(0.08 < noise_of(np.arange(400.0) ** 1.5 / 50 + rng.normal(0, 0.1, 400)) < 0.12)
+        True
+    """
+    if values.size < 8:
+        return 0.0
+    third = np.diff(values, 3)
+    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))  # 1 + 9 + 9 + 1 variances
+
+
+def make_drive(stretches: Sequence[Stretch]) -> Drive | None:
+    """The rows of one driver.
+
+    Args:
+        stretches: its stretches, at one frame rate.
+
+    Returns:
+        What the filter takes; None if no stretch is `LEAST_S` long.
+
+    Examples:
+        >>> t = np.arange(0.0, 10.0, 0.1)
+        >>> drive = make_drive([Stretch(t, 10.0 * t, 30.0 + 10.0 * t)])
+        >>> drive.rows.shape, round(drive.seconds, 1), drive.rows[2:, 7].round(3).tolist()
+        ((5, 96), 9.5, [10.0, 37.0, 10.0])
+    """
+    long = [one for one in stretches if one.time_s[-1] - one.time_s[0] >= LEAST_S]
+    if not long:
+        return None
+    frame_s = float(np.median(np.concatenate([np.diff(one.time_s) for one in long])))
+    parts = [_rows(one, frame_s) for one in long]
+    every = max(1, round(OBSERVED_S / frame_s))
+    steps = _steps(every * frame_s)
+    return Drive(
+        rows=np.ascontiguousarray(np.concatenate(parts, axis=1)),
+        begins=np.cumsum([0, *(part.shape[1] for part in parts)]),
+        step_s=every * frame_s / steps,
+    )
+
+
+def _steps(watched_s: float) -> int:
+    return max(1, int(np.ceil(watched_s / FINEST_S - 1e-6)))
+
+
+def _rows(one: Stretch, frame_s: float) -> FloatArray:
+    """(5, T) rows of one stretch."""
+    from graphrqi.calibrate.kernels import local_parabolas
+
+    every = max(1, round(OBSERVED_S / frame_s))
+    watched_s = every * frame_s
+    steps = _steps(watched_s)
+    begin = float(one.time_s[0])
+    count = int((one.time_s[-1] - begin) / watched_s + 1e-6)
+    at = begin + watched_s / steps * np.arange(count * steps + 1)
+    noise_m = noise_of(one.place)
+    rows = np.zeros((5, at.size))
+    fitted = np.empty((4, at.size))
+    if every > 2:
+        own = np.empty((4, count + 1))
+        local_parabolas(one.time_s, one.place, at[::steps], 0.5 * watched_s - 1e-6, own)
+        rows[0, ::steps], rows[1, ::steps] = own[0], own[3] * max(noise_m, LEAST_NOISE_M)
+    else:
+        rows[0, ::steps] = np.interp(at[::steps], one.time_s, one.place)
+        rows[1, ::steps] = max(noise_m, LEAST_NOISE_M)
+    half_s = LEAST_HALF_S + (MOST_HALF_S - LEAST_HALF_S) * min(noise_m / FULL_NOISE_M, 1.0)
+    half_s = max(half_s, 2.0 * frame_s)
+    local_parabolas(one.time_s, one.place, at, half_s, fitted)
+    rows[2] = np.maximum(fitted[1], 0.0)
+    rows[3] = np.inf
+    if np.isfinite(one.leader).all():
+        local_parabolas(one.time_s, one.leader, at, half_s, fitted)
+        rows[3], rows[4] = fitted[0], np.maximum(fitted[1], 0.0)
+    return rows

@@ -1,0 +1,155 @@
+"""Calibration: simulated drivers' numbers are found again, and files hold what they say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from behaviors.populations import NUMBERS, SHIPPED, read_population
+from behaviors.profiles import PROFILES
+from graphrqi.calibrate.drives import Drive, Stretch, make_drive
+from graphrqi.calibrate.kernels import likelihood, most_likely
+from graphrqi.calibrate.laws import FIELDS, Law, prior
+from graphrqi.calibrate.posterior import calibrate
+
+
+def _leader(rng: np.random.Generator, steps: int) -> np.ndarray:
+    """Speeds of someone who drives at changing speeds and stops now and then, m/s."""
+    speed, accel, wanted = 14.0, 0.0, 14.0
+    out = np.empty(steps)
+    for i in range(steps):
+        if i % 60 == 0:
+            wanted = float(rng.choice((0.0, 6.0, 12.0, 18.0, 24.0)))
+        accel += (np.clip((wanted - speed) / 3.0, -2.0, 1.2) - accel) * 0.1
+        speed = max(speed + 0.1 * accel, 0.0)
+        out[i] = speed
+    return out
+
+
+def _idm_drive(numbers: np.ndarray, seed: int, noise_m: float = 0.0) -> Drive:
+    """Someone who drives by IDM behind such a leader for 60 s, written out here once more."""
+    rng = np.random.default_rng(seed)
+    u = _leader(rng, 600)
+    rear = 40.0 + np.concatenate([[0.0], np.cumsum(0.05 * (u[1:] + u[:-1]))])
+    v0, headway, s0, a, b = numbers
+    x, v, e = rear[0] - s0 - headway * u[0], u[0], 0.0
+    place = np.empty(600)
+    for i in range(600):
+        place[i] = x
+        e = 0.926 * e + 0.19 * 0.378 * rng.standard_normal() * (noise_m > 0.0)
+        wanted = s0 + max(0.0, v * headway + v * (v - u[i]) / (2.0 * np.sqrt(a * b)))
+        accel = a * (1.0 - (v / v0) ** 4 - (wanted / max(rear[i] - x, 0.2)) ** 2) + e
+        faster = max(v + 0.1 * accel, 0.0)
+        x, v = x + 0.05 * (v + faster), faster
+    shaken = rng.normal(0.0, noise_m, (2, 600))
+    drive = make_drive([Stretch(0.1 * np.arange(600), place + shaken[0], rear + shaken[1])])
+    assert drive is not None
+    return drive
+
+
+def test_exact_drives_give_their_numbers_back() -> None:
+    numbers = np.array([21.0, 1.1, 2.8, 1.7, 1.9])
+    fitted = calibrate(Law.IDM, [_idm_drive(numbers, seed) for seed in range(4)])
+    told = fitted.summary()
+    np.testing.assert_allclose(told.mean[:, 1], 1.1, rtol=0.1)
+    np.testing.assert_allclose(told.mean[:, 3], 1.7, rtol=0.15)
+    assert told.known[:, 1].all()
+
+
+def test_intervals_of_noisy_drives_hold_the_truth_about_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(77)
+    truth = np.exp(np.log([21.0, 1.3, 2.5, 1.5, 2.0]) + 0.3 * rng.standard_normal((40, 5)))
+    drives = [_idm_drive(one, 100 + i, noise_m=0.1) for i, one in enumerate(truth)]
+    told = calibrate(Law.IDM, drives).summary()
+    inside = ((told.low <= truth) & (truth <= told.high)).mean()
+    assert 0.8 <= inside <= 0.97
+
+
+def test_always_free_says_nothing_of_the_headway() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    place = 20.0 * t + 0.01 * np.sin(t)
+    drive = make_drive([Stretch(t, place, np.full(t.size, np.inf))])
+    assert drive is not None
+    told = calibrate(Law.IDM, [drive]).summary()
+    assert told.known[0, 0]
+    assert not told.known[0, [1, 2, 4]].any()
+
+
+@pytest.mark.parametrize("law", Law)
+def test_the_most_likely_numbers_are_no_worse_than_their_neighbours(law: Law) -> None:
+    drive = _idm_drive(np.array([20.0, 1.2, 2.5, 1.5, 2.0]), 5, noise_m=0.1)
+    mean, covariance = prior(law)
+    precision = np.linalg.inv(covariance)
+    given = (drive.rows, drive.begins, drive.step_s)
+    out = np.zeros((2, drive.rows.shape[1]))
+    mode, _, value = most_likely(law.code, mean, mean, precision, *given)
+
+    def objective(z: np.ndarray) -> float:
+        away = z - mean
+        return float(0.5 * away @ precision @ away - likelihood(law.code, z, *given, out))
+
+    assert objective(mode) == pytest.approx(value, abs=1e-6)
+    for k in range(len(FIELDS[law])):
+        for step in (-0.1, 0.1):
+            beside = mode.copy()
+            beside[k] += step
+            assert objective(beside) > value - 0.05
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_populations_that_ship_are_read_and_written_alike(name: str, tmp_path: Path) -> None:
+    people = read_population(name)
+    copy = tmp_path / "copy.toml"
+    copy.write_text(people.to_toml())
+    again = read_population(copy)
+    np.testing.assert_allclose(again.median, people.median, rtol=1e-5)
+    np.testing.assert_allclose(again.correlation, people.correlation, atol=1e-5)
+
+
+def test_drivers_of_a_population_are_correlated_as_it_says() -> None:
+    people = read_population("i80")
+    logs = np.log(people.draw(np.random.default_rng(0), 20_000))
+    np.testing.assert_allclose(logs.mean(axis=0), np.log(people.median), atol=0.05)
+    np.testing.assert_allclose(np.corrcoef(logs.T), people.correlation, atol=0.05)
+
+
+def test_rebased_drivers_together_are_the_population() -> None:
+    people = read_population("i80")
+    rng = np.random.default_rng(0)
+    logs = np.log(
+        [
+            [getattr(people.rebased(PROFILES[b], b, rng), name) for name in NUMBERS[1:]]
+            for b in BEHAVIORS
+            for _ in range(2_000)
+        ]
+    )
+    np.testing.assert_allclose(logs.mean(axis=0), np.log(people.median[1:]), atol=0.05)
+    np.testing.assert_allclose(logs.std(axis=0), people.log_spread[1:], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("", "schema_version"),
+        ("schema_version = 9", "name"),
+        ("x = [", "no TOML"),
+        ("colour = 3", "colour"),
+    ],
+)
+def test_broken_population_files_are_refused_by_field(
+    text: str, field: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "people.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=field) as refused:
+        read_population(path)
+    assert str(path) in str(refused.value)
+
+
+def test_a_wrong_name_suggests_the_right_one() -> None:
+    with pytest.raises(InputError, match="i80"):
+        read_population("i8")
