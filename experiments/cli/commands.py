@@ -43,6 +43,7 @@ from experiments.cli.options import (
 )
 from experiments.cli.predictors import train_predictor
 from experiments.cli.road import road
+from experiments.cli.verify import verify
 from experiments.cli.what_if import blame, what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, say, show_notices
@@ -429,27 +430,7 @@ def export(
     say(f"{out}: {len(written)} files written")
 
 
-@app.command(epilog="example: graphrqi verify data --repair")
-def verify(
-    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
-    repair: Annotated[bool, typer.Option("--repair", help="Make wrong files again.")] = False,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
-    json: Json = None,
-    quiet: Quiet = False,
-) -> None:
-    """Compare every file with its checksum."""
-    from experiments.console.tables import show_table
-    from experiments.data.verify import verify_dataset
-
-    flaws = verify_dataset(dataset, repair, jobs, quiet)
-    if flaws or json is not None:
-        show_table([{"file": str(f.path), "state": f.state} for f in flaws], json)
-    if flaws:
-        say(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
-        raise typer.Exit(2)
-    if json is None:
-        say(f"{dataset}: every file is as its manifest says")
-
+app.command(epilog="example: graphrqi verify data --repair")(verify)
 
 app.add_typer(
     typer.Typer(

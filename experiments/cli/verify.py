@@ -1,0 +1,32 @@
+"""The command ``graphrqi verify``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.options import Json, Quiet
+from experiments.console.notices import say
+
+
+def verify(
+    dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
+    repair: Annotated[bool, typer.Option("--repair", help="Make wrong files again.")] = False,
+    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare every file with its checksum."""
+    from experiments.console.tables import show_table
+    from experiments.data.verify import verify_dataset
+
+    flaws = verify_dataset(dataset, repair, jobs, quiet)
+    if flaws or json is not None:
+        show_table([{"file": str(f.path), "state": f.state} for f in flaws], json)
+    if flaws:
+        say(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
+        raise typer.Exit(2)
+    if json is None:
+        say(f"{dataset}: every file is as its manifest says")
