@@ -1,6 +1,6 @@
-"""Draws a scene at one time as an image, without a browser: for videos and pictures.
+"""Draws a scene at one time as an image, without a browser: for films, pictures and reports.
 
-Everything is drawn at twice the size and reduced, which smooths the edges.
+The image is drawn at twice its size and then reduced, which smooths edges.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from sim.road.shapes import RoadShapes, road_shapes
 from sim.store.atomic import write_whole
 
 FINE: Final = 2
-"""How many times larger everything is drawn."""
+"""By what factor the image is drawn larger before it is reduced."""
 
 LONG: Final = 4.0
-"""From this ratio of its sides on a scene is turned to lie and folded into rows."""
+"""A scene whose sides have a larger ratio is turned until it lies, and folded into rows (our
+choice)."""
 
 HEAD_PX, FOOT_PX, GAP_PX = 44, 46, 8
-"""Height of the title, of the legend, and between rows."""
+"""Height of the title, height of the legend, distance between rows, pixels."""
 
 INK, MUTED, PAPER = "#18202B", "#55606E", "#FFFFFF"
 GROUND, PAVING, ASPHALT, PAINT, MIDDLE = "#ECEEEA", "#DCDCD6", "#C6CBD2", "#FFFFFF", "#8A6D1D"
@@ -40,7 +41,7 @@ SIGNAL_COLORS: Final = {
     Signal.GREEN: "#25A55F",
     Signal.OFF: "#9AA3AD",
 }
-"""As on the page, in its light theme."""
+"""The colours of the replay page's light theme."""
 
 BODY: Final = np.array(
     [(1, 0.7), (0.8, 1), (-0.9, 1), (-1, 0.8), (-1, -0.8), (-0.9, -1), (0.8, -1), (1, -0.7)]
@@ -49,10 +50,10 @@ GLASS: Final = np.array([(0.2, 0.7), (0.5, 0.8), (0.5, -0.8), (0.2, -0.7)])
 """Outlines of a vehicle and of its windscreen, in halves of its length and of its width."""
 
 LAMPS: Final = {Signal.RED: 4, Signal.YELLOW: 3, Signal.GREEN: 24}
-"""How many corners a lamp has: a square, a triangle, a disc."""
+"""How many corners a lamp has: red is a square, yellow a triangle, green nearly a disc."""
 
 EVENT_S: Final = 1.5
-"""A collision stays marked for so long, s."""
+"""How long a collision stays marked, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,17 +82,19 @@ def lay_out(
     head: int = HEAD_PX,
     foot: int = FOOT_PX,
 ) -> list[Panel]:
-    """Panels that show an extent as large as fits: one, or the rows of a long road.
+    """Divide a picture into panels that show an extent as large as possible.
+
+    A long road is cut into rows, one panel each; anything else has one panel.
 
     Args:
-        extent: x0, y0, x1, y1 in the world.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        head: free above them, pixels.
-        foot: free below them, pixels.
+        extent: x0, y0, x1, y1 of what is shown, in the scene's unit.
+        width: width of the picture, pixels.
+        height: height of the picture, pixels.
+        head: height left free above the panels, pixels.
+        foot: height left free below the panels, pixels.
 
     Returns:
-        The panels, top to bottom.
+        The panels, from top to bottom.
 
     Examples:
         >>> [len(lay_out((0, 0, size, 12), 1280, 720)) for size in (12, 800)]
@@ -119,7 +122,7 @@ def lay_out(
 
 
 def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
-    """x0, y0, x1, y1 of what is worth showing: of a junction, where its traffic is."""
+    """x0, y0, x1, y1 of what a picture shows: the road; of a junction, where its traffic is."""
     places = scene.tracks.xy[scene.tracks.valid]
     if scene.road is None:
         low, high = places.min(axis=0), places.max(axis=0)
@@ -145,9 +148,10 @@ class Painter:
     Args:
         scene: what to draw.
         mode: what agents are coloured by: true, predicted, confidence, speed or w.
-        width: pixels.
-        height: pixels.
-        words: whether title, time and legend are drawn; shrunk pictures are captioned instead.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        words: whether title, time and legend are drawn; False for pictures that are shrunk, where
+            nobody could read them.
     """
 
     def __init__(
@@ -171,7 +175,7 @@ class Painter:
         self._background = self._draw_background()
 
     def draw(self, time_s: float) -> Image.Image:
-        """The picture at a time, s."""
+        """Draw the scene as it is at a time, s."""
         image = self._background.copy()
         rows, xy, heading, speed = self._present(time_s)
         colors = self._colors(rows, speed, time_s)
@@ -251,7 +255,10 @@ class Painter:
         return [*((ramp_color(x), word) for x, word in steps), (UNKNOWN_COLOR, "not known")]
 
     def _present(self, time_s: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """Rows, places, headings and speeds of those there, between frames on the straight line."""
+        """Rows, positions, headings and speeds of the agents that are present at a time.
+
+        Between two frames, agents are on the straight line between their positions in both.
+        """
         tracks = self.scene.tracks
         step = max(int(np.searchsorted(tracks.time_s, time_s + 1e-6)) - 1, 0)
         after = min(step + 1, tracks.time_s.size - 1)
@@ -323,7 +330,7 @@ class Painter:
         self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
         xy: FloatArray, colors: list[str], time_s: float,
     ) -> None:  # fmt: skip
-        """The rest of everyone's likeliest future, as last predicted."""
+        """The rest of each agent's most probable future, as it was last predicted."""
         made = [f for f in self.scene.forecasts if time_s - 2.0 < f.time_s <= time_s + 1e-6]
         if not made:
             return
@@ -363,7 +370,7 @@ class Painter:
     def _draw_ghosts(
         self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, time_s: float
     ) -> None:
-        """Outlines of where everyone factually was."""
+        """Outlines of where agents were in the factual episode."""
         ghosts, tracks = self.scene.ghosts, self.scene.tracks
         if ghosts is None:
             return
@@ -406,8 +413,8 @@ def write_picture(scene: ReplayScene, path: Path, mode: str, time_s: float | Non
     Args:
         scene: what to draw.
         path: the file; it appears whole or not at all.
-        mode: what agents are coloured by.
-        time_s: when, s; None for the moment with most agents.
+        mode: what agents are coloured by, as for `Painter`.
+        time_s: the time that is drawn, s; None for the one with most agents.
 
     Raises:
         OSError: if it cannot be written.
@@ -419,7 +426,7 @@ def write_picture(scene: ReplayScene, path: Path, mode: str, time_s: float | Non
 
 
 def png_bytes(image: Image.Image) -> bytes:
-    """An image as a small PNG."""
+    """A PNG of an image, small because it has at most 256 colours."""
     out = io.BytesIO()
     image.quantize(256, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
     return out.getvalue()
@@ -440,7 +447,10 @@ def _draw_road(
 
 
 def _draw_lamp(pen: ImageDraw.ImageDraw, ends: FloatArray, size: float, state: Signal) -> None:
-    """A lamp past the middle of a stop line; its shape says what its colour does."""
+    """Draw a signal's lamp behind the middle of its stop line.
+
+    Each colour has a shape of its own, so that nobody needs to see colours.
+    """
     across = (ends[1] - ends[0]) / max(float(np.hypot(*(ends[1] - ends[0]))), 1e-9)
     middle = ends.mean(axis=0) + 1.7 * size * np.array([-across[1], across[0]])
     around = 1.35 * size
@@ -458,7 +468,7 @@ _fonts: dict[tuple[int, bool], ImageFont.FreeTypeFont] = {}
 
 
 def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """The type that comes with matplotlib, so that every machine draws the same."""
+    """The font that matplotlib brings along, so that every machine draws the same letters."""
     if (size, bold) not in _fonts:
         name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
         path = Path(mpl.get_data_path()) / "fonts" / "ttf" / name

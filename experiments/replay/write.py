@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,6 +81,8 @@ def write_replay(
     for path in wanted:
         if not path.parent.is_dir():
             raise InputError(f"{path}: found no folder {path.parent}, expected one")
+        if not os.access(path.parent, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     if o.video is not None:
         check_video(o.video)
     if o.picture is not None and o.picture.suffix.lower() != ".png":

@@ -130,7 +130,7 @@ def line_chart(title: str, x: Axis, y: Axis, lines: Sequence[Line]) -> Markup:
             color = _MUTED if line.thin else line.color or color_of(line.name, number)
             axes.plot(
                 [p.x for p in points], [p.y for p in points], dash, color=color, label=line.name,
-                linewidth=1.0 if line.thin else 1.8, markersize=4,
+                linewidth=1.0 if line.thin else 1.8, markersize=4, clip_on=False,
                 marker="o" if len(points) <= 24 and not line.thin else "",
             )  # fmt: skip
             banded = [p for p in points if p.low is not None and p.high is not None]

@@ -154,7 +154,7 @@ def compare(runs: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[Section]:
             (main if first else more).append(table)
         if main or more:
             found.append(
-                Section(bench, layout.title, layout.told, "", tuple(main), tuple(more), ())
+                Section(bench, layout.title, layout.introduction, "", tuple(main), tuple(more), ())
             )
     return found
 

@@ -1,4 +1,4 @@
-"""The parts of a report that rows alone give: tables and charts of each kind of measurement."""
+"""Makes the sections of a report from rows: tables and charts for each bench."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ REAL_TIME_MS: Final = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How rows of one kind become tables.
+    """How the rows of one bench are arranged as tables.
 
     Attributes:
-        title: of the section.
-        group: keys of which each combination is a table.
-        down: keys that tell a table's lines apart.
-        across: keys that tell its columns apart.
-        main: metrics shown at first; empty for all. The others wait behind a heading.
-        made_by: the command that measures it.
-        told: what a reader has to know of all of it.
+        title: the heading of the section.
+        group: keys; there is a table for each combination of their values.
+        down: keys whose values distinguish the lines of a table.
+        across: keys whose values distinguish its columns.
+        main: metrics whose tables are visible at first; empty for all. A click shows the others.
+        made_by: the command that measures these figures.
+        introduction: the text under the heading: what words mean, and how figures were measured.
     """
 
     title: str
@@ -40,11 +40,11 @@ class Layout:
     across: tuple[str, ...]
     main: tuple[str, ...]
     made_by: str
-    told: str
+    introduction: str
 
 
 OTHER: Final = Layout("Other figures", (), (), ("metric",), (), "", "")
-"""Of rows whose bench has no layout of its own."""
+"""The layout for rows whose bench has none of its own."""
 
 LAYOUTS: Final[dict[str, Layout]] = {
     "classification": Layout(
@@ -127,7 +127,7 @@ LAYOUTS: Final[dict[str, Layout]] = {
         "graphrqi bench highway", "Its speed beside that of the stock road.",
     ),
 }  # fmt: skip
-"""By bench, in the order of a page."""
+"""The layout of each bench, in the order in which a page shows them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,18 +135,18 @@ class Section:
     """A section of a page.
 
     Attributes:
-        bench: what measured it.
-        title: heading.
-        told: what a reader has to know.
-        made_by: the command that measures it.
-        tables: those to see at once.
-        more: those behind a heading.
-        charts: figures.
+        bench: name of the bench that measured the figures.
+        title: the heading.
+        introduction: the text under the heading.
+        made_by: the command that measures these figures.
+        tables: tables that are visible at first.
+        more: tables that a click shows.
+        charts: the charts.
     """
 
     bench: str
     title: str
-    told: str
+    introduction: str
     made_by: str
     tables: tuple[Table, ...]
     more: tuple[Table, ...]
@@ -154,37 +154,37 @@ class Section:
 
 
 def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
-    """Everything that rows give.
+    """Make the sections of a page.
 
     Args:
-        rows: by bench.
+        rows: the rows of each bench, by its name.
 
     Returns:
-        A section for each bench that there is.
+        A section for each bench.
     """
     found = []
     for bench, layout in layouts(rows).items():
         tables, more = _tables([r for r in rows[bench] if r["metric"] not in DRAWN], layout)
         charts = tuple(chart for chart in _charts(bench, rows[bench]) if chart)
         found.append(
-            Section(bench, layout.title, layout.told, layout.made_by, tables, more, charts)
+            Section(bench, layout.title, layout.introduction, layout.made_by, tables, more, charts)
         )
     return found
 
 
 _SHOWN_APART: Final = frozenset({"bench", "metric", "value", "low", "high", "n", "split"})
-"""Keys that are never a column or line of their own."""
+"""Keys that neither lines nor columns are made of, since cells, captions and titles show them."""
 
 
 def layouts(benches: Iterable[str]) -> dict[str, Layout]:
-    """The layouts of some benches, in the order of a page; those without one come last."""
+    """The layouts of some benches, in the order of a page; benches without one come last."""
     present = set(benches)
     known = {bench: layout for bench, layout in LAYOUTS.items() if bench in present}
     return known | dict.fromkeys(sorted(present - set(LAYOUTS)), OTHER)
 
 
 def grouped(rows: Sequence[Row], keys: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
-    """Rows by the values of some keys, in order of appearance."""
+    """Rows grouped by the values of some keys, in the order in which the values first appear."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(words(row.get(k)) for k in keys), []).append(row)
@@ -192,7 +192,7 @@ def grouped(rows: Sequence[Row], keys: Sequence[str]) -> dict[tuple[str, ...], l
 
 
 def _tables(rows: Sequence[Row], layout: Layout) -> tuple[tuple[Table, ...], tuple[Table, ...]]:
-    """The main tables, and those with everything else."""
+    """The tables that are visible at first, and the others."""
     down = (
         layout.down
         or tuple(dict.fromkeys(k for r in rows for k in r if k not in _SHOWN_APART))
@@ -220,7 +220,7 @@ def _is_main(row: Row, layout: Layout) -> bool:
 
 
 def is_first(row: Row) -> bool:
-    """Whether a group is what most readers look for: everyone, on unseen episodes."""
+    """Whether a table is visible at first: one of all drivers, not of those of one behaviour."""
     behavior = row.get("behavior", "all")
     return behavior in ("all", *map(str, BEHAVIORS)) and (
         "predictor" not in row or behavior == "all"
@@ -240,7 +240,7 @@ def _charts(bench: str, rows: Sequence[Row]) -> list[Markup]:
 
 
 def line_of(name: str, rows: Sequence[Row], key: str) -> Line:
-    """A line through rows, by one of their keys."""
+    """A line of a chart: the values of rows over one of their keys."""
     points = [
         Point(_number(r[key]), _number(r["value"]), _maybe(r.get("low")), _maybe(r.get("high")))
         for r in rows
@@ -258,7 +258,7 @@ def _maybe(value: object) -> float | None:
 
 
 def _prediction_charts(rows: Sequence[Row]) -> list[Markup]:
-    """Error against horizon: of every predictor, and of one for each behaviour."""
+    """Charts of error against horizon: of each predictor, and of one for each behaviour."""
     charts = []
     errors = [r for r in rows if r["metric"] == "ade_m"]
     farthest = max((_number(r["horizon_s"]) for r in errors), default=5.0)
@@ -278,13 +278,13 @@ def _prediction_charts(rows: Sequence[Row]) -> list[Markup]:
 
 
 def shown_predictor(rows: Sequence[Row]) -> str:
-    """Whose errors are looked at closely: the project's own predictor, or the last compared."""
+    """The predictor whose errors are shown by behaviour: our own, or else the last one."""
     names = [words(r["predictor"]) for r in rows]
     return OURS if OURS in names else names[-1]
 
 
 def _early_charts(rows: Sequence[Row]) -> list[Markup]:
-    """How good an answer is after how much watching."""
+    """Charts of balanced accuracy against the time for which a driver was observed."""
     charts = []
     wanted = [
         r for r in rows
@@ -297,15 +297,15 @@ def _early_charts(rows: Sequence[Row]) -> list[Markup]:
             for (name,), part in grouped(here, ["method"]).items()
             if len(part) > 1
         ]
-        title = f"{scenario}: {name_of('balanced_accuracy')} against seconds watched"
+        title = f"{scenario}: {name_of('balanced_accuracy')} against seconds observed"
         charts.append(
-            line_chart(title, Axis("watched, s"), Axis("balanced accuracy", low=0.0), lines)
+            line_chart(title, Axis("observed, s"), Axis("balanced accuracy", low=0.0), lines)
         )
     return charts
 
 
 def _loop_charts(rows: Sequence[Row]) -> list[Markup]:
-    """Cost of a frame against vehicles on each map, and against lanes, beside real time."""
+    """Charts of the cost of a frame against the numbers of vehicles and lanes, and real time."""
     wanted = [
         r for r in rows
         if r["metric"] == "ms_median" and r.get("vehicles")
@@ -327,7 +327,7 @@ def _loop_charts(rows: Sequence[Row]) -> list[Markup]:
 
 
 def _runtime_charts(rows: Sequence[Row]) -> list[Markup]:
-    """CPU time against size, both in powers of ten."""
+    """Charts of CPU time against the number of vehicles, on logarithmic axes."""
     charts = []
     wanted = [r for r in rows if r["metric"] == "cpu_ms" and r.get("d") is not None]
     for (end, graph, kind), here in grouped(wanted, ["end", "graph", "kind"]).items():

@@ -1,4 +1,7 @@
-"""Rows as tables for people: a line per thing compared, a column per figure, with intervals."""
+"""Turns rows into the tables of a report.
+
+A table has a line for each thing that is compared and a column for each figure, with its interval.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _NAMES: Final = {
     "ms_per_frame": "ms per frame",
     "agent_steps_per_s": "agent-steps/s",
 }
-"""How figures are called on a page; others by their own name."""
+"""What metrics are called on a page; those that are not listed keep their own name."""
 
 _LESS: Final = frozenset(
     {
@@ -40,7 +43,7 @@ _LESS: Final = frozenset(
         "bytes_per_agent_step",
     }
 )  # fmt: skip
-"""Figures of which less is better."""
+"""Metrics of which a smaller value is better."""
 
 _MORE: Final = frozenset(
     {
@@ -48,7 +51,7 @@ _MORE: Final = frozenset(
         "yield_auc", "wait_auc", "agent_steps_per_s", "speedup", "real_time_factor",
     }
 )  # fmt: skip
-"""Figures of which more is better."""
+"""Metrics of which a larger value is better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +59,11 @@ class Cell:
     """One figure of a table.
 
     Attributes:
-        value: in words; "" where it was not measured.
-        interval: its 95 % interval in words, "" where there is none.
+        value: the figure as text; "" where it was not measured.
+        interval: its 95 % interval as text; "" where there is none.
         best: whether it is the best of its column.
-        expected: whether it stands where theory, or the truth, expects the largest figure.
+        expected: whether the largest figure of the line is expected here: the right answer in a
+            confusion matrix, or the behaviour to which the paper assigns a trait.
     """
 
     value: str
@@ -73,11 +77,11 @@ class Table:
     """A table of a page.
 
     Attributes:
-        title: what it is about.
-        caption: what all of its figures have in common.
-        corner: what its lines are.
-        columns: headings.
-        rows: each line's name and its cells.
+        title: the heading above the table.
+        caption: what holds for all of its figures: split, number of cases, meaning of bold type.
+        corner: the heading of the first column, which names the lines.
+        columns: the headings of the other columns.
+        rows: for each line its name and its cells.
     """
 
     title: str
@@ -88,19 +92,19 @@ class Table:
 
 
 def name_of(metric: str) -> str:
-    """What a figure is called on a page."""
+    """What a metric is called on a page."""
     return _NAMES.get(metric, metric.replace("_", " "))
 
 
 def words(value: object) -> str:
-    """A value of a key in words."""
+    """The value of a key as text."""
     if isinstance(value, float):
         return f"{value:g}"
     return "none" if value is None or value == "" else str(value)
 
 
 def number(value: float) -> str:
-    """A figure with three or four digits that mean something.
+    """A figure as text, with three or four significant digits.
 
     Examples:
         >>> [number(x) for x in (0.51249, 12.3456, 1234.5, 0.00012, 3, 0.0)]
@@ -118,18 +122,18 @@ def number(value: float) -> str:
 def pivot(
     rows: Sequence[Row], title: str, down: Sequence[str], across: Sequence[str], caption: str = ""
 ) -> Table:
-    """One table of rows.
+    """Arrange rows as a table.
 
     Args:
-        rows: what to show; all other keys are the same in all of them.
-        title: what the table is about.
-        down: keys that tell its lines apart.
-        across: keys that tell its columns apart; may hold ``metric``.
-        caption: what to say above it. How many cases the figures rest on is added, and what
-            intervals and bold figures mean, if there are any.
+        rows: the rows to show. They differ in no other keys than those of ``down`` and ``across``.
+        title: the heading above the table.
+        down: keys whose values distinguish the lines.
+        across: keys whose values distinguish the columns; ``metric`` may be one of them.
+        caption: how the caption begins. The number of cases is added, and what intervals and bold
+            figures mean if the table has any.
 
     Returns:
-        The table. A key that is the same in all lines is not repeated in each.
+        The table. Keys of ``down`` that have the same value in all lines are not shown.
     """
     varying = [k for k in down if len({words(r.get(k)) for r in rows}) > 1] or list(down[:1])
     lines = list(dict.fromkeys(tuple(_line(k, r) for k in varying) for r in rows))
@@ -181,7 +185,10 @@ def pivot(
 
 
 def _in_order(heads: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Each heading once, by its first part, then the second, as they first appear."""
+    """Each heading once, sorted by its first part, then by the second.
+
+    The parts are in the order in which they first appear.
+    """
     places = [list(dict.fromkeys(part)) for part in zip(*heads, strict=True)]
     return sorted(
         set(heads), key=lambda head: [p.index(w) for p, w in zip(places, head, strict=True)]

@@ -24,10 +24,18 @@ def _partial(path: Path) -> Path:
     return path.parent / f"{PARTIAL_PREFIX}{path.name}-{uuid.uuid4().hex[:12]}"
 
 
-def _name(error: BaseException, path: Path) -> None:
-    """Add the path to an error that has none, such as that of a full disk."""
-    if isinstance(error, OSError) and error.filename is None:
+def _name(error: BaseException, partial: Path, path: Path) -> None:
+    """Let an error of the system name the path that the user knows, and say no more than why.
+
+    That of a full disk names none, others name the hidden file, and pyarrow's say both in words.
+    """
+    if not isinstance(error, OSError) or error.errno is None:
+        return
+    if error.filename is None or Path(error.filename).is_relative_to(partial):
         error.filename = str(path)
+        error.filename2 = None
+    if str(partial) in str(error.strerror) or "Detail: [errno" in str(error.strerror):
+        error.strerror = os.strerror(error.errno)
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -64,7 +72,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             yield partial
             path.write_bytes(partial.read_bytes())
         return
-    path = Path(os.path.realpath(path))
+    given, path = path, Path(os.path.realpath(path))
     if not path.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "No such folder", str(path.parent))
     partial = _partial(path)
@@ -72,8 +80,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         yield partial
         os.replace(partial, path)
     except BaseException as error:
-        partial.unlink(missing_ok=True)
-        _name(error, path)
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        _name(error, partial, given)
         raise
 
 
@@ -91,16 +100,16 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Raises:
         OSError: if it cannot be written; nothing is left behind.
     """
-    path = Path(os.path.realpath(path))
+    given, path = path, Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = _partial(path)
-    partial.mkdir()
     try:
+        partial.mkdir()
         yield partial
         _move_folder(partial, path)
     except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
-        _name(error, path)
+        _name(error, partial, given)
         raise
 
 

@@ -249,6 +249,14 @@ def test_text_can_be_read_and_nothing_overflows(open_page, contrasts, scheme, si
     assert [found for found in contrasts(page) if found[0] < 4.5] == []
 
 
+def test_a_long_title_leaves_the_buttons_beside_it_on_a_phone(open_page):
+    page = open_page(*SIZES["narrow"])
+    page.locator("h1").evaluate("title => title.textContent = 'Recording 123456789 '.repeat(4)")
+    theme, help_, title = (page.locator(at).bounding_box() for at in ("#theme", "#help", "h1"))
+    assert theme["y"] == help_["y"]
+    assert title["x"] + title["width"] <= theme["x"] < help_["x"]
+
+
 def test_the_timeline_leads_to_moments_and_agents(open_page):
     page = open_page()
     strip = page.locator("#timeline").bounding_box()

@@ -100,7 +100,7 @@ def test_a_study_is_one_page_with_every_section_and_says_what_is_missing(study, 
 
 def test_charts_of_early_answers_horizons_and_runtime_are_there(study):
     text = write_report(study).read_text()
-    for title in ("against seconds watched", "by true behaviour", "CPU time per step"):
+    for title in ("against seconds observed", "by true behaviour", "CPU time per step"):
         assert title in text
     assert "fill-opacity: 0.16" in text  # the bands of intervals
     for drawn in ("#010101", "#020202", "#030303"):
@@ -121,6 +121,13 @@ def test_a_logarithmic_axis_puts_powers_of_ten_evenly():
     first, second, third = (float(x) for x in markers[:3])  # the fourth is the legend's
     assert second - first == pytest.approx(third - second, abs=0.01)
     assert first < second
+
+
+def test_marks_at_the_edge_of_a_chart_are_whole():
+    line = Line("kalman", (Point(1.0, 0.1), Point(5.0, 1.0)))
+    chart = line_chart("errors", Axis("horizon, s", high=5.0), Axis("ADE, m", high=1.0), [line])
+    assert "<use" in chart
+    assert re.findall(r"<g clip-path", chart) == []
 
 
 def test_a_chart_is_the_same_whenever_it_is_drawn():

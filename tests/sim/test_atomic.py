@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
-from sim.store.atomic import whole_file, write_whole
+from sim.store.atomic import whole_file, whole_folder, write_whole
 
 
 def test_a_link_is_followed(tmp_path: Path) -> None:
@@ -40,3 +42,34 @@ def test_an_error_leaves_what_was_there(tmp_path: Path) -> None:
         partial.write_bytes(b"half" * (1 // 0))
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
     assert path.read_bytes() == b"old"
+
+
+@pytest.mark.parametrize("whole", [whole_file, whole_folder])
+@pytest.mark.parametrize(
+    ("said", "named"),
+    [
+        ("Permission denied", True),
+        ("Permission denied", False),
+        ("Failed to open '{partial}'. Detail: [errno 13] Permission denied", False),
+    ],
+    ids=["the hidden path", "no path", "the hidden path in words"],
+)
+def test_an_error_names_the_path_that_was_given(
+    whole: Callable[[Path], AbstractContextManager[Path]],
+    said: str,
+    named: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def write() -> None:
+        with whole(Path("out")) as partial:
+            error = PermissionError(13, said.format(partial=partial))
+            error.filename = str(partial) if named else None
+            raise error
+
+    with pytest.raises(OSError, match="denied") as found:
+        write()
+    assert (found.value.filename, found.value.strerror) == ("out", "Permission denied")
+    assert list(tmp_path.iterdir()) == []

@@ -178,7 +178,7 @@ function updateAgent() {
     if (w) rows.push(["prominence", `${w.value < 0.005 ? 0 : w.value.toPrecision(2)} (${Math.round(100 * w.share ** 2)} % of the largest)`]);
   }
   const expected = place && futuresOf(index, player.time);
-  if (expected) rows.push(["ways on", expected.futures.map((m) => `${Math.round(futures.probability[m] / 2.55)}\u00a0%`).join(", ")]);
+  if (expected) rows.push(["futures", expected.futures.map((m) => `${Math.round(futures.probability[m] / 2.55)}\u00a0%`).join(", ")]);
   const listed = () => rows.flatMap(([name, ...what]) => [element("dt", {}, name), element("dd", {}, ...what.map((part) => part.cloneNode ? part.cloneNode(true) : part))]);
   agentPanel.now.replaceChildren(...listed());
   agentPanel.card.replaceChildren(...listed());
