@@ -204,9 +204,9 @@ def _run(
         for _ in frames:
             pass
         return summary
-    from sim.store.catalogue import write_manifest
     from sim.store.lock import new_folder
     from sim.store.schema import EpisodeMeta
+    from sim.store.sealing import write_manifest
     from sim.store.writing import made_with, write_episode
 
     defaults = entry.options

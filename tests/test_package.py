@@ -92,7 +92,7 @@ def test_the_installed_command_works_anywhere(installed: Path, tmp_path: Path) -
         [*command, "--episodes", "1", "--duration-s", "10", "--out", "data", "--quiet"], tmp_path
     )
     assert generated.returncode == 0, generated.stderr
-    assert (tmp_path / "data" / "manifest.json").is_file()
+    assert (tmp_path / "data" / "episodes.parquet").is_file()
 
 
 def test_every_dependency_is_pinned_to_what_is_tested_here() -> None:

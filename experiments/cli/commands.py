@@ -18,6 +18,7 @@ from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
 from experiments.cli.calibrate import calibrate
 from experiments.cli.classify import classify, evaluate
+from experiments.cli.generate import generate, merge, upgrade
 from experiments.cli.options import (
     FLAGS,
     DurationS,
@@ -131,68 +132,6 @@ def run(
 app.command(epilog="example: graphrqi road town.osm --out town")(road)
 
 
-@app.command(epilog="example: graphrqi generate --scenario straight_road --episodes 9 --out roads")
-def generate(
-    out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
-    scenario: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A scenario's name, its TOML file, or a map; repeat for several. Needed, here or "
-            "in the file.",
-            autocompletion=names_of("scenario"),
-        ),
-    ] = None,
-    episodes: Annotated[
-        int | None, typer.Option(help="Episodes per scenario. Needed, here or in the file.")
-    ] = None,
-    worlds: Annotated[
-        int | None,
-        typer.Option(help="So many random worlds instead of scenarios; takes no other traffic."),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(dir_okay=False, metavar="FILE.toml", help="The same options in a file."),
-    ] = None,
-    engine: Annotated[
-        str | None,
-        typer.Option(help="Which simulator [default: sumo].", autocompletion=names_of("engine")),
-    ] = None,
-    flow: Flow = None,
-    mix: Mix = None,
-    spread: Spread = None,
-    duration_s: DurationS = None,
-    option: ScenarioOptions = None,
-    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
-    net: OwnNet = None,
-    routes: Routes = None,
-    cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of processes.")
-    ] = None,
-    quiet: Quiet = False,
-) -> None:
-    """Make a dataset, or what is missing of it."""
-    from experiments.data.configuration import read_cluster, read_config
-    from experiments.data.generate import generate as make
-    from experiments.data.worlds.episode import read_worlds_config
-    from scenarios.command import read_options
-
-    given = {
-        "scenarios": scenario or None, "episodes": episodes, "engine": engine, "flow": flow,
-        "mix": mix, "spread": spread, "duration_s": duration_s, "seed": seed, "net": net,
-        "routes": routes,
-        "scenario_options": read_options(option or [], FLAGS) or None,
-    }  # fmt: skip
-    chosen = (
-        read_config(config, **given)
-        if worlds is None
-        else (read_worlds_config(config, worlds, **given))
-    )
-    manifest = make(chosen, out, jobs, quiet, read_cluster(config, cluster))
-    steps = sum(e.agent_steps for e in manifest.episodes)
-    say(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
-
-
 @app.command(epilog="example: graphrqi train data --method graphrqi-plus --out model")
 def train(
     dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
@@ -222,6 +161,11 @@ def train(
         typer.echo("not scored: the dataset has no test episode with a driver seen for 1 s")
 
 
+app.command(epilog="example: graphrqi generate --scenario straight_road --episodes 9 --out roads")(
+    generate
+)
+app.command(epilog="example: graphrqi merge s3://bucket/data")(merge)
+app.command(epilog="example: graphrqi upgrade old --out new")(upgrade)
 app.command("train-predictor", epilog="example: graphrqi train-predictor recordings --out weights")(
     train_predictor
 )

@@ -11,11 +11,10 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.notices import LOGGER
 from sim.frames import KINDS
-from sim.store.atomic import write_whole
-from sim.store.catalogue import MANIFEST
+from sim.store.catalogue import is_dataset
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.parquet import check_budget, opened, read_packed
-from sim.store.schema import MAX_OBJECTS, Split
+from sim.store.places import Folder, place_of
+from sim.store.schema import Split
 
 DATA_CARD: Final = "README.md"
 """Name of the card in a dataset's folder."""
@@ -23,24 +22,21 @@ DATA_CARD: Final = "README.md"
 _TITLE: Final = "# Traffic episodes with labelled driver behaviour"
 """First line of every card."""
 
-_COUNTED: Final = ("kind", "behavior")
-"""The columns of ``agents.parquet`` that are counted."""
-
 LIMITS: Final = (
     "Labels are what each driver was drawn to be. What a driver had the chance to show in the"
     " time it was seen may be less.",
     "Behaviours are those of a simulator's drivers with the profile numbers in"
-    " `agents.parquet`; they are not measured from people.",
+    " the table of agents; they are not measured from people.",
     "Positions and speeds are rounded to 2^-10 m and m/s, headings to 2^-13 rad.",
 )
 """What everyone who uses the data should know."""
 
 
-def write_data_card(folder: Path, edited: bool = False) -> None:
-    """Write the card of a dataset into its folder.
+def write_data_card(path: Path, edited: bool = False) -> None:
+    """Write the card of a dataset beside its data.
 
     Args:
-        folder: of the dataset.
+        path: the dataset, a folder or a URL.
         edited: whether somebody has changed the card that is there; it is kept, and a line on
             the log says so.
 
@@ -48,9 +44,9 @@ def write_data_card(folder: Path, edited: bool = False) -> None:
         OSError: if it cannot be written.
     """
     if edited:
-        LOGGER.warning("%s: kept, since it was edited", folder / DATA_CARD)
+        LOGGER.warning("%s: kept, since it was edited", path / DATA_CARD)
         return
-    write_whole(folder / DATA_CARD, data_card(open_dataset(folder)).encode())
+    place_of(path).write(DATA_CARD, data_card(open_dataset(path)).encode())
 
 
 def is_data_card(path: Path) -> bool:
@@ -61,13 +57,17 @@ def is_data_card(path: Path) -> bool:
         return file.read(len(_TITLE)) == _TITLE.encode()
 
 
-def card_was_edited(folder: Path) -> bool:
-    """Whether a dataset's card is not the one that its manifest gives."""
-    path = folder / DATA_CARD
-    if not path.exists() or not (folder / MANIFEST).exists():
+def card_was_edited(path: Path) -> bool:
+    """Whether a dataset's card is not the one that its catalogue gives."""
+    place = place_of(path)
+    if isinstance(place, Folder):
+        card = place.path / DATA_CARD
+        if card.exists() and not card.is_file():
+            return is_dataset(path)
+    if place.size(DATA_CARD) is None or not is_dataset(path):
         return False
     try:
-        return not path.is_file() or path.read_bytes() != data_card(open_dataset(folder)).encode()
+        return place.read(DATA_CARD) != data_card(open_dataset(path)).encode()
     except (InputError, OSError):  # an episode is damaged: no card to compare
         return False
 
@@ -92,11 +92,11 @@ def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
 
 def _limits(dataset: Dataset) -> list[str]:
     """What is known to be missing or assumed."""
-    if "what_if" in dataset.manifest.configuration:
+    if "what_if" in dataset.header.configuration:
         return [*LIMITS, BRANCHED]
-    if "worlds" in dataset.manifest.configuration:
+    if "worlds" in dataset.header.configuration:
         return [*LIMITS, SEEN]
-    if "format" not in dataset.manifest.configuration:
+    if "format" not in dataset.header.configuration:
         return list(LIMITS)
     notes = [e.options.get("notes", []) for e in dataset.manifest.episodes]
     return sorted({str(note) for some in notes if isinstance(some, list) for note in some})
@@ -114,20 +114,17 @@ def data_card(dataset: Dataset) -> str:
     Raises:
         InputError: if an episode's agents cannot be read.
     """
-    counts: dict[str, Counter[str]] = {}
-    for entry in dataset.manifest.episodes:
-        path = dataset.path / "episodes" / entry.id / "agents.parquet"
-        with opened(path) as (layout, source):
-            texts = check_budget(path, layout, _COUNTED, MAX_OBJECTS)
-            table = read_packed(source, texts, list(_COUNTED))
-        scenario = counts.setdefault(entry.scenario, Counter())
-        for column in _COUNTED:
-            scenario.update(word for word in table.column(column).to_pylist() if word is not None)
-    episodes = Counter((e.scenario, e.split) for e in dataset.manifest.episodes)
-    steps = Counter[str]()
-    for entry in dataset.manifest.episodes:
-        steps[entry.scenario] += entry.agent_steps
-    configuration = json.dumps(dataset.manifest.configuration, indent=2, sort_keys=True)
+    catalogue = dataset.catalogue
+    summed = (*BEHAVIORS, *KINDS, "agent_steps")
+    sums = catalogue.group_by("scenario").aggregate([(str(word), "sum") for word in summed])
+    counts = {
+        row["scenario"]: {word: row[f"{word}_sum"] for word in summed} for row in sums.to_pylist()
+    }
+    by_split = catalogue.group_by(["scenario", "split"]).aggregate([([], "count_all")])
+    episodes = Counter(
+        {(row["scenario"], row["split"]): row["count_all"] for row in by_split.to_pylist()}
+    )
+    configuration = json.dumps(dataset.header.configuration, indent=2, sort_keys=True)
     splits: tuple[Split, ...] = ("train", "validation", "test")
     names = dataset.scenarios
     kinds = [k for k in KINDS if any(counts[n][k] for n in names)]
@@ -135,14 +132,17 @@ def data_card(dataset: Dataset) -> str:
         [
             _TITLE,
             "",
-            f"Schema version {dataset.manifest.schema_version}; the columns are described in"
+            f"Schema version {dataset.header.schema_version}; the columns are described in"
             " `sim/store/schema.py`.",
             "",
             "## Episodes by split",
             "",
             *_table(
                 ("scenario", *splits, "agent-steps"),
-                [(n, *(str(episodes[n, s]) for s in splits), str(steps[n])) for n in names],
+                [
+                    (n, *(str(episodes[n, s]) for s in splits), str(counts[n]["agent_steps"]))
+                    for n in names
+                ],
             ),
             "",
             "## Agents drawn, by behaviour and kind",

@@ -30,10 +30,11 @@ from sim.formats.common.label_file import read_driver_labels
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
 from sim.store.atomic import write_whole
-from sim.store.catalogue import MANIFEST, checksum, write_manifest
+from sim.store.catalogue import checksum, is_dataset
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.lock import new_folder
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
+from sim.store.sealing import write_manifest
 from sim.store.writing import made_with, write_recording
 
 MARKER: Final = ".graphrqi-export"
@@ -158,10 +159,9 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     Raises:
         InputError: if a file is broken or of no known format.
     """
-    is_dataset = (source / MANIFEST).is_file() or (source / "episodes").is_dir()
     if not source.exists():
         raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
-    if name is None and is_dataset:
+    if name is None and (is_dataset(source) or (source / "episodes").is_dir()):
         yield source
         return
     with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:
@@ -194,7 +194,7 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
     """
     writer = get_writer(name)
     opened = open_dataset(dataset)
-    if (out / MANIFEST).is_file():
+    if is_dataset(out):
         raise InputError(f"{out}: found a dataset, expected another folder for the exported files")
     out.mkdir(parents=True, exist_ok=True)
     _claim(out, name, opened)

@@ -3,119 +3,140 @@
 Every episode has its own seed, derived from the configuration's seed, the scenario's name and the
 episode's index. So what an episode holds depends neither on the number of processes nor on the
 order nor on how many episodes there are. Running the same command again makes only what is missing.
+
+Finished episodes wait in folders of their own until all of their block are there; then they are put
+into shards (`sim.store.sealing`). Several commands can share the work, each making one part
+(`generate_part`); `merge` then checks that nothing is missing and completes the dataset.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Final
 
 from behaviors.errors import InputError
 from experiments.console.exit_codes import Interrupted
 from experiments.console.progress import Progress
 from experiments.data.cluster import make_on_cluster
-from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import DATA_CARD, card_was_edited, is_data_card, write_data_card
-from experiments.data.episode import Task, make_episode
+from experiments.data.episode import make_episode
 from experiments.data.processes import make_in_processes
+from experiments.data.shards.plan import (
+    AnyConfig,
+    AnyTask,
+    Share,
+    belongs_to,
+    configuration_of,
+    key_of,
+    planned_count,
+    shares,
+)
+from experiments.data.shards.staging import staged
 from experiments.data.tasks import T
-from experiments.data.worlds.episode import WorldsConfig, WorldTask, make_world
-from scenarios import get_scenario
+from experiments.data.worlds.episode import WorldsConfig, make_world
 from sim.store.atomic import PARTIAL_PREFIX, remove_partial
-from sim.store.catalogue import MANIFEST, unlisted_episodes, write_manifest
+from sim.store.catalogue import is_dataset, unlisted_episodes
 from sim.store.dataset import open_dataset
+from sim.store.entries import EPISODES
 from sim.store.lock import LOCK, sole_writer
-from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest
-from sim.store.writing import made_with
+from sim.store.places import Folder, Place, is_remote, place_of
+from sim.store.schema import TABLES, EpisodeEntry, EpisodeMeta, FileEntry, Manifest
+from sim.store.sealing import Sealer, Shard, road_is_sound, shards_in, whole_shards
 
-AnyConfig: TypeAlias = GenerateConfig | WorldsConfig
+PLAN: Final = "plan.json"
+"""What the parts of a dataset have in common, for `merge`; removed by it."""
 
-_OURS: Final = frozenset({"episodes", "roads", LOCK})
+_OURS: Final = frozenset({"episodes", "roads", LOCK, PLAN, *TABLES})
 """What an unfinished dataset's folder may hold."""
 
 
-def _check_same(folder: Path, config: AnyConfig) -> None:
+def check_same(place: Place, folder: Path, config: AnyConfig) -> None:
     """Refuse to mix two different datasets in one folder."""
-    if (folder / MANIFEST).exists():
-        _check_same_manifest(folder, config)
+    if is_dataset(place.path):
+        _check_same_manifest(place, config)
         return
-    check_unfinished(folder, lambda made: made == _wanted(config, made))
+    check_unfinished(folder, belongs_to(config), place)
 
 
-def check_unfinished(folder: Path, planned: Callable[[EpisodeMeta], bool]) -> None:
-    """Refuse a folder without a manifest that holds anything but episodes of the same plan.
+def check_unfinished(
+    folder: Path,
+    planned: Callable[[EpisodeMeta], bool],
+    place: Place | None = None,
+) -> None:
+    """Refuse a folder without a catalogue that holds anything but episodes of the same plan.
 
     Args:
-        folder: of the dataset; it need not exist.
+        folder: where episodes are made; it need not exist.
         planned: whether an episode that is there belongs to the plan.
+        place: the dataset; None if it is the folder.
 
     Raises:
-        InputError: if something else is in the folder.
+        InputError: if something else is there.
     """
-    if not folder.is_dir():
-        return
-    # Where only the manifest is gone there is a card, which is written anew.
-    ours = _OURS | {DATA_CARD} if is_data_card(folder / DATA_CARD) else _OURS
-    for path in folder.iterdir():
-        if path.name not in ours and not path.name.startswith(PARTIAL_PREFIX):
-            raise InputError(f"{folder}: found {path.name} in it, expected an empty folder")
-    for entry in unlisted_episodes(folder):
-        if not planned(EpisodeMeta(**entry.model_dump(include=set(EpisodeMeta.model_fields)))):
+    place = place or Folder(folder)
+    if folder.is_dir():
+        # Where only the catalogue is gone there is a card, which is written anew.
+        ours = _OURS | {DATA_CARD} if is_data_card(folder / DATA_CARD) else _OURS
+        for path in folder.iterdir():
+            if path.name not in ours and not path.name.startswith((PARTIAL_PREFIX, LOCK)):
+                raise InputError(f"{folder}: found {path.name} in it, expected an empty folder")
+    elif not isinstance(place, Folder):
+        for name in place.files():
+            if name.partition("/")[0] not in (_OURS | {DATA_CARD}):
+                raise InputError(f"{place.url}: found {name} in it, expected an empty folder")
+    sealed = (entry for shard in shards_in(place) for entry in shard.entries)
+    for entry in itertools.chain(unlisted_episodes(folder), sealed):
+        if not planned(entry):
             raise InputError(
-                f"{folder}: holds unfinished episodes of another configuration; "
+                f"{place.url}: holds unfinished episodes of another configuration; "
                 "choose another folder"
             )
 
 
-def _wanted(config: AnyConfig, entry: EpisodeMeta) -> EpisodeMeta | None:
-    """What the configuration's episode of that scenario and index is made from; None if none."""
-    if isinstance(config, WorldsConfig):
-        return WorldTask(config, entry.index).meta() if entry.index < config.worlds else None
-    by_name = {get_scenario(given).name: given for given in config.scenarios}
-    if entry.scenario not in by_name or entry.index >= config.episodes:
-        return None
-    given = by_name[entry.scenario]
-    return Task(config, given, entry.index).meta(config.scenario(given, entry.index))
-
-
-def _check_same_manifest(folder: Path, config: AnyConfig) -> None:
-    there = open_dataset(folder).manifest.configuration
-    wanted = _configuration(config)
+def _check_same_manifest(place: Place, config: AnyConfig) -> None:
+    there = open_dataset(place.path).header.configuration
+    wanted = configuration_of(config)
     for name in sorted({*there, *wanted}):
         if name in ("episodes", "worlds") and name in wanted:
             old, asked = there.get(name), wanted[name]
             if not isinstance(old, int) or old > asked:
                 each = "episodes per scenario" if name == "episodes" else name
                 raise InputError(
-                    f"{folder}: holds {old} {each}, found {asked} asked "
+                    f"{place.url}: holds {old} {each}, found {asked} asked "
                     "for, expected at least as many; choose another folder"
                 )
         elif there.get(name) != wanted.get(name):
             raise InputError(
-                f"{folder}: was made with {name} {there.get(name, 'not given')!r}, now "
+                f"{place.url}: was made with {name} {there.get(name, 'not given')!r}, now "
                 f"{wanted.get(name, 'not given')!r}; "
                 "choose another folder"
             )
 
 
-def _configuration(config: AnyConfig) -> dict[str, Any]:
-    dumped = config.model_dump(mode="json", exclude_none=True)
-    return {**dumped, "made_with": dict(made_with(config.engine))}
-
-
 @contextmanager
-def stoppable(folder: Path, wanted: int) -> Iterator[None]:
-    """Turn Ctrl-C into one line that says how to go on."""
+def stoppable(folder: Path, wanted: int, out: Path | None = None) -> Iterator[None]:
+    """Turn Ctrl-C into one line that says how to go on.
+
+    Args:
+        folder: where episodes are made.
+        wanted: how many.
+        out: the dataset; None if it is the folder.
+    """
     try:
         yield
     except KeyboardInterrupt:
+        remove_partial(folder)
         remove_partial(folder / "episodes")
+        place = place_of(out or folder)
         there = sum(1 for _ in (folder / "episodes").glob("*/episode.json"))
+        there += sum(len(shard.entries) for shard in shards_in(place))
         raise Interrupted(
-            f"stopped: {there} of {wanted} episodes are in {folder}; "
+            f"stopped: {there} of {wanted} episodes are in {place.url}; "
             "run the same command again to go on"
         ) from None
 
@@ -128,30 +149,133 @@ def _made(
     cluster: str | None,
     shown: Progress,
 ) -> tuple[list[EpisodeEntry], list[str]]:
+    if not tasks:
+        return [], []
     if cluster is None:
         return make_in_processes(make, folder, tasks, jobs, shown)
     return make_on_cluster(make, folder, tasks, cluster, shown)
 
 
+@dataclass
+class Generation:
+    """One run that makes episodes and puts them into shards.
+
+    Attributes:
+        config: what to make.
+        out: the dataset.
+        folder: where episodes are made.
+        jobs: worker processes.
+        cluster: address of a Dask scheduler; None for processes of this machine.
+        quiet: whether to show no progress.
+        failed: what could not be made, in words.
+        waiting: finished episodes that wait in an object store.
+    """
+
+    config: AnyConfig
+    out: Path
+    folder: Path
+    jobs: int
+    cluster: str | None = None
+    quiet: bool = True
+    failed: list[str] = field(default_factory=list)
+    waiting: dict[tuple[str, int], EpisodeEntry] = field(default_factory=dict)
+
+    @property
+    def worlds(self) -> bool:
+        """Whether the episodes are random worlds."""
+        return isinstance(self.config, WorldsConfig)
+
+    @property
+    def sealer(self) -> Sealer:
+        """What puts episodes into shards."""
+        return Sealer(place_of(self.out), self.folder)
+
+    def known(self, shards: Sequence[Shard]) -> dict[tuple[str, int], EpisodeEntry]:
+        """The planned episodes that are in whole shards, but one of each damaged road's."""
+        place, found = place_of(self.out), {}
+        sound: dict[str, bool] = {}
+        belongs = belongs_to(self.config)
+        for entry in (entry for shard in shards for entry in shard.entries if belongs(entry)):
+            if entry.road is not None and entry.road not in sound:
+                sound[entry.road] = road_is_sound(place, entry.road)
+                if not sound[entry.road]:
+                    continue  # made again, with its road
+            found[key_of(entry, self.worlds)] = entry
+        return found
+
+    def run(self, todo: Sequence[Share], shards: Sequence[Shard]) -> list[Shard]:
+        """Make what is missing of some blocks, and seal those that are made as a whole.
+
+        Args:
+            todo: what to make.
+            shards: those that are there, whole.
+
+        Returns:
+            The shards of the blocks that were made as a whole.
+        """
+        known, sealed = self.known(shards), list[Shard]()
+        count = sum(len(share.tasks) for share in todo)
+        with Progress("generating episodes", count, self.quiet) as shown:
+            for share in todo:
+                keys = {key_of(task, self.worlds) for task in share.tasks}
+                there = [entry for key, entry in known.items() if key in keys]
+                for entry in there:
+                    shown.advance(entry.agents, entry.agent_steps)
+                done = known if share.whole else {**self.waiting, **known}
+                missing = [t for t in share.tasks if key_of(t, self.worlds) not in done]
+                made = self._make(missing, shown)
+                if share.whole:
+                    sealed += self.sealer.seal([*there, *made], shards)
+                    self.sealer.remove_waiting([entry.id for entry in made])
+        return sealed
+
+    def failure(self, wanted: int) -> InputError:
+        """What could not be made, as an error."""
+        return InputError(
+            f"{len(self.failed)} of {wanted} episodes could not be made: {'; '.join(self.failed)}"
+        )
+
+    def _make(self, tasks: Sequence[AnyTask], shown: Progress) -> list[EpisodeEntry]:
+        make = make_world if self.worlds else make_episode
+        made, failed = _made(make, self.folder, tasks, self.jobs, self.cluster, shown)  # type: ignore[arg-type,type-var]
+        self.failed += failed
+        return made
+
+
+def checked_jobs(jobs: int | None) -> int:
+    """Worker processes: as many as asked for, or one per processor.
+
+    Raises:
+        InputError: if they are less than one.
+    """
+    if jobs is None:
+        jobs = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    if jobs < 1:
+        raise InputError(f"jobs: found {jobs}, expected at least 1")
+    return jobs
+
+
 def generate(
     config: AnyConfig,
-    folder: Path,
+    out: Path,
     jobs: int | None = None,
     quiet: bool = False,
     cluster: str | None = None,
+    whole_or_not: bool = False,
 ) -> Manifest:
     """Make a dataset, or what is missing of it.
 
     Args:
         config: what to make.
-        folder: where; a new folder, or one that the same configuration was writing to.
+        out: where; a new folder, or one that the same configuration was writing to; or a URL.
         jobs: worker processes; None for one per processor.
         quiet: whether to show no progress.
         cluster: address of a Dask scheduler whose workers make the episodes; None for processes
             of this machine.
+        whole_or_not: whether to leave the dataset as it is if an episode cannot be made.
 
     Returns:
-        The manifest.
+        What its catalogue says.
 
     Raises:
         InputError: if an option is wrong, the folder holds something else or is being written to,
@@ -159,37 +283,46 @@ def generate(
         OSError: if something cannot be written.
         Interrupted: if the user stopped it.
     """
-    if jobs is None:
-        jobs = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-    if jobs < 1:
-        raise InputError(f"jobs: found {jobs}, expected at least 1")
+    jobs = checked_jobs(jobs)
     config.check()
-    wanted = (
-        config.worlds
-        if isinstance(config, WorldsConfig)
-        else config.episodes * len(config.scenarios)
-    )
-    with sole_writer(folder), stoppable(folder, wanted):
-        _check_same(folder, config)
-        edited = card_was_edited(folder)
-        remove_partial(folder)
-        remove_partial(folder / "episodes")
-        remove_partial(folder / "roads")
-        with Progress("generating episodes", wanted, quiet) as shown:
-            if isinstance(config, WorldsConfig):
-                worlds = [WorldTask(config, i) for i in range(config.worlds)]
-                made, failed = _made(make_world, folder, worlds, jobs, cluster, shown)
-            else:
-                tasks = [
-                    Task(config, name, i)
-                    for i in range(config.episodes)
-                    for name in config.scenarios
-                ]
-                made, failed = _made(make_episode, folder, tasks, jobs, cluster, shown)
-        manifest = write_manifest(folder, _configuration(config), made)
-        write_data_card(folder, edited)
-    if failed:
+    if cluster is not None and is_remote(out):
         raise InputError(
-            f"{len(failed)} of {wanted} episodes could not be made: {'; '.join(failed)}"
+            f"out: found {place_of(out).url} beside --cluster, expected a folder on a disk that "
+            "every worker sees; --part makes parts of it anywhere"
         )
+    wanted = planned_count(config)
+    with staged(out) as folder, sole_writer(folder), stoppable(folder, wanted, out):
+        place = place_of(out)
+        check_same(place, folder, config)
+        edited = card_was_edited(out)
+        clear_partial(folder)
+        run = Generation(config, out, folder, jobs, cluster, quiet)
+        there = whole_shards(place, listed_files(place))
+        sealed = run.run(list(shares(config, None)), there)
+        if run.failed and whole_or_not:
+            raise run.failure(wanted)
+        manifest = complete(run, sealed)
+        write_data_card(out, edited)
+    if run.failed:
+        raise run.failure(wanted)
     return manifest
+
+
+def complete(run: Generation, sealed: Sequence[Shard], sealer: Sealer | None = None) -> Manifest:
+    """Write the catalogue of a dataset whose blocks are all sealed."""
+    manifest = (sealer or run.sealer).complete(configuration_of(run.config), sealed)
+    run.sealer.place.remove(PLAN)
+    return manifest
+
+
+def clear_partial(folder: Path) -> None:
+    """Remove what earlier, killed runs left unfinished."""
+    for home in (folder, folder / "episodes", folder / "roads"):
+        remove_partial(home)
+
+
+def listed_files(place: Place) -> dict[str, FileEntry] | None:
+    """Checksums of a dataset's shards by its catalogue; None where there is no catalogue."""
+    if place.size(EPISODES) is None:
+        return None
+    return open_dataset(place.path).header.files

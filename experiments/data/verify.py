@@ -1,4 +1,4 @@
-"""Compares a dataset with its manifest, and makes again the episodes that differ."""
+"""Compares a dataset with its catalogue, and makes again the episodes of files that differ."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,22 +20,25 @@ from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import DATA_CARD
-from experiments.data.generate import AnyConfig, generate
+from experiments.data.generate import generate
+from experiments.data.shards.plan import AnyConfig
 from experiments.data.what_if import WhatIf, make_what_if
 from experiments.data.worlds.episode import WorldsConfig
 from sim.store.atomic import write_whole
-from sim.store.catalogue import ENTRY, MANIFEST, altered_files, road_path
+from sim.store.catalogue import ENTRY, MANIFEST, altered_files, road_name, road_path
 from sim.store.dataset import Dataset, open_dataset
+from sim.store.entries import EPISODES
 from sim.store.lock import LOCK, sole_writer
-from sim.store.schema import EPISODE_FILES, EpisodeEntry, Manifest
+from sim.store.places import Folder, Place, file_checksum, is_remote, place_of
+from sim.store.schema import EPISODE_FILES, TABLES, EpisodeEntry, Header, Manifest
 from sim.store.writing import made_with
 
 State = Literal["missing", "altered", "foreign"]
 
-_OURS: Final = frozenset({MANIFEST, LOCK, DATA_CARD})
+_OURS: Final = frozenset({EPISODES, MANIFEST, LOCK, DATA_CARD})
 """Files of a dataset that no episode owns."""
 
-_FOLDERS: Final = ("episodes", "roads")
+_FOLDERS: Final = ("episodes", "roads", *TABLES)
 """Folders of a dataset. They may be links to other disks; nothing inside them may be one to a
 folder."""
 
@@ -52,7 +55,7 @@ class Flaw:
         path: the file, relative to the dataset; of a link to a folder, the link.
         state: missing, altered (another size or content, or no file), or foreign (not of this
             dataset).
-        episode: the episode that it belongs to; None for roads and foreign files.
+        episode: the episode that it belongs to; None for shards, roads and foreign files.
     """
 
     path: Path
@@ -61,7 +64,7 @@ class Flaw:
 
 
 def find_flaws(dataset: Dataset) -> list[Flaw]:
-    """Compare every file of a dataset with the manifest.
+    """Compare every file of a dataset with its catalogue.
 
     Args:
         dataset: which.
@@ -69,9 +72,26 @@ def find_flaws(dataset: Dataset) -> list[Flaw]:
     Returns:
         What is wrong, in order of path; empty if nothing is.
     """
-    flaws = [flaw for entry in dataset.manifest.episodes for flaw in _flaws_of(dataset, entry)]
+    if dataset.header.schema_version == 1:
+        flaws = [flaw for entry in dataset.manifest.episodes for flaw in _flaws_of(dataset, entry)]
+    else:
+        flaws = list(_flaws_of_files(place_of(dataset.path), dataset.header))
     flaws += [Flaw(path, "foreign", None) for path in _foreign(dataset)]
     return sorted(set(flaws), key=lambda f: f.path)
+
+
+def _flaws_of_files(place: Place, header: Header) -> Iterator[Flaw]:
+    """What is wrong with shards and roads."""
+    expected = {path: (file.size, file.sha256) for path, file in header.files.items()}
+    for sha256, bytes_ in header.roads.items():
+        expected[road_name(place, sha256)] = (bytes_, sha256)
+    for name, (size, sha256) in expected.items():
+        found = place.size(name)
+        if found is None:
+            there = isinstance(place, Folder) and os.path.lexists(place.path / name)
+            yield Flaw(Path(name), "altered" if there else "missing", None)
+        elif found != size or file_checksum(place, name) != sha256:
+            yield Flaw(Path(name), "altered", None)
 
 
 def _flaws_of(dataset: Dataset, entry: EpisodeEntry) -> Iterator[Flaw]:
@@ -98,11 +118,15 @@ def _own_entry(dataset: Dataset, entry: EpisodeEntry) -> EpisodeEntry | None:
 
 
 def _foreign(dataset: Dataset) -> Iterator[Path]:
-    known = {*_OURS, *_FOLDERS}
-    for entry in dataset.manifest.episodes:
-        known |= {f"episodes/{entry.id}/{name}" for name in (*EPISODE_FILES, ENTRY)}
-    roads = [road_path(dataset.path, sha256) for sha256 in dataset.manifest.roads]
-    known |= {path.relative_to(dataset.path).as_posix() for path in roads}
+    place = place_of(dataset.path)
+    known = {*_OURS, *_FOLDERS, *dataset.header.files}
+    if dataset.header.schema_version == 1:
+        for entry in dataset.manifest.episodes:
+            known |= {f"episodes/{entry.id}/{name}" for name in (*EPISODE_FILES, ENTRY)}
+    known |= {road_name(place, sha256) for sha256 in dataset.header.roads}
+    if not isinstance(place, Folder):
+        yield from (Path(name) for name in place.files() if name not in known)
+        return
     for path in sorted(dataset.path.rglob("*")):
         relative = path.relative_to(dataset.path)
         if (path.is_symlink() or not path.is_dir()) and relative.as_posix() not in known:
@@ -129,8 +153,11 @@ def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> li
         OSError: if something cannot be written.
     """
     make = _maker(dataset, jobs, quiet)
+    if is_remote(dataset.path):
+        make()
+        return find_flaws(dataset)
     flaws = find_flaws(dataset)
-    for sha256 in dataset.manifest.roads:
+    for sha256 in dataset.header.roads:
         road = road_path(dataset.path, sha256)
         if road.is_dir():
             raise InputError(f"{road}: found a folder, expected a file; move it away")
@@ -140,22 +167,40 @@ def repair(dataset: Dataset, jobs: int | None = None, quiet: bool = False) -> li
         if flaw.state == "foreign" and flaw.path.parts[0] in _FOLDERS
     ]
     ours = [path for path in _obstacles(dataset) if path not in foreign]
+    before = dataset.manifest
     with _as_it_was(dataset.path), _aside(dataset.path, foreign, ours):
         again = make()
-        if again != dataset.manifest:
+        if not _same(again, before):
             raise InputError(
-                f"{dataset.path}: came out differently than its manifest said, expected the same; "
+                f"{dataset.path}: came out differently than its catalogue said, expected the same; "
                 "it was made on another platform"
             )
     with sole_writer(dataset.path):
-        for folder in sorted((dataset.path / "episodes").rglob("*/"), reverse=True):
-            if not any(folder.iterdir()):
-                folder.rmdir()
-    return find_flaws(dataset)
+        for table in ("episodes", *TABLES):
+            for folder in sorted((dataset.path / table).rglob("*/"), reverse=True):
+                if not any(folder.iterdir()):
+                    folder.rmdir()
+        with suppress(OSError):  # not empty, or not there
+            (dataset.path / "episodes").rmdir()
+    return find_flaws(open_dataset(dataset.path))
+
+
+def _same(again: Manifest, before: Manifest) -> bool:
+    """Whether a dataset has come out as it was; one of schema version 1 gets shards."""
+    if before.schema_version == 1:
+        ids = {entry.id for entry in before.episodes}
+        return ids == {e.id for e in again.episodes} and again.roads == before.roads
+    return again == before
 
 
 def _obstacles(dataset: Dataset) -> Iterator[Path]:
     """Paths that would stop generation, or be mistaken for an episode of this dataset."""
+    if dataset.header.schema_version != 1:
+        for name in dataset.header.files:
+            path = dataset.path / name
+            if path.is_dir() or path.is_symlink():
+                yield path
+        return
     for entry in dataset.manifest.episodes:
         own = _own(dataset, entry)
         home = own.parent
@@ -210,11 +255,17 @@ def _folder_beside(folder: Path) -> Path:
 @contextmanager
 def _as_it_was(folder: Path) -> Iterator[None]:
     """Put manifest and data card back if the block fails: they say how the dataset should be."""
-    paths = [folder / MANIFEST, folder / DATA_CARD]
+    paths = [folder / EPISODES, folder / MANIFEST, folder / DATA_CARD]
     before = {path: path.read_bytes() for path in paths if path.is_file()}
+    waiting = folder / "episodes"
+    there = set(waiting.iterdir()) if waiting.is_dir() else set()
     try:
         yield
     except BaseException:
+        for made in set(waiting.iterdir()) - there if waiting.is_dir() else ():
+            shutil.rmtree(made, ignore_errors=True)
+        if not there and waiting.is_dir():
+            waiting.rmdir()
         for path, data in before.items():
             if not path.is_file() or path.read_bytes() != data:
                 write_whole(path, data)
@@ -223,7 +274,7 @@ def _as_it_was(folder: Path) -> Iterator[None]:
 
 def _maker(dataset: Dataset, jobs: int | None, quiet: bool) -> Callable[[], Manifest]:
     """What makes the dataset again in its folder."""
-    fields: dict[str, Any] = dict(dataset.manifest.configuration)
+    fields: dict[str, Any] = dict(dataset.header.configuration)
     versions = fields.pop("made_with", None)
     config: AnyConfig
     make: Callable[[], Manifest]
@@ -236,7 +287,7 @@ def _maker(dataset: Dataset, jobs: int | None, quiet: bool) -> Callable[[], Mani
                 WorldsConfig if "worlds" in fields else GenerateConfig
             )
             config = model.model_validate(fields)
-            make = partial(generate, config, dataset.path, jobs, quiet)
+            make = partial(generate, config, dataset.path, jobs, quiet, whole_or_not=True)
     except ValidationError:
         raise InputError(
             f"{dataset.path}: was not made by generate or what-if, expected a dataset that was; "

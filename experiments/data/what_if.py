@@ -23,12 +23,16 @@ from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import card_was_edited, write_data_card
 from experiments.data.episode import Task
 from experiments.data.generate import check_unfinished, stoppable
+from experiments.data.shards.plan import meta_of
 from sim.frames import Frame
 from sim.scenario import AgentSpec, Scenario, sample_agents
 from sim.store.atomic import remove_partial
-from sim.store.catalogue import MANIFEST, finished_episode, read_manifest, write_manifest
+from sim.store.catalogue import finished_episode, is_dataset
+from sim.store.dataset import open_dataset
 from sim.store.lock import sole_writer
+from sim.store.places import Folder
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest
+from sim.store.sealing import entries_in, write_manifest
 from sim.store.writing import episode_id, made_with, write_episode
 from sim.sumo.branches import LAWS, Trunk, check_platform
 from sim.sumo.control.acting import Action
@@ -198,9 +202,9 @@ def _plan(
 
 def _check_same(folder: Path, configuration: dict[str, Any], plan: Sequence[_Planned]) -> None:
     """Refuse to mix two different datasets in one folder."""
-    if not (folder / MANIFEST).exists():
-        check_unfinished(folder, lambda made: any(made == one.meta for one in plan))
-    elif read_manifest(folder).configuration != configuration:
+    if not is_dataset(folder):
+        check_unfinished(folder, lambda made: any(meta_of(made) == one.meta for one in plan))
+    elif open_dataset(folder).header.configuration != configuration:
         raise InputError(
             f"{folder}: was made with other options or versions; choose another folder"
         )
@@ -216,7 +220,9 @@ def _make(
 ) -> list[EpisodeEntry]:
     """The entries of all episodes; those that are not there yet are driven and written."""
     road = scenario.road.source
-    found = [finished_episode(folder, episode_id(p.meta, p.agents, road)) for p in plan]
+    there = entries_in(Folder(folder))
+    identities = [episode_id(p.meta, p.agents, road) for p in plan]
+    found = [there.get(one) or finished_episode(folder, one) for one in identities]
     missing = [one for one, entry in zip(plan, found, strict=True) if entry is None]
     entries = [entry for entry in found if entry is not None]
     if not missing:

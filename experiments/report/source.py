@@ -16,7 +16,7 @@ from experiments.rows import Cell, Row, checked_rows, of_bench, read_rows
 from experiments.scoring.prediction_errors import prediction_keys
 from graphrqi.model_files import load_model
 from sim.invalid_fields import first_wrong_field
-from sim.store.catalogue import MANIFEST
+from sim.store.catalogue import is_dataset
 
 _SCORES: Final = TypeAdapter(dict[str, dict[str, dict[str, str | int | float | None]]])
 """Scores in a model's card: by scenario and metric."""
@@ -69,7 +69,7 @@ def read_source(path: Path) -> Source:
         return Source(path, run.name, run, by_bench(rows), run.protocol)
     if (path / "model.json").is_file():
         return _read_model(path)
-    if (path / MANIFEST).is_file():
+    if is_dataset(path):
         raise InputError(
             f"{path}: found a dataset, expected a run, a model or files of rows; graphrqi replay "
             "shows an episode, and graphrqi predict and bench write rows with --json"

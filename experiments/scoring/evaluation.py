@@ -399,5 +399,5 @@ def trained_here(model: str | Path, source: Path) -> bool:
     """Whether a model was trained on a dataset of the same configuration as this one."""
     data = load_model(model).card.get("data")
     known = data.get("configurations") if isinstance(data, dict) else None
-    configuration = dict(open_dataset(source).manifest.configuration)
+    configuration = dict(open_dataset(source).header.configuration)
     return isinstance(known, list) and configuration in known

@@ -24,7 +24,7 @@ from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
-from sim.store.catalogue import MANIFEST
+from sim.store.catalogue import is_dataset
 from sim.store.dataset import open_dataset
 
 PAST_S: Final = 3.0
@@ -118,7 +118,7 @@ def read_sources(sources: Sequence[Path], maps: bool = True) -> Iterator[Recorde
 
 
 def _datasets_in(source: Path) -> list[Path]:
-    if source.is_file() or (source / MANIFEST).is_file():
+    if source.is_file() or is_dataset(source):
         return [source]
     below = sorted(path for path in source.iterdir() if path.is_dir())
     own_files = any(path.is_file() and path.suffix in (".csv", ".gz", ".xml", ".parquet")
@@ -130,7 +130,7 @@ def read_place_folder(folder: Path, maps: bool = True) -> Iterator[RecordedPlace
     """The recordings of one dataset; see `read_sources`."""
     dataset = folder.name
     family = family_of(dataset, folder if folder.is_dir() else None)
-    if (folder / MANIFEST).is_file():
+    if is_dataset(folder):
         stored = open_dataset(folder)
         for entry in stored.episodes():
             if _unfit(entry.options):

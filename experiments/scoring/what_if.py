@@ -169,7 +169,7 @@ def branches_of(dataset: Dataset) -> list[EpisodeEntry]:
     found = [entry for entry in dataset.manifest.episodes if branch_of(entry) is not None]
     if not found:
         raise InputError(f"{dataset.path}: found no branch, expected a dataset that what-if wrote")
-    asked = dataset.manifest.configuration.get("what_if")
+    asked = dataset.header.configuration.get("what_if")
     if isinstance(asked, dict):
         order = [str(w) for key in ("behaviors", "actions") for w in _listed(asked.get(key))]
         found.sort(key=lambda entry: order.index(change_of(entry)))

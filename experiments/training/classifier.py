@@ -63,7 +63,7 @@ def train_model(
         episodes of each scenario.
     """
     chosen = METHODS[method]
-    worlds = [d for d in datasets if "worlds" in d.manifest.configuration]
+    worlds = [d for d in datasets if "worlds" in d.header.configuration]
     home = [d for d in datasets if d not in worlds]
     elsewhere = None
     if chosen.name == BOTH and home and worlds:
@@ -106,7 +106,7 @@ def _card(
     return {
         "summary": model.method.summary,
         "data": {
-            "configurations": [dict(dataset.manifest.configuration) for dataset in datasets],
+            "configurations": [dict(dataset.header.configuration) for dataset in datasets],
             "schema_versions": [dataset.manifest.schema_version for dataset in datasets],
             "episodes": {
                 s: sum(len(dataset.episodes(s)) for dataset in datasets) for s in get_args(Split)

@@ -77,7 +77,7 @@ def train_on_worlds(
     ]
     card = {
         "data": {
-            kind: [dict(dataset.manifest.configuration) for dataset in datasets]
+            kind: [dict(dataset.header.configuration) for dataset in datasets]
             for kind, datasets in (("home", home), ("worlds", worlds))
         },
         "training_windows": {part: len(samples) for part, samples in found["train"]},

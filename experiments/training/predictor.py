@@ -117,7 +117,7 @@ def calibrate_drivers(
         if samples
     }
     card = {
-        "data": dict(dataset.manifest.configuration),
+        "data": dict(dataset.header.configuration),
         "split": "train",
         "iterations": iterations,
         "seed": seed,
@@ -270,7 +270,7 @@ def train_predictors(
         informed, label_free = (list(same) for same in zip(*found, strict=True))
         parts[split] = BeliefExamples.join(informed), Examples.join(label_free)
     card: dict[str, Any] = {
-        "data": dict(dataset.manifest.configuration), "split": "train", "epochs": epochs,
+        "data": dict(dataset.header.configuration), "split": "train", "epochs": epochs,
         "examples": len(parts["train"][1].features), "seed": seed,
     }  # fmt: skip
     trained, train_free = parts["train"]

@@ -1,15 +1,18 @@
-"""What a dataset's folder holds: its manifest, the entries of its episodes, and its roads."""
+"""What a dataset's folder holds beside shards.
+
+That is its roads, episodes with files of their own, and the manifest of schema version 1.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from behaviors.errors import InputError
 from sim.invalid_fields import first_wrong_field
@@ -17,7 +20,11 @@ from sim.road import Road
 from sim.road.files import ENDINGS
 from sim.road.maps.stored import SUFFIX, encode_road
 from sim.store.atomic import write_whole
-from sim.store.schema import EPISODE_FILES, SCHEMA_VERSION, EpisodeEntry, FileName, Manifest
+from sim.store.decode import EpisodeFiles, Tables
+from sim.store.entries import EPISODES, Versioned, check_version
+from sim.store.places import Folder, Place, place_of
+from sim.store.schema import EPISODE_FILES, EpisodeEntry, FileName, Manifest
+from sim.store.shards import ShardTables
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -38,18 +45,23 @@ def canonical(value: object) -> bytes:
     return json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode() + b"\n"
 
 
-def road_path(folder: Path, sha256: str) -> Path:
-    """Where a dataset keeps a road.
+def road_name(place: Place, sha256: str) -> str:
+    """Under which name a dataset keeps a road.
 
     Args:
-        folder: the dataset.
+        place: the dataset.
         sha256: checksum of the road's file.
 
     Returns:
         The file with its map if there is one, else where its SUMO net would be.
     """
-    kept = [folder / "roads" / f"{sha256}{ending}" for ending in ENDINGS]
-    return next((path for path in kept if path.is_file()), kept[-1])
+    kept = [f"roads/{sha256}{ending}" for ending in ENDINGS]
+    return next((name for name in kept if place.size(name) is not None), kept[-1])
+
+
+def road_path(folder: Path, sha256: str) -> Path:
+    """The path of a dataset's road; see `road_name`."""
+    return folder / road_name(Folder(folder), sha256)
 
 
 def road_bytes(road: Path | Road) -> bytes:
@@ -152,60 +164,36 @@ def altered_files(folder: Path, entry: EpisodeEntry) -> list[Path]:
     return altered
 
 
-def write_manifest(
-    folder: Path, configuration: Mapping[str, JsonValue], entries: Iterable[EpisodeEntry]
-) -> Manifest:
-    """Complete a dataset: list its episodes.
-
-    Args:
-        folder: the dataset.
-        configuration: what it was generated or imported with.
-        entries: its episodes.
-
-    Returns:
-        The manifest that was written.
+def validated(model: type[M], path: Path) -> M:
+    """A JSON file as a model; everything that can be wrong with it is one `InputError`.
 
     Raises:
-        OSError: if it cannot be written; an older one is then still there, whole.
+        FileNotFoundError: if there is no such file.
     """
-    ordered = tuple(sorted(entries, key=lambda e: (e.scenario, e.engine, e.index, e.id)))
-    roads = sorted({e.road for e in ordered if e.road is not None})
-    manifest = Manifest(
-        schema_version=SCHEMA_VERSION,
-        configuration=dict(configuration),
-        roads={sha256: road_path(folder, sha256).stat().st_size for sha256 in roads},
-        episodes=ordered,
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / MANIFEST, canonical(manifest.model_dump()))
-    return manifest
-
-
-class _Versioned(BaseModel):
-    """The one field that every version of the manifest has."""
-
-    model_config = ConfigDict(extra="ignore")
-    schema_version: int
-
-
-def validated(model: type[M], path: Path) -> M:
-    """A JSON file as a model; everything that can be wrong with it is one `InputError`."""
-    size = path.stat().st_size
-    if not path.is_file():
+    if path.exists() and not path.is_file():
         raise InputError(f"{path}: found no file, expected one")
+    return validated_in(model, Folder(path.parent), path.name)
+
+
+def validated_in(model: type[M], place: Place, name: str) -> M:
+    """As `validated`, for a file of a dataset wherever that is."""
+    path = place.path / name
+    size = place.size(name)
+    if size is None:
+        raise FileNotFoundError(2, "No such file", str(path))
     if size > MAX_JSON_BYTES:
         raise InputError(f"{path}: found {size} bytes, expected at most {MAX_JSON_BYTES}")
     try:
-        return model.model_validate_json(path.read_bytes())
+        return model.model_validate_json(place.read(name))
     except ValidationError as error:
         raise InputError(f"{path}: {first_wrong_field(error)}") from None
 
 
-def read_manifest(folder: Path) -> Manifest:
-    """Read the manifest of a dataset.
+def read_manifest(place: Place) -> Manifest:
+    """Read the manifest of a dataset of schema version 1.
 
     Args:
-        folder: the dataset.
+        place: the dataset.
 
     Returns:
         What is inside.
@@ -213,35 +201,70 @@ def read_manifest(folder: Path) -> Manifest:
     Raises:
         InputError: if there is no manifest, or it is broken or of another version.
     """
-    manifest = folder / MANIFEST
-    if not folder.exists():
-        raise InputError(f"{folder}: found nothing there, expected a dataset")
-    if not folder.is_dir():
-        raise InputError(f"{folder}: found a file, expected a dataset (import makes one of it)")
-    if not manifest.is_file():
+    manifest = place.path / MANIFEST
+    if place.size(MANIFEST) is None:
+        if not place.exists():
+            raise InputError(f"{place.url}: found nothing there, expected a dataset")
+        if isinstance(place, Folder) and not place.path.is_dir():
+            raise InputError(
+                f"{place.url}: found a file, expected a dataset (import makes one of it)"
+            )
         raise InputError(
-            f"{manifest}: found no file; if the dataset is unfinished, run the same generate again"
+            f"{place.path / EPISODES}: found no file; if the dataset is unfinished, run the same "
+            "generate again"
         )
-    version = validated(_Versioned, manifest).schema_version
-    if version != SCHEMA_VERSION:
-        raise InputError(
-            f"{manifest}: found schema_version {version}, expected {SCHEMA_VERSION}"
-            + ("; a newer graphrqi reads it" if version > SCHEMA_VERSION else "")
-        )
-    return validated(Manifest, manifest)
+    version = validated_in(Versioned, place, MANIFEST).schema_version
+    check_version(manifest, version, (1,))
+    return validated_in(Manifest, place, MANIFEST)
 
 
-def checked_bytes(path: Path, entry: EpisodeEntry) -> bytes:
-    """The content of an episode's file, which must be as the manifest says."""
-    expected = entry.files.get(cast(FileName, path.name))
+def is_dataset(path: Path) -> bool:
+    """Whether a folder or URL is that of a whole dataset, of whatever version."""
+    place = place_of(path)
+    return any(place.size(name) is not None for name in (EPISODES, MANIFEST))
+
+
+def checked_bytes(place: Place, entry: EpisodeEntry, name: str) -> bytes:
+    """The content of an episode's own file, which must be as the entry says."""
+    file = f"episodes/{entry.id}/{name}"
+    path = place.path / file
+    expected = entry.files.get(cast(FileName, name))
     if expected is None:
         raise InputError(f"{path}: found no checksum of it in the manifest, expected one")
-    if not path.is_file():
+    size = place.size(file)
+    if size is None:
         raise InputError(f"{path}: found no file, expected one of {expected.size} bytes")
-    size = path.stat().st_size
     if size != expected.size:
         raise InputError(f"{path}: found {size} bytes, expected {expected.size}")
-    data = path.read_bytes()
+    data = place.read(file)
     if checksum(data) != expected.sha256:
         raise InputError(f"{path}: found another content, expected sha256 {expected.sha256}")
     return data
+
+
+class _CheckedFiles(Mapping[str, bytes]):
+    """The bytes of an episode's own files, read and compared when they are asked for."""
+
+    def __init__(self, place: Place, entry: EpisodeEntry) -> None:
+        self._place, self._entry = place, entry
+
+    def __getitem__(self, name: str) -> bytes:
+        return checked_bytes(self._place, self._entry, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(EPISODE_FILES)
+
+    def __len__(self) -> int:
+        return len(EPISODE_FILES)
+
+
+def tables_of(place: Place, entry: EpisodeEntry) -> Tables:
+    """The tables of an episode, in its shard or in files of its own.
+
+    Args:
+        place: the dataset.
+        entry: of the episode.
+    """
+    if entry.shard is not None:
+        return ShardTables(place, entry)
+    return EpisodeFiles(place.path / "episodes" / entry.id, _CheckedFiles(place, entry))

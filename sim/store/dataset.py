@@ -1,14 +1,21 @@
-"""A dataset of labelled episodes: opened by its manifest, read back as arrays.
+"""A dataset of labelled episodes: opened by its catalogue, read back as arrays.
 
-What the files hold is said in `sim.store.schema`; `sim.store.writing` writes them.
+What the files hold is said in `sim.store.schema`; `sim.store.writing` and `sim.store.sealing` write
+them.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
+
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from behaviors.detector_inputs import ShownTrait
 from behaviors.display import counted, html_table, import_pandas
@@ -17,9 +24,22 @@ from sim.frames import Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.scenario import AgentSpec
-from sim.store.catalogue import checked_bytes, checksum, read_manifest, road_path
+from sim.store.catalogue import checksum, read_manifest, road_name, tables_of
 from sim.store.decode import read_tables
-from sim.store.schema import EPISODE_FILES, EpisodeEntry, Manifest, Split
+from sim.store.entries import Catalogue, catalogue_table, open_catalogue, rows_where
+from sim.store.places import Folder, Place, arrow_filesystem, full_name, place_of
+from sim.store.schema import (
+    CATALOGUE,
+    TABLES,
+    EpisodeEntry,
+    FileName,
+    Header,
+    Manifest,
+    Split,
+    shard_schema,
+)
+from sim.store.sealing import with_counts
+from sim.store.shards import shard_file
 
 SHOWN_EPISODES: Final = 10
 """Most episodes that a notebook shows of a dataset."""
@@ -63,84 +83,189 @@ class Episode:
         return self.tracks.to_pandas()
 
 
-@dataclass(frozen=True)
 class Dataset:
-    """A dataset whose manifest has been read and found valid.
+    """A dataset whose catalogue has been opened; nothing else of it has been read.
 
     Attributes:
-        path: its folder.
-        manifest: what is inside.
+        path: its folder, or its URL as a path.
+        header: what concerns it as a whole.
     """
 
-    path: Path
-    manifest: Manifest
+    def __init__(self, path: Path, catalogue: Catalogue | Manifest) -> None:
+        """A dataset that has a catalogue, or the manifest of schema version 1."""
+        self.path = path
+        self._place = place_of(path)
+        self._catalogue = catalogue
+
+    @property
+    def header(self) -> Header:
+        """What concerns the dataset as a whole."""
+        return self._catalogue if isinstance(self._catalogue, Header) else self._catalogue.header
+
+    @property
+    def manifest(self) -> Manifest:
+        """Everything that is known of the dataset, an object for each episode."""
+        catalogue = self._catalogue
+        return catalogue if isinstance(catalogue, Manifest) else catalogue.manifest
+
+    @cached_property
+    def catalogue(self) -> pa.Table:
+        """The catalogue as an Arrow table of the columns ``sim.store.schema.CATALOGUE``.
+
+        Raises:
+            InputError: if it is broken; of schema version 1, if an episode's agents are.
+        """
+        if isinstance(self._catalogue, Catalogue):
+            return self._catalogue.table
+        return catalogue_table(with_counts(self._place, e) for e in self._catalogue.episodes)
+
+    def __len__(self) -> int:
+        """How many episodes there are."""
+        catalogue = self._catalogue
+        return len(catalogue.episodes) if isinstance(catalogue, Manifest) else catalogue.count
+
+    def __iter__(self) -> Iterator[Episode]:
+        """Every episode, read one after another in the catalogue's order."""
+        for entry in self.manifest.episodes:
+            yield self.read(entry)
 
     def episodes(
-        self, split: Split | None = None, scenario: str | None = None
+        self,
+        split: Split | None = None,
+        scenario: str | None = None,
+        behavior: str | None = None,
+        mix: str | Mapping[str, float] | None = None,
+        flow: str | float | None = None,
     ) -> tuple[EpisodeEntry, ...]:
-        """The episodes of a split and a scenario, in the manifest's order.
+        """The episodes that fit, in the catalogue's order.
 
         Args:
             split: only this part of the data; None for all.
             scenario: only this scenario; None for all.
+            behavior: only episodes for which a driver of this behaviour was drawn.
+            mix: only episodes made with this mix, as a mapping or as ``timid=.5,careful=.5``.
+            flow: only episodes made with this flow, as a word or in vehicles per hour.
 
         Returns:
-            Their entries.
+            Their entries. Only those that fit become objects.
+
+        Raises:
+            InputError: if a filter is no behaviour, or no mix.
         """
-        return tuple(
-            e
-            for e in self.manifest.episodes
-            if split in (None, e.split) and scenario in (None, e.scenario)
-        )
+        if isinstance(self._catalogue, Manifest) and (behavior, mix, flow) == (None, None, None):
+            return tuple(
+                e
+                for e in self._catalogue.episodes
+                if split in (None, e.split) and scenario in (None, e.scenario)
+            )
+        if (split, scenario, behavior, mix, flow) == (None,) * 5:
+            return self.manifest.episodes
+        fitting = rows_where(self.catalogue, split, scenario, behavior, mix, flow)
+        if isinstance(self._catalogue, Manifest):
+            wanted = set(fitting.column("id").to_pylist())
+            return tuple(e for e in self._catalogue.episodes if e.id in wanted)
+        return self._catalogue.entries(fitting)
+
+    def scan(
+        self,
+        table: str = "steps",
+        split: Split | None = None,
+        scenario: str | None = None,
+        behavior: str | None = None,
+        mix: str | Mapping[str, float] | None = None,
+        flow: str | float | None = None,
+    ) -> Any:
+        """One table of all episodes that fit, to be read in pieces.
+
+        Args:
+            table: steps, agents, frames, signals, events or traits.
+            split: as in `episodes`, like all that follow.
+            scenario: as in `episodes`.
+            behavior: as in `episodes`: it chooses episodes, not agents.
+            mix: as in `episodes`.
+            flow: as in `episodes`.
+
+        Returns:
+            A `pyarrow.dataset.Dataset` with the columns of that table, and ``episode``,
+            ``scenario`` and ``split``. Only the shards that hold a fitting episode are opened.
+
+        Raises:
+            InputError: if there is no such table, a filter is wrong, or the dataset is of schema
+                version 1 (``graphrqi upgrade`` rewrites it).
+        """
+        if isinstance(self._catalogue, Manifest):
+            raise InputError(
+                f"{self.path}: found a dataset of schema version 1, expected shards; "
+                "graphrqi upgrade makes them"
+            )
+        fitting = rows_where(self.catalogue, split, scenario, behavior, mix, flow)
+        alone = None if (behavior, mix, flow) == (None,) * 3 else fitting.column("id")
+        return scanned(self._place, table, fitting, alone)
 
     @property
     def scenarios(self) -> tuple[str, ...]:
         """Names of the scenarios that have episodes, sorted."""
-        return tuple(sorted({e.scenario for e in self.manifest.episodes}))
+        if isinstance(self._catalogue, Manifest):
+            return tuple(sorted({e.scenario for e in self._catalogue.episodes}))
+        return tuple(sorted(pc.unique(self.catalogue.column("scenario")).to_pylist()))
+
+    def _counts(self) -> tuple[dict[str, int], int, int]:
+        """Episodes by split, agents, and agent-steps."""
+        if isinstance(self._catalogue, Manifest):
+            entries = self._catalogue.episodes
+            splits = Counter(str(e.split) for e in entries)
+            return splits, sum(e.agents for e in entries), sum(e.agent_steps for e in entries)
+        table = self.catalogue
+        found = pc.value_counts(table.column("split")).to_pylist()
+        agents, steps = (
+            int(pc.sum(table.column(name)).as_py() or 0) for name in ("agents", "agent_steps")
+        )
+        return {one["values"]: one["counts"] for one in found}, agents, steps
 
     def __repr__(self) -> str:
         """Counts of episodes by split, of scenarios, agents and agent-steps, and the size."""
-        entries = self.manifest.episodes
-        splits = Counter(e.split for e in entries)
-        size = sum(file.size for e in entries for file in e.files.values())
+        splits, agents, steps = self._counts()
+        files = list(self.header.files.values())
+        if isinstance(self._catalogue, Manifest):
+            files += [file for e in self._catalogue.episodes for file in e.files.values()]
         by_split = ", ".join(f"{splits[name]} {name}" for name in sorted(splits))
         return (
-            f"Dataset({self.path!s:.120}: {counted(len(entries), 'episode')}"
+            f"Dataset({self._place.url:.120}: {counted(len(self), 'episode')}"
             + (f" ({by_split})" if by_split else "")
             + f" of {counted(len(self.scenarios), 'scenario')}, "
-            f"{counted(sum(e.agents for e in entries), 'agent')}, "
-            f"{counted(sum(e.agent_steps for e in entries), 'agent-step')}, {size / 1e6:.1f} MB)"
+            f"{counted(agents, 'agent')}, {counted(steps, 'agent-step')}, "
+            f"{sum(file.size for file in files) / 1e6:.1f} MB)"
         )
 
     def _repr_html_(self) -> str:
         """A table of the first episodes, for notebooks."""
-        entries = self.manifest.episodes
+        if isinstance(self._catalogue, Manifest):
+            first = self._catalogue.episodes[:SHOWN_EPISODES]
+        else:
+            first = self._catalogue.entries(self.catalogue.slice(0, SHOWN_EPISODES))
         rows: list[tuple[object, ...]] = [
-            tuple(getattr(e, name) for name in _COLUMNS) for e in entries[:SHOWN_EPISODES]
+            tuple(getattr(e, name) for name in _COLUMNS) for e in first
         ]
-        if len(entries) > SHOWN_EPISODES:
-            rest = f"and {len(entries) - SHOWN_EPISODES} more"
+        if len(self) > SHOWN_EPISODES:
+            rest = f"and {len(self) - SHOWN_EPISODES} more"
             rows.append((rest, *[""] * (len(_COLUMNS) - 1)))
         return html_table(repr(self), _COLUMNS, rows)
 
     def to_pandas(self) -> Any:
-        """A pandas table with a row per episode.
+        """A pandas table with a row per episode: the catalogue.
 
         Returns:
-            A data frame with the columns id, scenario, engine, seed, index, split, frames, agents,
-            agent_steps, road (checksum; missing where unknown) and bytes, in the manifest's order.
+            A data frame with the columns of ``sim.store.schema.CATALOGUE``, in its order.
 
         Raises:
             InputError: if pandas is not installed.
         """
-        pandas = import_pandas()
-        entries = self.manifest.episodes
-        table = {name: [getattr(e, name) for e in entries] for name in (*_COLUMNS, "road")}
-        table["bytes"] = [sum(file.size for file in e.files.values()) for e in entries]
-        return pandas.DataFrame(table)
+        import_pandas()
+        table = self.catalogue
+        return table.cast(pa.schema([CATALOGUE.field(n) for n in table.column_names])).to_pandas()
 
     def read(self, entry: EpisodeEntry) -> Episode:
-        """Read an episode, checking every file against its checksum.
+        """Read an episode, comparing checksums.
 
         Args:
             entry: one of `episodes`.
@@ -151,9 +276,27 @@ class Dataset:
         Raises:
             InputError: if a file is missing, altered, or does not fit the schema; names the file.
         """
-        home = self.path / "episodes" / entry.id
-        tables = {name: checked_bytes(home / name, entry) for name in EPISODE_FILES}
-        return Episode(entry, *read_tables(home, entry, tables))
+        if entry.shard is None and isinstance(self._catalogue, Catalogue):
+            return self.load_episode(entry.id)  # as it was before it came into a shard
+        return Episode(entry, *read_tables(entry, tables_of(self._place, entry)))
+
+    def load_episode(self, identity: str) -> Episode:
+        """Read the episode of an id, as `read` does.
+
+        Args:
+            identity: the id of one of `episodes`.
+
+        Raises:
+            InputError: if there is no such episode, or it cannot be read.
+        """
+        if isinstance(self._catalogue, Manifest):
+            found = tuple(e for e in self._catalogue.episodes if e.id == identity)
+        else:
+            mask = pc.equal(self.catalogue.column("id"), identity)
+            found = self._catalogue.entries(self.catalogue.filter(mask))
+        if not found:
+            raise InputError(f"{self.path}: found no episode {identity!r}, expected one of its ids")
+        return self.read(found[0])
 
     def road(self, entry: EpisodeEntry) -> Road | None:
         """The road an episode happened on.
@@ -169,26 +312,74 @@ class Dataset:
         """
         if entry.road is None:
             return None
-
-        path = road_path(self.path, entry.road)
-        if not path.is_file():
-            raise InputError(f"{path}: found no file, expected the road of episode {entry.id}")
-        if checksum(path.read_bytes()) != entry.road:
+        name = road_name(self._place, entry.road)
+        path = self.path / name
+        try:
+            data = self._place.read(name)
+        except FileNotFoundError:
+            raise InputError(
+                f"{path}: found no file, expected the road of episode {entry.id}"
+            ) from None
+        if checksum(data) != entry.road:
             raise InputError(f"{path}: found another checksum than its name, expected it unaltered")
-        return read_road_file(path, entry.scenario)
+        if isinstance(self._place, Folder):
+            return read_road_file(path, entry.scenario)
+        with tempfile.TemporaryDirectory(prefix="graphrqi-road-") as scratch:
+            copy = Path(scratch) / path.name
+            copy.write_bytes(data)
+            return read_road_file(copy, entry.scenario)
+
+
+def scanned(place: Place, table: str, fitting: pa.Table, alone: Any | None) -> Any:
+    """The shards of some rows of a catalogue as one `pyarrow.dataset.Dataset`.
+
+    Args:
+        place: the dataset.
+        table: which table.
+        fitting: rows of the catalogue.
+        alone: ids of the only episodes wanted; None for all that the shards have.
+    """
+    from pyarrow import dataset as arrow_dataset
+
+    if table not in TABLES:
+        raise InputError(f"table: found {table!r}, expected one of {', '.join(TABLES)}")
+    name = cast(FileName, f"{table}.parquet")
+    where = fitting.select(["scenario", "split", "shard"]).group_by(
+        ["scenario", "split", "shard"]
+    ).aggregate([])  # fmt: skip
+    files = sorted(
+        shard_file(name, row["scenario"], row["split"], row["shard"]) for row in where.to_pylist()
+    )
+    exact = bool(pc.any(fitting.column("exact")).as_py())
+    schema = shard_schema(name, exact)
+    for column in ("scenario", "split"):
+        schema = schema.append(pa.field(column, pa.string()))
+    found = arrow_dataset.dataset(
+        [full_name(place, file) for file in files],
+        schema=schema,
+        format="parquet",
+        filesystem=arrow_filesystem(place),
+        partitioning=arrow_dataset.partitioning(
+            pa.schema([("scenario", pa.string()), ("split", pa.string())]), flavor="hive"
+        ),
+        partition_base_dir=full_name(place, table),
+    )
+    return found if alone is None else found.filter(pc.field("episode").isin(alone))
 
 
 def open_dataset(path: str | Path) -> Dataset:
-    """Open a dataset folder.
+    """Open a dataset by its catalogue alone.
 
     Args:
-        path: the folder that holds ``manifest.json``.
+        path: the folder that holds ``episodes.parquet`` (or ``manifest.json``, of schema version
+            1), or its URL: ``s3://bucket/data``, ``gs://``, ``file://``, ``memory://``.
 
     Returns:
-        The dataset; episodes are read when asked for.
+        The dataset; the catalogue's rows and the episodes are read when asked for.
 
     Raises:
-        InputError: if there is no manifest, or it is broken or of another version.
+        InputError: if there is no catalogue, or it is broken or of another version.
     """
-    folder = Path(path)
-    return Dataset(folder, read_manifest(folder))
+    place = place_of(path)
+    catalogue = open_catalogue(place)
+    return Dataset(place.path, read_manifest(place) if catalogue is None else catalogue)

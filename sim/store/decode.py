@@ -1,4 +1,4 @@
-"""From the bytes of an episode's tables back to `Tracks`, agents and shown traits.
+"""From an episode's tables back to `Tracks`, agents and shown traits.
 
 Whatever can be wrong with a table is one `InputError` that names the file.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 import pyarrow as pa
@@ -32,19 +32,84 @@ from sim.store.schema import (
     SIGNALS_TABLE,
     TRAITS_TABLE,
     EpisodeEntry,
+    FileName,
     steps_schema,
 )
 
+STEPS: Final = (steps_schema(exact=False), steps_schema(exact=True))
+"""What a table of steps may look like."""
+
+
+class Tables(Protocol):
+    """The tables of one episode, wherever they are."""
+
+    def path(self, name: FileName) -> Path:
+        """The file that a table is in, for messages."""
+
+    def table(
+        self,
+        name: FileName,
+        schemas: Sequence[pa.Schema],
+        max_rows: int,
+        columns: list[str] | None = None,
+    ) -> pa.Table:
+        """A table that has one of the schemas.
+
+        Args:
+            name: which table.
+            schemas: what it may look like.
+            max_rows: most values of a column.
+            columns: those to read; None for all.
+
+        Raises:
+            InputError: if it is broken in any way.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeFiles:
+    """Tables of an episode that has a file for each.
+
+    Attributes:
+        home: the episode's folder, for messages.
+        data: the bytes of each of ``EPISODE_FILES``.
+    """
+
+    home: Path
+    data: Mapping[str, bytes]
+
+    def path(self, name: FileName) -> Path:
+        """The table's file."""
+        return self.home / name
+
+    def table(
+        self,
+        name: FileName,
+        schemas: Sequence[pa.Schema],
+        max_rows: int,
+        columns: list[str] | None = None,
+    ) -> pa.Table:
+        """A table that has one of the schemas."""
+        path = self.path(name)
+        with opened(path, self.data[name]) as (layout, source):
+            found = pq.read_schema(source).remove_metadata()
+            check_columns(path, found, schemas)
+            # the edges of all routes count as the rows of routes
+            texts = check_budget(path, layout, columns, max_rows)
+            packed = read_packed(source, texts, columns)
+            for column in packed.columns:
+                check_spelled_out(path, column, MAX_TEXT_BYTES)
+            return packed.cast(pa.schema([found.field(name) for name in packed.column_names]))
+
 
 def read_tables(
-    home: Path, entry: EpisodeEntry, data: Mapping[str, bytes]
+    entry: EpisodeEntry, tables: Tables
 ) -> tuple[Tracks, tuple[AgentSpec, ...], tuple[ShownTrait, ...]]:
     """Everything that an episode's tables hold.
 
     Args:
-        home: the episode's folder, for messages.
-        entry: what the manifest says of it.
-        data: the bytes of each of ``EPISODE_FILES``.
+        entry: what the catalogue says of it.
+        tables: where they are.
 
     Returns:
         Tracks of all agents that were seen, all agents, and the shown traits.
@@ -52,11 +117,9 @@ def read_tables(
     Raises:
         InputError: if a table is broken or does not fit the schema; names the file.
     """
-    agents_path, frames_path = home / "agents.parquet", home / "frames.parquet"
-    agents = _read_table(agents_path, data["agents.parquet"], [AGENTS], MAX_OBJECTS, None)
-    frames = _read_table(
-        frames_path, data["frames.parquet"], [FRAMES], min(entry.frames, MAX_CELLS), None
-    )
+    agents_path, frames_path = tables.path("agents.parquet"), tables.path("frames.parquet")
+    agents = tables.table("agents.parquet", [AGENTS], MAX_OBJECTS)
+    frames = tables.table("frames.parquet", [FRAMES], min(entry.frames, MAX_CELLS))
     time_s = _numbers(frames_path, frames, "time_s")
     if time_s.size != entry.frames or (np.diff(time_s) <= 0).any():
         raise InputError(f"{frames_path}: expected {entry.frames} times, each after the one before")
@@ -68,7 +131,7 @@ def read_tables(
     ids = _numbers(agents_path, agents, "agent")
     if (np.diff(ids) <= 0).any():
         raise InputError(f"{agents_path}: found agents out of order, expected ascending ids")
-    dense = _read_steps(home / "steps.parquet", entry, data["steps.parquet"], ids, time_s.size)
+    dense = _read_steps(tables, entry, ids, time_s.size)
     seen = np.flatnonzero(dense.valid.any(axis=1))
     behavior = _codes(agents_path, agents, "behavior", BEHAVIORS, optional=True)[seen]
     specs = _agent_specs(agents_path, agents)
@@ -86,28 +149,21 @@ def read_tables(
         heading=dense.heading[take],
         speed=dense.speed[take],
         valid=dense.valid[take],
-        signals=_read_signals(home / "signals.parquet", data["signals.parquet"], time_s.size),
+        signals=_read_signals(tables, time_s.size),
         behavior=behavior if (behavior >= 0).any() else None,
-        events=_read_events(home / "events.parquet", data["events.parquet"]),
+        events=_read_events(tables),
     )
-    shown = _read_shown_traits(home / "traits.parquet", data["traits.parquet"])
-    return tracks, specs, shown
+    return tracks, specs, _read_shown_traits(tables)
 
 
-def _read_table(
-    path: Path, data: bytes, schemas: Sequence[pa.Schema], max_rows: int, columns: list[str] | None
-) -> pa.Table:
-    """A table that has one of the schemas; every way it can be broken is one InputError."""
-    with opened(path, data) as (layout, source):
-        found = pq.read_schema(source).remove_metadata()
-        if not any(_same_columns(found, schema) for schema in schemas):
-            raise InputError(f"{path}: {_first_difference(found, schemas[0])}")
-        # the edges of all routes count as the rows of routes
-        texts = check_budget(path, layout, columns, max_rows)
-        packed = read_packed(source, texts, columns)
-        for column in packed.columns:
-            check_spelled_out(path, column, MAX_TEXT_BYTES)
-        return packed.cast(pa.schema([found.field(name) for name in packed.column_names]))
+def check_columns(path: Path, found: pa.Schema, schemas: Sequence[pa.Schema]) -> None:
+    """Refuse a table that has none of the schemas.
+
+    Raises:
+        InputError: naming the first column that differs.
+    """
+    if not any(_same_columns(found, schema) for schema in schemas):
+        raise InputError(f"{path}: {_first_difference(found, schemas[0])}")
 
 
 def _first_difference(found: pa.Schema, expected: pa.Schema) -> str:
@@ -166,13 +222,11 @@ class _Dense:
     valid: NDArray[np.bool_]
 
 
-def _read_steps(
-    path: Path, entry: EpisodeEntry, data: bytes, ids: NDArray[np.int64], steps: int
-) -> _Dense:
+def _read_steps(tables: Tables, entry: EpisodeEntry, ids: NDArray[np.int64], steps: int) -> _Dense:
+    path = tables.path("steps.parquet")
     columns = ["agent", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
-    schemas = [steps_schema(exact=False), steps_schema(exact=True)]
     max_rows = min(entry.agent_steps, ids.size * steps)
-    table = _read_table(path, data, schemas, max_rows, columns)
+    table = tables.table("steps.parquet", STEPS, max_rows, columns)
     agent, step, x, y, heading, speed = (_numbers(path, table, c) for c in columns)
     starts = np.flatnonzero(np.diff(agent, prepend=agent[:1] - 1)) if agent.size else agent
     runs = agent[starts]
@@ -197,8 +251,9 @@ def _read_steps(
     return _Dense(xy, dense[0], dense[1], valid)
 
 
-def _read_signals(path: Path, data: bytes, steps: int) -> NDArray[np.int8]:
-    table = _read_table(path, data, [SIGNALS_TABLE], MAX_OBJECTS, None)
+def _read_signals(tables: Tables, steps: int) -> NDArray[np.int8]:
+    path = tables.path("signals.parquet")
+    table = tables.table("signals.parquet", [SIGNALS_TABLE], MAX_OBJECTS)
     step, group = _numbers(path, table, "step"), _numbers(path, table, "group")
     state = _codes(path, table, "state", SIGNALS)
     groups = int(group.max()) + 1 if group.size else 0
@@ -218,8 +273,9 @@ def _read_signals(path: Path, data: bytes, steps: int) -> NDArray[np.int8]:
     return np.take_along_axis(signals, last, axis=1)
 
 
-def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
-    table = _read_table(path, data, [EVENTS], MAX_OBJECTS, None)
+def _read_events(tables: Tables) -> tuple[Event, ...]:
+    path = tables.path("events.parquet")
+    table = tables.table("events.parquet", [EVENTS], MAX_OBJECTS)
     kinds = [k.value for k in EventKind]
     _codes(path, table, "kind", kinds)
     _numbers(path, table, "time_s")
@@ -230,8 +286,9 @@ def _read_events(path: Path, data: bytes) -> tuple[Event, ...]:
     )
 
 
-def _read_shown_traits(path: Path, data: bytes) -> tuple[ShownTrait, ...]:
-    table = _read_table(path, data, [TRAITS_TABLE], MAX_OBJECTS, None)
+def _read_shown_traits(tables: Tables) -> tuple[ShownTrait, ...]:
+    path = tables.path("traits.parquet")
+    table = tables.table("traits.parquet", [TRAITS_TABLE], MAX_OBJECTS)
     _codes(path, table, "trait", tuple(Trait))
     for name in ("agent", "begin_s", "end_s", "value"):
         _numbers(path, table, name)

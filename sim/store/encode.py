@@ -269,22 +269,25 @@ def _parquet_bytes(name: FileName, table: pa.Table) -> bytes:
     if name not in ("steps.parquet", "frames.parquet") and table.num_rows > MAX_OBJECTS:
         raise InputError(f"{name}: found {table.num_rows} rows, expected at most {MAX_OBJECTS}")
     sink = pa.BufferOutputStream()
-    numbers = [f.name for f in table.schema if pa.types.is_floating(f.type)]
-    integers = [f.name for f in table.schema if pa.types.is_integer(f.type)]
+    pq.write_table(table, sink, **parquet_options(table.schema))
+    return cast(bytes, sink.getvalue().to_pybytes())
+
+
+def parquet_options(schema: pa.Schema) -> dict[str, Any]:
+    """How tables of a schema are written: options of `pyarrow.parquet.ParquetWriter`."""
+    numbers = [f.name for f in schema if pa.types.is_floating(f.type)]
+    integers = [f.name for f in schema if pa.types.is_integer(f.type)]
     words = [
         f.name if pa.types.is_string(f.type) else f"{f.name}.list.element"
-        for f in table.schema
+        for f in schema
         if not (f.name in numbers or f.name in integers)
     ]
-    pq.write_table(
-        table,
-        sink,
-        compression="zstd",
-        use_dictionary=words,
-        column_encoding={
+    return {
+        "compression": "zstd",
+        "use_dictionary": words,
+        "column_encoding": {
             **{name: "BYTE_STREAM_SPLIT" for name in numbers},
             **{name: "DELTA_BINARY_PACKED" for name in integers},
         },
-        store_schema=False,
-    )
-    return cast(bytes, sink.getvalue().to_pybytes())
+        "store_schema": False,
+    }

@@ -13,6 +13,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from sim.store.atomic import PARTIAL_PREFIX
+from sim.store.schema import TABLES
 
 LOCK: Final = ".lock"
 """Name of the lock file. It exists only while a run writes, and names that run."""
@@ -21,7 +22,9 @@ LOCK: Final = ".lock"
 FILLING: Final = "filling a new folder"
 """The purpose of runs that begin anew when they are killed."""
 
-OWN: Final = frozenset({"episodes", "roads", "manifest.json", "README.md"})
+OWN: Final = frozenset(
+    {"episodes", "roads", "manifest.json", "episodes.parquet", "README.md", *TABLES}
+)
 """What a run writes into a dataset's folder."""
 
 
@@ -67,6 +70,56 @@ def sole_writer(folder: Path, purpose: str = "writing") -> Iterator[str]:
         yield left
     finally:
         path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+@contextmanager
+def one_of_several_writers(folder: Path, name: str) -> Iterator[None]:
+    """Hold a folder for writing together with others that hold it in this way.
+
+    Args:
+        folder: what to hold; created if need be.
+        name: this writer's own; no other may hold the folder under it.
+
+    Yields:
+        Nothing; the folder is held inside the block.
+
+    Raises:
+        InputError: if a sole writer holds it, or another one of that name.
+        OSError: if the folder cannot be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: found a file, expected a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        _locked(folder, LOCK, fcntl.LOCK_SH, f"one of several writers, {name}"),
+        _locked(folder, f"{LOCK}-{name}", fcntl.LOCK_EX, name),
+    ):
+        yield
+
+
+@contextmanager
+def _locked(folder: Path, name: str, kind: int, purpose: str) -> Iterator[None]:
+    """Hold a lock file of a folder; the last one that holds it removes it."""
+    path = folder / name
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise InputError(
+                f"{folder}: another run is writing to it ({purpose}); wait for its end"
+            ) from None
+        if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
+            break
+        os.close(descriptor)
+    try:
+        yield
+    finally:
+        with suppress(BlockingIOError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink(missing_ok=True)
         os.close(descriptor)
 
 

@@ -10,8 +10,9 @@ References:
 
 from __future__ import annotations
 
+import io
 import mmap
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +37,9 @@ MAX_COLUMNS: Final = 1000
 MAX_TABLE_BYTES: Final = 2**30
 """Most bytes that the columns read may unpack to (our choice: 1 GiB, half of the budget of 2 GB
 that a file has)."""
+
+_TAIL_BYTES: Final = 2**16
+"""How much of a file's end is read at first (our choice: most footers fit)."""
 
 _MAGIC: Final = b"PAR1"
 _PHYSICAL: Final = (
@@ -157,15 +161,175 @@ def _layout(data: Any) -> Layout:
     _require(type(rows) is int and rows >= 0, "it has no number of rows")
     found, pages = 0, 0
     for group in head[4]:
-        in_group = group[3]
-        _require(len(group[1]) == len(columns), "a row group has other columns than the schema")
-        _require(type(in_group) is int and in_group >= 0, "a row group has no number of rows")
-        found += in_group
-        for column, chunk in zip(columns, group[1], strict=True):
-            pages += _add_chunk(data, begin, column, chunk, in_group)
-            _require(pages <= MAX_PAGES, f"it has more than {MAX_PAGES} pages")
+        found += group[3]
+        pages += _add_group(data, begin, columns, group)
+        _require(pages <= MAX_PAGES, f"it has more than {MAX_PAGES} pages")
     _require(found == rows, "its row groups have other rows than the file")
     return Layout(rows, tuple(columns))
+
+
+def _add_group(
+    data: Any, begin: int, columns: Sequence[StoredColumn], group: Mapping[int, Any]
+) -> int:
+    """Add a row group's pages to the columns; how many pages there are."""
+    rows, pages = group[3], 0
+    _require(len(group[1]) == len(columns), "a row group has other columns than the schema")
+    _require(type(rows) is int and rows >= 0, "a row group has no number of rows")
+    for column, chunk in zip(columns, group[1], strict=True):
+        pages += _add_chunk(data, begin, column, chunk, rows)
+        _require(pages <= MAX_PAGES, f"it has more than {MAX_PAGES} pages")
+    return pages
+
+
+@dataclass(frozen=True, slots=True)
+class Footer:
+    """The end of a Parquet file, from which its row groups can be read one by one.
+
+    Attributes:
+        path: of the file, for messages.
+        size: of the file, bytes.
+        content: the footer's bytes with the length and the magic behind them.
+        rows: how many rows there are.
+        groups: the row groups, as `sim.store.thrift.read_struct` gives them.
+        schema: the columns' tree, in the same form.
+        metadata: what the file says of itself as a whole, by key.
+    """
+
+    path: Path
+    size: int
+    content: bytes
+    rows: int
+    groups: list[dict[int, Any]]
+    schema: list[dict[int, Any]]
+    metadata: dict[bytes, bytes]
+
+
+def read_footer(path: Path, size: int, read: Callable[[int, int], bytes]) -> Footer:
+    """Read the end of a Parquet file, and nothing else of it.
+
+    Args:
+        path: of the file, for messages.
+        size: of the file, bytes.
+        read: gives the bytes from one place in the file to another.
+
+    Raises:
+        InputError: if it is broken.
+    """
+    try:
+        tail = read(max(0, size - _TAIL_BYTES), size)
+        _require(size >= 12 and tail[-4:] == _MAGIC, "it has no Parquet magic")
+        length = int.from_bytes(tail[-8:-4], "little") + 8
+        _require(12 <= length + 4 <= size, "its footer does not fit")
+        content = tail[-length:] if length <= len(tail) else read(size - length, size)
+        _require(len(content) == length, "its footer does not fit")
+        head, _ = read_struct(content, 0, length - 8)
+        rows, groups = head[3], head.get(4, [])
+        _require(type(rows) is int and rows >= 0, "it has no number of rows")
+        _require(rows == sum(g[3] for g in groups), "its row groups have other rows than the file")
+        said = {pair[1]: pair[2] for pair in head.get(5, []) if 2 in pair}
+        return Footer(path, size, content, rows, groups, head[2], said)
+    except (ThriftError, TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
+        reason = str(error) if isinstance(error, ThriftError) else "its footer is broken"
+        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+
+
+class _Parts(io.RawIOBase):
+    """A file of which only some parts are known: reading anything else gives zeros."""
+
+    def __init__(self, size: int, parts: Sequence[tuple[int, bytes]]) -> None:
+        self._size, self._parts, self._at = size, parts, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        self._at = offset + (0, self._at, self._size)[whence]
+        return self._at
+
+    def read(self, size: int = -1) -> bytes:
+        end = self._size if size < 0 else min(self._at + size, self._size)
+        begin, self._at = self._at, end
+        read = bytearray(max(0, end - begin))
+        for first, data in self._parts:
+            low, high = max(begin, first), min(end, first + len(data))
+            if low < high:
+                read[low - begin : high - begin] = data[low - first : high - first]
+        return bytes(read)
+
+
+class _Shifted:
+    """Bytes that begin at a later place of their file."""
+
+    def __init__(self, data: bytes, first: int) -> None:
+        self._data, self._first = data, first
+
+    def __getitem__(self, at: int | slice) -> Any:
+        if isinstance(at, slice):
+            return self._data[at.start - self._first : at.stop - self._first]
+        if at < self._first:
+            raise IndexError(at)
+        return self._data[at - self._first]
+
+
+@contextmanager
+def opened_group(
+    footer: Footer, number: int, read: Callable[[int, int], bytes]
+) -> Iterator[tuple[Layout, pq.ParquetFile]]:
+    """One row group of a file that was looked through; nothing else of the file is read.
+
+    Args:
+        footer: of the file.
+        number: of the row group.
+        read: gives the bytes from one place in the file to another.
+
+    Yields:
+        What the row group holds, and the file, of which ``read_row_group(number)`` can be called.
+        Its pages' checksums are compared.
+
+    Raises:
+        InputError: if it is broken, also by what Arrow finds in the block.
+    """
+    path = footer.path
+    try:
+        if not 0 <= number < len(footer.groups):
+            raise InputError(f"{path}: found {len(footer.groups)} row groups, expected {number}")
+        group = footer.groups[number]
+        columns = _columns(footer.schema)
+        first, end = _extent(group, footer.size - len(footer.content))
+        data = read(first, end)
+        _require(len(data) == end - first, "a row group lies outside of the file")
+        _add_group(_Shifted(data, first), end, columns, group)
+        layout = Layout(group[3], tuple(columns))
+        parts = [(first, data), (footer.size - len(footer.content), footer.content)]
+        with pa.PythonFile(_Parts(footer.size, parts), mode="r") as source:
+            yield layout, pq.ParquetFile(source, page_checksum_verification=True)
+    except (InputError, FileNotFoundError):
+        raise
+    except (ThriftError, TypeError, KeyError, IndexError, AttributeError) as error:
+        reason = str(error) if isinstance(error, ThriftError) else "a header is broken"
+        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+    except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: found no readable Parquet table ({reason:.200})") from None
+
+
+def _extent(group: Mapping[int, Any], limit: int) -> tuple[int, int]:
+    """From where to where in its file a row group lies."""
+    begins, ends = [], []
+    for chunk in group[1]:
+        meta = chunk[3]
+        at = min((meta[number] for number in (9, 11) if meta.get(number, 0) > 0), default=4)
+        begins.append(at)
+        ends.append(at + meta[7])
+    first, end = min(begins), max(ends)
+    _require(4 <= first <= end <= limit, "a row group lies outside of the file")
+    return first, end
 
 
 def _columns(elements: list[dict[int, Any]]) -> list[StoredColumn]:

@@ -1,18 +1,28 @@
-"""What a dataset on disk consists of: every table, every column, and the manifest.
+"""What a dataset on disk consists of: every table, every column, and the catalogue.
 
     DATASET/
-      manifest.json                 what is inside, how it was made, a checksum for every file
+      episodes.parquet              the catalogue: a row per episode; how it was made and a checksum
+                                    for every other file in its metadata
       README.md                     the data card, for people
       roads/<sha256>.net.xml        the road of the episodes, as a SUMO net (or, of recordings, as
                                     it came: .json, an Argoverse 2 map)
-      episodes/<id>/
-        episode.json                the manifest's entry of this episode
-        steps.parquet               one row per agent and time step
-        agents.parquet              one row per agent
-        frames.parquet              one row per time step
-        signals.parquet             one row per change of a traffic light
-        events.parquet              one row per event
-        traits.parquet              one row per shown trait
+      TABLE/scenario=S/split=P/FIRST-LAST.parquet
+                                    a shard: the rows of several episodes, those of the scenario's
+                                    indices FIRST to LAST that are of this split
+
+TABLE is one of
+
+      steps       one row per agent and time step; one row group per episode
+      agents      one row per agent
+      frames      one row per time step
+      signals     one row per change of a traffic light
+      events      one row per event
+      traits      one row per shown trait
+
+Every row says in ``episode`` to which episode it belongs. While a dataset is being made, finished
+episodes wait in ``episodes/<id>/``, a file for each table and ``episode.json``, until all of their
+shard are there. Datasets of schema version 1 consist of such folders and a ``manifest.json``; they
+are read as well.
 
 Positions are agents' centres, x east and y north in metres; headings are radians counter-clockwise
 from +x in (-pi, pi]; speeds m/s along the heading; times s. Labels are words. The tables are plain
@@ -30,10 +40,16 @@ from typing import Annotated, Final, Literal
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
+from sim.frames import KINDS
 
-SCHEMA_VERSION: Final = 1
-"""Raised whenever a reader of the old version could misread the new one."""
+SCHEMA_VERSION: Final = 2
+"""Version of a dataset's layout. Raised whenever a reader of the old version could misread the new
+one. Version 1 had a folder for each episode and ``manifest.json``."""
+
+EPISODE_VERSION: Final = 1
+"""Version of an episode's content, which is part of what its id is the hash of."""
 
 POSITION_QUANTUM: Final = 2.0**-10
 """Simulated positions, m, and speeds, m/s, are multiples of this: about a millimetre (our choice:
@@ -50,6 +66,19 @@ for each, so that reading one stays within 2 GB)."""
 MAX_OBJECTS: Final = 10**6
 """Most agents, events, traits, changes of lights and edges of routes that one episode may have (our
 choice: as many agents as a recording may have; as Python objects they take up to 3 GB)."""
+
+BLOCK_EPISODES: Final = 5000
+"""A shard holds episodes of one block of so many indices of a scenario. What is in a shard follows
+from the episodes of its block alone, so blocks can be made in any order, and a dataset that grows
+keeps its whole blocks (our choice: with 10 to 120 s per episode, shards have 60 to 250 MB)."""
+
+MAX_SHARD_STEPS: Final = 5 * 10**7
+"""A shard ends before the episode that would bring it above so many agent-steps (our choice: some
+250 MB at 5 bytes each)."""
+
+MAX_SHARD_ROWS: Final = 10**6
+"""A shard ends before the episode that would bring it above so many agents or frames (our choice:
+its smaller tables are read as a whole)."""
 
 Split = Literal["train", "validation", "test"]
 
@@ -165,6 +194,73 @@ EPISODE_FILES: Final = (
 )
 """The tables of an episode."""
 
+TABLES: Final = tuple(name.removesuffix(".parquet") for name in EPISODE_FILES)
+"""Names of the tables, each a folder of a dataset."""
+
+
+def table_schema(name: FileName, exact: bool = False) -> pa.Schema:
+    """The columns of one of an episode's tables.
+
+    Args:
+        name: of ``EPISODE_FILES``.
+        exact: of steps, as for `steps_schema`.
+    """
+    if name == "steps.parquet":
+        return steps_schema(exact)
+    return {
+        "agents.parquet": AGENTS,
+        "frames.parquet": FRAMES,
+        "signals.parquet": SIGNALS_TABLE,
+        "events.parquet": EVENTS,
+        "traits.parquet": TRAITS_TABLE,
+    }[name]
+
+
+def shard_schema(name: FileName, exact: bool = False) -> pa.Schema:
+    """The columns of one table of a shard: ``episode``, then those of the episode's own table.
+
+    Frames say their step, too, because a shard has the frames of several episodes.
+
+    Args:
+        name: of ``EPISODE_FILES``.
+        exact: of steps, as for `steps_schema`.
+
+    Examples:
+        >>> shard_schema("frames.parquet").names
+        ['episode', 'step', 'time_s']
+    """
+    added = [pa.field("episode", pa.string(), nullable=False)]
+    if name == "frames.parquet":
+        added.append(pa.field("step", pa.int32(), nullable=False))
+    return pa.schema([*added, *table_schema(name, exact)])
+
+
+CATALOGUE: Final = pa.schema(
+    [
+        pa.field("id", pa.string(), nullable=False),
+        pa.field("scenario", pa.string(), nullable=False),
+        pa.field("engine", pa.string(), nullable=False),
+        pa.field("split", pa.string(), nullable=False),
+        pa.field("index", pa.int64(), nullable=False),
+        pa.field("seed", pa.uint64(), nullable=False),
+        pa.field("recording", pa.string()),  # the recording's own name; null: simulated
+        pa.field("flow", pa.string()),  # option of that name, in words; null: not given
+        pa.field("mix", pa.string()),  # option of that name as JSON with sorted keys; null: none
+        pa.field("frames", pa.int64(), nullable=False),
+        pa.field("agents", pa.int64(), nullable=False),  # that were seen
+        pa.field("agent_steps", pa.int64(), nullable=False),
+        *(pa.field(name, pa.int32(), nullable=False) for name in (*BEHAVIORS, *KINDS)),  # drawn
+        pa.field("road", pa.string()),  # checksum; null: not known
+        pa.field("exact", pa.bool_(), nullable=False),  # float64 as it came, not rounded float32
+        pa.field("shard", pa.string(), nullable=False),  # name of its shard, without ending
+        pa.field("row_group", pa.int32(), nullable=False),  # of the shard's steps
+        pa.field("options", pa.string(), nullable=False),  # JSON
+        pa.field("made_with", pa.string(), nullable=False),  # JSON
+    ]
+)
+"""Columns of ``episodes.parquet``, the catalogue: one row per episode, by scenario, engine, index
+and id. A count of drawn agents stands under each behaviour and kind."""
+
 FileName = Literal[
     "steps.parquet",
     "agents.parquet",
@@ -175,6 +271,12 @@ FileName = Literal[
 ]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 EpisodeId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+ShardPath = Annotated[
+    str,
+    Field(
+        pattern=rf"^({'|'.join(TABLES)})/scenario=[A-Za-z0-9_.~%-]+/split=[a-z]+/[0-9-]+\.parquet$"
+    ),
+]
 
 
 class _Strict(BaseModel):
@@ -224,8 +326,12 @@ class EpisodeEntry(EpisodeMeta):
             None where unknown.
         frames: time steps.
         agents: agents that were seen.
-        agent_steps: rows of ``steps.parquet``.
-        files: every file of the episode.
+        agent_steps: its rows of the table of steps.
+        files: every file of the episode, where it has files of its own.
+        shard: name of its shard, without folder and ending; None where it has files of its own.
+        row_group: of the shard's steps.
+        exact: whether its numbers are float64 as they came; None where it has files of its own.
+        drawn: how many agents of each behaviour and kind were drawn, where the catalogue says so.
     """
 
     id: EpisodeId
@@ -233,7 +339,11 @@ class EpisodeEntry(EpisodeMeta):
     frames: Annotated[int, Field(ge=0)]
     agents: Annotated[int, Field(ge=0)]
     agent_steps: Annotated[int, Field(ge=0)]
-    files: dict[FileName, FileEntry]
+    files: dict[FileName, FileEntry] = {}
+    shard: Annotated[str, Field(pattern=r"^[0-9]{6,18}-[0-9]{6,18}(-[0-9]{1,9})?$")] | None = None
+    row_group: Annotated[int, Field(ge=0)] = 0
+    exact: bool | None = None
+    drawn: dict[str, Annotated[int, Field(ge=0)]] = {}
 
     @property
     def recording(self) -> str | None:
@@ -253,17 +363,34 @@ class EpisodeEntry(EpisodeMeta):
         return self.recording or f"{self.scenario} {self.index}"
 
 
-class Manifest(_Strict):
-    """The content of ``manifest.json``. Nothing in it differs between two equal runs.
+EPISODE_FIELDS: Final = (
+    *EpisodeMeta.model_fields,
+    *("id", "road", "frames", "agents", "agent_steps", "files"),
+)
+"""What ``episode.json`` says of an episode with files of its own."""
+
+
+class Header(_Strict):
+    """What a dataset says of itself as a whole. Nothing in it differs between two equal runs.
 
     Attributes:
-        schema_version: version of this file's description of the data.
+        schema_version: version of the layout.
         configuration: what the dataset was generated or imported with.
         roads: size in bytes of every road file, by its checksum.
-        episodes: every episode, by scenario and index.
+        files: size and checksum of every shard, by its path in the dataset.
     """
 
     schema_version: int
     configuration: dict[str, JsonValue]
     roads: dict[Sha256, Annotated[int, Field(ge=0)]]
+    files: dict[ShardPath, FileEntry] = {}
+
+
+class Manifest(Header):
+    """Everything that is known of a dataset, and the content of a ``manifest.json``.
+
+    Attributes:
+        episodes: every episode, by scenario and index.
+    """
+
     episodes: tuple[EpisodeEntry, ...]

@@ -28,7 +28,8 @@ from sim.store.atomic import whole_folder
 from sim.store.catalogue import ENTRY, canonical, checksum, keep_road
 from sim.store.encode import Steps, collect, encode, encode_agents, from_tracks
 from sim.store.schema import (
-    SCHEMA_VERSION,
+    EPISODE_FIELDS,
+    EPISODE_VERSION,
     EpisodeEntry,
     EpisodeMeta,
     FileEntry,
@@ -80,7 +81,7 @@ def _identity(
 ) -> str:
     made_from = {
         **meta.model_dump(),
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": EPISODE_VERSION,
         "agents": checksum(agents),
         "road": road,
         "recorded": None if recorded is None else checksum(recorded),
@@ -283,5 +284,5 @@ def _write(
             agent_steps=int(steps.agent.size),
             files={n: FileEntry(sha256=checksum(d), size=len(d)) for n, d in content.items()},
         )
-        (partial / ENTRY).write_bytes(canonical(entry.model_dump()))
+        (partial / ENTRY).write_bytes(canonical(entry.model_dump(include=set(EPISODE_FIELDS))))
     return entry

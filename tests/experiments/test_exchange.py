@@ -97,7 +97,7 @@ def test_vehicle_types_give_sizes(tmp_path: Path) -> None:
     types = tmp_path / "routes.rou.xml"
     types.write_text('<routes><vType id="t" vClass="truck" length="7.5"/></routes>')
     import_recordings(tmp_path / "fcd.xml", tmp_path / "data", types=types, quiet=True)
-    (table,) = (tmp_path / "data").rglob("agents.parquet")
+    (table,) = (tmp_path / "data" / "agents").rglob("*.parquet")
     (agent,) = pq.read_table(table).to_pylist()
     assert (agent["kind"], agent["length_m"]) == ("truck", 7.5)
     with pytest.raises(InputError, match="only it needs them"):

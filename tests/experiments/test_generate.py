@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -25,8 +24,10 @@ from experiments.data.verify import verify_dataset
 from scenarios import SCENARIOS
 from sim.scenario import Scenario
 from sim.store.dataset import open_dataset
+from sim.store.entries import write_catalogue
 from sim.store.lock import sole_writer
-from sim.store.schema import EpisodeEntry
+from sim.store.places import place_of
+from sim.store.schema import CATALOGUE, EpisodeEntry
 
 CONFIG = GenerateConfig(
     scenarios=("straight_road", "four_way_intersection"), episodes=1, seed=7, duration_s=12.0
@@ -36,6 +37,10 @@ CONFIG = GenerateConfig(
 def content(folder: Path) -> dict[str, bytes]:
     files = (p for p in folder.rglob("*") if p.is_file())
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+def shards(folder: Path, table: str) -> list[Path]:
+    return sorted((folder / table).rglob("*.parquet"))
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +71,16 @@ def test_same_bytes_for_two_jobs_and_another_order(made: Path, tmp_path: Path) -
 def test_only_what_is_missing_is_made_again(made: Path, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     shutil.copytree(made, folder)
-    kept, lost = sorted((folder / "episodes").iterdir())
-    before = (kept / "steps.parquet").stat().st_ino
-    (lost / "steps.parquet").write_bytes(b"altered")
-    (folder / "manifest.json").unlink()
+    kept, lost = shards(folder, "steps")
+    before = kept.stat().st_ino
+    lost.write_bytes(b"altered")
+    (folder / "episodes.parquet").unlink()
+    (folder / ".partial-left-behind").mkdir()
+    (folder / "episodes").mkdir()
     (folder / "episodes" / ".partial-left-behind").mkdir()
     generate(CONFIG, folder, jobs=1, quiet=True)
     assert content(folder) == content(made)
-    assert (kept / "steps.parquet").stat().st_ino == before
+    assert kept.stat().st_ino == before
 
 
 def test_a_dataset_grows_but_is_never_mixed(made: Path, tmp_path: Path) -> None:
@@ -91,7 +98,7 @@ def test_a_dataset_grows_but_is_never_mixed(made: Path, tmp_path: Path) -> None:
         generate(CONFIG, folder, quiet=True)
     with pytest.raises(InputError, match="was made with seed 7, now 8"):
         generate(more.model_copy(update={"seed": 8}), folder, quiet=True)
-    (folder / "manifest.json").unlink()
+    (folder / "episodes.parquet").unlink()
     with pytest.raises(InputError, match="unfinished episodes of another configuration"):
         generate(more.model_copy(update={"duration_s": 13.0}), folder, quiet=True)
     (tmp_path / "else").mkdir()
@@ -272,23 +279,21 @@ def test_verify_finds_and_repairs(made: Path, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     shutil.copytree(made, folder)
     assert verify_dataset(folder) == []
-    first, second = sorted(p.name for p in (folder / "episodes").iterdir())
+    first, second = shards(folder, "steps")
     (road, _) = sorted((folder / "roads").iterdir())
-    steps = folder / "episodes" / first / "steps.parquet"
-    steps.write_bytes(steps.read_bytes()[:-1])
-    (folder / "episodes" / second / "events.parquet").unlink()
-    (folder / "episodes" / second / "episode.json").write_text("{}")
-    (folder / "episodes" / first / "extra").touch()
-    (folder / "episodes" / "stranger").mkdir()
+    first.write_bytes(first.read_bytes()[:-1])
+    shards(folder, "events")[1].unlink()
+    (first.parent / "extra").touch()
+    (folder / "episodes" / "stranger").mkdir(parents=True)
     (folder / "episodes" / "stranger" / "file").touch()
     (folder / "notes.txt").touch()
     road.write_text("<net/>")
     flaws = {str(f.path): f.state for f in verify_dataset(folder)}
+    home = first.parent.relative_to(folder)
     assert flaws == {
-        f"episodes/{first}/steps.parquet": "altered",
-        f"episodes/{first}/extra": "foreign",
-        f"episodes/{second}/events.parquet": "missing",
-        f"episodes/{second}/episode.json": "altered",
+        f"{home}/{first.name}": "altered",
+        f"{home}/extra": "foreign",
+        f"events/{second.relative_to(folder / 'steps')}": "missing",
         "episodes/stranger/file": "foreign",
         "notes.txt": "foreign",
         f"roads/{road.name}": "altered",
@@ -302,8 +307,11 @@ def test_verify_finds_and_repairs(made: Path, tmp_path: Path) -> None:
 def test_what_was_made_with_other_versions_is_not_repaired(made: Path, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     shutil.copytree(made, folder)
-    manifest = folder / "manifest.json"
-    manifest.write_text(re.sub(r'"libsumo": "[^"]+"', '"libsumo": "0.1"', manifest.read_text()))
+    dataset = open_dataset(folder)
+    made_with = {**dataset.header.configuration["made_with"], "libsumo": "0.1"}  # type: ignore[dict-item]
+    configuration = {**dataset.header.configuration, "made_with": made_with}
+    header = dataset.header.model_copy(update={"configuration": configuration})
+    write_catalogue(place_of(folder), header, dataset.catalogue.cast(CATALOGUE))
     with pytest.raises(InputError, match=r"was made with .*'libsumo': '0.1'.*install those"):
         verify_dataset(folder, mend=True, quiet=True)
 

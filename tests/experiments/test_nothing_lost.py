@@ -85,7 +85,7 @@ def test_generating_more_keeps_an_edited_card(
     generate(CONFIG, tmp_path, jobs=1, quiet=True)
     assert (tmp_path / "README.md").read_text() == NOTE
     assert "README.md: kept, since it was edited" in caplog.text
-    (tmp_path / "manifest.json").unlink()  # nothing tells any more what the card was
+    (tmp_path / "episodes.parquet").unlink()  # nothing tells any more what the card was
     with pytest.raises(InputError, match=r"found README\.md in it"):
         generate(CONFIG, tmp_path, jobs=1, quiet=True)
     assert (tmp_path / "README.md").read_text() == NOTE
@@ -96,7 +96,7 @@ def test_a_repair_moves_foreign_files_beside_the_dataset(
 ) -> None:
     folder = tmp_path / "data"
     generate(CONFIG, folder, jobs=1, quiet=True)
-    (home, *_) = sorted((folder / "episodes").iterdir())
+    home = next((folder / "steps").rglob("*.parquet")).parent
     (home / "note").write_text(NOTE)
     (folder / "note").write_text(NOTE)
     flaws = verify_dataset(folder, mend=True, jobs=1, quiet=True)

@@ -34,9 +34,9 @@ from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
-from sim.store.catalogue import write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
+from sim.store.sealing import write_manifest
 from sim.store.writing import write_episode, write_recording
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))

@@ -33,9 +33,9 @@ from graphrqi.graph import TrafficGraph
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS
 from sim.frames import Event, EventKind, Tracks
-from sim.store.catalogue import write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
+from sim.store.sealing import write_manifest
 from sim.store.writing import write_recording
 
 

@@ -15,9 +15,9 @@ from sim.engines import get_engine
 from sim.formats.argoverse2 import write
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
-from sim.store.catalogue import write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
+from sim.store.sealing import write_manifest
 from sim.store.writing import write_recording
 
 

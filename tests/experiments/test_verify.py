@@ -18,7 +18,9 @@ from experiments.data.episode import Task
 from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
 from sim.store.dataset import open_dataset
-from sim.store.schema import EpisodeEntry
+from sim.store.entries import write_catalogue
+from sim.store.places import place_of
+from sim.store.schema import CATALOGUE, EpisodeEntry
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=2, seed=5, duration_s=3.0)
 
@@ -47,8 +49,8 @@ def content(folder: Path) -> dict[str, bytes | str]:
     }
 
 
-def homes(folder: Path) -> list[Path]:
-    return sorted((folder / "episodes").iterdir())
+def shards(folder: Path, table: str = "steps") -> list[Path]:
+    return sorted((folder / table).rglob("*.parquet"))
 
 
 def flaws(folder: Path) -> dict[str, str]:
@@ -56,19 +58,18 @@ def flaws(folder: Path) -> dict[str, str]:
 
 
 def spoil(folder: Path) -> None:
-    """A table altered, and an episode that says something else of itself."""
-    first, second = homes(folder)
-    (first / "steps.parquet").write_bytes(b"altered")
-    own = second / "episode.json"
-    own.write_text(own.read_text().replace('"seed": ', '"seed": 1'))
+    """A table of one shard altered, and of another lost."""
+    first, second = shards(folder)
+    first.write_bytes(b"altered")
+    second.unlink()
 
 
 def test_what_cannot_be_made_again_is_not_taken_away(folder: Path) -> None:
     spoil(folder)
-    manifest = folder / "manifest.json"
-    manifest.write_text(
-        manifest.read_text().replace('"duration_s": 3.0', '"duration_s": 3.0,\n  "flow": "nan"', 1)
-    )
+    dataset = open_dataset(folder)
+    configuration = {**dataset.header.configuration, "flow": "nan"}
+    header = dataset.header.model_copy(update={"configuration": configuration})
+    write_catalogue(place_of(folder), header, dataset.catalogue.cast(CATALOGUE))
     before = content(folder)
     with pytest.raises(InputError, match="flow: found 'nan'"):
         verify_dataset(folder, mend=True, jobs=1, quiet=True)
@@ -79,12 +80,12 @@ def test_a_full_disk_leaves_everything_as_it_was(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spoil(folder)
-    first, _ = homes(folder)
+    (first,) = shards(folder)
     first.rename(tmp_path / "elsewhere")
     first.symlink_to(tmp_path / "elsewhere")
     before = content(folder)
 
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(folder))
 
     monkeypatch.setattr(experiments.data.verify, "generate", full)
@@ -111,33 +112,32 @@ def test_an_engine_that_fails_leaves_everything_as_it_was(
     assert content(folder) == before
 
 
-def test_an_episode_that_says_something_else_of_itself_is_made_again(
-    made: Path, folder: Path
-) -> None:
+def test_shards_that_say_something_else_are_made_again(made: Path, folder: Path) -> None:
     spoil(folder)
-    first, second = (home.name for home in homes(folder))
+    whole, other = shards(folder, "agents")
+    other.write_bytes(whole.read_bytes())
+    first, second = (path.relative_to(made / "steps") for path in shards(made))
     assert flaws(folder) == {
-        f"episodes/{first}/steps.parquet": "altered",
-        f"episodes/{second}/episode.json": "altered",
+        f"steps/{first}": "altered",
+        f"steps/{second}": "missing",
+        f"agents/{second}": "altered",
     }
     assert verify_dataset(folder, mend=True, jobs=1, quiet=True) == []
     assert content(folder) == content(made)
 
 
 def test_folders_and_files_in_the_wrong_places_are_made_good(made: Path, folder: Path) -> None:
-    first, second = homes(folder)
-    (first / "steps.parquet").unlink()
-    (first / "steps.parquet").mkdir()
-    (first / "steps.parquet" / "inside").touch()
-    (first / "episode.json").unlink()
-    (first / "episode.json").mkdir()
-    shutil.rmtree(second)
-    second.touch()
+    first, second = shards(folder)
+    first.unlink()
+    first.mkdir()
+    (first / "inside").touch()
+    shutil.rmtree(second.parent)
+    second.parent.touch()
     (folder / "episodes" / "stranger" / "deep").mkdir(parents=True)
     (folder / "episodes" / "stranger" / "deep" / "file").touch()
     assert verify_dataset(folder, mend=True, jobs=1, quiet=True) == []
     assert content(folder) == content(made)
-    assert [home.name for home in homes(folder)] == [first.name, second.name]
+    assert not (folder / "episodes").exists()
 
 
 def test_a_link_to_a_folder_is_foreign_and_what_it_points_to_is_left_alone(
@@ -146,20 +146,21 @@ def test_a_link_to_a_folder_is_foreign_and_what_it_points_to_is_left_alone(
     target, gone = tmp_path / "target", tmp_path / "gone"
     target.mkdir()
     (target / "thesis.tex").write_text("all of it")
-    first, second = homes(folder)
-    (folder / "episodes" / "stranger").symlink_to(target)
-    (folder / "episodes" / "dangling").symlink_to(gone)
+    first, second = (path.parent for path in shards(folder))
+    (folder / "steps" / "stranger").symlink_to(target)
+    (folder / "agents" / "dangling").symlink_to(gone)
     (second / "inside").symlink_to(target)
     first.rename(tmp_path / "elsewhere")
-    (tmp_path / "elsewhere" / "steps.parquet").write_bytes(b"altered")
+    (kept,) = (tmp_path / "elsewhere").iterdir()
+    kept.write_bytes(b"altered")
     first.symlink_to(tmp_path / "elsewhere")
     before = content(tmp_path / "elsewhere")
     assert flaws(folder) == {
-        "episodes/stranger": "foreign",
-        "episodes/dangling": "foreign",
-        f"episodes/{second.name}/inside": "foreign",
-        f"episodes/{first.name}": "foreign",
-        f"episodes/{first.name}/steps.parquet": "altered",
+        "steps/stranger": "foreign",
+        "agents/dangling": "foreign",
+        f"{second.relative_to(folder)}/inside": "foreign",
+        f"{first.relative_to(folder)}": "foreign",
+        f"{first.relative_to(folder)}/{kept.name}": "altered",
     }
     assert verify_dataset(folder, mend=True, jobs=1, quiet=True) == []
     assert content(folder) == content(made)
@@ -167,12 +168,12 @@ def test_a_link_to_a_folder_is_foreign_and_what_it_points_to_is_left_alone(
     assert content(target) == {"thesis.tex": b"all of it"}
 
 
-def test_episodes_on_another_disk_are_no_flaw(made: Path, folder: Path, tmp_path: Path) -> None:
-    (folder / "episodes").rename(tmp_path / "disk")
-    (folder / "episodes").symlink_to(tmp_path / "disk")
+def test_tables_on_another_disk_are_no_flaw(made: Path, folder: Path, tmp_path: Path) -> None:
+    (folder / "steps").rename(tmp_path / "disk")
+    (folder / "steps").symlink_to(tmp_path / "disk")
     assert flaws(folder) == {}
     assert verify_dataset(folder, mend=True, jobs=1, quiet=True) == []
-    assert (folder / "episodes").is_symlink()
+    assert (folder / "steps").is_symlink()
     assert open_dataset(folder).manifest == open_dataset(made).manifest
 
 
@@ -180,7 +181,7 @@ def test_a_folder_in_the_place_of_a_road_is_one_line(folder: Path) -> None:
     (road,) = (folder / "roads").iterdir()
     road.unlink()
     road.mkdir()
-    (homes(folder)[0] / "steps.parquet").write_bytes(b"altered")
+    shards(folder)[0].write_bytes(b"altered")
     before = content(folder)
     assert flaws(folder)[f"roads/{road.name}"] == "altered"
     with pytest.raises(InputError, match=r"\.net\.xml: found a folder, expected a file"):

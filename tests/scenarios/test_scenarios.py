@@ -1,4 +1,3 @@
-import json
 import os
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from scenarios.networks.geometry import FourWayGeometry, StraightGeometry
 from sim.engines import ENGINES, get_engine
 from sim.frames import AgentKind
 from sim.scenario import sample_agents
+from sim.store.dataset import open_dataset
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -95,11 +95,10 @@ def test_an_episode_is_written(tmp_path, capsys):
     out = tmp_path / "data"
     arguments = ["--duration-s", "5", "--flow", "2000", "--seed", "3", "--out", str(out)]
     assert main("straight_road", [*arguments, "--set", "lanes=2"]) == 0
-    manifest = json.loads((out / "manifest.json").read_text())
-    (episode,) = manifest["episodes"]
-    assert episode["scenario"] == "straight_road"
-    assert episode["frames"] == 50
-    assert episode["options"]["lanes"] == 2
+    (episode,) = open_dataset(out).episodes()
+    assert episode.scenario == "straight_road"
+    assert episode.frames == 50
+    assert episode.options["lanes"] == 2
     assert "frames: 50" in capsys.readouterr().out
 
 
@@ -107,11 +106,11 @@ def test_a_dataset_that_is_there_is_not_written_over(tmp_path, capsys):
     out = tmp_path / "data"
     arguments = ["--duration-s", "1", "--out", str(out)]
     assert main("straight_road", arguments) == 0
-    manifest = (out / "manifest.json").read_bytes()
+    manifest = (out / "episodes.parquet").read_bytes()
     capsys.readouterr()
     assert main("straight_road", [*arguments, "--seed", "5"]) == 2
     assert "expected a new or empty folder" in capsys.readouterr().err
-    assert (out / "manifest.json").read_bytes() == manifest
+    assert (out / "episodes.parquet").read_bytes() == manifest
 
 
 @pytest.mark.parametrize("engine", ["sumo", "highway"])

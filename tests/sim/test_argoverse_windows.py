@@ -17,9 +17,9 @@ from sim.formats import get_reader, get_writer, read_recordings
 from sim.formats.argoverse2 import SCHEMA
 from sim.formats.common.windows import NoWindowError, windows
 from sim.frames import Tracks
-from sim.store.catalogue import write_manifest
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
+from sim.store.sealing import write_manifest
 from sim.store.writing import write_recording
 
 FORMATS = ("argoverse1", "argoverse2")

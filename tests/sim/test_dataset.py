@@ -22,7 +22,7 @@ from behaviors import BEHAVIORS, InputError, sample_profile
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec
 from sim.store.atomic import remove_partial, whole_folder, write_whole
-from sim.store.catalogue import altered_files, finished_episode, write_manifest
+from sim.store.catalogue import altered_files, canonical, finished_episode
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import (
     AGENTS,
@@ -33,8 +33,10 @@ from sim.store.schema import (
     SIGNALS_TABLE,
     TRAITS_TABLE,
     EpisodeMeta,
+    Manifest,
     split_of,
 )
+from sim.store.sealing import write_manifest
 from sim.store.writing import episode_id, write_episode, write_recording
 
 TABLES = [name.removesuffix(".parquet") for name in EPISODE_FILES]
@@ -92,6 +94,19 @@ def small(folder: Path) -> Dataset:
     entry = write_episode(folder, META, frames(), population())
     write_manifest(folder, {"made": "by hand"}, [entry])
     return open_dataset(folder)
+
+
+def old(folder: Path) -> Dataset:
+    """The same as schema version 1 has it: a folder for the episode, and a manifest."""
+    entry = write_episode(folder, META, frames(), population())
+    manifest = Manifest(schema_version=1, configuration={}, roads={}, episodes=(entry,))
+    content = manifest.model_dump(exclude={"files": True, "episodes": {"__all__": NEWER}})
+    (folder / "manifest.json").write_bytes(canonical(content))
+    return open_dataset(folder)
+
+
+NEWER = {"shard", "row_group", "exact", "drawn"}
+"""Fields of entries that schema version 1 did not have."""
 
 
 def test_what_is_written_comes_back(tmp_path: Path) -> None:
@@ -154,7 +169,7 @@ def test_same_content_same_bytes(tmp_path: Path) -> None:
     small(tmp_path / "b")
     first = {p.relative_to(tmp_path / "a"): p for p in (tmp_path / "a").rglob("*") if p.is_file()}
     second = {p.relative_to(tmp_path / "b"): p for p in (tmp_path / "b").rglob("*") if p.is_file()}
-    assert len(first) == 8
+    assert len(first) == 7
     assert first.keys() == second.keys()
     assert all(first[name].read_bytes() == second[name].read_bytes() for name in first)
 
@@ -169,13 +184,13 @@ def test_the_id_depends_on_everything_that_made_the_episode() -> None:
 def test_tables_open_in_pandas(tmp_path: Path) -> None:
     import pandas as pd
 
-    dataset = small(tmp_path)
-    home = tmp_path / "episodes" / dataset.episodes()[0].id
-    steps = pd.read_parquet(home / "steps.parquet")
-    agents = pd.read_parquet(home / "agents.parquet")
-    joined = steps.merge(agents[["agent", "behavior"]], on="agent")
-    assert list(steps.columns[:3]) == ["agent", "step", "time_s"]
+    small(tmp_path)
+    steps = pd.read_parquet(tmp_path / "steps")
+    agents = pd.read_parquet(tmp_path / "agents")
+    joined = steps.merge(agents[["episode", "agent", "behavior"]], on=["episode", "agent"])
+    assert list(steps.columns[:4]) == ["episode", "agent", "step", "time_s"]
     assert set(joined.behavior.dropna()) == set(BEHAVIORS)
+    assert set(steps.split) == {"train"}
     assert joined.time_s.max() == pytest.approx(4.0)
 
 
@@ -183,20 +198,19 @@ def test_tables_open_in_polars(tmp_path: Path) -> None:
     import polars as pl
 
     dataset = small(tmp_path)
-    pattern = str(tmp_path / "episodes" / "*" / "steps.parquet")
-    steps = pl.scan_parquet(pattern, include_file_paths="file").collect()
+    steps = pl.scan_parquet(tmp_path / "steps", hive_partitioning=True).collect()
     assert steps.height == dataset.episodes()[0].agent_steps
-    assert steps["file"].n_unique() == 1
+    assert steps["episode"].n_unique() == 1
+    assert steps["scenario"].unique().to_list() == ["hand-made"]
 
 
 def test_tables_open_in_duckdb(tmp_path: Path) -> None:
     import duckdb
 
-    dataset = small(tmp_path)
-    home = tmp_path / "episodes" / dataset.episodes()[0].id
+    small(tmp_path)
     query = (
-        f"SELECT behavior, avg(speed_mps) FROM '{home}/steps.parquet' "
-        f"JOIN '{home}/agents.parquet' USING (agent) GROUP BY behavior"
+        f"SELECT behavior, avg(speed_mps) FROM '{tmp_path}/steps/*/*/*.parquet' "
+        f"JOIN '{tmp_path}/agents/*/*/*.parquet' USING (episode, agent) GROUP BY behavior"
     )
     speeds = dict(duckdb.sql(query).fetchall())
     assert set(speeds) == {*BEHAVIORS, None}
@@ -323,7 +337,7 @@ def edit_manifest(folder: Path, edit: Callable[[dict[str, object]], None]) -> No
 def test_manifests_that_cannot_be(
     tmp_path: Path, edit: Callable[[dict[str, object]], None], message: str
 ) -> None:
-    small(tmp_path)
+    old(tmp_path)
     edit_manifest(tmp_path, edit)
     with pytest.raises(InputError, match=message) as caught:
         open_dataset(tmp_path)
@@ -367,7 +381,7 @@ def parquet(table: pa.Table) -> bytes:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_altered_truncated_and_missing_files(tmp_path: Path, name: str) -> None:
-    dataset = small(tmp_path)
+    dataset = old(tmp_path)
     (entry,) = dataset.episodes()
     path = tmp_path / "episodes" / entry.id / f"{name}.parquet"
     data = path.read_bytes()
@@ -386,7 +400,7 @@ def test_altered_truncated_and_missing_files(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", TABLES)
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"\0" * 5000, b"PAR1" * 500])
 def test_files_that_are_no_tables(tmp_path: Path, name: str, content: bytes) -> None:
-    dataset = forge(small(tmp_path), f"{name}.parquet", content)
+    dataset = forge(old(tmp_path), f"{name}.parquet", content)
     with pytest.raises(InputError, match=rf"{name}\.parquet: found no readable"):
         dataset.read(dataset.episodes()[0])
 
@@ -427,7 +441,7 @@ def column(table: pa.Table, name: str, values: list[object]) -> pa.Table:
 def test_tables_that_cannot_be(
     tmp_path: Path, name: str, change: Callable[[pa.Table], pa.Table], message: str
 ) -> None:
-    dataset = small(tmp_path)
+    dataset = old(tmp_path)
     home = tmp_path / "episodes" / dataset.episodes()[0].id
     changed = change(pq.read_table(home / f"{name}.parquet"))
     dataset = forge(dataset, f"{name}.parquet", parquet(changed))
@@ -437,7 +451,7 @@ def test_tables_that_cannot_be(
 
 
 def test_dense_arrays_beyond_the_limit_are_refused(tmp_path: Path) -> None:
-    dataset = small(tmp_path)
+    dataset = old(tmp_path)
     home = tmp_path / "episodes" / dataset.episodes()[0].id
     agents = pq.read_table(home / "agents.parquet")
     many = pa.concat_tables([agents.slice(0, 1)] * 5000)
@@ -470,14 +484,14 @@ def rows(table: str, count: int, **values: object) -> pa.Table:
 def test_small_files_of_many_rows_are_refused(tmp_path: Path, name: str) -> None:
     data = parquet(rows(name, 10**6 + 1))
     assert len(data) < 200_000
-    dataset = forge(small(tmp_path), f"{name}.parquet", data)
+    dataset = forge(old(tmp_path), f"{name}.parquet", data)
     with pytest.raises(InputError, match=rf"{name}\.parquet: found 1000001 rows, expected at most"):
         dataset.read(dataset.episodes()[0])
 
 
 def test_a_route_of_many_edges_is_refused(tmp_path: Path) -> None:
     data = parquet(rows("agents", 1, route=["west"] * (10**6 + 1)))
-    dataset = forge(small(tmp_path), "agents.parquet", data)
+    dataset = forge(old(tmp_path), "agents.parquet", data)
     with pytest.raises(InputError, match=r"agents\.parquet: found 1000001 rows"):
         dataset.read(dataset.episodes()[0])
 
@@ -494,14 +508,14 @@ def test_long_texts_in_every_row_are_refused(
     tmp_path: Path, name: str, field: str, value: object
 ) -> None:
     table = rows(name, 600, **{field: value})
-    dataset = forge(small(tmp_path), f"{name}.parquet", parquet(table))
+    dataset = forge(old(tmp_path), f"{name}.parquet", parquet(table))
     with pytest.raises(InputError, match=rf"{name}\.parquet: found texts of up to 300000000 bytes"):
         dataset.read(dataset.episodes()[0])
 
 
 def test_rows_that_no_agent_and_step_can_have_are_refused(tmp_path: Path) -> None:
     """However many rows the manifest announces."""
-    dataset = small(tmp_path)
+    dataset = old(tmp_path)
     steps = pq.read_table(tmp_path / "episodes" / dataset.episodes()[0].id / "steps.parquet")
     many = parquet(steps.take(pa.array(np.zeros(1000, dtype=np.int64))))
     dataset = forge(dataset, "steps.parquet", many, agent_steps=1000)
@@ -520,7 +534,7 @@ def test_what_could_not_be_read_is_not_written(
 
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return small(tmp_path_factory.mktemp("valid"))
+    return old(tmp_path_factory.mktemp("valid"))
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -558,10 +572,8 @@ def test_datasets_and_episodes_show_themselves(tmp_path: Path) -> None:
     shown = repr(episode)
     assert len(shown) < 400
     assert "hand-made 0 by sumo, seed 4, train; 8 agents drawn, 0 shown traits" in shown
-    many = dataclasses.replace(
-        dataset,
-        manifest=dataset.manifest.model_copy(update={"episodes": dataset.episodes() * 25}),
-    )
+    again = dataset.manifest.model_copy(update={"episodes": dataset.episodes() * 25})
+    many = Dataset(tmp_path, again)
     table = many._repr_html_()
     assert table.count("<tr>") == 12  # the header, ten episodes, how many more
     assert "and 15 more" in table

@@ -211,7 +211,7 @@ def test_a_folder_without_a_name_of_its_own(
     (tmp_path / "inside").mkdir()
     monkeypatch.chdir(tmp_path / "inside")
     with as_dataset(Path("..")) as folder:
-        assert (folder / "manifest.json").is_file()
+        assert (folder / "episodes.parquet").is_file()
 
 
 def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:

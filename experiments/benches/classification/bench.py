@@ -42,7 +42,7 @@ from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS, Model
 from graphrqi.model_files import load_model
-from sim.store.catalogue import MANIFEST
+from sim.store.catalogue import is_dataset
 from sim.store.dataset import Dataset, open_dataset
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
@@ -255,7 +255,7 @@ def _recordings(data: Datasets, protocol: str, inner: str) -> Path | None:
     given = data.settings.data
     if given is None and os.environ.get(DATA_VARIABLE):
         given = Path(os.environ[DATA_VARIABLE])
-    if given is None or (given / MANIFEST).exists():
+    if given is None or is_dataset(given):
         said = f"no --data and no {DATA_VARIABLE}" if given is None else f"a dataset in {given}"
         print(f"{protocol} skipped: found {said}, expected recordings", file=sys.stderr)
         return None

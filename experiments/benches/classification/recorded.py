@@ -34,7 +34,7 @@ from graphrqi.stream import BehaviorStream
 from sim.formats import FORMATS, formats_in, read_recordings, recording_files
 from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, Tracks
-from sim.store.catalogue import MANIFEST
+from sim.store.catalogue import is_dataset
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -327,7 +327,7 @@ def recorded_rows(
     """
     load_model(model)  # refuses an unknown name before anything is read
     for place, inside in places_in(folder).items():
-        if (inside / MANIFEST).exists():
+        if is_dataset(inside):
             say(f"{PROTOCOL}: {place} skipped: found a dataset, expected recordings")
             continue
         try:

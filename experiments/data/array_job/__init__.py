@@ -1,0 +1,1 @@
+"""Datasets that several commands make together, without a scheduler."""

@@ -1,0 +1,337 @@
+"""The catalogue ``episodes.parquet``: a row per episode, and what concerns the whole dataset.
+
+A catalogue is opened by its last bytes alone; its rows are read when they are asked for, and become
+`EpisodeEntry` objects only where an episode is. So a million episodes open in less than a second.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property, reduce
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from sim.frames import KINDS
+from sim.invalid_fields import first_wrong_field
+from sim.store.encode import parquet_options
+from sim.store.parquet import Footer, check_budget, opened, read_footer, read_packed
+from sim.store.places import Place
+from sim.store.schema import (
+    CATALOGUE,
+    SCHEMA_VERSION,
+    EpisodeEntry,
+    FileEntry,
+    Header,
+    Manifest,
+)
+
+M = TypeVar("M", bound=BaseModel)
+
+EPISODES: Final = "episodes.parquet"
+"""Name of the catalogue; it is written last, so where it is the dataset is whole."""
+
+METADATA_KEY: Final = b"graphrqi"
+"""Under which key a Parquet file says in JSON what belongs to the file as a whole."""
+
+MAX_EPISODES: Final = 10**8
+"""Most rows of a catalogue that are read (our choice)."""
+
+_WORDS: Final = tuple(
+    field.name for field in CATALOGUE if field.type == pa.string() and field.name != "id"
+)
+_DRAWN: Final = (*BEHAVIORS, *(kind.value for kind in KINDS))
+_GROUP_ROWS: Final = 2**17
+"""Rows of a row group of the catalogue (our choice: a few MB)."""
+
+
+def catalogue_table(entries: Iterable[EpisodeEntry]) -> pa.Table:
+    """Entries as the rows of a catalogue, in their order.
+
+    Args:
+        entries: of shards.
+
+    Returns:
+        A table of the columns ``CATALOGUE``.
+    """
+    columns: dict[str, list[Any]] = {name: [] for name in CATALOGUE.names}
+    plain = ("id", "scenario", "engine", "split", "index", "seed", "recording", "frames", "agents",
+             "agent_steps", "road", "row_group")  # fmt: skip
+    for entry in entries:
+        for name in plain:
+            columns[name].append(getattr(entry, name))
+        for name in _DRAWN:
+            columns[name].append(entry.drawn.get(name, 0))
+        columns["flow"].append(words_of(entry.options.get("flow")))
+        columns["mix"].append(words_of(entry.options.get("mix")))
+        columns["exact"].append(bool(entry.exact))
+        columns["shard"].append(entry.shard or "")
+        columns["options"].append(as_json(entry.options))
+        columns["made_with"].append(as_json(entry.made_with))
+    return pa.Table.from_pydict(columns, schema=CATALOGUE)
+
+
+def words_of(option: JsonValue) -> str | None:
+    """How the catalogue says an option of an episode: a word as it is, anything else as JSON.
+
+    Examples:
+        >>> words_of("dense"), words_of({"timid": 0.5, "careful": 0.5}), words_of(None)
+        ('dense', '{"careful": 0.5, "timid": 0.5}', None)
+    """
+    if option is None or isinstance(option, str):
+        return option
+    return as_json(option)
+
+
+def as_json(value: object) -> str:
+    """One line of JSON; equal values give equal lines."""
+    return json.dumps(value, sort_keys=True, allow_nan=False)
+
+
+def write_catalogue(place: Place, header: Header, table: pa.Table) -> None:
+    """Write the catalogue of a dataset, which completes it.
+
+    Args:
+        place: the dataset.
+        header: what concerns all of it.
+        table: its rows, sorted.
+
+    Raises:
+        OSError: if it cannot be written; an older one is then still there, whole.
+    """
+    sink = pa.BufferOutputStream()
+    options = parquet_options(CATALOGUE)
+    options["use_dictionary"] = list(_WORDS)
+    with pq.ParquetWriter(sink, CATALOGUE, **options) as writer:
+        writer.write_table(table.combine_chunks(), row_group_size=_GROUP_ROWS)
+        writer.add_key_value_metadata({METADATA_KEY.decode(): as_json(header.model_dump())})
+    place.write(EPISODES, sink.getvalue().to_pybytes())
+
+
+def metadata_of(path: Path, footer: Footer, model: type[M]) -> M:
+    """What a Parquet file of ours says of itself as a whole.
+
+    Args:
+        path: of the file, for messages.
+        footer: of the file.
+        model: what it is expected to be.
+
+    Raises:
+        InputError: if it says nothing, or something else.
+    """
+    said = footer.metadata.get(METADATA_KEY)
+    if said is None:
+        raise InputError(f"{path}: found no metadata of graphrqi, expected a file of a dataset")
+    try:
+        return model.model_validate_json(said)
+    except ValidationError as error:
+        raise InputError(f"{path}: {first_wrong_field(error)}") from None
+
+
+class Catalogue:
+    """What a dataset holds; its rows are read when they are asked for.
+
+    Attributes:
+        header: what concerns the dataset as a whole.
+    """
+
+    def __init__(self, place: Place, footer: Footer) -> None:
+        """Open a catalogue.
+
+        Raises:
+            InputError: if it is broken or of another version.
+        """
+        self._place = place
+        self._path = place.path / EPISODES
+        said = metadata_of(self._path, footer, Versioned)
+        check_version(self._path, said.schema_version, (SCHEMA_VERSION,))
+        self.header = metadata_of(self._path, footer, Header)
+        self.count = footer.rows
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """All rows, with the columns ``CATALOGUE``; repeated words are in memory once.
+
+        Raises:
+            InputError: if the file is broken or has other columns.
+        """
+        try:
+            data = self._place.read(EPISODES)
+        except FileNotFoundError:
+            raise InputError(f"{self._path}: found no file any more") from None
+        with opened(self._path, data) as (layout, source):
+            if layout.rows > MAX_EPISODES:
+                raise InputError(
+                    f"{self._path}: found {layout.rows} rows, expected at most {MAX_EPISODES}"
+                )
+            found = pq.read_schema(source).remove_metadata()
+            if not found.equals(CATALOGUE):
+                other = next((f.name for f in CATALOGUE if f not in list(found)), found.names[-1])
+                raise InputError(
+                    f"{self._path}: found other columns, expected those of version "
+                    f"{SCHEMA_VERSION} ({other})"
+                )
+            check_budget(self._path, layout, None, MAX_EPISODES)
+            return read_packed(source, list(_WORDS), None)
+
+    def entries(self, table: pa.Table | None = None) -> tuple[EpisodeEntry, ...]:
+        """Rows as entries.
+
+        Args:
+            table: some of the rows; None for all.
+
+        Raises:
+            InputError: if a row is not as it should be.
+        """
+        rows = self.table if table is None else table
+        return _entries(self._path, rows)
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """Everything, as objects."""
+        return Manifest(**dict(self.header), episodes=self.entries())
+
+
+def rows_where(
+    table: pa.Table,
+    split: str | None = None,
+    scenario: str | None = None,
+    behavior: str | None = None,
+    mix: str | Mapping[str, float] | None = None,
+    flow: str | float | None = None,
+) -> pa.Table:
+    """The rows of a catalogue that fit; see `sim.store.dataset.Dataset.episodes`.
+
+    Raises:
+        InputError: if a filter is no behaviour, or no mix.
+    """
+    if behavior is not None and behavior not in BEHAVIORS:
+        raise InputError(f"behavior: found {behavior!r}, expected one of {', '.join(BEHAVIORS)}")
+    wanted = {
+        "split": split,
+        "scenario": scenario,
+        "mix": None if mix is None else _mix_words(mix),
+        "flow": flow if flow is None or isinstance(flow, str) else words_of(float(flow)),
+    }
+    fits = [pc.equal(table.column(n), value) for n, value in wanted.items() if value is not None]
+    if behavior is not None:
+        fits.append(pc.greater(table.column(str(behavior)), 0))
+    return table.filter(reduce(pc.and_, fits)) if fits else table
+
+
+class Versioned(BaseModel):
+    """The one field that every version has."""
+
+    model_config = ConfigDict(extra="ignore")
+    schema_version: int
+
+
+def check_version(path: Path, version: int, expected: Sequence[int]) -> None:
+    """Refuse the description of a dataset that another version of this package wrote.
+
+    Raises:
+        InputError: naming both versions.
+    """
+    if version not in expected:
+        raise InputError(
+            f"{path}: found schema_version {version}, expected {expected[-1]}"
+            + ("; a newer graphrqi reads it" if version > max(expected) else "")
+        )
+
+
+def _mix_words(mix: str | Mapping[str, float]) -> str:
+    """A mix as the catalogue has it."""
+    if isinstance(mix, str):
+        if mix.startswith("{"):
+            return mix
+        try:
+            mix = {
+                name.strip(): float(share)
+                for name, _, share in (part.partition("=") for part in mix.split(","))
+            }
+        except ValueError:
+            raise InputError(f"mix: found {mix!r}, expected behavior=share,...") from None
+    return as_json({str(name): float(share) for name, share in mix.items()})
+
+
+def _entries(path: Path, table: pa.Table) -> tuple[EpisodeEntry, ...]:
+    plain = [
+        name
+        for name in CATALOGUE.names
+        if name not in (*_DRAWN, "recording", "flow", "mix", "options", "made_with")
+    ]
+    columns = {name: table.column(name).to_pylist() for name in plain}
+    drawn = np.stack([table.column(name).to_numpy() for name in _DRAWN]) if len(table) else None
+    parsed: dict[str, Any] = {}
+
+    def said(text: str) -> Any:
+        if text not in parsed:
+            parsed[text] = json.loads(text)
+        return parsed[text]
+
+    found = []
+    options, made_with = (table.column(name).to_pylist() for name in ("options", "made_with"))
+    try:
+        for i in range(len(table)):
+            assert drawn is not None
+            some = np.flatnonzero(drawn[:, i])
+            found.append(
+                EpisodeEntry(
+                    **{name: values[i] for name, values in columns.items()},
+                    options=said(options[i]),
+                    made_with=said(made_with[i]),
+                    drawn={_DRAWN[k]: int(drawn[k, i]) for k in some},
+                )
+            )
+    except ValidationError as error:
+        raise InputError(f"{path}: row {len(found)}: {first_wrong_field(error)}") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: row {len(found)}: found options that are no JSON") from None
+    return tuple(found)
+
+
+def open_catalogue(place: Place) -> Catalogue | None:
+    """The catalogue of a dataset.
+
+    Args:
+        place: the dataset.
+
+    Returns:
+        The catalogue; None where there is no ``episodes.parquet``.
+
+    Raises:
+        InputError: if it is broken or of another version.
+    """
+    size = place.size(EPISODES)
+    if size is None:
+        return None
+    path = place.path / EPISODES
+    footer = read_footer(path, size, lambda begin, end: place.read(EPISODES, begin, end))
+    return Catalogue(place, footer)
+
+
+def sorted_entries(entries: Iterable[EpisodeEntry]) -> list[EpisodeEntry]:
+    """Entries in the order of catalogues."""
+    return sorted(entries, key=lambda e: (e.scenario, e.engine, e.index, e.id))
+
+
+def header_of(
+    configuration: Mapping[str, JsonValue],
+    roads: Mapping[str, int],
+    files: Mapping[str, FileEntry],
+) -> Header:
+    """The header of a dataset of the present version."""
+    return Header(
+        schema_version=SCHEMA_VERSION,
+        configuration=dict(configuration),
+        roads=dict(sorted(roads.items())),
+        files=dict(sorted(files.items())),
+    )
