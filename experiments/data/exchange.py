@@ -16,6 +16,7 @@ from experiments.console.progress import Progress
 from experiments.data.admission import SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
+from experiments.data.shards.staging import check_empty, fetched, new_output, staged
 from sim.formats import (
     FORMATS,
     first_file,
@@ -33,6 +34,7 @@ from sim.store.atomic import write_whole
 from sim.store.catalogue import checksum, is_dataset
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.lock import new_folder
+from sim.store.places import is_remote, place_of
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
 from sim.store.sealing import write_manifest
 from sim.store.writing import made_with, write_recording
@@ -79,6 +81,10 @@ def import_recordings(
             ``out`` is not empty.
         OSError: if something cannot be written.
     """
+    if is_remote(source):
+        with fetched(source) as copy:
+            return import_recordings(copy, out, name, net, split, quiet, types, labels)
+    check_empty(place_of(out))
     names = [name] if name else formats_in(source)
     for key in names:
         get_reader(key)
@@ -99,7 +105,11 @@ def import_recordings(
             configuration["left_out"],
         )
     entries: list[EpisodeEntry] = []
-    with new_folder(out), Progress("importing recordings", 0, quiet) as shown:
+    with (
+        staged(out) as folder,
+        new_folder(folder),
+        Progress("importing recordings", 0, quiet) as shown,
+    ):
         for index, (key, recording) in enumerate(_recordings(source, names, types)):
             LOGGER.debug("%s: read %s as %s", source, recording.name, key)
             if given is not None:
@@ -124,13 +134,13 @@ def import_recordings(
                 options=options,
                 made_with=made_with(key),
             )
-            entry = write_recording(out, meta, recording.tracks, road, recording.styles)
+            entry = write_recording(folder, meta, recording.tracks, road, recording.styles)
             entries.append(entry)
             shown.advance(entry.agents, entry.agent_steps)
         roads.check()
         if given is not None:
             given.check()
-        manifest = write_manifest(out, configuration, entries)
+        manifest = write_manifest(folder, configuration, entries, out)
         write_data_card(out)
     return manifest
 
@@ -159,9 +169,16 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     Raises:
         InputError: if a file is broken or of no known format.
     """
+    if name is None and is_dataset(source):
+        yield source
+        return
+    if is_remote(source):
+        with fetched(source) as copy, as_dataset(copy, name, net) as folder:
+            yield folder
+        return
     if not source.exists():
         raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
-    if name is None and (is_dataset(source) or (source / "episodes").is_dir()):
+    if name is None and (source / "episodes").is_dir():
         yield source
         return
     with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:
@@ -193,6 +210,10 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
         OSError: if something cannot be written.
     """
     writer = get_writer(name)
+    if is_remote(out):
+        with new_output(out) as folder:
+            made = export_dataset(dataset, folder, name, quiet)
+            return [out / path.relative_to(folder) for path in made]
     opened = open_dataset(dataset)
     if is_dataset(out):
         raise InputError(f"{out}: found a dataset, expected another folder for the exported files")

@@ -333,7 +333,7 @@ def file_checksum(place: Place, name: str) -> str:
 
 
 @contextmanager
-def whole_remote_file(path: Path) -> Iterator[Path]:
+def whole_file_at(path: Path) -> Iterator[Path]:
     """As `sim.store.atomic.whole_file`, but the file may be in an object store."""
     url = url_of(path)
     if url is None:

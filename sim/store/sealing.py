@@ -430,14 +430,18 @@ def road_is_sound(place: Place, sha256: str) -> bool:
 
 
 def write_manifest(
-    folder: Path, configuration: Mapping[str, JsonValue], entries: Iterable[EpisodeEntry]
+    folder: Path,
+    configuration: Mapping[str, JsonValue],
+    entries: Iterable[EpisodeEntry],
+    out: Path | None = None,
 ) -> Manifest:
     """Complete a dataset: put its episodes into shards and write the catalogue.
 
     Args:
-        folder: the dataset, with the episodes that were written into it.
+        folder: where its episodes were written.
         configuration: what it was generated or imported with.
         entries: its episodes.
+        out: the dataset, a folder or a URL; None if it is ``folder``.
 
     Returns:
         What the catalogue says.
@@ -446,7 +450,7 @@ def write_manifest(
         InputError: if an episode is missing, altered or broken.
         OSError: if something cannot be written; an older catalogue is then still there, whole.
     """
-    place = place_of(folder)
+    place = place_of(out or folder)
     sealer = Sealer(place, folder)
     everything = list(entries)
     shards = sealer.seal(everything, whole_shards(place, None))

@@ -10,11 +10,13 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sim.store.places import is_remote, local_path, place_of
+from behaviors.errors import InputError
+from sim.store.places import Folder, Place, is_remote, local_path, place_of
 
 
 @contextmanager
@@ -36,6 +38,78 @@ def staged(out: Path, name: str = "") -> Iterator[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def fetched(source: Path) -> Iterator[Path]:
+    """Files to read: those of this machine as they are, those of an object store as copies.
+
+    Args:
+        source: a file or folder, or the URL of one.
+
+    Yields:
+        The file or folder, with the same name.
+
+    Raises:
+        InputError: if there is nothing at a URL.
+    """
+    if not is_remote(source):
+        yield local_path(source)
+        return
+    home = place_of(source.parent)
+    with tempfile.TemporaryDirectory(prefix="graphrqi-fetched-") as scratch:
+        copy = Path(scratch) / source.name
+        if home.size(source.name) is not None:
+            copy.write_bytes(home.read(source.name))
+        else:
+            place = place_of(source)
+            for name in place.files():
+                (copy / name).parent.mkdir(parents=True, exist_ok=True)
+                (copy / name).write_bytes(place.read(name))
+        if not copy.exists():
+            raise InputError(f"{place_of(source).url}: found nothing there")
+        yield copy
+
+
+@contextmanager
+def new_output(out: Path) -> Iterator[Path]:
+    """A folder to fill: that of this machine, or one whose files go to an object store at the end.
+
+    Args:
+        out: a folder, or the URL of a new or empty one.
+
+    Yields:
+        The folder to write into.
+
+    Raises:
+        InputError: if something is at the URL.
+        OSError: if a file cannot be sent.
+    """
+    if not is_remote(out):
+        yield local_path(out)
+        return
+    target = place_of(out)
+    check_empty(target)
+    with tempfile.TemporaryDirectory(prefix="graphrqi-out-") as scratch:
+        folder = Path(scratch) / out.name
+        folder.mkdir()
+        yield folder
+        made = Folder(folder)
+        for name in list(made.files()):
+            target.put(folder / name, name)
+
+
+def check_empty(place: Place) -> None:
+    """Refuse a place of an object store that holds something.
+
+    Raises:
+        InputError: naming the first file.
+    """
+    if isinstance(place, Folder):
+        return
+    found = next(place.files(), None)
+    if found is not None:
+        raise InputError(f"{place.url}: found {found} there, expected a new or empty folder")
 
 
 def staging_folder(out: Path, name: str = "") -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from behaviors.errors import InputError
 from experiments.data.data_card import write_data_card
-from experiments.data.shards.staging import staged
+from experiments.data.shards.staging import check_empty, staged
 from sim.store.dataset import open_dataset
 from sim.store.lock import new_folder
 from sim.store.places import place_of
@@ -35,6 +35,7 @@ def upgrade(old: Path, out: Path) -> Manifest:
             "there is nothing to upgrade"
         )
     target = place_of(out)
+    check_empty(target)
     with staged(out) as folder, new_folder(folder):
         sealer = Sealer(target, folder, place_of(old))
         shards = sealer.seal(dataset.manifest.episodes)
