@@ -25,6 +25,7 @@ from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
 from experiments.training.elsewhere import train_on_worlds
 from experiments.training.predictor import calibrate_drivers, train_predictors
 from experiments.training.recorded import train_on_recordings
+from experiments.training.recorded_scenes import OPEN_DATA
 from graphrqi.model_files import MODELS, load_model, save_model
 from graphrqi.predict.rollout.driver_table import CARD
 from sim.store.dataset import open_dataset
@@ -43,9 +44,6 @@ three times as many drivers in the same time; doubling the episodes of the four-
 still improved macro-F1 by .01. Drivers with another car-following law raise the accuracy of styles
 on a third engine from .84 to .89 at the intersection, and lower macro-F1 on drivers with Krauss's
 law by .004 to .009."""
-
-OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
-"""Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
 
 WORLDS, WORLDS_SEED = 100, 77
 """Random worlds that the predictor for recordings is trained on, and their seed."""

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
-from graphrqi.elsewhere import FOREIGN, HOME, Elsewhere
+from graphrqi.elsewhere import FOREIGN, HOME, RECORDED, Elsewhere
 from graphrqi.features.kinematics import align
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import Model, make_observer
+from graphrqi.place_level import PlaceDrivers
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,7 +57,7 @@ class LiveAnswers:
             else:
                 ids = self._away.ready(self._min_seconds)
                 found = self._away.answers(ids)
-            domain = float(kinds[FOREIGN])
+            domain = min(float(kinds[FOREIGN] + kinds[RECORDED]), 1.0)
         if self._model.adaptation is not None:
             found = self._model.adaptation.applied(found)
         return ids, found, domain if ids.size else 0.0
@@ -72,6 +73,10 @@ class LiveAnswers:
         return seen.ids[ready], found[ready]
 
 
+_AT_HOME = np.array([1.0, 0.0, 0.0, 0.0])
+"""Before anything is seen, traffic counts as home's."""
+
+
 class _Away:
     """What is known of traffic elsewhere, as of the last moment that was measured."""
 
@@ -79,7 +84,8 @@ class _Away:
         self.observer = RelativeObserver()
         self._elsewhere = elsewhere
         self._asked_s = float("nan")
-        self._kinds = np.zeros(3)
+        self._place = PlaceDrivers()
+        self._kinds = _AT_HOME
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._known: FloatArray = np.empty((0, len(BEHAVIORS)))
 
@@ -90,12 +96,14 @@ class _Away:
         self._asked_s = self.observer.measured_s
         seen = self.observer.measured()
         features = self.observer.features(seen.seconds, seen.sums, seen.instant)
-        kinds = self._elsewhere.kinds(features)
-        self._ids, self._known = seen.ids, self._elsewhere.answers(features, kinds)
-        self._kinds = kinds[0] if len(kinds) else np.array([1.0, 0.0, 0.0])
+        self._kinds = self._elsewhere.kinds(features[:1])[0] if seen.ids.size else _AT_HOME
+        self._ids = seen.ids
+        self._known = self._elsewhere.answers_among(
+            features, self._kinds, seen, self._asked_s, self._place
+        )
 
     def kinds(self) -> FloatArray:
-        """(3,) probability of each kind of traffic."""
+        """(4,) probability of each kind of traffic."""
         self._refresh()
         return self._kinds
 

@@ -18,7 +18,7 @@ from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
 from graphrqi.adaptation import Adaptation
 from graphrqi.classify import Classifier, make_classifier
-from graphrqi.elsewhere import FOREIGN, HOME, OPTIONS, Elsewhere
+from graphrqi.elsewhere import FOREIGN, HOME, OPTIONS, RECORDED, Elsewhere
 from graphrqi.features.baseline import BaselineObserver
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
@@ -192,7 +192,8 @@ class Model:
         else:
             home, relative = self._parts(features)
             kinds = self.elsewhere.kinds(relative)
-            found, foreign = self.elsewhere.answers(relative, kinds), kinds[:, FOREIGN]
+            found = self.elsewhere.answers(relative, kinds)
+            foreign = np.minimum(kinds[:, FOREIGN] + kinds[:, RECORDED], 1.0)
             asked = kinds[:, HOME] > 0.0
             if asked.any():
                 at_home = self.classifier.posterior(np.ascontiguousarray(home[asked]))

@@ -17,7 +17,10 @@ from experiments.data.windows import measured
 from experiments.data.worlds.sensor import Sensor, draw_sensor
 from experiments.scoring.metrics import score
 from experiments.scoring.models import majority_of
-from graphrqi.elsewhere import FOREIGN, HOME, Elsewhere, train_elsewhere
+from experiments.training.recorded_scenes import read_scenes, scenes_of
+from graphrqi.classify.contract import CodeArray
+from graphrqi.elsewhere import FOREIGN, HOME, Elsewhere, Lessons, train_elsewhere
+from graphrqi.features.relative.observer import SCENE_NAMES
 from graphrqi.methods import make_observer
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples, collect
 from sim.frames import Tracks
@@ -30,8 +33,15 @@ METHOD: Final = "graphrqi-relative"
 SEEN_THROUGH_SENSORS: Final = "home, seen badly"
 """The part of the training in which home is seen through sensors that are drawn at random."""
 
+PARTS: Final = ("home", SEEN_THROUGH_SENSORS, "worlds")
+"""The parts of the training, in the order of the kinds of traffic that they show."""
+
 EVERY_S: Final = 4.0
 """Time between the ends of training windows of one driver, s."""
+
+MORE_SENSORS: Final = 2
+"""Further sensors through which the gate sees each training episode at home: with one alone, it
+takes some noises for foreign traffic."""
 
 PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment."""
@@ -63,31 +73,38 @@ def train_on_worlds(
         What was learned, with the data in its card.
     """
     found: dict[Split, list[tuple[str, Samples]]] = {"train": [], "validation": []}
+    lives: list[Samples] = []
     for split, parts in found.items():
-        for part, datasets in (
-            ("home", home), (SEEN_THROUGH_SENSORS, home), ("worlds", worlds),
-        ):  # fmt: skip
+        for part, datasets in zip(PARTS, (home, home, worlds), strict=True):
             samples = _gathered(datasets, split, part, seed, jobs, quiet)
             parts.append((part, _thinned(samples, MOST_SAMPLES[part], seed)))
-    training = Samples.join([samples for _, samples in found["train"]])
-    validation = Samples.join([samples for _, samples in found["validation"]])
-    kinds = [
-        np.concatenate([np.full(len(s), kind, dtype=np.int8) for kind, (_, s) in enumerate(parts)])
-        for parts in found.values()
-    ]
-    card = {
+            if split == "validation" and part == PARTS[FOREIGN]:
+                lives.append(samples.where(np.isinf(samples.window_s)))
+    if any(dataset.episodes("test") for dataset in worlds):
+        test = _gathered(worlds, "test", PARTS[FOREIGN], seed, jobs, quiet)
+        lives.append(test.where(np.isinf(test.window_s)))
+    card: dict[str, Any] = {
         "data": {
             kind: [dict(dataset.header.configuration) for dataset in datasets]
             for kind, datasets in (("home", home), ("worlds", worlds))
         },
         "training_windows": {part: len(samples) for part, samples in found["train"]},
     }
-    learned = train_elsewhere(training, validation, (kinds[0], kinds[1]), seed, card)
-    if not any(dataset.episodes("test") for dataset in worlds):
+    training, kinds = _joined(found["train"])
+    held = _joined(found["validation"])
+    sensed = _sensed(home, seed, jobs, quiet)
+    lessons = Lessons(training, kinds, *held, Samples.join(lives), sensed, read_scenes())
+    learned = train_elsewhere(lessons, seed, card)
+    if len(lives) < 2:
         return learned
-    test = _gathered(worlds, "test", "worlds", seed, jobs, quiet)
-    scores = _scores(learned, test.where(np.isinf(test.window_s)), majority_of(training))
+    scores = _scores(learned, lives[1], majority_of(training))
     return dataclasses.replace(learned, card={**card, "scores": scores})
+
+
+def _joined(parts: Sequence[tuple[str, Samples]]) -> tuple[Samples, CodeArray]:
+    """All samples, and the kind of traffic of each."""
+    kinds = [np.full(len(s), PARTS.index(part), dtype=np.int8) for part, s in parts]
+    return Samples.join([samples for _, samples in parts]), np.concatenate(kinds)
 
 
 def _scores(learned: Elsewhere, life: Samples, majority: int) -> dict[str, Any]:
@@ -132,6 +149,33 @@ def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Sample
         )
     except NoSamplesError:
         return None
+
+
+def _sensed(
+    datasets: Sequence[Dataset], seed: int, jobs: int | None, quiet: bool
+) -> NDArray[np.float64]:
+    """(k, S) numbers of the scenes of training episodes, seen through further sensors."""
+    arguments = [
+        (dataset.path, entry, seed, sensor)
+        for dataset in datasets
+        for entry in dataset.episodes("train")
+        for sensor in range(MORE_SENSORS)
+    ]
+    parts: list[NDArray[np.float64]] = [np.zeros((0, len(SCENE_NAMES)))]
+    with Progress("home: more sensors", len(arguments), quiet) as progress:
+        for scenes in in_parallel(_scenes_seen_badly, arguments, jobs):
+            parts.append(scenes)
+            progress.advance()
+    return np.concatenate(parts)
+
+
+def _scenes_seen_badly(
+    folder: Path, entry: EpisodeEntry, seed: int, sensor: int
+) -> NDArray[np.float64]:
+    """(k, S) numbers of the scenes of one episode, seen through one sensor."""
+    rng = np.random.default_rng([seed, sensor, zlib.crc32(entry.id.encode())])
+    tracks = seen_badly(measured(open_dataset(folder).read(entry)), rng)
+    return np.array(list(scenes_of(tracks))).reshape(-1, len(SCENE_NAMES))
 
 
 def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:

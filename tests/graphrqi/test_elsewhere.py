@@ -9,10 +9,12 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation, from_agreement, from_labels
-from graphrqi.elsewhere import FOREIGN, SEEN_BADLY, train_elsewhere
+from graphrqi.elsewhere import FOREIGN, RECORDED, SEEN_BADLY, Lessons, train_elsewhere
+from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
+from graphrqi.place_level import PlaceDrivers
 from graphrqi.samples import Samples
 
 F = len(RelativeObserver.feature_names)
@@ -38,17 +40,23 @@ def elsewhere():
     training = Samples.join([made(1200, kind, kind) for kind in range(3)])
     validation = Samples.join([made(200, kind, 10 + kind) for kind in range(3)])
     kinds = np.arange(3, dtype=np.int8)
-    return train_elsewhere(training, validation, (kinds.repeat(1200), kinds.repeat(200)))
+    lessons = Lessons(
+        training, kinds.repeat(1200), validation, kinds.repeat(200),
+        Samples.join([made(300, FOREIGN, seed) for seed in range(30, 36)]),
+        made(100, SEEN_BADLY, 19).features[:, SCENE].astype(float),
+        made(400, RECORDED, 20).features[:, SCENE].astype(float),
+    )  # fmt: skip
+    return train_elsewhere(lessons)
 
 
-@pytest.mark.parametrize("kind", range(3))
+@pytest.mark.parametrize("kind", range(4))
 def test_the_gate_tells_the_kind_of_traffic(elsewhere, kind):
     found = elsewhere.kinds(made(200, kind, 4 + kind).features.astype(float))
     assert np.allclose(found.sum(axis=1), 1.0)
     assert (found.argmax(axis=1) == kind).mean() > 0.95
 
 
-@pytest.mark.parametrize("kind", [SEEN_BADLY, FOREIGN])
+@pytest.mark.parametrize("kind", [SEEN_BADLY, FOREIGN, RECORDED])
 def test_it_answers_as_far_as_the_traffic_is_not_as_at_home(elsewhere, kind):
     away = made(200, kind, 6)
     features = away.features.astype(float)
@@ -68,7 +76,41 @@ def test_far_outside_the_training_nothing_is_known(elsewhere):
 
 def test_every_kind_of_traffic_is_needed():
     with pytest.raises(InputError, match="kinds: found \\[2\\]"):
-        train_elsewhere(made(100, FOREIGN, 8), None, (np.full(100, FOREIGN, np.int8), None))
+        train_elsewhere(
+            Lessons(made(100, FOREIGN, 8), np.full(100, FOREIGN, np.int8), None, None, None,
+                    np.zeros((0, len(SCENE_NAMES))), np.zeros((1, len(SCENE_NAMES))))
+        )  # fmt: skip
+
+
+def among(elsewhere, features, kind, seconds=20.0):
+    """(n,) probability of the aggressive style of drivers who are seen together."""
+    n = len(features)
+    kinds = np.eye(4)[kind]
+    seen = Observation(np.arange(n), np.full(n, seconds), np.zeros((n, 0)), np.zeros((n, 0)))
+    answer = elsewhere.answers_among(features, kinds, seen, 0.0, PlaceDrivers())
+    assert np.allclose(answer.sum(axis=1), 1.0)
+    return answer[:, :3].sum(axis=1)
+
+
+def test_one_style_alone_is_told_in_a_simulation_and_not_in_a_recording(elsewhere):
+    """Where people are recorded, only the differences between them are known."""
+    drivers = made(400, RECORDED, 12)
+    one_sided = drivers.features.astype(float)[drivers.codes < 3]
+    one_sided[:, SCENE] = one_sided[0, SCENE]
+    simulated = among(elsewhere, one_sided, FOREIGN)
+    recorded = among(elsewhere, one_sided, RECORDED)
+    assert (simulated > 0.5).mean() > 0.9
+    assert 0.1 < (recorded[np.abs(recorded - 0.5) > 0.3] > 0.5).mean() < 0.75
+
+
+def test_both_styles_are_told_apart_in_a_recording(elsewhere):
+    drivers = made(400, RECORDED, 13)
+    features = drivers.features.astype(float)
+    features[:, SCENE] = features[0, SCENE]
+    style = among(elsewhere, features, RECORDED)
+    assert ((style > 0.5) == (drivers.codes < 3)).mean() > 0.8
+    shortly = among(elsewhere, features, RECORDED, seconds=1.0)
+    assert np.abs(shortly - 0.5).mean() < np.abs(style - 0.5).mean()
 
 
 def test_a_saved_model_answers_as_before(elsewhere, tmp_path):
