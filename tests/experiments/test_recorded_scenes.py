@@ -16,7 +16,8 @@ def platoon(seconds: float) -> Tracks:
     xy[..., 0] = 30.0 * np.arange(5)[:, None] + 10.0 * time_s
     ones = np.ones(xy.shape[:2])
     return Tracks(
-        time_s=time_s, ids=np.arange(5), names=tuple("abcde"), kind=np.full(5, KINDS.index(AgentKind.CAR)),
+        time_s=time_s, ids=np.arange(5), names=tuple("abcde"),
+        kind=np.full(5, KINDS.index(AgentKind.CAR)),
         length=np.full(5, 4.5), width=np.full(5, 1.8), xy=xy, heading=0.0 * ones,
         speed=10.0 * ones, valid=ones > 0.0, signals=np.zeros((0, time_s.size), dtype=np.int8),
     )  # fmt: skip
