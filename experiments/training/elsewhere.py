@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
-from experiments.data.worlds.sensor import Sensor, draw_sensor
+from experiments.data.worlds.sensor import seen_badly
 from experiments.scoring.metrics import score
 from experiments.scoring.models import majority_of
 from experiments.training.recorded_scenes import read_scenes, scenes_of
@@ -23,7 +23,6 @@ from graphrqi.elsewhere import FOREIGN, HOME, Elsewhere, Lessons, train_elsewher
 from graphrqi.features.relative.observer import SCENE_NAMES
 from graphrqi.methods import make_observer
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples, collect
-from sim.frames import Tracks
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -176,22 +175,6 @@ def _scenes_seen_badly(
     rng = np.random.default_rng([seed, sensor, zlib.crc32(entry.id.encode())])
     tracks = seen_badly(measured(open_dataset(folder).read(entry)), rng)
     return np.array(list(scenes_of(tracks))).reshape(-1, len(SCENE_NAMES))
-
-
-def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:
-    """Tracks as a sensor that is drawn at random sees them, in metres.
-
-    Args:
-        tracks: at a steady frame rate.
-        rng: source of the sensor and of its errors.
-
-    Returns:
-        Every so many frames, with noise, losses and turned axes.
-    """
-    sensor: Sensor = dataclasses.replace(draw_sensor(rng), pixels_per_m=0.0)
-    every = max(1, round(sensor.step_s / tracks.step_s))
-    fewer = tracks.part(np.arange(tracks.ids.size), np.arange(0, tracks.time_s.size, every))
-    return sensor.seen(fewer, rng)
 
 
 def _thinned(samples: Samples, most: int, seed: int) -> Samples:

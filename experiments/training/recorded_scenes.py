@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from experiments.data.admission import admitted
+from experiments.data.worlds.sensor import seen_badly
 from graphrqi.features.relative.observer import SCENE_NAMES, UNKNOWN_SCENE, RelativeObserver
 from sim.frames import Tracks
 
@@ -68,8 +69,8 @@ def write_scenes(folder: Path, places: Sequence[str], path: Path = SCENES) -> in
     Raises:
         InputError: if a place has no recordings.
     """
-    from experiments.benches.classification.recorded import recordings_of  # these import each
-    from experiments.training.elsewhere import seen_badly  # other's modules
+    # The benches train, so that they cannot be imported above.
+    from experiments.benches.classification.recorded import recordings_of
 
     rng = np.random.default_rng(0)
     rows: list[list[str]] = []

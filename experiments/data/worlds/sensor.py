@@ -167,3 +167,19 @@ def draw_sensor(rng: np.random.Generator) -> Sensor:
         left_hand=left and not has_map,
         turned_rad=0.0 if has_map else round(turned, 4),
     )
+
+
+def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:
+    """Tracks as a sensor that is drawn at random sees them, in metres.
+
+    Args:
+        tracks: at a steady frame rate.
+        rng: source of the sensor and of its errors.
+
+    Returns:
+        Every so many frames, with noise, losses and turned axes.
+    """
+    sensor = dataclasses.replace(draw_sensor(rng), pixels_per_m=0.0)
+    every = max(1, round(sensor.step_s / tracks.step_s))
+    fewer = tracks.part(np.arange(tracks.ids.size), np.arange(0, tracks.time_s.size, every))
+    return sensor.seen(fewer, rng)
