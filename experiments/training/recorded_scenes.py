@@ -1,17 +1,14 @@
 """Numbers of recorded scenes, from which the gate learns to tell people from simulations.
 
 They are few enough to be kept beside the code, so that models are trained without the recordings:
-``python -m experiments.training.recorded_scenes FOLDER`` writes them anew, from the recordings that
-`OPEN_DATA` names. No recording and no driver can be found in them: they are
+`experiments.recorded_scenes` writes them anew, from the recordings that `OPEN_DATA` names. No recording and no driver can be found in them: they are
 averages over everyone in a scene (`graphrqi.features.relative.observer.SCENE_NAMES`).
 """
 
 from __future__ import annotations
 
 import csv
-import sys
-from collections.abc import Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -19,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from experiments.data.admission import admitted
-from experiments.data.worlds.sensor import seen_badly
 from graphrqi.features.relative.observer import SCENE_NAMES, UNKNOWN_SCENE, RelativeObserver
 from sim.frames import Tracks
 
@@ -34,12 +29,6 @@ SCENES: Final = Path(__file__).with_name("recorded_scenes.csv")
 
 FIRST_S, EVERY_S, LONGEST_S = 3.0, 4.0, 240.0
 """Time of a recording's first row, between rows, and of the last one, s."""
-
-MOST_RECORDINGS: Final = 55
-"""Recordings of a place that are used."""
-
-DIGITS: Final = 5
-"""Significant digits that are kept."""
 
 
 def scenes_of(tracks: Tracks) -> Iterator[FloatArray]:
@@ -55,43 +44,11 @@ def scenes_of(tracks: Tracks) -> Iterator[FloatArray]:
             yield np.nan_to_num(observer.scene(), nan=UNKNOWN_SCENE)
 
 
-def write_scenes(folder: Path, places: Sequence[str], path: Path = SCENES) -> int:
-    """Write the scenes of recordings, as they are and through a sensor that is drawn at random.
-
-    Args:
-        folder: holds a folder of recordings for each place.
-        places: their names.
-        path: file to write.
-
-    Returns:
-        How many rows were written.
-
-    Raises:
-        InputError: if a place has no recordings.
-    """
-    # The benches train, so that they cannot be imported above.
-    from experiments.benches.classification.recorded import recordings_of
-
-    rng = np.random.default_rng(0)
-    rows: list[list[str]] = []
-    for place in places:
-        found = islice(recordings_of(folder / place, lambda said: None), MOST_RECORDINGS)
-        for recording, unit in found:
-            tracks = admitted(recording, unit)[0].tracks
-            for seen in (tracks, seen_badly(tracks, rng)):
-                rows += [[place, *(f"{v:.{DIGITS}g}" for v in scene)] for scene in scenes_of(seen)]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["place", *SCENE_NAMES])
-        writer.writerows(rows)
-    return len(rows)
-
-
 def read_scenes(path: Path = SCENES) -> FloatArray:
     """Numbers of recorded scenes, as many of each place.
 
     Args:
-        path: file as from `write_scenes`.
+        path: file as from `experiments.recorded_scenes.write_scenes`.
 
     Returns:
         (r, S) rows; those of places with few rows are repeated.
@@ -108,7 +65,3 @@ def read_scenes(path: Path = SCENES) -> FloatArray:
     parts = [numbers[place == name] for name in np.unique(place)]
     most = max(len(part) for part in parts)
     return np.concatenate([np.resize(part, (most, numbers.shape[1])) for part in parts])
-
-
-if __name__ == "__main__":
-    print(write_scenes(Path(sys.argv[1]), OPEN_DATA), "rows")
