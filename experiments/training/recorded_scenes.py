@@ -1,8 +1,9 @@
 """Numbers of recorded scenes, from which the gate learns to tell people from simulations.
 
-They are few enough to be kept beside the code, so that models are trained without the recordings:
-`experiments.recorded_scenes` writes them anew, from the recordings that `OPEN_DATA` names. No recording and no driver can be found in them: they are
-averages over everyone in a scene (`graphrqi.features.relative.observer.SCENE_NAMES`).
+They are few enough to be kept beside the code, so that models are trained without the recordings;
+`experiments.recorded_scenes` writes them anew, from the recordings that `OPEN_DATA` names. No
+recording and no driver can be found in them: they are averages over everyone in a scene
+(`graphrqi.features.relative.observer.SCENE_NAMES`).
 """
 
 from __future__ import annotations
