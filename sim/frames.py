@@ -7,11 +7,10 @@ Ground truth (who is which behaviour) is never in a `Frame`: it lives in `sim.sc
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,11 @@ from numpy.typing import NDArray
 from behaviors.display import counted, html_table, import_pandas
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.row_index import RowIndex
+from sim.checked_arrays import cast, check_and_freeze, frozen
+from sim.events import Event as Event
+from sim.events import EventKind as EventKind
+from sim.track_rows import DENSE, TrackRows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -76,83 +80,6 @@ def says_stop(signals: CodeArray) -> BoolArray:
     return np.asarray((signals == Signal.RED.code) | (signals == Signal.YELLOW.code))
 
 
-class EventKind(StrEnum):
-    """What can happen to or between agents.
-
-    A collision is one event, when it begins; ``CONTACT`` marks every later step in which the two
-    still touch.
-    """
-
-    COLLISION = "collision"
-    CONTACT = "contact"
-    NEAR_MISS = "near miss"
-    REMOVAL = "removal"
-    RED_RUN = "red run"
-    STOP_ROLLED = "stop rolled"
-    STOPPED = "stopped"
-    YIELDED = "yielded"
-    NOT_YIELDED = "did not yield"
-    WRONG_WAY = "wrong way"
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened at one time.
-
-    Attributes:
-        kind: what happened.
-        time_s: when, s.
-        agent: id of the agent that did it (of a collision: the one that caused it).
-        other: id of the second party, or None.
-        rule: the rule by which the agent counts as its cause, in words; "" where there is none.
-    """
-
-    kind: EventKind
-    time_s: float
-    agent: int
-    other: int | None = None
-    rule: str = ""
-
-
-def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
-def _check_and_freeze(owner: object, dtypes: dict[str, tuple[Any, tuple[int | None, ...]]]) -> None:
-    """Cast, check shapes of, and make read-only the array fields of a frozen dataclass."""
-    for name, (dtype, shape) in dtypes.items():
-        array = np.asarray(getattr(owner, name), dtype=dtype)
-        if array.ndim != len(shape) or any(
-            want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
-        ):
-            expected = tuple("any" if s is None else s for s in shape)
-            raise InputError(
-                f"{type(owner).__name__}.{name}: found shape {array.shape}, expected {expected}"
-            )
-        object.__setattr__(owner, name, _frozen(array))
-
-
-def _cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Numbers as another type, if none of them changes by that."""
-    try:
-        found = np.asarray(values)
-    except ValueError as error:  # lists of different lengths
-        raise InputError(f"{name}: found {values!r:.60}, expected an array ({error})") from error
-    if found.size == 0 or np.can_cast(found.dtype, dtype, "safe"):
-        return found.astype(dtype, copy=False)
-    if dtype.kind == "f" and np.can_cast(found.dtype, dtype, "same_kind"):
-        return found.astype(dtype)
-    if found.dtype.kind in "iuf" and dtype.kind == "i":
-        limits = np.iinfo(dtype)
-        if (found >= limits.min).all() and (found <= limits.max).all():
-            whole = found.astype(dtype)
-            if (whole == found).all():
-                return whole
-    raise InputError(f"{name}: found {found.dtype} values, expected {dtype}")
-
-
 def _empty_signals() -> CodeArray:
     return np.empty(0, dtype=np.int8)
 
@@ -205,7 +132,7 @@ class Frame:
         for name, dtype, tail in _FRAME_ARRAYS:
             given = array = getattr(self, name)
             if type(array) is not np.ndarray or array.dtype is not dtype:
-                array = _cast(f"Frame.{name}", array, dtype)
+                array = cast(f"Frame.{name}", array, dtype)
             shape = array.shape
             if name == "signals" or n is None:
                 if len(shape) != 1:
@@ -214,7 +141,7 @@ class Frame:
             elif shape != (n, *tail):
                 raise InputError(f"Frame.{name}: found shape {shape}, expected {(n, *tail)}")
             if array.flags.writeable:
-                array = _frozen(array)
+                array = frozen(array)
             if array is not given:
                 object.__setattr__(self, name, array)
 
@@ -236,9 +163,14 @@ class Frame:
         return np.asarray(self.kind != PEDESTRIAN)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Tracks:
-    """A whole episode as dense arrays with a mask of the times at which each agent is present.
+    """A whole episode: N agents at T times, and where each was while it was present.
+
+    Tracks are made from arrays, or with `of_rows` from a row for each time at which an agent is
+    present. Then ``xy``, ``heading``, ``speed`` and ``valid`` are filled when they are first asked
+    for; where they would not fit into memory (``sim.track_rows.MAX_CELLS``), that is an
+    `InputError`, and everything but them still works.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -279,17 +211,66 @@ class Tracks:
             "length": (np.float64, (n,)),
             "width": (np.float64, (n,)),
             "time_s": (np.float64, (t,)),
-            "xy": (np.float64, (n, t, 2)),
-            "heading": (np.float64, (n, t)),
-            "speed": (np.float64, (n, t)),
-            "valid": (np.bool_, (n, t)),
             "signals": (np.int8, (None, t)),
         }
+        rows: TrackRows | None = self.__dict__.get("_rows")
+        if rows is None:
+            shapes |= {
+                "xy": (np.float64, (n, t, 2)),
+                "heading": (np.float64, (n, t)),
+                "speed": (np.float64, (n, t)),
+                "valid": (np.bool_, (n, t)),
+            }
+        elif (rows.index.agents, rows.index.times) != (n, t):
+            found = f"{rows.index.agents} agents at {rows.index.times} times"
+            raise InputError(f"Tracks: found rows of {found}, expected {n} and {t}")
         if self.behavior is not None:
             shapes["behavior"] = (np.int8, (n,))
-        _check_and_freeze(self, shapes)
+        check_and_freeze(self, shapes)
         if len(self.names) != n:
             raise InputError(f"Tracks.names: found {len(self.names)} names, expected {n}")
+
+    @classmethod
+    def of_rows(cls, rows: TrackRows, **facts: Any) -> Tracks:
+        """Tracks that cost what was seen, whatever agents times times are.
+
+        Args:
+            rows: where everyone was.
+            facts: the attributes of tracks but ``xy``, ``heading``, ``speed`` and ``valid``.
+
+        Returns:
+            The tracks.
+
+        Raises:
+            InputError: if the shapes do not fit.
+        """
+        tracks = cls.__new__(cls)
+        defaults = {"behavior": None, "events": ()}
+        tracks.__dict__.update(defaults | facts | {"_rows": rows})
+        tracks.__post_init__()
+        return tracks
+
+    if not TYPE_CHECKING:  # they are fields: mypy and the constructor know them
+
+        def __getattr__(self, name: str) -> Any:
+            """The arrays of tracks that were made from rows, when they are first asked for."""
+            if name not in DENSE or "_rows" not in self.__dict__:
+                raise AttributeError(f"Tracks has no attribute {name}")
+            self.__dict__[name] = frozen(self.__dict__["_rows"].dense(name))
+            return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: rows without the arrays, where there are rows."""
+        twice = DENSE if "_rows" in self.__dict__ else ()
+        return {name: value for name, value in self.__dict__.items() if name not in twice}
+
+    def as_rows(self) -> TrackRows:
+        """A row for each time at which each agent is present."""
+        if "_rows" not in self.__dict__:
+            found = TrackRows.of_dense(self.valid, self.xy, self.heading, self.speed)
+            self.__dict__["_rows"] = found
+        rows: TrackRows = self.__dict__["_rows"]
+        return rows
 
     @classmethod
     def from_frames(
@@ -309,54 +290,50 @@ class Tracks:
             Tracks of all agents that are in a frame.
         """
         seq = list(frames)
-        all_ids = np.unique(np.concatenate([f.ids for f in seq])) if seq else np.empty(0, np.int64)
-        n, t = all_ids.size, len(seq)
-        n_signals = seq[0].signals.size if seq else 0
-        xy = np.full((n, t, 2), np.nan)
-        heading, speed = np.full((n, t), np.nan), np.full((n, t), np.nan)
-        valid = np.zeros((n, t), dtype=bool)
-        kind = np.zeros(n, dtype=np.int8)
-        length, width = np.zeros(n), np.zeros(n)
-        signals = np.zeros((n_signals, t), dtype=np.int8)
-        for j, frame in enumerate(seq):
-            rows = np.searchsorted(all_ids, frame.ids)
-            xy[rows, j] = frame.xy
-            heading[rows, j] = frame.heading
-            speed[rows, j] = frame.speed
-            valid[rows, j] = True
-            kind[rows], length[rows], width[rows] = frame.kind, frame.length, frame.width
-            signals[:, j] = frame.signals
+        everyone = _joined(seq, "ids", np.int64)
+        ids, agent = np.unique(everyone, return_inverse=True)
+        step = np.repeat(np.arange(len(seq)), [f.ids.size for f in seq])
+        order = np.argsort(agent, kind="stable")
+        index = RowIndex.of_rows(agent[order], step[order], ids.size, len(seq))
+        last = np.zeros(ids.size, dtype=np.int64)
+        last[agent] = np.arange(agent.size)  # kind and size are those of the last frame
         codes = None
         if behaviors is not None:
-            labels = [behaviors.get(int(i)) for i in all_ids]
+            labels = [behaviors.get(int(i)) for i in ids]
             codes = np.array([-1 if b is None else b.code for b in labels], dtype=np.int8)
-        return cls(
-            ids=all_ids,
-            names=tuple((names or {}).get(int(i), str(int(i))) for i in all_ids),
-            kind=kind,
-            length=length,
-            width=width,
+        return cls.of_rows(
+            TrackRows(
+                index,
+                _joined(seq, "xy", np.float64).reshape(-1, 2)[order],
+                _joined(seq, "heading", np.float64)[order],
+                _joined(seq, "speed", np.float64)[order],
+            ),
+            ids=ids,
+            names=tuple((names or {}).get(int(i), str(int(i))) for i in ids),
+            kind=_joined(seq, "kind", np.int8)[last],
+            length=_joined(seq, "length", np.float64)[last],
+            width=_joined(seq, "width", np.float64)[last],
             time_s=np.array([f.time_s for f in seq], dtype=np.float64),
-            xy=xy,
-            heading=heading,
-            speed=speed,
-            valid=valid,
-            signals=signals,
+            signals=np.stack([f.signals for f in seq], axis=1)
+            if seq
+            else np.zeros((0, 0), dtype=np.int8),
             behavior=codes,
             events=tuple(e for f in seq for e in f.events),
         )
 
     def frame(self, step: int) -> Frame:
         """The frame at index ``step``: the agents that are valid there."""
-        rows = np.flatnonzero(self.valid[:, step])
         time_s = float(self.time_s[step])
         before = float(self.time_s[step - 1]) if step > 0 else -np.inf
+        seen = self.as_rows()
+        at = seen.at(step)
+        rows = seen.index.agent[at]
         return Frame(
             time_s=time_s,
             ids=self.ids[rows],
-            xy=self.xy[rows, step],
-            heading=self.heading[rows, step],
-            speed=self.speed[rows, step],
+            xy=seen.xy[at],
+            heading=seen.heading[at],
+            speed=seen.speed[at],
             length=self.length[rows],
             width=self.width[rows],
             kind=self.kind[rows],
@@ -380,7 +357,8 @@ class Tracks:
             Tracks of those agents only; the last column is index ``stop - 1``.
         """
         columns = slice(max(0, stop - steps), stop)
-        return self.part(np.flatnonzero(self.valid[:, stop - 1]), columns)
+        seen = self.as_rows()
+        return self.part(seen.index.agent[seen.at(stop - 1)], columns)
 
     def part(self, rows: IntArray, columns: slice | IntArray) -> Tracks:
         """Some agents at some of the times.
@@ -393,18 +371,14 @@ class Tracks:
             Their tracks, with the events between the first and the last of these times.
         """
         begin, end = self.time_s[columns][0], self.time_s[columns][-1]
-        cells: Any = (rows, columns) if isinstance(columns, slice) else np.ix_(rows, columns)
-        return Tracks(
+        return Tracks.of_rows(
+            self.as_rows().part(rows, columns),
             ids=self.ids[rows],
             names=tuple(self.names[i] for i in rows),
             kind=self.kind[rows],
             length=self.length[rows],
             width=self.width[rows],
             time_s=self.time_s[columns],
-            xy=self.xy[cells],
-            heading=self.heading[cells],
-            speed=self.speed[cells],
-            valid=self.valid[cells],
             signals=self.signals[:, columns],
             behavior=None if self.behavior is None else self.behavior[rows],
             events=tuple(e for e in self.events if begin <= e.time_s <= end),
@@ -419,7 +393,17 @@ class Tracks:
 
     def with_behavior(self, behavior: CodeArray) -> Tracks:
         """The same tracks with other labels (-1: no label)."""
-        return dataclasses.replace(self, behavior=behavior)
+        return self.changed(behavior=behavior)
+
+    def changed(self, rows: TrackRows | None = None, **facts: Any) -> Tracks:
+        """The same tracks with other facts; `dataclasses.replace` is for arrays of all places.
+
+        Args:
+            rows: where everyone was; None to keep that.
+            facts: attributes but ``xy``, ``heading``, ``speed`` and ``valid``.
+        """
+        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in DENSE}
+        return Tracks.of_rows(rows or self.as_rows(), **(kept | facts))
 
     def __repr__(self) -> str:
         """The agents by kind, the times, and counts of labels, signals and events."""
@@ -427,7 +411,7 @@ class Tracks:
         parts = [
             _by_kind(self.kind),
             self._times(),
-            counted(int(self.valid.sum()), "row"),
+            counted(self.as_rows().speed.size, "row"),
             f"{labelled} labelled",
             counted(len(self.signals), "signal group"),
             counted(len(self.events), "event"),
@@ -442,16 +426,16 @@ class Tracks:
 
     def _repr_html_(self) -> str:
         """A table with a row per kind of agent, for notebooks."""
+        seen = self.as_rows()
         rows = []
         for code in np.unique(self.kind).tolist():
             of_kind = self.kind == code
-            present = self.valid[of_kind]
-            speed = self.speed[of_kind][present]
+            speed = seen.speed[of_kind[seen.index.agent]]
             rows.append(
                 (
                     KINDS[code],
                     int(of_kind.sum()),
-                    int(present.sum()),
+                    speed.size,
                     f"{speed.mean():.1f}" if speed.size else "",
                     0 if self.behavior is None else int((self.behavior[of_kind] >= 0).sum()),
                 )
@@ -471,7 +455,8 @@ class Tracks:
             InputError: if pandas is not installed.
         """
         pandas = import_pandas()
-        rows, columns = np.nonzero(self.valid)
+        seen = self.as_rows()
+        rows, columns = seen.index.agent, seen.index.step
         codes = np.full(len(self.ids), -1) if self.behavior is None else self.behavior
         kinds = np.array([str(kind) for kind in KINDS], dtype=object)
         behaviors = np.array([*map(str, BEHAVIORS), None], dtype=object)  # code -1 is the last
@@ -481,10 +466,10 @@ class Tracks:
                 "name": np.array(self.names, dtype=object)[rows],
                 "kind": kinds[self.kind[rows]],
                 "time_s": self.time_s[columns],
-                "x": self.xy[rows, columns, 0],
-                "y": self.xy[rows, columns, 1],
-                "heading": self.heading[rows, columns],
-                "speed": self.speed[rows, columns],
+                "x": seen.xy[:, 0],
+                "y": seen.xy[:, 1],
+                "heading": seen.heading,
+                "speed": seen.speed,
                 "length": self.length[rows],
                 "width": self.width[rows],
                 "behavior": behaviors[codes[rows]],
@@ -497,3 +482,9 @@ def _by_kind(codes: CodeArray) -> str:
     counts = np.bincount(codes, minlength=len(KINDS)).tolist()
     parts = [f"{count} {kind}" for kind, count in zip(KINDS, counts, strict=True) if count]
     return counted(codes.size, "agent") + (f" ({', '.join(parts)})" if parts else "")
+
+
+def _joined(frames: Sequence[Frame], name: str, dtype: Any) -> NDArray[Any]:
+    """One array of all frames after each other."""
+    parts = [getattr(frame, name) for frame in frames]
+    return np.concatenate(parts) if parts else np.empty(0, dtype=dtype)

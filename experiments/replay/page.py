@@ -180,7 +180,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
 def _opening_s(scene: ReplayScene) -> float:
     """When half as many are there as ever are at once, and somebody is believed something, s."""
     tracks, beliefs = scene.tracks, scene.beliefs
-    present = tracks.valid.sum(axis=0)
+    present = tracks.as_rows().counts()
     half_full_s = float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
     known = np.isfinite(beliefs.probability).all(axis=2).any(axis=0)
     wanted = known & (beliefs.time_s >= half_full_s - 1e-6)
@@ -217,24 +217,24 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
 def _places(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Where everyone is, as runs of steps without a gap."""
     tracks = scene.tracks
-    agent, step = np.nonzero(tracks.valid)
+    seen = tracks.as_rows()
+    agent, step, xy = seen.index.agent, seen.index.step, seen.xy
     begins = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
     inside = np.ones(agent.size, dtype=bool)
     inside[begins] = False
-    xy = tracks.xy[agent, step]
     low = xy.min(axis=0)
     moved = np.diff(xy, axis=0, prepend=xy[:1])[inside]
     unit = quantum(moved, POSITION_QUANTUM)
     for name, values in (("x", xy[:, 0] - low[0]), ("y", xy[:, 1] - low[1])):
         arrays[f"{name}First"], arrays[f"{name}Steps"] = differences(values, begins, unit)
-    turned = np.rint(tracks.heading[agent, step] * (TURN / (2 * np.pi))).astype(np.int64)
+    turned = np.rint(seen.heading * (TURN / (2 * np.pi))).astype(np.int64)
     change = np.diff(turned, prepend=turned[:1])
     change = (change + TURN // 2) % TURN - TURN // 2
     change[begins] = turned[begins]
     arrays["headingSteps"] = change.astype(np.int16)
-    fastest = quantum(tracks.speed[agent, step], SPEED_QUANTUM)
-    _, arrays["speedSteps"] = differences(tracks.speed[agent, step], begins, fastest)
-    arrays["speedFirst"] = np.rint(tracks.speed[agent[begins], step[begins]] / fastest).astype("i2")
+    fastest = quantum(seen.speed, SPEED_QUANTUM)
+    _, arrays["speedSteps"] = differences(seen.speed, begins, fastest)
+    arrays["speedFirst"] = np.rint(seen.speed[begins] / fastest).astype("i2")
     arrays["runAgent"] = agent[begins].astype("u2")
     arrays["runStep"] = step[begins].astype("i4")
     arrays["runSize"] = np.diff(begins, append=agent.size).astype("i4")
@@ -283,7 +283,7 @@ def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, An
     ghosts = scene.ghosts
     if ghosts is None:
         return {"ghosts": []}
-    origin = scene.tracks.xy[scene.tracks.valid].min(axis=0)
+    origin = scene.tracks.as_rows().xy.min(axis=0)
     arrays["ghostOf"] = ghosts.ghost.astype("u2")
     arrays["ghostStep"] = ghosts.step.astype("i4")
     arrays["ghostXY"] = (ghosts.xy - origin).astype("f4").ravel()
@@ -301,7 +301,7 @@ def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]], unit: float)
     """Futures, each as its first place and how the steps between its places change."""
     if not scene.forecasts:
         return {"ahead": []}
-    origin = scene.tracks.xy[scene.tracks.valid].min(axis=0)
+    origin = scene.tracks.as_rows().xy.min(axis=0)
     xy = np.concatenate([f.xy for f in scene.forecasts]) - origin
     steps = np.diff(xy, axis=1)
     coarse = max(quantum(2.0 * steps, FUTURE_QUANTUM), unit)

@@ -123,7 +123,7 @@ def lay_out(
 
 def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of what a picture shows: the road; of a junction, where its traffic is."""
-    places = scene.tracks.xy[scene.tracks.valid]
+    places = scene.tracks.as_rows().xy
     if scene.road is None:
         low, high = places.min(axis=0), places.max(axis=0)
         margin = max(0.03 * float((high - low).max()), 1.0)
@@ -169,7 +169,7 @@ class Painter:
             )
             for panel in lay_out(shown_extent(scene), width, height, *margins)
         ]
-        speeds = scene.tracks.speed[scene.tracks.valid]
+        speeds = scene.tracks.as_rows().speed
         self.fastest = max(1.0, float(np.quantile(speeds, 0.995)))
         self._shapes = None if scene.road is None else road_shapes(scene.road)
         self._background = self._draw_background()
@@ -215,8 +215,9 @@ class Painter:
         return image
 
     def _draw_tracks(self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray) -> None:
+        rows = self.scene.tracks.as_rows()
         for row in range(self.scene.tracks.ids.size):
-            seen = self.scene.tracks.xy[row, self.scene.tracks.valid[row]]
+            seen = rows.xy[rows.index.rows(row)]
             if len(seen) > 1:
                 points = panel.pixels(seen) - offset
                 pen.line([tuple(p) for p in points.tolist()], TRACK, FINE)
@@ -264,11 +265,14 @@ class Painter:
         after = min(step + 1, tracks.time_s.size - 1)
         span = float(tracks.time_s[after] - tracks.time_s[step])
         share = min(max((time_s - float(tracks.time_s[step])) / span, 0.0), 1.0) if span else 0.0
-        rows = np.flatnonzero(tracks.valid[:, step])
-        share_of = np.where(tracks.valid[rows, after], share, 0.0)[:, None]
-        to = np.where(tracks.valid[rows, after, None], tracks.xy[rows, after], 0.0)
-        xy = tracks.xy[rows, step] * (1 - share_of) + to * share_of
-        return rows, xy, tracks.heading[rows, step], tracks.speed[rows, step]
+        seen = tracks.as_rows()
+        at = seen.at(step)
+        rows = seen.index.agent[at]
+        row, there = seen.find(rows, np.full(rows.size, after))
+        share_of = np.where(there, share, 0.0)[:, None]
+        to = np.where(there[:, None], seen.xy[row], 0.0)
+        xy = seen.xy[at] * (1 - share_of) + to * share_of
+        return rows, xy, seen.heading[at], seen.speed[at]
 
     def _colors(self, rows: IntArray, speed: FloatArray, time_s: float) -> list[str]:
         scene = self.scene
@@ -400,9 +404,10 @@ class Painter:
             if row >= tracks.ids.size or tracks.ids[row] != event.agent:
                 continue
             step = min(step, tracks.time_s.size - 1)
-            if not tracks.valid[row, step]:
+            place = tracks.as_rows().places(np.array(row), np.array(step))
+            if np.isnan(place[0]):
                 continue
-            x, y = panel.pixels(tracks.xy[row, step]) - offset
+            x, y = panel.pixels(place) - offset
             r = (12 + 8 * since) * FINE
             pen.ellipse((x - r, y - r, x + r, y + r), None, GRAVE, 3 * FINE)
 
@@ -420,7 +425,7 @@ def write_picture(scene: ReplayScene, path: Path, mode: str, time_s: float | Non
         OSError: if it cannot be written.
     """
     if time_s is None:
-        time_s = float(scene.tracks.time_s[scene.tracks.valid.sum(axis=0).argmax()])
+        time_s = float(scene.tracks.time_s[scene.tracks.as_rows().counts().argmax()])
     image = Painter(scene, mode).draw(time_s)
     write_whole(path, png_bytes(image))
 

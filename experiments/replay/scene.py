@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -158,7 +157,7 @@ def gather(
     shown_traits = episode.shown_traits
     if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
         events, shown_traits = annotate_recording(TrajectoryRows.of(tracks), road)
-        tracks = dataclasses.replace(tracks, events=events)
+        tracks = tracks.changed(events=events)
     forecasts: list[Forecast] = []
     shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:
@@ -179,7 +178,7 @@ def gather(
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = _stride(tracks)
-    tracks = dataclasses.replace(tracks, events=shown_events(tracks))
+    tracks = tracks.changed(events=shown_events(tracks))
     if unit == "px":
         tracks = with_drawn_sizes(tracks)
     kept = tracks.part(np.arange(tracks.ids.size), slice(None, None, stride))
@@ -204,7 +203,7 @@ def gather(
 def _stride(tracks: Tracks) -> int:
     """Every how many-th frame is kept."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
-    return max(wanted, -(-int(tracks.valid.sum()) // MAX_PLACES))
+    return max(wanted, -(-tracks.as_rows().speed.size // MAX_PLACES))
 
 
 def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple[str, ...]:

@@ -62,8 +62,9 @@ def _row(tracks: Tracks, agent: int | None) -> int | None:
 def _parked(tracks: Tracks) -> list[bool]:
     """Who is never seen to move."""
     found = []
-    for xy, valid in zip(tracks.xy, tracks.valid, strict=True):
-        seen = xy[valid]
+    rows = tracks.as_rows()
+    for agent in range(tracks.ids.size):
+        seen = rows.xy[rows.index.rows(agent)]
         away = np.hypot(*(seen - np.median(seen, axis=0)).T) if len(seen) else np.zeros(1)
         found.append(bool(away.max() < PARKED_M))
     return found
@@ -72,12 +73,16 @@ def _parked(tracks: Tracks) -> list[bool]:
 def _closest_s(tracks: Tracks, event: Event, one: int, other: int) -> float:
     """When the centres of two agents are nearest to each other around an event, s."""
     after_s = tracks.time_s - event.time_s
-    near = (after_s >= -NEAR_BEFORE_S) & (after_s <= NEAR_AFTER_S)
-    steps = np.flatnonzero(near & tracks.valid[one] & tracks.valid[other])
-    if not steps.size:
+    near = np.flatnonzero((after_s >= -NEAR_BEFORE_S) & (after_s <= NEAR_AFTER_S))
+    if not near.size:
         return event.time_s
-    distance_m = np.hypot(*(tracks.xy[one, steps] - tracks.xy[other, steps]).T)
-    return float(tracks.time_s[steps[int(distance_m.argmin())]])
+    begin, end = int(near[0]), int(near[-1]) + 1
+    rows = tracks.as_rows()
+    places = [rows.index.over(rows.xy, row, begin, end, np.nan) for row in (one, other)]
+    distance_m = np.hypot(*(places[0] - places[1]).T)
+    if np.isnan(distance_m).all():
+        return event.time_s
+    return float(tracks.time_s[begin + int(np.nanargmin(distance_m))])
 
 
 def with_drawn_sizes(tracks: Tracks) -> Tracks:
@@ -95,9 +100,7 @@ def with_drawn_sizes(tracks: Tracks) -> Tracks:
     sides = np.sqrt(tracks.length * tracks.width)
     length = min(float(np.median(sides)), FREE_SHARE * _free_distance(tracks))
     many = tracks.ids.size
-    return dataclasses.replace(
-        tracks, length=np.full(many, length), width=np.full(many, length / CAR_SHAPE)
-    )
+    return tracks.changed(length=np.full(many, length), width=np.full(many, length / CAR_SHAPE))
 
 
 def _free_distance(tracks: Tracks) -> float:
@@ -105,7 +108,7 @@ def _free_distance(tracks: Tracks) -> float:
     found: list[FloatArray] = []
     steps = np.unique(np.linspace(0, tracks.time_s.size - 1, FRAMES_MEASURED).astype(int))
     for step in steps:
-        xy = tracks.xy[tracks.valid[:, step], step]
+        xy = tracks.as_rows().xy[tracks.as_rows().at(step)]
         if len(xy) > 1:
             apart = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
             np.fill_diagonal(apart, np.inf)

@@ -152,11 +152,11 @@ def excerpt_of(
     )
     page = f"replays/{entry.id}.html"
     write_page(scene, folder / page, "predicted")
-    moment = float(scene.tracks.time_s[scene.tracks.valid.sum(axis=0).argmax()])
+    moment = float(scene.tracks.time_s[scene.tracks.as_rows().counts().argmax()])
     agent, sample = _scored_beliefs(scene)
     behavior = scene.tracks.behavior
     truth = np.full(scene.tracks.ids.size, -1, np.int8) if behavior is None else behavior
-    first_s = scene.tracks.time_s[scene.tracks.valid.argmax(axis=1)]
+    first_s = scene.tracks.time_s[scene.tracks.as_rows().first_steps()]
     shown, drivers = _traits(scene, truth)
     return EpisodeExcerpt(
         seconds=scene.beliefs.time_s[sample] - first_s[agent],

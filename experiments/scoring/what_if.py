@@ -98,12 +98,12 @@ def _row(tracks: Tracks, agent: int) -> int:
 def _place(tracks: Tracks, agent: int, time_s: float) -> FloatArray | None:
     """(2,) where an agent is at a time, m; None if it is not there."""
     row, column = _row(tracks, agent), int(np.searchsorted(tracks.time_s, time_s - 1e-6))
-    if row < 0 or column >= tracks.time_s.size or not tracks.valid[row, column]:
+    if row < 0 or column >= tracks.time_s.size:
         return None
     if abs(float(tracks.time_s[column]) - time_s) > 1e-6:
         return None
-    place: FloatArray = tracks.xy[row, column]
-    return place
+    place = tracks.as_rows().places(np.array(row), np.array(column))
+    return None if np.isnan(place[0]) else place
 
 
 def _travelled(
@@ -113,8 +113,11 @@ def _travelled(
     row = _row(tracks, agent)
     if row < 0:
         return np.empty(0), np.empty(0)
-    columns = np.flatnonzero(tracks.valid[row] & (tracks.time_s > since_s + 1e-6))
-    time_s, xy = tracks.time_s[columns], tracks.xy[row, columns]
+    rows = tracks.as_rows()
+    own = rows.index.rows(row)
+    time_s, xy = tracks.time_s[rows.index.step[own]], rows.xy[own]
+    later = time_s > since_s + 1e-6
+    time_s, xy = time_s[later], xy[later]
     if start is not None:
         time_s, xy = np.append(since_s, time_s), np.concatenate([start[None], xy])
     if not time_s.size:

@@ -1,6 +1,6 @@
 """An episode as one row per agent and time step, for searches over whole episodes.
 
-`sim.frames.Tracks` holds the same as dense arrays, which are mostly empty when an episode is long.
+`sim.frames.Tracks` holds the same, and gives dense arrays to those who want them.
 """
 
 from __future__ import annotations
@@ -68,19 +68,18 @@ class TrajectoryRows:
             ...     speed=[[np.nan, 5.0]], valid=[[False, True]], signals=np.zeros((0, 2)))).xy
             array([[3., 4.]])
         """
-        row_index = RowIndex.of(tracks.valid)
-        at = row_index.agent, row_index.step
+        seen = tracks.as_rows()
         return cls(
-            row_index=row_index,
+            row_index=seen.index,
             ids=tracks.ids,
             kind=tracks.kind,
             length=tracks.length,
             width=tracks.width,
             time_s=tracks.time_s,
             step_s=tracks.step_s,
-            xy=tracks.xy[at],
-            heading=tracks.heading[at],
-            speed=tracks.speed[at],
+            xy=seen.xy,
+            heading=seen.heading,
+            speed=seen.speed,
             signals=tracks.signals,
             events=tracks.events,
         )

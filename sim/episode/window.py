@@ -100,8 +100,12 @@ class Window:
 
     def of_tracks(self, tracks: Tracks) -> Tracks:
         """The tracks of the agents that count at the last time; they keep their whole past."""
-        rows = np.flatnonzero(tracks.valid[:, -1]) if tracks.time_s.size else np.empty(0, np.int64)
-        if not rows.size:
+        if not tracks.time_s.size:
             return tracks
-        inside = self.admits(tracks.ids[rows], tracks.xy[rows, -1])
+        seen = tracks.as_rows()
+        at = seen.at(-1)
+        if not at.size:
+            return tracks
+        rows = seen.index.agent[at]
+        inside = self.admits(tracks.ids[rows], seen.xy[at])
         return tracks.part(rows[inside], slice(0, tracks.time_s.size))

@@ -15,7 +15,7 @@ from sim.formats.common.csv_columns import read_columns
 from sim.formats.common.ego_motion import remove_ego_motion
 from sim.formats.common.packed import beside, plain_name, stem
 from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recordings
-from sim.store.schema import MAX_CELLS
+from sim.track_rows import MAX_CELLS
 
 FRAME_RATE_HZ: Final = 10.0
 """Frames per second that are assumed (Argoverse's tracking data has 10)."""

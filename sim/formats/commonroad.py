@@ -11,7 +11,6 @@ References:
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,7 +31,6 @@ from sim.formats.common.recording import (
 from sim.frames import AgentKind, Tracks
 from sim.road import Road
 from sim.road.maps.commonroad import ROOT, real, road_of
-from sim.store.schema import MAX_CELLS
 from sim.xml_tree import read_tree, whole_number
 
 VERSIONS: Final = ("2017a", "2018a", "2018b", "2020a")
@@ -105,7 +103,7 @@ def _lit(tracks: Tracks, road: Road) -> Tracks:
         [code for plan in road.signal_plans for code in plan.state_at(float(time_s))]
         for time_s in tracks.time_s
     ]
-    return dataclasses.replace(tracks, signals=np.array(shown, dtype=np.int8).T)
+    return tracks.changed(signals=np.array(shown, dtype=np.int8).T)
 
 
 class _Obstacles:
@@ -216,8 +214,8 @@ class _Obstacles:
         agent = np.array(self.agent, dtype=np.int64)
         if self.standing:
             times = np.unique(table[:, 0]) if len(table) else np.zeros(1)
-            if len(self.standing) * times.size > MAX_CELLS:
-                raise InputError(f"{self.path}: found more than {MAX_CELLS} obstacles times steps")
+            if len(self.standing) * times.size > MAX_ROWS:
+                raise InputError(f"{self.path}: found more than {MAX_ROWS} obstacles times steps")
             stood = np.array([row for _, row in self.standing])
             rows = np.repeat(stood, times.size, axis=0)
             rows[:, 0] = np.tile(times, len(stood))

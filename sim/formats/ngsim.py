@@ -29,11 +29,9 @@ from sim.formats.common.recording import (
     Rows,
     assemble,
     check_size,
-    in_time,
     kind_codes,
 )
 from sim.frames import AgentKind
-from sim.store.schema import MAX_CELLS
 
 FOOT_M: Final = 0.3048
 """The international foot, m."""
@@ -75,8 +73,7 @@ def read(path: Path) -> Iterator[Recording]:
         path: the CSV or the text file.
 
     Yields:
-        One recording for each location and each period without a long break there; a period that
-        is too large for dense arrays is cut.
+        One recording for each location and each period without a long break there.
 
     Raises:
         InputError: if the file is broken; the message names file and column or line.
@@ -102,7 +99,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
     """The recordings of one place: one for each period without a long break."""
-    time_ms, agent = columns.numbers("global_time"), columns.numbers("vehicle_id")
+    time_ms = columns.numbers("global_time")
     order = np.argsort(time_ms, kind="stable")
     breaks = np.flatnonzero(np.diff(time_ms[order]) > BREAK_S * 1000.0) + 1
     if breaks.size >= MAX_PERIODS:
@@ -110,11 +107,7 @@ def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
             f"{path}: column global_time: found {breaks.size} breaks of more than {BREAK_S:g} s, "
             f"expected fewer than {MAX_PERIODS}"
         )
-    parts = [
-        piece
-        for part in np.split(order, breaks)
-        for piece in in_time(path, part, time_ms, agent, MAX_CELLS)
-    ]
+    parts = np.split(order, breaks)
     for number, rows in enumerate(parts, 1):
         part_name = name if len(parts) == 1 else f"{name}-{number}"
         yield _recording(

@@ -20,6 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
@@ -31,6 +32,10 @@ SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
 
 MOVED_M: Final = 1.0
 """An agent that goes farther than this is counted as moving, m (MetaDrive's number)."""
+
+MAX_STATES: Final = 10**7
+"""Most agents times times of an episode (our choice: 0.4 GB, and as much again while it is packed).
+"""
 
 HEIGHT_M: Final = 1.6
 """Height that is written for everyone, m: the format wants one and traffic here is flat."""
@@ -61,29 +66,41 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
     Returns:
         The dictionary; numbers are 0 where an agent is not valid.
     """
+    n, t = tracks.ids.size, tracks.time_s.size
+    if n * t > MAX_STATES:
+        raise InputError(
+            f"{name}: found {n} agents at {t} times, expected agents times times at most "
+            f"{MAX_STATES}, since this format has a state for each"
+        )
+    rows = tracks.as_rows()
     agents: dict[str, Any] = {}
     for i, label in enumerate(tracks.names):
-        valid = tracks.valid[i]
+        at = rows.index.rows(i)
+        valid = np.zeros(t, dtype=bool)
+        valid[rows.index.step[at]] = True
 
-        def seen(values: NDArray[np.float64], valid: NDArray[np.bool_] = valid) -> Any:
-            mask = valid if values.ndim == 1 else valid[:, None]
-            return np.where(mask, values, 0.0).astype(np.float32)
+        def seen(
+            values: NDArray[np.float64] | float, valid: NDArray[np.bool_] = valid
+        ) -> NDArray[np.float32]:
+            filled = np.zeros((t, *np.shape(values)[1:]), dtype=np.float32)
+            filled[valid] = values
+            return filled
 
-        heading, speed = tracks.heading[i], tracks.speed[i]
+        heading, speed = rows.heading[at], rows.speed[at]
         velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading)], axis=1)
         code = -1 if tracks.behavior is None else int(tracks.behavior[i])
         size = {
-            "length": np.where(valid, tracks.length[i], 0.0).astype(np.float32),
-            "width": np.where(valid, tracks.width[i], 0.0).astype(np.float32),
-            "height": np.where(valid, HEIGHT_M, 0.0).astype(np.float32),
+            "length": seen(tracks.length[i]),
+            "width": seen(tracks.width[i]),
+            "height": seen(HEIGHT_M),
         }
         agents[label] = {
             "type": TYPES[KINDS[tracks.kind[i]]],
             "state": {
-                "position": seen(_flat(tracks.xy[i])),
+                "position": seen(_flat(rows.xy[at])),
                 "heading": seen(heading),
                 "velocity": seen(velocity),
-                "valid": valid.copy(),
+                "valid": valid,
                 **size,
             },
             "metadata": {
@@ -94,7 +111,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
             },
         }
     features = {} if road is None else _map_features(road)
-    longest = int(np.argmax(tracks.valid.sum(axis=1))) if len(tracks.names) else 0
+    longest = int(np.argmax(np.diff(rows.index.first))) if len(tracks.names) else 0
     return {
         "id": name,
         "version": VERSION,

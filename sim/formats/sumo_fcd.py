@@ -336,17 +336,19 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
     ids = [quoteattr(label) for label in tracks.names]
     types = [quoteattr(f"type-{label}") for label in tracks.names]
     element = ["person" if kind == PEDESTRIAN else "vehicle" for kind in tracks.kind]
-    front = tracks.xy + 0.5 * tracks.length[:, None, None] * np.stack(
-        [np.cos(tracks.heading), np.sin(tracks.heading)], axis=2
+    seen = tracks.as_rows()
+    front = seen.xy + 0.5 * tracks.length[seen.index.agent, None] * np.stack(
+        [np.cos(seen.heading), np.sin(seen.heading)], axis=1
     )
     for step, time_s in enumerate(tracks.time_s.tolist()):
         lines.append(f'    <timestep time="{time_s!r}">')
-        for row in np.flatnonzero(tracks.valid[:, step]).tolist():
-            x, y = front[row, step].tolist()
+        for at in seen.at(step).tolist():
+            row = int(seen.index.agent[at])
+            x, y = front[at].tolist()
             lines.append(
                 f'        <{element[row]} id={ids[row]} x="{x!r}" y="{y!r}" '
-                f'angle="{angle_of(float(tracks.heading[row, step]))!r}" type={types[row]} '
-                f'speed="{float(tracks.speed[row, step])!r}"{labels[row]}/>'
+                f'angle="{angle_of(float(seen.heading[at]))!r}" type={types[row]} '
+                f'speed="{float(seen.speed[at])!r}"{labels[row]}/>'
             )
         lines.append("    </timestep>")
     lines.append("</fcd-export>\n")

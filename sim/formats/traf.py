@@ -24,6 +24,7 @@ from behaviors.errors import InputError
 from sim.formats.common.packed import opened, stem
 from sim.formats.common.recording import MAX_ROWS, Recording, Rows, check_size, recordings
 from sim.formats.traf_sheets import Sheet, defects, labels, sheets_beside
+from sim.track_rows import MAX_CELLS
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second that are assumed (the usual rate of such video; not stated anywhere)."""
@@ -170,7 +171,7 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
     if twins:
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
     sheets = sheets_beside(path)
-    for one in recordings(path, stem(path), rows, notes):
+    for one in recordings(path, stem(path), rows, notes, max_cells=MAX_CELLS):
         yield _labelled(one, sheets) if sheets else one
 
 

@@ -186,15 +186,13 @@ class _Points:
 
 
 def _moving(tracks: Tracks) -> _Points:
-    moving = tracks.valid & (tracks.kind != PEDESTRIAN)[:, None]
-    moving[moving] &= tracks.speed[moving] >= MOVING_MPS
-    agent, step = np.nonzero(moving)
-    if agent.size > MOST_POINTS:
-        kept = np.linspace(0, agent.size - 1, MOST_POINTS).astype(np.int64)
-        agent, step = agent[kept], step[kept]
-    return _Points(
-        tracks.xy[agent, step], tracks.heading[agent, step], tracks.speed[agent, step], agent
-    )
+    rows = tracks.as_rows()
+    drives = (tracks.kind != PEDESTRIAN)[rows.index.agent]
+    moving = np.flatnonzero(drives & (rows.speed >= MOVING_MPS))
+    if moving.size > MOST_POINTS:
+        moving = moving[np.linspace(0, moving.size - 1, MOST_POINTS).astype(np.int64)]
+    agent = rows.index.agent[moving]
+    return _Points(rows.xy[moving], rows.heading[moving], rows.speed[moving], agent)
 
 
 @dataclass(frozen=True, eq=False)

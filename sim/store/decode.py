@@ -20,6 +20,7 @@ from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style, Trait
 from behaviors.profiles import PROFILE_FIELDS, Profile
+from behaviors.row_index import RowIndex
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
 from sim.scenario import AgentSpec
 from sim.store.parquet import MAX_TEXT_BYTES, check_budget, check_spelled_out, opened, read_packed
@@ -27,14 +28,15 @@ from sim.store.schema import (
     AGENTS,
     EVENTS,
     FRAMES,
-    MAX_CELLS,
     MAX_OBJECTS,
+    MAX_CELLS,
     SIGNALS_TABLE,
     TRAITS_TABLE,
     EpisodeEntry,
     FileName,
     steps_schema,
 )
+from sim.track_rows import TrackRows
 
 STEPS: Final = (steps_schema(exact=False), steps_schema(exact=True))
 """What a table of steps may look like."""
@@ -123,32 +125,23 @@ def read_tables(
     time_s = _numbers(frames_path, frames, "time_s")
     if time_s.size != entry.frames or (np.diff(time_s) <= 0).any():
         raise InputError(f"{frames_path}: expected {entry.frames} times, each after the one before")
-    if agents.num_rows * time_s.size > MAX_CELLS:
-        raise InputError(
-            f"{agents_path}: found {agents.num_rows} agents in {time_s.size} steps, expected "
-            f"agents times steps at most {MAX_CELLS}"
-        )
     ids = _numbers(agents_path, agents, "agent")
     if (np.diff(ids) <= 0).any():
         raise InputError(f"{agents_path}: found agents out of order, expected ascending ids")
-    dense = _read_steps(tables, entry, ids, time_s.size)
-    seen = np.flatnonzero(dense.valid.any(axis=1))
+    rows = _read_steps(tables, entry, ids, time_s.size)
+    seen = np.flatnonzero(np.diff(rows.index.first))
     behavior = _codes(agents_path, agents, "behavior", BEHAVIORS, optional=True)[seen]
     specs = _agent_specs(agents_path, agents)
     names = agents.column("name").to_pylist()
     sizes = {c: _numbers(agents_path, agents, c)[seen] for c in ("length_m", "width_m")}
-    take = slice(None) if seen.size == ids.size else seen
-    tracks = Tracks(
+    tracks = Tracks.of_rows(
+        rows if seen.size == ids.size else rows.part(seen, slice(None)),
         ids=ids[seen],
         names=tuple(names[i] for i in seen),
         kind=_codes(agents_path, agents, "kind", KINDS)[seen],
         length=sizes["length_m"],
         width=sizes["width_m"],
         time_s=time_s,
-        xy=dense.xy[take],
-        heading=dense.heading[take],
-        speed=dense.speed[take],
-        valid=dense.valid[take],
         signals=_read_signals(tables, time_s.size),
         behavior=behavior if (behavior >= 0).any() else None,
         events=_read_events(tables),
@@ -214,15 +207,9 @@ def _codes(
     return cast("NDArray[np.int8]", pc.fill_null(codes, -1).to_numpy().astype(np.int8))
 
 
-@dataclass(frozen=True, slots=True)
-class _Dense:
-    xy: NDArray[np.float64]
-    heading: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    valid: NDArray[np.bool_]
-
-
-def _read_steps(tables: Tables, entry: EpisodeEntry, ids: NDArray[np.int64], steps: int) -> _Dense:
+def _read_steps(
+    tables: Tables, entry: EpisodeEntry, ids: NDArray[np.int64], steps: int
+) -> TrackRows:
     path = tables.path("steps.parquet")
     columns = ["agent", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
     max_rows = min(entry.agent_steps, ids.size * steps)
@@ -236,19 +223,11 @@ def _read_steps(tables: Tables, entry: EpisodeEntry, ids: NDArray[np.int64], ste
     if agent.size and not 0 <= int(step.min()) <= int(step.max()) < steps:
         raise InputError(f"{path}: found a step outside of 0 to {steps - 1}")
     counts = np.diff(starts, append=agent.size)
-    cell = np.repeat(row * steps, counts) + step
-    if (np.diff(cell) <= 0).any():
+    row = np.repeat(row, counts)
+    if (np.diff(row * steps + step) <= 0).any():
         raise InputError(f"{path}: found rows out of order, expected them by agent, then step")
-    xy = np.full((ids.size, steps, 2), np.nan)
-    flat = xy.reshape(-1, 2)
-    flat[cell, 0] = x
-    flat[cell, 1] = y
-    dense = [np.full((ids.size, steps), np.nan) for _ in range(2)]
-    dense[0].reshape(-1)[cell] = heading
-    dense[1].reshape(-1)[cell] = speed
-    valid = np.zeros((ids.size, steps), dtype=bool)
-    valid.reshape(-1)[cell] = True
-    return _Dense(xy, dense[0], dense[1], valid)
+    index = RowIndex.of_rows(row, step.astype(np.int64), ids.size, steps)
+    return TrackRows(index, np.stack([x, y], axis=1), heading, speed)
 
 
 def _read_signals(tables: Tables, steps: int) -> NDArray[np.int8]:

@@ -133,16 +133,16 @@ def _no_agents() -> Frame:
 
 
 def from_tracks(tracks: Tracks) -> Steps:
-    """The valid cells of tracks, exactly as they are."""
-    row, step = np.nonzero(tracks.valid)
+    """The rows of tracks, exactly as they are."""
+    rows = tracks.as_rows()
     return Steps(
-        agent=tracks.ids[row],
-        step=step.astype(np.int32),
+        agent=tracks.ids[rows.index.agent],
+        step=rows.index.step.astype(np.int32),
         time_s=np.asarray(tracks.time_s),
-        x=tracks.xy[row, step, 0],
-        y=tracks.xy[row, step, 1],
-        heading=tracks.heading[row, step],
-        speed=tracks.speed[row, step],
+        x=rows.xy[:, 0],
+        y=rows.xy[:, 1],
+        heading=rows.heading,
+        speed=rows.speed,
         signals=np.asarray(tracks.signals),
         events=tracks.events,
     )

@@ -60,8 +60,8 @@ HEADING_QUANTUM: Final = 2.0**-13
 measurement)."""
 
 MAX_CELLS: Final = 5 * 10**7
-"""Most agents times steps that one episode may have as dense arrays (our choice: 1.65 GB, 33 bytes
-for each, so that reading one stays within 2 GB)."""
+"""Most times that one episode may have, and signal groups times times (our choice: 0.45 GB of times
+and states)."""
 
 MAX_OBJECTS: Final = 10**6
 """Most agents, events, traits, changes of lights and edges of routes that one episode may have (our

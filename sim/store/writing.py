@@ -237,7 +237,8 @@ def write_recording(
     steps = from_tracks(tracks)
     n = tracks.ids.size
     codes = np.full(n, -1) if tracks.behavior is None else tracks.behavior
-    first_s = tracks.time_s[np.argmax(tracks.valid, axis=1)] if tracks.time_s.size else np.zeros(n)
+    rows = tracks.as_rows()
+    first_s = tracks.time_s[rows.first_steps()] if tracks.time_s.size else np.zeros(n)
     agents = [
         AgentSpec(
             id=int(tracks.ids[i]),
@@ -253,7 +254,7 @@ def write_recording(
         for i in range(n)
     ]
     names = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
-    seen = int(tracks.valid.any(axis=1).sum())
+    seen = int((np.diff(rows.index.first) > 0).sum())
     return _write(folder, meta, steps, encode_agents(agents, names), seen, road, ())
 
 

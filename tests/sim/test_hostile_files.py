@@ -74,19 +74,20 @@ def test_agents_seen_once_each_take_no_gigabytes(
     assert peak_kb * 1024 < 2e9
 
 
-def test_a_recording_is_cut_in_time_where_it_does_not_fit(
+def test_a_recording_in_pixels_is_cut_in_time_where_it_does_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = put(tmp_path, "a.csv", sparse_csv(40))
-    (whole,) = get_reader("argoverse1")(path)
-    monkeypatch.setattr("sim.formats.common.recording.recordings.__defaults__", ((), None, 100))
-    parts = list(get_reader("argoverse1")(path))
-    assert [part.name for part in parts] == ["a-1", "a-2", "a-3", "a-4"]
+    lines = [f"{k},1,{k},20,8,5,{k}" for k in range(40)]
+    path = put(tmp_path, "a_gt.txt", "\n".join([*lines, ""]))
+    (whole,) = get_reader("traf")(path)
+    monkeypatch.setattr("sim.formats.traf.MAX_CELLS", 100)
+    parts = list(get_reader("traf")(path))
+    assert [part.name for part in parts] == ["a_gt-1", "a_gt-2", "a_gt-3", "a_gt-4"]
     assert "cut into 4 recordings" in parts[0].notes[-1]
     names = [name for part in parts for name in part.tracks.names]
     assert names == list(whole.tracks.names)
     x = np.concatenate([part.tracks.xy[part.tracks.valid] for part in parts])[:, 0]
-    np.testing.assert_array_equal(x, np.arange(40.0))
+    np.testing.assert_array_equal(x, np.arange(40.0) + 4.0)
 
 
 def test_many_boxes_of_one_id_are_refused(tmp_path: Path) -> None:

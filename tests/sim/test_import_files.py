@@ -127,17 +127,6 @@ def test_an_id_that_comes_again_after_long_is_another_vehicle(tmp_path: Path) ->
     np.testing.assert_allclose(recording.tracks.length, np.array([15, 15, 40]) * 0.3048)
 
 
-def test_ngsim_that_does_not_fit_is_cut_in_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sim.formats.ngsim.MAX_CELLS", 3 * 20)
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join([NGSIM_HEADER, *_ngsim_rows(0, 3, 80, 15.0), ""]))
-    parts = list(read_recordings(path))
-    assert [part.tracks.time_s.size for part in parts] == [20, 20, 20, 20]
-    assert sum(int(part.tracks.valid.sum()) for part in parts) == 240
-
-
 def test_ngsim_of_breaks_only_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [row for k in range(1001) for row in _ngsim_rows(100_000 * k, 1, 1, 15.0)]

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import Style
+from behaviors.row_index import RowIndex
 from sim.formats.common.label_file import DriverLabel, relabelled
 from sim.frames import AgentKind, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
-from sim.store.schema import MAX_CELLS
+from sim.track_rows import TrackRows
 
 FloatArray = NDArray[np.float64]
 
@@ -253,7 +254,7 @@ def _check(path: Path, rows: Rows) -> None:
 
 
 def assemble(path: Path, rows: Rows) -> Tracks:
-    """Sort rows into dense arrays.
+    """Sort rows by agent and time.
 
     Args:
         path: the file that they come from, for messages.
@@ -263,17 +264,12 @@ def assemble(path: Path, rows: Rows) -> Tracks:
         Tracks; ids are 0, 1, 2, ... in the order of ``rows.names``, numbers before words.
 
     Raises:
-        InputError: if an agent is twice at one time, a number is out of range, or there is more
-            than fits.
+        InputError: if an agent is twice at one time, a number is out of range, or there are more
+            rows than fit.
     """
     _check(path, rows)
     time_s = _times(rows)
     n, t = len(rows.names), time_s.size
-    if n * t > MAX_CELLS:
-        raise InputError(
-            f"{path}: found {n} agents at {t} times, expected agents times times at most "
-            f"{MAX_CELLS}"
-        )
     order = np.array(sorted(range(n), key=lambda i: _natural(rows.names[i])))
     rank = np.empty(n, dtype=np.int64)
     rank[order] = np.arange(n)
@@ -285,7 +281,7 @@ def assemble(path: Path, rows: Rows) -> Tracks:
         twice = int(cell[again[0]])
         name = rows.names[order[twice // t]]
         raise InputError(f"{path}: found agent {name} twice at time {time_s[twice % t]:g} s")
-    agent = cell // t
+    agent, step = np.divmod(cell, t)
     xy = np.stack([rows.x[sorting], rows.y[sorting]], axis=1)
     heading, speed = _heading_and_speed(rows, sorting, agent, xy)
     if rows.ahead_lengths:
@@ -293,24 +289,14 @@ def assemble(path: Path, rows: Rows) -> Tracks:
         xy[:, 0] -= ahead_m * np.cos(heading)
         xy[:, 1] -= ahead_m * np.sin(heading)
 
-    def dense(values: FloatArray) -> FloatArray:
-        out = np.full((n * t, *values.shape[1:]), np.nan)
-        out[cell] = values
-        return out.reshape(n, t, *values.shape[1:])
-
-    valid = np.zeros(n * t, dtype=bool)
-    valid[cell] = True
-    return Tracks(
+    return Tracks.of_rows(
+        TrackRows(RowIndex.of_rows(agent, step, n, t), xy, heading, speed),
         ids=np.arange(n),
         names=tuple(rows.names[i] for i in order),
         kind=rows.kind[order],
         length=rows.length[order],
         width=rows.width[order],
         time_s=time_s,
-        xy=dense(xy),
-        heading=dense(heading),
-        speed=dense(speed),
-        valid=valid.reshape(n, t),
         signals=np.empty((0, t), dtype=np.int8),
         behavior=None if rows.behavior is None else rows.behavior[order],
     )
@@ -322,13 +308,12 @@ def recordings(
     rows: Rows,
     notes: Sequence[str] = (),
     road: Path | Road | None = None,
-    max_cells: int = MAX_CELLS,
+    max_cells: int | None = None,
 ) -> Iterator[Recording]:
-    """The recording that rows make, or several: a long one of many agents is cut in time.
+    """The recording that rows make, or several where all agents are looked at together.
 
-    Arrays of agents times times hold mostly nothing where each agent is seen for a short time. So
-    rows that would need more than ``max_cells`` are halved in time until each part fits, and no
-    part takes more memory than that.
+    Of positions in images, scale and camera motion are found in arrays of agents times times. Rows
+    that would need more than ``max_cells`` are halved in time until each part fits.
 
     Args:
         path: the file that they come from, for messages.
@@ -336,7 +321,7 @@ def recordings(
         rows: what was read.
         notes: what had to be assumed.
         road: as in `Recording`.
-        max_cells: most agents times times of one.
+        max_cells: most agents times times of one; None for any number.
 
     Yields:
         Recordings, in order of time.
@@ -345,18 +330,18 @@ def recordings(
         InputError: as `assemble`, or if there would be more than ``MAX_PARTS``.
     """
     _check(path, rows)
-    if len(rows.names) * _times(rows).size <= max_cells:
+    if max_cells is None or len(rows.names) * _times(rows).size <= max_cells:
         yield Recording(name, assemble(path, rows), tuple(notes), road)
         return
     order = np.argsort(rows.time_s, kind="stable")
-    parts = in_time(path, order, rows.time_s, rows.agent, max_cells)
+    parts = _in_time(path, order, rows.time_s, rows.agent, max_cells)
     cut = f"cut into {len(parts)} recordings in time, as arrays of all would not fit into memory"
     for number, part in enumerate(parts, 1):
         few = rows.part(np.sort(part))
         yield Recording(f"{name}-{number}", assemble(path, few), (*notes, cut), road)
 
 
-def in_time(
+def _in_time(
     path: Path,
     order: NDArray[np.int64],
     time: FloatArray,

@@ -12,8 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from sim.formats.common.recording import SHORTEST_S
-from sim.formats.common.recording import motion as moved
+from sim.formats.common.recording import SHORTEST_S, row_motion
 from sim.frames import Tracks
 
 TOLERATED: Final = 1.25
@@ -54,17 +53,17 @@ def displacement_over_speed(tracks: Tracks) -> float:
     Returns:
         The median over the agents; NaN where too little moves to tell.
     """
-    agent, step = np.nonzero(tracks.valid)  # rows: the arrays of all times are mostly empty
+    rows = tracks.as_rows()
+    agent, step = rows.index.agent, rows.index.step
     at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
-    who, now, then = agent[at], step[at], step[at + 1]
-    speed, speed_then = tracks.speed[who, now], tracks.speed[who, then]
-    step_s = tracks.time_s[then] - tracks.time_s[now]
+    who, speed, speed_then = agent[at], rows.speed[at], rows.speed[at + 1]
+    step_s = tracks.time_s[step[at + 1]] - tracks.time_s[step[at]]
     told = (speed + speed_then) / 2 * step_s
     # an agent moves by its own account or by its positions: a wrong step may hide either
     # and nobody knows how an agent went that was lost during a break
     going_on = (step_s > SHORTEST_S) & (step_s <= BREAK_STEPS * tracks.step_s)
     used = going_on & (told > 0) & (np.minimum(speed, speed_then) > MOVING_MPS)
-    way = np.hypot(*(tracks.xy[who, then] - tracks.xy[who, now])[used].T)
+    way = np.hypot(*(rows.xy[at + 1] - rows.xy[at])[used].T)
     n, who = tracks.ids.size, who[used]
     gone = np.bincount(who, way, n)
     said = np.bincount(who, told[used], n)
@@ -106,12 +105,14 @@ def with_true_times(tracks: Tracks, clock: bool = False) -> tuple[Tracks, tuple[
         true_s = usual_s
     first = tracks.time_s[0]
     times = first + (tracks.time_s - first) * (true_s / stated_s)
-    return dataclasses.replace(tracks, time_s=times), (
+    return tracks.changed(time_s=times), (
         f"the step is said to be {stated_s:.3g} s, and agents go {ratio:.2f} times as far as their "
         f"speeds say: taken to be {true_s:.3g} s",
     )
 
 
 def _with_own_speeds(tracks: Tracks) -> Tracks:
-    _, speed = moved(tracks.xy, tracks.time_s, 0.0)
-    return dataclasses.replace(tracks, speed=np.where(tracks.valid, speed, np.nan))
+    rows = tracks.as_rows()
+    index = rows.index
+    _, speed = row_motion(index.agent, rows.xy, tracks.time_s[index.step], 0.0)
+    return tracks.changed(rows=dataclasses.replace(rows, speed=speed))

@@ -12,7 +12,6 @@ References:
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +30,7 @@ from sim.formats.waymo.messages import scenario_class
 from sim.formats.waymo.tfrecord import MAX_RECORD_BYTES, read_records
 from sim.frames import AgentKind, Signal
 from sim.road.maps.waymo import WaymoLane, waymo_road, with_neighbours
-from sim.store.schema import MAX_CELLS
+from sim.track_rows import MAX_CELLS
 from sim.xml_tree import read_bytes
 
 FloatArray = NDArray[np.float64]
@@ -161,7 +160,7 @@ def _recording(scene: _Scene) -> Recording:
     if scene.left_out:
         notes.append(f"left out, because they are not road-agents: {scene.left_out} objects")
     if road is not None:
-        tracks = dataclasses.replace(tracks, signals=_signals(scene, lights))
+        tracks = tracks.changed(signals=_signals(scene, lights))
         notes.append("widths of lanes are told from neighbours, or assumed to be 3.5 m")
         if road.knows.unknown:
             notes.append(f"not in the map: {', '.join(road.knows.unknown)}")

@@ -1,0 +1,70 @@
+"""Arrays that a frozen dataclass takes: cast, their shapes checked, read-only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """A read-only view of an array."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def check_and_freeze(owner: object, dtypes: dict[str, tuple[Any, tuple[int | None, ...]]]) -> None:
+    """Cast, check shapes of, and make read-only the array fields of a frozen dataclass.
+
+    Args:
+        owner: the dataclass; its fields are replaced.
+        dtypes: type and shape of each field; None for any length.
+
+    Raises:
+        InputError: if a field has another shape.
+    """
+    for name, (dtype, shape) in dtypes.items():
+        array = np.asarray(getattr(owner, name), dtype=dtype)
+        if array.ndim != len(shape) or any(
+            want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+        ):
+            expected = tuple("any" if s is None else s for s in shape)
+            raise InputError(
+                f"{type(owner).__name__}.{name}: found shape {array.shape}, expected {expected}"
+            )
+        object.__setattr__(owner, name, frozen(array))
+
+
+def cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Numbers as another type, if none of them changes by that.
+
+    Args:
+        name: what they are, for messages.
+        values: an array, or what numpy makes one of.
+        dtype: the type wanted.
+
+    Returns:
+        The array.
+
+    Raises:
+        InputError: if a number would be another one, or there are lists of different lengths.
+    """
+    try:
+        found = np.asarray(values)
+    except ValueError as error:  # lists of different lengths
+        raise InputError(f"{name}: found {values!r:.60}, expected an array ({error})") from error
+    if found.size == 0 or np.can_cast(found.dtype, dtype, "safe"):
+        return found.astype(dtype, copy=False)
+    if dtype.kind == "f" and np.can_cast(found.dtype, dtype, "same_kind"):
+        return found.astype(dtype)
+    if found.dtype.kind in "iuf" and dtype.kind == "i":
+        limits = np.iinfo(dtype)
+        if (found >= limits.min).all() and (found <= limits.max).all():
+            whole = found.astype(dtype)
+            if (whole == found).all():
+                return whole
+    raise InputError(f"{name}: found {found.dtype} values, expected {dtype}")
