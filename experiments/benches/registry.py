@@ -25,6 +25,8 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "branches": "experiments.benches.branches:BENCH",
         "blame": "experiments.benches.blame:BENCH",
         "drive": "experiments.benches.drive.bench:BENCH",
+        "hostile": "experiments.benches.hostile.bench:BENCH",
+        "kills": "experiments.benches.kills:BENCH",
     },
 )
 """Every bench; its module is imported when it is asked for."""

@@ -57,9 +57,9 @@ MAX_LENGTH_M: Final = 1e7
 
 _BROKEN: Final = (
     xml.sax.SAXException, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
-    OSError, RuntimeError, TypeError, ValueError, zlib.error,
+    OSError, RuntimeError, SyntaxError, TypeError, ValueError, zlib.error,
 )  # fmt: skip
-"""What sumolib raises on a broken net."""
+"""What sumolib raises on a broken net; with lxml, that is its SyntaxError too."""
 
 
 def signal_code(letter: str) -> int:

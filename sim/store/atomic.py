@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
+import re
 import shutil
 import tempfile
 import uuid
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,8 +23,51 @@ PARTIAL_PREFIX: Final = ".partial-"
 """How the hidden name of everything unfinished begins."""
 
 
+_HERE: Final = f"{zlib.crc32(platform.node().encode()):08x}"
+"""This machine, in hidden names: only here is it known whether a process is alive."""
+
+_ORPHAN: Final = re.compile(
+    rf"{re.escape(PARTIAL_PREFIX)}.*-{_HERE}-(\d+)-[0-9a-f]{{8}}", re.DOTALL
+)
+
+_looked_after: set[Path] = set()
+
+
 def _partial(path: Path) -> Path:
-    return path.parent / f"{PARTIAL_PREFIX}{path.name}-{uuid.uuid4().hex[:12]}"
+    """A hidden name beside a path; once for each folder, what killed processes left there goes."""
+    if path.parent not in _looked_after:
+        _looked_after.add(path.parent)
+        _remove_orphans(path.parent)
+    own = f"{_HERE}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    return path.parent / f"{PARTIAL_PREFIX}{path.name}-{own}"
+
+
+def _remove_orphans(folder: Path) -> None:
+    """Remove what processes of this machine left unfinished in a folder when they were killed."""
+    with os.scandir(folder) as entries:
+        left = [(entry.name, _ORPHAN.fullmatch(entry.name)) for entry in entries]
+    for name, match in left:
+        if match is not None and not _alive(int(match[1])):
+            _remove(folder / name)
+
+
+def _alive(process: int) -> bool:
+    if os.name != "posix":
+        return True  # there os.kill ends it
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # somebody else's, or no process number at all
+        return True
+    return True
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _name(error: BaseException, partial: Path, path: Path) -> None:
@@ -166,8 +212,5 @@ def remove_partial(folder: Path) -> int:
         return 0
     leftovers = sorted(folder.glob(f"{PARTIAL_PREFIX}*"))
     for leftover in leftovers:
-        if leftover.is_dir() and not leftover.is_symlink():
-            shutil.rmtree(leftover, ignore_errors=True)
-        else:
-            leftover.unlink(missing_ok=True)
+        _remove(leftover)
     return len(leftovers)

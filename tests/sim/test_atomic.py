@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -73,3 +75,23 @@ def test_an_error_names_the_path_that_was_given(
         write()
     assert (found.value.filename, found.value.strerror) == ("out", "Permission denied")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next_one(tmp_path: Path) -> None:
+    script = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from sim.store.atomic import whole_file, whole_folder\n"
+        "folder = Path(sys.argv[1])\n"
+        "with whole_folder(folder / 'part') as part, whole_file(folder / 'file') as file:\n"
+        "    file.write_text('half')\n"
+        "    os.kill(os.getpid(), int(sys.argv[2]))\n"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path)]
+    assert subprocess.run([*command, "9"], check=False).returncode == -9
+    with whole_file(tmp_path / "other") as mine:
+        mine.write_text("in progress")
+        left = {path for path in tmp_path.iterdir() if path != mine}
+        assert left == set(), "the file and the folder of the killed process"
+        assert subprocess.run([*command, "0"], check=True).returncode == 0
+        assert mine.read_text() == "in progress", "somebody alive is at it"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "other", "part"]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
+from experiments.benches.hostile.scenes import COMMONROAD
 from experiments.data.exchange import import_recordings
 from sim.formats import read_recordings, recognise
 from sim.formats.common.recording import Recording
@@ -20,7 +21,6 @@ from sim.road.files import read_road_file
 from sim.road.lane_graph import LaneGraph
 from sim.road.maps.stored import encode_road, read_stored
 from sim.store.dataset import open_dataset
-from tests.sim.map_samples import COMMONROAD
 
 
 def read(folder: Path, text: str = COMMONROAD) -> Recording:

@@ -17,19 +17,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError
-from scenarios import SCENARIOS
-from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, sumo_fcd
-from sim.formats.argoverse2 import SCHEMA
-from sim.formats.common.recording import hold_heading, motion
-from sim.frames import KINDS, AgentKind, Tracks
-from sim.road.maps.argoverse2 import offset_line
-from tests.sim.map_samples import (
+from experiments.benches.hostile.scenes import (
     COMMONROAD,
     KITTI_CALIB,
     KITTI_LABELS,
     KITTI_OXTS,
     waymo_record,
 )
+from scenarios import SCENARIOS
+from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, sumo_fcd
+from sim.formats.argoverse2 import SCHEMA
+from sim.formats.common.recording import hold_heading, motion
+from sim.frames import KINDS, AgentKind, Tracks
+from sim.road.maps.argoverse2 import offset_line
 
 FOOT = 0.3048
 

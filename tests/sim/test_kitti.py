@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
+from experiments.benches.hostile.scenes import KITTI_CALIB, KITTI_LABELS, KITTI_OXTS
 from sim.formats import left_out_files, read_recordings, recognise
 from sim.frames import KINDS, AgentKind
-from tests.sim.map_samples import KITTI_CALIB, KITTI_LABELS, KITTI_OXTS
 
 
 def sequence(folder: Path, **changed: str) -> Path:

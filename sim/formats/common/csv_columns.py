@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from codecs import BOM_UTF8
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,7 +125,7 @@ def read_header(path: Path) -> list[str]:
         InputError: if the line is too long or not UTF-8.
     """
     with opened(path) as file:
-        line = file.readline(MAX_HEADER_BYTES + 1)
+        (line, *_) = file.readline(MAX_HEADER_BYTES + 1).split(b"\r", 1)  # which ends a line too
     if len(line) > MAX_HEADER_BYTES:
         raise InputError(f"{path}: line 1: found no end within {MAX_HEADER_BYTES} bytes")
     try:
@@ -222,7 +223,10 @@ def check_lines(path: Path) -> None:
     """
     line = 1
     with opened(path) as file:
-        while chunk := file.read(CHUNK_BYTES):
+        mark = file.read(len(BOM_UTF8))
+        rest = b"" if mark == BOM_UTF8 else mark
+        while chunk := rest + file.read(CHUNK_BYTES - len(rest)):
+            rest = b""
             if len(chunk) == CHUNK_BYTES:
                 chunk += file.readline(MAX_LINE_BYTES)
             if b"\0" in chunk:

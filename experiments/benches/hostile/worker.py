@@ -1,0 +1,116 @@
+"""Processes that try inputs, with limits on their memory and time, so that no input ends a run.
+
+An abort in native code, a leak or a hang ends one worker; the input is noted and another worker
+goes on with the next. Needs ``fork`` and ``resource``: Linux or macOS.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import resource
+import signal
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final
+
+from experiments.benches.hostile.trial import check, families
+
+WORKER_INPUTS: Final = 5000
+"""Inputs after which a worker is replaced (our choice: what leaks then shows as its peak)."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What became of one input.
+
+    Attributes:
+        family: of the input.
+        number: of the input.
+        state: as `experiments.benches.hostile.trial.check`, or "abort" or "slow".
+        why: in words.
+        seconds: that it took.
+        peak_gb: most memory of the worker so far, GB.
+    """
+
+    family: str
+    number: int
+    state: str
+    why: str
+    seconds: float
+    peak_gb: float
+
+
+def try_all(inputs: Sequence[tuple[str, int]], limit_gb: float, limit_s: float) -> Iterator[Trial]:
+    """Try inputs one after another.
+
+    Args:
+        inputs: families and numbers.
+        limit_gb: address space that a worker may take beyond what it starts with, GB.
+        limit_s: longest time for one input, s.
+
+    Yields:
+        One for each input, in their order.
+    """
+    families()  # samples are made once, before workers are forked
+    context = multiprocessing.get_context("fork")
+    at = 0
+    while at < len(inputs):
+        told, tell = context.Pipe(duplex=False)
+        part = inputs[at : at + WORKER_INPUTS]
+        worker = context.Process(target=_work, args=(part, tell, limit_gb))
+        worker.start()
+        tell.close()
+        done, state = 0, "abort"
+        began = time.monotonic()
+        while done < len(part):
+            if not told.poll(limit_s):
+                state = "slow"
+                break
+            try:
+                yield Trial(**json.loads(told.recv_bytes()))
+            except EOFError:
+                break
+            done, began = done + 1, time.monotonic()
+        if worker.is_alive() and done < len(part):
+            worker.kill()
+        worker.join()
+        told.close()
+        if done < len(part):
+            family, number = part[done]
+            why = f"over {limit_s:g} s" if state == "slow" else f"exit code {worker.exitcode}"
+            seconds = time.monotonic() - began
+            yield Trial(family, number, state, why, seconds, float("nan"))
+            done += 1
+        at += done
+
+
+def _work(inputs: Sequence[tuple[str, int]], tell: Connection, limit_gb: float) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    limit = _address_space() + int(limit_gb * 1e9)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    with tempfile.TemporaryDirectory(prefix="graphrqi-hostile-") as scratch:
+        for i, (family, number) in enumerate(inputs):
+            began = time.perf_counter()
+            state, why = check(family, number, Path(scratch) / str(i))
+            trial = Trial(
+                family, number, state, why[:500], time.perf_counter() - began,
+                resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+            )  # fmt: skip
+            tell.send_bytes(json.dumps(trial.__dict__).encode())
+    tell.close()
+    os._exit(0)  # the parent's clean-up is not ours
+
+
+def _address_space() -> int:
+    """Bytes of address space that this process has; 0 where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except OSError:
+        return 0
+    return pages * resource.getpagesize()

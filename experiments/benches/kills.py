@@ -1,0 +1,265 @@
+"""Commands that are killed or stopped at random moments, and then run again.
+
+Each command works on a small input in a folder of its own. It gets SIGKILL, SIGTERM or SIGINT at a
+random moment. What is visible afterwards must be whole; after SIGTERM and SIGINT nothing unfinished
+may be left, also not in the folder for temporary files. The same command is then run again, and the
+result must have the same bytes as one that nobody disturbed.
+
+Commands are run in forked processes that have everything imported: needs Linux or macOS.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from experiments.benches.contract import Bench, option
+from experiments.rows import Row, tidy_row
+
+LOGGER = logging.getLogger(__name__)
+
+SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+
+ENDED: Final[dict[int, tuple[int, ...]]] = {
+    signal.SIGKILL: (-signal.SIGKILL, 0),
+    signal.SIGTERM: (128 + signal.SIGTERM, -signal.SIGTERM, 0),
+    signal.SIGINT: (128 + signal.SIGINT, -signal.SIGINT, 0),
+}
+"""Exit codes that each signal may lead to: stopped, ended before the command had begun, or done."""
+
+LATEST: Final = 1.1
+"""Signals come until this many times the time that the undisturbed command took."""
+
+LONGEST_S: Final = 120.0
+"""Longest time for a command (our choice: they take seconds)."""
+
+COMMANDS: Final[dict[str, tuple[str, ...]]] = {
+    "generate": (
+        "generate", "--scenario", "straight_road", "--episodes", "3", "--duration-s", "10",
+        "--seed", "3", "--jobs", "1", "--quiet", "--out", "{out}/data",
+    ),
+    "import": ("import", "{given}/a.csv", "--format", "argoverse1", "--out", "{out}/data"),
+    "export": ("export", "{given}/data", "--format", "sumo-fcd", "--out", "{out}/files"),
+    "train": ("train", "{given}/data", "--method", "majority", "--out", "{out}/model"),
+    "classify": ("classify", "{given}/data", "--model", "{given}/model", "--out",
+                 "{out}/labels.parquet"),
+    "predict": ("predict", "{given}/data", "--predictors", "constant-velocity", "--horizon-s", "1",
+                "--model", "{given}/model", "--out", "{out}/p.parquet", "--json", "{out}/p.json"),
+    "report": ("report", "{out}/rows.json"),
+    "replay": ("replay", "{given}/data", "--predictor", "none", "--model", "{given}/model",
+               "--out", "{out}/r.html"),
+}  # fmt: skip
+"""What is run; ``{given}`` has its inputs, ``{out}`` is empty, but for the rows of a report."""
+
+ROWS: Final = (
+    '[{"bench": "loop", "stage": "all", "metric": "ms_median", "value": 1.0, "low": null, '
+    '"high": null, "n": 3}]\n'
+)
+
+UNFINISHED: Final = (".partial-", ".lock")
+"""How the names begin of what only a run in progress may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Which commands are disturbed, and how often."""
+
+    commands: tuple[str, ...] = option(tuple(COMMANDS), "Commands.")
+    kills: int = option(1000, "Signals, over all commands.")
+    seed: int = option(0, "Decides the moments.")
+
+
+def measure(settings: Settings) -> Iterator[list[Row]]:
+    """How many runs were disturbed, and how many of them lost, left or changed something.
+
+    Yields:
+        The rows of each command: disturbed (those that the signal reached before their end),
+        half_written, left_behind, other_bytes and wrong_code.
+    """
+    _import_all()
+    with tempfile.TemporaryDirectory(prefix="graphrqi-kills-") as scratch:
+        root = Path(scratch)
+        _prepare(root / "given")
+        share = -(-settings.kills // len(settings.commands))
+        for name in settings.commands:
+            counts = _disturb(name, root, share, random.Random(f"{name}:{settings.seed}"))
+            yield [
+                tidy_row({"command": name}, metric, float(counts[metric]), None, None, share)
+                for metric in (
+                    "disturbed", "half_written", "left_behind", "other_bytes", "wrong_code"
+                )
+            ]  # fmt: skip
+
+
+def _import_all() -> None:
+    """Import what commands import, so that forked processes begin at once."""
+    import experiments.cli.commands
+    import experiments.data.exchange
+    import experiments.data.generate
+    import experiments.replay.write
+    import experiments.report
+    import experiments.scoring.classification
+    import experiments.scoring.prediction
+    import experiments.training.classifier  # noqa: F401
+
+
+def _prepare(given: Path) -> None:
+    """The commands' inputs."""
+    given.mkdir()
+    lines = [f"{1 + k / 10:.1f},t{a},OTHERS,{3 * k}.5,{4 * a},PIT" for k in range(60)
+             for a in range(4)]  # fmt: skip
+    header = "TIMESTAMP,TRACK_ID,OBJECT_TYPE,X,Y,CITY_NAME"
+    (given / "a.csv").write_text("\n".join([header, *lines, ""]))
+    for name, target in (("generate", "data"), ("train", "model")):
+        words = [w.format(out=given, given=given) for w in COMMANDS[name]]
+        code, told = _run(words, given / "scratch", None)
+        if code != 0:
+            raise RuntimeError(f"{name} ended with {code} and made no {target}: {told}")
+    shutil.rmtree(given / "scratch", ignore_errors=True)
+
+
+def _disturb(name: str, root: Path, kills: int, choose: random.Random) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    place = root / "out"
+    words = [word.format(out=place, given=root / "given") for word in COMMANDS[name]]
+
+    def fresh() -> None:
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        if name == "report":
+            (place / "rows.json").write_text(ROWS)
+
+    fresh()
+    for _ in range(2):  # the second time nothing is compiled any more
+        fresh()
+        began = time.monotonic()
+        code, told = _run(words, root / "temporary", None)
+        lasted_s = time.monotonic() - began
+    if code != 0:
+        raise RuntimeError(f"{name}: ended with {code} when nobody disturbed it: {told}")
+    wanted = _content(place)
+    for number in range(kills):
+        fresh()
+        shutil.rmtree(root / "temporary", ignore_errors=True)
+        sent = SIGNALS[number % len(SIGNALS)]
+        after_s = choose.uniform(0.0, LATEST * lasted_s)
+        code, told = _run(words, root / "temporary", (sent, after_s))
+        found = _content(place)
+        counts["disturbed"] += code != 0
+        flaws = _flaws(sent, code, found, wanted, root / "temporary")
+        if code != 0:
+            code, told = _run(words, root / "temporary", None)
+        if code != 0 or _content(place) != wanted:
+            flaws["other_bytes"] = f"in the end: {code}, {sorted(_content(place))}, {told}"
+        for flaw, why in flaws.items():
+            counts[flaw] += 1
+            LOGGER.warning("%s: %s after %.3f s: %s: %.300s", name, sent.name, after_s, flaw, why)
+    return counts
+
+
+def _flaws(
+    sent: signal.Signals,
+    code: int,
+    found: dict[str, str],
+    wanted: dict[str, str],
+    temporary: Path,
+) -> dict[str, str]:
+    """What is wrong with what a disturbed command left, by kind."""
+    flaws: dict[str, str] = {}
+    if code not in ENDED[sent]:
+        flaws["wrong_code"] = str(code)
+    whole = {path: digest for path, digest in found.items() if not _unfinished(path)}
+    half = [p for p, digest in whole.items() if p in wanted and wanted[p] != digest]
+    if half and not _grows(half):
+        flaws["half_written"] = ", ".join(half)
+    if sent != signal.SIGKILL and code > 0:
+        left = [path for path in found if _unfinished(path)]
+        left += [str(p.relative_to(temporary)) for p in temporary.rglob("*") if p.is_file()]
+        if left:
+            flaws["left_behind"] = ", ".join(left)
+    return flaws
+
+
+def _unfinished(path: str) -> bool:
+    return any(part.startswith(UNFINISHED) for part in Path(path).parts)
+
+
+def _grows(paths: list[str]) -> bool:
+    """Whether these are a dataset's description, which grows with its episodes."""
+    return all(Path(path).name in ("manifest.json", "README.md") for path in paths)
+
+
+def _content(folder: Path) -> dict[str, str]:
+    """The hash of every file, by its path."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+    }
+
+
+def _run(
+    words: list[str], temporary: Path, disturbed: tuple[signal.Signals, float] | None
+) -> tuple[int, str]:
+    """Run a command in a forked process; its exit code (below 0 for a signal) and its messages."""
+    temporary.mkdir(parents=True, exist_ok=True)
+    told = temporary.with_name("told")
+    process = multiprocessing.get_context("fork").Process(
+        target=_command, args=(words, temporary, told)
+    )
+    process.start()
+    assert process.pid is not None
+    if disturbed is not None:
+        sent, after_s = disturbed
+        process.join(after_s)
+        with contextlib.suppress(ProcessLookupError):
+            if process.exitcode is None:
+                os.kill(process.pid, sent)
+    process.join(LONGEST_S)
+    if process.exitcode is None:
+        process.kill()
+        process.join()
+        return 1, f"not ended after {LONGEST_S:g} s"
+    return process.exitcode, told.read_text(errors="replace")[-500:] if told.exists() else ""
+
+
+def _command(words: list[str], temporary: Path, told: Path) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    with told.open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    os.environ["TMPDIR"], tempfile.tempdir = str(temporary), None
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    from experiments.cli.commands import main
+
+    try:
+        main(words)
+    except SystemExit as ended:
+        os._exit(ended.code if isinstance(ended.code, int) else 1)
+    finally:
+        sys.stdout.flush()
+
+
+BENCH: Final = Bench(
+    name="kills",
+    summary="Commands killed or stopped at random moments: what is lost, left or different.",
+    keys=("command",),
+    full=Settings(),
+    quick=Settings(kills=24),
+    measure=measure,
+)
