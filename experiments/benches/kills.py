@@ -93,7 +93,8 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     _import_all()
     with tempfile.TemporaryDirectory(prefix="graphrqi-kills-") as scratch:
         root = Path(scratch)
-        _prepare(root / "given")
+        needed = {word for name in settings.commands for word in COMMANDS[name]}
+        _prepare(root / "given", "{given}/data" in needed)
         share = -(-settings.kills // len(settings.commands))
         for name in settings.commands:
             counts = _disturb(name, root, share, random.Random(f"{name}:{settings.seed}"))
@@ -117,14 +118,14 @@ def _import_all() -> None:
     import experiments.training.classifier  # noqa: F401
 
 
-def _prepare(given: Path) -> None:
-    """The commands' inputs."""
+def _prepare(given: Path, dataset: bool) -> None:
+    """The commands' inputs: a recording, and a dataset and a model where one needs them."""
     given.mkdir()
     lines = [f"{1 + k / 10:.1f},t{a},OTHERS,{3 * k}.5,{4 * a},PIT" for k in range(60)
              for a in range(4)]  # fmt: skip
     header = "TIMESTAMP,TRACK_ID,OBJECT_TYPE,X,Y,CITY_NAME"
     (given / "a.csv").write_text("\n".join([header, *lines, ""]))
-    for name, target in (("generate", "data"), ("train", "model")):
+    for name, target in (("generate", "data"), ("train", "model")) if dataset else ():
         words = [w.format(out=given, given=given) for w in COMMANDS[name]]
         code, told = _run(words, given / "scratch", None)
         if code != 0:

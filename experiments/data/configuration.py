@@ -89,8 +89,8 @@ def _read_toml(path: Path | None) -> dict[str, object]:
         return {}
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}") from None
+    except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
+        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
 
 
 def read_cluster(path: Path | None, given: str | None = None) -> str | None:
@@ -108,10 +108,10 @@ def read_cluster(path: Path | None, given: str | None = None) -> str | None:
     """
     section = _read_toml(path).get("cluster", {})
     if not isinstance(section, dict) or set(section) - {"address"}:
-        raise InputError(f"{path}: cluster: found {section!r}, expected an address and no more")
+        raise InputError(f"{path}: cluster: found {section!r:.60}, expected an address and no more")
     address = given or section.get("address")
     if address is not None and not isinstance(address, str):
-        raise InputError(f"{path}: cluster.address: found {address!r}, expected text")
+        raise InputError(f"{path}: cluster.address: found {address!r:.60}, expected text")
     return address
 
 

@@ -327,12 +327,12 @@ class TrafficEnv(EgoEnv):
             Observation, reward, whether the episode has ended, whether its time is up, and info.
 
         Raises:
-            InputError: if a number of the action is not finite; the environment stays as it was.
+            InputError: if the action is not of the action space's shape, not among its numbers or
+                not finite; the environment stays as it was.
         """
         config = self.config
-        numbers = np.asarray(action)
-        if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
-            raise InputError(f"action: found {action!r:.60}, expected finite numbers")
+        if not config["manual_control"]:
+            self._check_action(action)
         frames = config["simulation_frequency"] // config["policy_frequency"]
         self._events, self._near_misses = [], 0
         before = self._distance_left
@@ -371,6 +371,20 @@ class TrafficEnv(EgoEnv):
         reachable_m = limit * frames * self._dt
         self._progress = float(np.clip((before - self._distance_left) / reachable_m, 0.0, 1.0))
         return self._rewards(action)
+
+    def _check_action(self, action: object) -> None:
+        space, numbers = self.action_space, np.asarray(action)
+        if isinstance(space, spaces.Discrete):
+            if numbers.size != 1 or not np.isin(numbers, np.arange(space.n)).all():
+                raise InputError(f"action: found {action!r:.60}, expected 0 to {space.n - 1}")
+        elif isinstance(space, spaces.Box) and (
+            numbers.dtype.kind not in "biuf"
+            or numbers.size != np.prod(space.shape)
+            or not np.isfinite(numbers).all()
+        ):
+            raise InputError(
+                f"action: found {action!r:.60}, expected finite numbers of shape {space.shape}"
+            )
 
     def _rewards(self, action: int | NDArray[Any]) -> dict[str, float]:
         return {

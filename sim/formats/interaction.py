@@ -225,7 +225,7 @@ def _kinds(path: Path, columns: Columns, agent: NDArray[np.int64]) -> list[Agent
         kind = TYPES.get(word.lower())
         if kind is None:
             raise InputError(
-                f"{path}: column agent_type: found {word!r}, expected one of {', '.join(TYPES)}"
+                f"{path}: column agent_type: found {word!r:.60}, expected one of {', '.join(TYPES)}"
             )
         kinds.append(kind)
     return kinds

@@ -96,7 +96,9 @@ def _kinds(path: Path, id_column: str, names: tuple[str, ...]) -> tuple[list[Age
             raise InputError(f"{facts}: found no row of agent {name}, expected one")
         kind = CLASSES.get(found.lower())
         if kind is None:
-            raise InputError(f"{facts}: column class: found {found!r}, expected one of {CLASSES}")
+            raise InputError(
+                f"{facts}: column class: found {found!r:.60}, expected one of {CLASSES}"
+            )
         kinds.append(kind)
     return kinds, []
 

@@ -44,11 +44,11 @@ def _partial(path: Path) -> Path:
 
 def _remove_orphans(folder: Path) -> None:
     """Remove what processes of this machine left unfinished in a folder when they were killed."""
-    with os.scandir(folder) as entries:
-        left = [(entry.name, _ORPHAN.fullmatch(entry.name)) for entry in entries]
-    for name, match in left:
-        if match is not None and not _alive(int(match[1])):
-            _remove(folder / name)
+    with suppress(OSError):  # a folder that may be written and not listed, or files of others
+        for name in os.listdir(folder):
+            match = _ORPHAN.fullmatch(name)
+            if match is not None and not _alive(int(match[1])):
+                _remove(folder / name)
 
 
 def _alive(process: int) -> bool:

@@ -12,13 +12,17 @@ import pytest
 
 from behaviors.errors import InputError
 from experiments.benches.hostile import bench, trial, worker
+from experiments.benches.hostile.calls import CALLS
 from experiments.benches.hostile.grammars import TABLES, grow
 from experiments.benches.hostile.oracles import differ, read_table
 from experiments.benches.kills import Settings as Kills
 from experiments.benches.kills import measure as measure_kills
 
 SAMPLE = 60
-FEW = {"model": 1, "dataset": 8, "sheet": 15, "labels": 15, "argoverse2-grown": 30}
+FEW = {
+    "model": 1, "dataset": 8, "sheet": 15, "labels": 15, "argoverse2-grown": 30, "solver": 30,
+    "stream": 4, "environment": 3,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("family", trial.families())
@@ -29,7 +33,7 @@ def test_files_are_read_or_refused_in_one_line(family: str, tmp_path: Path) -> N
         state, why = trial.check(family, number, tmp_path / str(number))
         assert state not in bench.FAILURES, f"{family}:{number}: {why}"
         counts[state] += 1
-    assert counts["refused"] + counts["stricter"] >= sample // 10
+    assert counts["refused"] + counts["stricter"] >= (family not in CALLS) * (sample // 10)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -561,8 +561,17 @@ def test_an_action_that_is_not_finite_changes_nothing(broken: float) -> None:
     config = {**QUICK, "action": {"type": "ContinuousAction"}}
     env = gymnasium.make("graphrqi/StraightRoad-v0", config=config)
     env.reset(seed=1)
-    with pytest.raises(InputError, match="action: found"):
+    with pytest.raises(InputError, match=r"action: found .*, expected finite numbers of shape"):
         env.unwrapped.step(np.array([broken, 0.0]))
     observation, reward, *_ = env.unwrapped.step(np.array([0.0, 0.0]))
     assert all(np.isfinite(values).all() for values in observation.values())
     assert np.isfinite(reward)
+
+
+@pytest.mark.parametrize("wrong", [-1, 99, 1e308, float("nan"), None, "left", (0, 0)])
+def test_an_action_of_no_number_changes_nothing(wrong: object) -> None:
+    env = gymnasium.make("graphrqi/StraightRoad-v0", config=QUICK)
+    env.reset(seed=1)
+    with pytest.raises(InputError, match=r"action: found .*, expected 0 to 4"):
+        env.unwrapped.step(wrong)
+    assert env.unwrapped.time == 0

@@ -193,7 +193,8 @@ def _with_cell(column: pa.ChunkedArray, choose: random.Random) -> pa.ChunkedArra
     if pa.types.is_floating(column.type):
         values[row] = choose.choice([float("nan"), float("inf"), -1.0, 1e300, 0.0, None])
     elif pa.types.is_integer(column.type):
-        values[row] = choose.choice([-1, 0, 7, 100, 127, None])
+        low = 0 if pa.types.is_unsigned_integer(column.type) else -1
+        values[row] = choose.choice([low, 0, 7, 100, 127, None])
     elif pa.types.is_string(column.type):
         values[row] = choose.choice([*HOSTILE, None, choose.choice(values)])
     else:
@@ -214,7 +215,7 @@ def _checked(before: Files, after: dict[str, bytes]) -> dict[str, bytes]:
             return [mended(one) for one in value]
         if not isinstance(value, dict):
             return value
-        data = new.get(value.get("sha256")) if isinstance(value.get("sha256"), str) else None
+        data = new.get(str(value.get("sha256")))
         found = {key: mended(one) for key, one in value.items()}
         if data is not None:
             found |= {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)}

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -151,22 +151,29 @@ def _recordings(name: str, file: str) -> Callable[[Path], object]:
     return read
 
 
+def _road(file: str) -> Callable[[Path], object]:
+    return lambda folder: read_road_file(folder / file)
+
+
 def _table(file: str, reader: Callable[..., object]) -> Callable[[Path], object]:
     """Reads a table that speaks of the agents of one episode."""
-    from sim.frames import Tracks
+    from sim.frames import Frame, Tracks
 
-    tracks = Tracks(
-        ids=[0, 1], names=("0", "1"), kind=[0, 0], length=[4.5, 4.5], width=[2.0, 2.0],
-        time_s=[0.0, 0.5, 1.0], xy=np.zeros((2, 3, 2)), heading=np.zeros((2, 3)),
-        speed=np.zeros((2, 3)), valid=np.ones((2, 3), bool), signals=np.zeros((0, 3)),
-    )  # fmt: skip
+    frames = [
+        Frame(
+            time_s, np.arange(2), np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.full(2, 4.5),
+            np.full(2, 2.0), np.zeros(2, np.int8),
+        )
+        for time_s in (0.0, 0.5, 1.0)
+    ]  # fmt: skip
+    tracks = Tracks.from_frames(frames)
     return lambda folder: reader(folder / file, EPISODE, tracks)
 
 
 def _labels() -> bytes:
     from experiments.scoring.classification import LABELS
 
-    rows = [
+    rows: list[dict[str, Any]] = [
         dict.fromkeys(LABELS.names, 1 / 6)
         | {"episode": EPISODE, "recording": "r", "agent": a, "name": str(a), "time_s": t}
         | {"behavior": "timid", "style": "conservative", "truth": None}
@@ -260,7 +267,7 @@ def samples() -> dict[str, Sample]:
     from experiments.replay.beliefs import read_beliefs
     from experiments.replay.forecasts import read_forecasts
     from scenarios import get_scenario
-    from sim.formats.argoverse2 import static_map
+    from sim.road.maps.argoverse2 import static_map
 
     net_file = get_scenario("four_way_intersection")().road.source
     assert net_file is not None
@@ -321,7 +328,7 @@ def samples() -> dict[str, Sample]:
         "commonroad-map": ("scene.xml", scenes.COMMONROAD.encode()),
     }
     for name, (file, data) in maps.items():
-        found[name] = Sample({file: data}, lambda folder, file=file: read_road_file(folder / file))
+        found[name] = Sample({file: data}, _road(file))
     others: dict[str, dict[str, bytes]] = {
         "model": _model(),
         "rows": {"rows.json": ROWS},

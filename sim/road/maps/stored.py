@@ -204,7 +204,7 @@ def _check_references(path: Path, stored: _Stored) -> None:
     for way in stored.connections:
         missing = {way.from_lane, *way.via, way.to_lane} - lanes
         if missing:
-            raise InputError(f"{path}: connections: found {min(missing)!r}, expected a lane")
+            raise InputError(f"{path}: connections: found {min(missing)!r:.60}, expected a lane")
         if any(not 0 <= i < len(stored.connections) for i in way.yields_to):
             raise InputError(f"{path}: yields_to: found a way that is not there")
     groups = len(stored.signal_groups)
