@@ -6,7 +6,7 @@ import gzip
 import io
 import json
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -170,16 +170,20 @@ def _table(file: str, reader: Callable[..., object]) -> Callable[[Path], object]
     return lambda folder: reader(folder / file, EPISODE, tracks)
 
 
+def _told(schema: pa.Schema, known: Sequence[dict[str, Any]]) -> bytes:
+    """A table of a schema; what rows do not say is null in texts and 1/6 in numbers."""
+    others = {field.name: 1 / 6 if pa.types.is_floating(field.type) else None for field in schema}
+    return _parquet(pa.Table.from_pylist([others | row for row in known], schema=schema))
+
+
 def _labels() -> bytes:
     from experiments.scoring.classification import LABELS
 
-    rows: list[dict[str, Any]] = [
-        dict.fromkeys(LABELS.names, 1 / 6)
-        | {"episode": EPISODE, "recording": "r", "agent": a, "name": str(a), "time_s": t}
-        | {"behavior": "timid", "style": "conservative", "truth": None}
+    rows = [
+        {"episode": EPISODE, "recording": "r", "agent": a, "name": str(a), "time_s": t}
         for a in (0, 1) for t in (0.0, 0.5, 1.0)
     ]  # fmt: skip
-    return _parquet(pa.Table.from_pylist(rows, schema=LABELS))
+    return _told(LABELS, rows)
 
 
 def _predictions() -> bytes:
@@ -192,7 +196,7 @@ def _predictions() -> bytes:
         }
         for a in (0, 1) for h in (0.5, 1.0)
     ]  # fmt: skip
-    return _parquet(pa.Table.from_pylist(rows, schema=PREDICTIONS))
+    return _told(PREDICTIONS, rows)
 
 
 def _of_folder(root: Path) -> dict[str, bytes]:
@@ -233,6 +237,7 @@ def _load(name: str) -> Callable[[Path], object]:
         from experiments.report.source import read_source
         from graphrqi.model_files import load_model
         from sim.formats.argo_labels import read_labels
+        from sim.formats.common.label_file import read_driver_labels
         from sim.formats.traf_sheets import read_sheet
 
         readers: dict[str, Callable[[], object]] = {
@@ -241,6 +246,7 @@ def _load(name: str) -> Callable[[Path], object]:
             "study": lambda: read_config(folder / "study.toml"),
             "sheet": lambda: read_sheet(folder / "a1.xlsx"),
             "argo-labels": lambda: read_labels(folder / "argo1_labels.csv"),
+            "driver-labels": lambda: read_driver_labels(folder / "labels.csv"),
         }
         return readers[name]()
 
@@ -260,6 +266,9 @@ engine = "sumo"
 timid = 0.5
 reckless = 0.5
 """
+
+
+DRIVERS: Final = (["a", "timid", "conservative"], ["b", "", "aggressive"], ["c", "reckless", ""])
 
 
 def samples() -> dict[str, Sample]:
@@ -334,6 +343,7 @@ def samples() -> dict[str, Sample]:
         "rows": {"rows.json": ROWS},
         "study": {"study.toml": STUDY},
         "sheet": {"a1.xlsx": _sheet()},
+        "driver-labels": {"labels.csv": _csv("name,behavior,style", DRIVERS)},
         "argo-labels": {"argo1_labels.csv": _csv("id,code", [[a, a] for a in range(6)])},
     }
     found |= {name: Sample(files, _load(name)) for name, files in others.items()}

@@ -99,7 +99,7 @@ class DriverLabels:
                 before = self._used.setdefault((place, name), first)
                 if place is None and before != first:
                     raise InputError(
-                        f"{self._path}: name {name!r}: found it in the recordings {before} and "
+                        f"{self._path}: name {name!r:.60}: found it in the recordings {before} and "
                         f"{first}, expected a column recording that says which is meant"
                     )
                 found[row] = label
@@ -117,7 +117,7 @@ class DriverLabels:
             where = f" of recording {place}" if place else ""
             raise InputError(
                 f"{self._path}: found labels of {len(missing)} names that no driver has, the first "
-                f"is {name!r}{where}, expected names in the recordings"
+                f"is {name!r:.60}{where}, expected names in the recordings"
             )
 
 
@@ -149,7 +149,7 @@ def read_driver_labels(path: Path) -> DriverLabels:
                 if not name:
                     raise InputError(f"{where}: name: found none, expected the driver's")
                 if (place, name) in found:
-                    raise InputError(f"{where}: found {name!r} twice, expected it once")
+                    raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
                 found[place, name] = _label(where, cells)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: found {error}, expected a CSV file in UTF-8") from None
@@ -165,7 +165,9 @@ def _columns(path: Path, header: Iterable[str]) -> dict[str, str]:
     labels = {"label"} & set(columns) or {"behavior", "style"} & set(columns)
     known = set(columns) <= {"name", "recording", *labels} and set(columns) <= set(_COLUMNS)
     if "name" not in columns or not labels or not known or len(columns) != len(given):
-        raise InputError(f"{path}: found the columns {given}, expected {_EXPECTED}")
+        raise InputError(
+            f"{path}: found the columns {', '.join(given)!r:.200}, expected {_EXPECTED}"
+        )
     return columns
 
 
@@ -177,7 +179,7 @@ def _label(where: str, cells: Mapping[str, str]) -> DriverLabel:
         _word(where, column, "")
     if len({label.style for label in labels}) > 1:
         raise InputError(
-            f"{where}: style: found {said['style']!r}, expected that of {said['behavior']}"
+            f"{where}: style: found {said['style']!r:.60}, expected that of {said['behavior']}"
         )
     return labels[0]
 
