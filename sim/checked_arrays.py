@@ -57,13 +57,17 @@ def cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
         found = np.asarray(values)
     except ValueError as error:  # lists of different lengths
         raise InputError(f"{name}: found {values!r:.60}, expected an array ({error})") from error
-    if found.size == 0 or np.can_cast(found.dtype, dtype, "safe"):
+    if found.size == 0:
+        return np.empty(found.shape, dtype)
+    if np.can_cast(found.dtype, dtype, "safe"):
         return found.astype(dtype, copy=False)
     if dtype.kind == "f" and np.can_cast(found.dtype, dtype, "same_kind"):
         return found.astype(dtype)
     if found.dtype.kind in "iuf" and dtype.kind == "i":
         limits = np.iinfo(dtype)
-        if (found >= limits.min).all() and (found <= limits.max).all():
+        with np.errstate(over="ignore"):  # the limits of 64 bits are infinite in 16
+            inside = (found >= limits.min).all() and (found <= limits.max).all()
+        if inside:
             whole = found.astype(dtype)
             if (whole == found).all():
                 return whole

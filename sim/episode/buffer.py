@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
+from typing import Final
 
 import numpy as np
 
@@ -12,6 +12,10 @@ from sim.frames import KINDS, SIGNALS, Event, Frame, Tracks
 
 _TABLES = ("_xy", "_heading", "_speed", "_valid")
 """Names of the tables of agents by times."""
+
+
+MAX_TIME_S: Final = 1e9
+"""Latest time, s (our choice, as of recordings: 30 years; far later ones have no next step)."""
 
 
 class FrameBuffer:
@@ -43,9 +47,9 @@ class FrameBuffer:
         """Add the next frame.
 
         Raises:
-            InputError: if its time is not after the last one's, its ids do not ascend, a place or
-                kind in it is none, or there are other signals than before. What is kept stays as
-                it was.
+            InputError: if its time is not after the last one's or beyond ``MAX_TIME_S``, its ids
+                do not ascend, a place or kind in it is none, or there are other signals than
+                before. What is kept stays as it was.
         """
         self._check(frame)
         if self._last is None:
@@ -74,8 +78,10 @@ class FrameBuffer:
         self._end, self._count = self._end + 1, min(self._count + 1, self._steps)
 
     def _check(self, frame: Frame) -> None:
-        if not math.isfinite(frame.time_s):
-            raise InputError(f"frame.time_s: found {frame.time_s}, expected a finite time")
+        if not abs(frame.time_s) <= MAX_TIME_S:
+            raise InputError(
+                f"frame.time_s: found {frame.time_s}, expected seconds up to {MAX_TIME_S:g}"
+            )
         if self._last is not None:
             if frame.time_s <= self._last.time_s:
                 raise InputError(

@@ -118,6 +118,7 @@ def test_stream_refuses_to_go_back_in_time(tracks, model):
     [
         ({"time_s": np.nan}, r"frame\.time_s: found nan"),
         ({"time_s": np.inf}, r"frame\.time_s: found inf"),
+        ({"time_s": 1e308}, r"frame\.time_s: found 1e\+308, expected seconds up to 1e\+09"),
         ({"xy": np.nan}, r"frame\.xy: found no finite place"),
         ({"xy": 1e12}, r"frame\.xy: found agent \d+ beyond"),
         ({"ids": 0}, r"frame\.ids: found ids that do not ascend"),

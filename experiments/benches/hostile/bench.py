@@ -46,6 +46,7 @@ FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "study": (150,),
     "ind": (470,),
     "environment": (0, 2, 3),
+    "stream": (97,),
 }
 """Inputs on which readers once failed or differed; they are tried first, whatever the seed."""
 
