@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 import logging
 import multiprocessing
 import os
 import random
+import runpy
 import shutil
 import signal
 import sys
@@ -65,6 +67,13 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
 }  # fmt: skip
 """What is run; ``{given}`` has its inputs, ``{out}`` is empty, but for the rows of a report."""
 
+MODULES: Final = (
+    "experiments.cli.commands", "experiments.data.exchange", "experiments.data.generate",
+    "experiments.replay.write", "experiments.report", "experiments.scoring.classification",
+    "experiments.scoring.prediction", "experiments.training.classifier",
+)  # fmt: skip
+"""What commands import; it is there before they are forked, so that they begin at once."""
+
 ROWS: Final = (
     '[{"bench": "loop", "stage": "all", "metric": "ms_median", "value": 1.0, "low": null, '
     '"high": null, "n": 3}]\n'
@@ -90,7 +99,8 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         The rows of each command: disturbed (those that the signal reached before their end),
         half_written, left_behind, other_bytes and wrong_code.
     """
-    _import_all()
+    for module in MODULES:
+        importlib.import_module(module)
     with tempfile.TemporaryDirectory(prefix="graphrqi-kills-") as scratch:
         root = Path(scratch)
         needed = {word for name in settings.commands for word in COMMANDS[name]}
@@ -104,18 +114,6 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
                     "disturbed", "half_written", "left_behind", "other_bytes", "wrong_code"
                 )
             ]  # fmt: skip
-
-
-def _import_all() -> None:
-    """Import what commands import, so that forked processes begin at once."""
-    import experiments.cli.commands
-    import experiments.data.exchange
-    import experiments.data.generate
-    import experiments.replay.write
-    import experiments.report
-    import experiments.scoring.classification
-    import experiments.scoring.prediction
-    import experiments.training.classifier  # noqa: F401
 
 
 def _prepare(given: Path, dataset: bool) -> None:
@@ -246,10 +244,9 @@ def _command(words: list[str], temporary: Path, told: Path) -> None:
         os.dup2(file.fileno(), 2)
     os.environ["TMPDIR"], tempfile.tempdir = str(temporary), None
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    from experiments.cli.commands import main
-
+    sys.argv = ["graphrqi", *words]
     try:
-        main(words)
+        runpy.run_module("experiments.cli", run_name="__main__")
     except SystemExit as ended:
         os._exit(ended.code if isinstance(ended.code, int) else 1)
     finally:
