@@ -55,14 +55,17 @@ def lane_to_get_over_to(road: RoadState, way: WayAhead) -> LaneIndex | None:
     if way.path is not None or network.info[lane].connector or is_wrong_side(lane):
         return None
     then = road.next_stretch(vehicle, lane[:2])
-    if then is None or vehicle.crashed or vehicle.target_lane_index != lane:
+    if then is None or vehicle.crashed:
         return None
     leading = network.lanes_towards(lane[:2], then)
     leads_on = bool(network.ways_of_lane.get(lane))
     at_end = way.to_line < AT_END_M and road.neighbours(vehicle, lane).front_gap > way.to_line
     if not leading or (leads_on and at_end and road.stood_s(vehicle) > GIVES_UP_S):
+        vehicle.target_lane_index = vehicle.wanted_lane_index = lane
         _go_another_way(network, vehicle, lane)
         return None
+    if vehicle.target_lane_index != lane:
+        return None  # it is getting over
     nearest = min(leading, key=lambda one: abs(one[2] - lane[2]))
     side = (*lane[:2], lane[2] + (1 if nearest[2] > lane[2] else -1))
     slow = vehicle.speed < CHANGE_LEAST_SPEED_MPS
