@@ -17,6 +17,7 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "behaviors": "experiments.benches.behaviors:BENCH",
         "highway": "experiments.benches.highway:BENCH",
         "generate": "experiments.benches.generate:BENCH",
+        "store": "experiments.benches.store:BENCH",
         "classification": "experiments.benches.classification.bench:BENCH",
         "real-data": "experiments.benches.real_data:BENCH",
         "prediction": "experiments.benches.prediction.bench:BENCH",

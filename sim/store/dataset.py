@@ -166,6 +166,13 @@ class Dataset:
             return tuple(e for e in self._catalogue.episodes if e.id in wanted)
         return self._catalogue.entries(fitting)
 
+    def entries(self, rows: pa.Table) -> tuple[EpisodeEntry, ...]:
+        """Rows of the `catalogue` as entries, in their order."""
+        if isinstance(self._catalogue, Catalogue):
+            return self._catalogue.entries(rows)
+        by_id = {entry.id: entry for entry in self._catalogue.episodes}
+        return tuple(by_id[identity] for identity in rows.column("id").to_pylist())
+
     def scan(
         self,
         table: str = "steps",
@@ -289,6 +296,17 @@ class Dataset:
         Raises:
             InputError: if there is no such episode, or it cannot be read.
         """
+        return self.read(self.entry(identity))
+
+    def entry(self, identity: str) -> EpisodeEntry:
+        """The entry of an id.
+
+        Args:
+            identity: the id of one of `episodes`.
+
+        Raises:
+            InputError: if there is no such episode.
+        """
         if isinstance(self._catalogue, Manifest):
             found = tuple(e for e in self._catalogue.episodes if e.id == identity)
         else:
@@ -296,7 +314,7 @@ class Dataset:
             found = self._catalogue.entries(self.catalogue.filter(mask))
         if not found:
             raise InputError(f"{self.path}: found no episode {identity!r}, expected one of its ids")
-        return self.read(found[0])
+        return found[0]
 
     def road(self, entry: EpisodeEntry) -> Road | None:
         """The road an episode happened on.

@@ -180,7 +180,9 @@ class Catalogue:
                     f"{SCHEMA_VERSION} ({other})"
                 )
             check_budget(self._path, layout, None, MAX_EPISODES)
-            return read_packed(source, list(_WORDS), None)
+            # one dictionary for all row groups
+            packed = read_packed(source, list(_WORDS), None)
+            return packed.unify_dictionaries().combine_chunks()
 
     def entries(self, table: pa.Table | None = None) -> tuple[EpisodeEntry, ...]:
         """Rows as entries.
