@@ -110,7 +110,7 @@ def write_catalogue(place: Place, header: Header, table: pa.Table) -> None:
     sink = pa.BufferOutputStream()
     options = parquet_options(CATALOGUE)
     options["use_dictionary"] = list(_WORDS)
-    with pq.ParquetWriter(sink, CATALOGUE, **options) as writer:
+    with pq.ParquetWriter(sink, CATALOGUE, write_page_checksum=True, **options) as writer:
         writer.write_table(table.combine_chunks(), row_group_size=_GROUP_ROWS)
         writer.add_key_value_metadata({METADATA_KEY.decode(): as_json(header.model_dump())})
     place.write(EPISODES, sink.getvalue().to_pybytes())

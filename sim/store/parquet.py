@@ -452,7 +452,7 @@ def read_packed(source: pa.NativeFile, texts: Sequence[str], columns: list[str] 
     Raises:
         pyarrow.ArrowException: if it is broken; `opened` turns it into an InputError.
     """
-    file = pq.ParquetFile(source, read_dictionary=list(texts))
+    file = pq.ParquetFile(source, read_dictionary=list(texts), page_checksum_verification=True)
     table = file.read(columns=columns, use_threads=False)
     table.validate(full=True)
     return table
