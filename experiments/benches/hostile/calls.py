@@ -26,6 +26,9 @@ from sim.frames import Frame
 CROWD: Final = 100_000
 """Agents of a crowd, in one input of so many hundred."""
 
+CITY_M: Final = 6000.0
+"""Side of the square in which the crowd is, m (our choice: 400 square metres each)."""
+
 BAD: Final = (float("nan"), float("inf"), -float("inf"), 1e308, -1e300, 1e9, -0.0)
 
 ARRAYS: Final = ("ids", "xy", "heading", "speed", "length", "width", "kind")
@@ -120,7 +123,7 @@ def _same(one: Posterior, two: Posterior) -> None:
 def abuse_stream(number: int) -> None:
     """Streams: broken frames, refused and pickled between usual ones; two in two threads."""
     alone = _drive(BehaviorStream(_model()), number)
-    if number % 10 == 0:
+    if number % 10 == 3:
         together: dict[int, list[Posterior]] = {}
         threads = [
             threading.Thread(
@@ -137,10 +140,13 @@ def abuse_stream(number: int) -> None:
             assert len(answers) == len(alone), "another number of answers in a thread"
             for one_answer, other in zip(answers, alone, strict=True):
                 _same(one_answer, other)
-    if number % 200 == 0:
+    if number % 200 == 199:
         crowd = BehaviorStream(_model())
         for step in range(2):
-            frame = Frame(**_frame(0.1 * step, CROWD, np.random.default_rng(number)))
+            numbers = np.random.default_rng(number)
+            fields = _frame(0.1 * step, CROWD, numbers)
+            fields["xy"] = numbers.uniform(0.0, CITY_M, (CROWD, 2))
+            frame = Frame(**fields)
             _keeps_contract(crowd.update(frame), frame)
 
 

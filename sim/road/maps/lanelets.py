@@ -47,6 +47,9 @@ MAX_LENGTH_M: Final = 1e7
 """Longest that all lanes and crossings of a map may be together, m (our choice; a city's streets
 are some thousand km): what is drawn of them stays small."""
 
+LEAST_MEETINGS: Final = 10
+"""Pieces as which two lines count at least: short ones take 25 us too (measured)."""
+
 MAX_MEETINGS: Final = 3_000_000
 """Most pairs of pieces of centre lines that are compared to find junctions (our choice)."""
 
@@ -338,7 +341,7 @@ def _crossing_ids(path: Path, lanelets: list[Lanelet]) -> set[int]:
         rest = slice(i + 1, None)
         meets = ((low[rest] <= high[i]) & (high[rest] >= low[i])).all(axis=1)
         for j in np.flatnonzero(meets) + i + 1:
-            compared += (len(lines[i]) - 1) * (len(lines[j]) - 1)
+            compared += LEAST_MEETINGS + (len(lines[i]) - 1) * (len(lines[j]) - 1)
             if compared > MAX_MEETINGS:
                 raise InputError(
                     f"{path}: found more than {MAX_MEETINGS} pieces of lane that overlap"
