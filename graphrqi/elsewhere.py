@@ -103,6 +103,25 @@ FARTHEST: Final = 0.5
 _SCENE: Final = slice(-1 - len(SCENE_NAMES), -1)
 """Columns of the scene's numbers among the relative features."""
 
+BRISK: Final[dict[str, float]] = {
+    "headway": -1.0, "law's headway": -1.0, "speed over pace": 1.0, "speed over place": 1.0,
+    "speed over neighbours": 1.0, "acceleration": 1.0, "braking": 1.0, "standstill gap": -1.0,
+    "gap while starting": -1.0,
+}  # fmt: skip
+"""Whether aggressive drivers have more or less of what is compared within a scene, by the meaning
+of the behaviours."""
+
+DEVIATIONS_WORTH: Final = 2.0
+"""Log-odds for a mean deviation of one (our choice: the classifier's own log-odds still count for
+more). Among people, what aggressive means in words counts beside what simulated drivers taught."""
+
+_COMPARED_AT: Final = [
+    RelativeObserver.feature_names.index(f"{name}, compared:mean") for name in BRISK
+]
+_EVIDENCE_AT: Final = [
+    RelativeObserver.feature_names.index(f"{name}, compared:evidence") for name in BRISK
+]
+
 _DRIVERS: Final = SCENE_NAMES.index("drivers")
 
 _OF_PEOPLE: Final = [
@@ -189,6 +208,7 @@ class Elsewhere:
         seen: Observation,
         time_s: float,
         place: PlaceDrivers,
+        people: PlaceDrivers,
     ) -> FloatArray:
         """(n, 6) as `answers`, of all drivers of one scene, each seen among the others.
 
@@ -197,7 +217,8 @@ class Elsewhere:
             kinds: (4,) probability of each kind of traffic.
             seen: the same drivers, and for how long each was watched.
             time_s: not earlier than at the call before.
-            place: the drivers of the place so far; these are added.
+            place: the drivers of the place so far by the classifier alone; these are added.
+            people: the same by the classifier and by their deviations from the scene.
         """
         out = np.zeros((len(relative), len(BEHAVIORS)))
         if not len(relative):
@@ -210,7 +231,9 @@ class Elsewhere:
             odds = log_odds_of(aggressive_share(found))
             place.observe(time_s, seen.ids, odds, seen.seconds)
             style = kinds[FOREIGN] * self._leveled(odds, seen.seconds, place)
-            beside = place.beside_others(odds, seen.seconds)
+            unlike = odds + DEVIATIONS_WORTH * _deviation(relative)
+            people.observe(time_s, seen.ids, unlike, seen.seconds)
+            beside = people.beside_others(unlike, seen.seconds)
             style += kinds[RECORDED] / (1.0 + np.exp(-beside))
             out += away * restyled(found, style / away, AGGRESSIVE)
         total = out.sum(axis=1, keepdims=True)
@@ -356,6 +379,14 @@ def _scenes(lessons: Lessons, seed: int) -> tuple[FloatArray, CodeArray]:
     rng = np.random.default_rng(seed)
     drawn = [part[rng.choice(len(part), most, replace=len(part) < most)] for part in parts]
     return np.concatenate(drawn), np.repeat(np.arange(3, dtype=np.int8), most)
+
+
+def _deviation(relative: FloatArray) -> FloatArray:
+    """(n,) how much more aggressive than the scene's mean drivers are, in standard deviations."""
+    known = relative[:, _EVIDENCE_AT] > 0.0
+    return np.asarray(
+        np.where(known, relative[:, _COMPARED_AT] * list(BRISK.values()), 0.0).mean(axis=1)
+    )
 
 
 def _scene_of(relative: FloatArray) -> FloatArray:

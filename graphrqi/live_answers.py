@@ -84,7 +84,7 @@ class _Away:
         self.observer = RelativeObserver()
         self._elsewhere = elsewhere
         self._asked_s = float("nan")
-        self._place = PlaceDrivers()
+        self._place, self._people = PlaceDrivers(), PlaceDrivers()
         self._kinds = _AT_HOME
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._known: FloatArray = np.empty((0, len(BEHAVIORS)))
@@ -99,7 +99,7 @@ class _Away:
         self._kinds = self._elsewhere.kinds(features[:1])[0] if seen.ids.size else _AT_HOME
         self._ids = seen.ids
         self._known = self._elsewhere.answers_among(
-            features, self._kinds, seen, self._asked_s, self._place
+            features, self._kinds, seen, self._asked_s, self._place, self._people
         )
 
     def kinds(self) -> FloatArray:

@@ -87,7 +87,7 @@ def among(elsewhere, features, kind, seconds=20.0):
     n = len(features)
     kinds = np.eye(4)[kind]
     seen = Observation(np.arange(n), np.full(n, seconds), np.zeros((n, 0)), np.zeros((n, 0)))
-    answer = elsewhere.answers_among(features, kinds, seen, 0.0, PlaceDrivers())
+    answer = elsewhere.answers_among(features, kinds, seen, 0.0, PlaceDrivers(), PlaceDrivers())
     assert np.allclose(answer.sum(axis=1), 1.0)
     return answer[:, :3].sum(axis=1)
 
