@@ -58,29 +58,39 @@ def try_all(inputs: Sequence[tuple[str, int]], limit_gb: float, limit_s: float) 
         One for each input, in their order.
     """
     families()  # samples are made once, before workers are forked
+    with tempfile.TemporaryDirectory(prefix="graphrqi-hostile-") as scratch:
+        yield from _try_all(inputs, limit_gb, limit_s, Path(scratch))
+
+
+def _try_all(
+    inputs: Sequence[tuple[str, int]], limit_gb: float, limit_s: float, scratch: Path
+) -> Iterator[Trial]:
     context = multiprocessing.get_context("fork")
     at = 0
     while at < len(inputs):
         told, tell = context.Pipe(duplex=False)
         part = inputs[at : at + WORKER_INPUTS]
-        worker = context.Process(target=_work, args=(part, tell, limit_gb))
+        worker = context.Process(target=_work, args=(part, tell, limit_gb, scratch))
         worker.start()
         tell.close()
-        done, state = 0, "abort"
+        done, state = 0, "stopped"
         began = time.monotonic()
-        while done < len(part):
-            if not told.poll(limit_s):
-                state = "slow"
-                break
-            try:
-                yield Trial(**json.loads(told.recv_bytes()))
-            except EOFError:
-                break
-            done, began = done + 1, time.monotonic()
-        if worker.is_alive() and done < len(part):
-            worker.kill()
-        worker.join()
-        told.close()
+        try:
+            while done < len(part):
+                if not told.poll(limit_s):
+                    state = "slow"
+                    break
+                try:
+                    yield Trial(**json.loads(told.recv_bytes()))
+                except EOFError:
+                    state = "abort"
+                    break
+                done, began = done + 1, time.monotonic()
+        finally:  # also when whoever asks is stopped: a worker that nobody hears would wait
+            if done < len(part) and state != "abort":
+                worker.kill()
+            worker.join()
+            told.close()
         if done < len(part):
             family, number = part[done]
             why = f"over {limit_s:g} s" if state == "slow" else f"exit code {worker.exitcode}"
@@ -90,19 +100,21 @@ def try_all(inputs: Sequence[tuple[str, int]], limit_gb: float, limit_s: float) 
         at += done
 
 
-def _work(inputs: Sequence[tuple[str, int]], tell: Connection, limit_gb: float) -> None:
+def _work(
+    inputs: Sequence[tuple[str, int]], tell: Connection, limit_gb: float, scratch: Path
+) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     limit = _address_space() + int(limit_gb * 1e9)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    with tempfile.TemporaryDirectory(prefix="graphrqi-hostile-") as scratch:
-        for i, (family, number) in enumerate(inputs):
-            began = time.perf_counter()
-            state, why = check(family, number, Path(scratch) / str(i))
-            trial = Trial(
-                family, number, state, why[:500], time.perf_counter() - began,
-                resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
-            )  # fmt: skip
-            tell.send_bytes(json.dumps(trial.__dict__).encode())
+    for family, number in inputs:
+        began = time.perf_counter()
+        state, why = check(family, number, scratch / f"{family}-{number}")
+        trial = Trial(
+            family, number, state, why[:500], time.perf_counter() - began,
+            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+        )  # fmt: skip
+        tell.send_bytes(json.dumps(trial.__dict__).encode())
     tell.close()
     os._exit(0)  # the parent's clean-up is not ours
 
