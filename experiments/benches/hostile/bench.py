@@ -136,7 +136,7 @@ BENCH: Final = Bench(
     summary="Files made to break readers: how many are read, refused, or fail, and what they cost.",
     keys=("family",),
     full=Settings(),
-    quick=Settings(inputs=600),
+    quick=Settings(inputs=200),
     measure=measure,
     table=_table,
 )
