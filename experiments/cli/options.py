@@ -16,7 +16,11 @@ def in_a_folder(path: Path | None) -> Path | None:
     Raises:
         InputError: naming the folder.
     """
-    if path is not None and str(path) != "-" and not path.parent.is_dir():
+    from sim.store.places import is_remote
+
+    if path is None or str(path) == "-" or is_remote(path):
+        return path
+    if not path.parent.is_dir():
         from behaviors.errors import InputError
 
         raise InputError(f"{path}: found no folder {path.parent}, expected one")

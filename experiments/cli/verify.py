@@ -29,4 +29,4 @@ def verify(
         say(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
         raise typer.Exit(2)
     if json is None:
-        say(f"{dataset}: every file is as its manifest says")
+        say(f"{dataset}: every file is as its catalogue says")

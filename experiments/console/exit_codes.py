@@ -74,9 +74,9 @@ def _stopping(received: list[int]) -> Iterator[None]:
 
 
 def _end(message: str, code: int) -> NoReturn:
-    from behaviors.display import printable  # which imports numpy
+    from experiments.console.notices import for_terminal
 
-    sys.stderr.write(f"graphrqi: {printable(' '.join(message.split()))}\n")
+    sys.stderr.write(f"graphrqi: {for_terminal(' '.join(message.split()))}\n")
     raise SystemExit(code) from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,13 +15,22 @@ LOGGER: Final = logging.getLogger("graphrqi")
 DEBUG what is read and how long it took."""
 
 
+_URL: Final = re.compile(r"\b(s3|gs|gcs|az|abfs|abfss|memory|hdfs|https?):/(?=[^/\s])")
+"""A URL that a path has taken one of its slashes away from."""
+
+
+def for_terminal(text: str) -> str:
+    """A message with nothing raw in it, and URLs with both slashes."""
+    from behaviors.display import printable  # which imports numpy
+
+    return _URL.sub(r"\1://", printable(text))
+
+
 class _OnStderr(logging.Handler):
     """Writes to whatever stderr is at that moment."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        from behaviors.display import printable  # which imports numpy
-
-        sys.stderr.write(f"graphrqi: {printable(record.getMessage())}\n")
+        sys.stderr.write(f"graphrqi: {for_terminal(record.getMessage())}\n")
         sys.stderr.flush()
 
 
@@ -31,9 +41,7 @@ def say(text: str, err: bool = False) -> None:
         text: the line.
         err: whether it goes to stderr.
     """
-    from behaviors.display import printable
-
-    print(printable(text), file=sys.stderr if err else sys.stdout)
+    print(for_terminal(text), file=sys.stderr if err else sys.stdout)
 
 
 def show_notices(quiet: bool = False, verbose: bool = False) -> None:

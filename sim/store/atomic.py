@@ -19,6 +19,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from behaviors.errors import InputError
+
+URL: Final = re.compile(r"^([a-z][a-z0-9+.-]+):/{1,3}(?!/)(.*)$", re.DOTALL)
+"""A URL, also after a path has taken one of its slashes away."""
+
 PARTIAL_PREFIX: Final = ".partial-"
 """How the hidden name of everything unfinished begins."""
 
@@ -31,6 +36,19 @@ _ORPHAN: Final = re.compile(
 )
 
 _looked_after: set[Path] = set()
+
+
+def refuse_url(path: Path) -> None:
+    """Refuse a URL where only a path of this machine can be written.
+
+    Raises:
+        InputError: naming it.
+    """
+    found = URL.match(str(path))
+    if found is not None:
+        raise InputError(
+            f"{found[1]}://{found[2]}: found a URL, expected a path of this machine here"
+        )
 
 
 def _partial(path: Path) -> Path:
@@ -112,6 +130,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     Raises:
         OSError: if it cannot be written; nothing is left behind.
     """
+    refuse_url(path)
     if path.exists() and not path.is_file() and not path.is_dir():
         with tempfile.TemporaryDirectory(prefix="graphrqi-") as scratch:
             partial = Path(scratch) / path.name
@@ -146,6 +165,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     Raises:
         OSError: if it cannot be written; nothing is left behind.
     """
+    refuse_url(path)
     given, path = path, Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = _partial(path)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from sim.store.atomic import PARTIAL_PREFIX
+from sim.store.atomic import PARTIAL_PREFIX, refuse_url
 from sim.store.schema import TABLES
 
 LOCK: Final = ".lock"
@@ -44,6 +44,7 @@ def sole_writer(folder: Path, purpose: str = "writing") -> Iterator[str]:
         InputError: if another process holds it, or the path is not a folder.
         OSError: if the folder cannot be written.
     """
+    refuse_url(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: found a file, expected a folder")
     folder.mkdir(parents=True, exist_ok=True)
@@ -88,6 +89,7 @@ def one_of_several_writers(folder: Path, name: str) -> Iterator[None]:
         InputError: if a sole writer holds it, or another one of that name.
         OSError: if the folder cannot be written.
     """
+    refuse_url(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: found a file, expected a folder")
     folder.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,15 +20,12 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Protocol, TypeVar, cast
 
 from behaviors.errors import InputError
-from sim.store.atomic import whole_file, write_whole
+from sim.store.atomic import URL, whole_file, write_whole
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
 T = TypeVar("T")
-
-_URL: Final = re.compile(r"^([a-z][a-z0-9+.-]+):/{1,3}(?!/)(.*)$", re.DOTALL)
-"""A URL, also after a path has taken one of its slashes away."""
 
 CHUNK_BYTES: Final = 2**20
 """How much of a file is hashed or copied at once."""
@@ -276,7 +272,7 @@ def url_of(path: str | Path) -> str | None:
         >>> url_of(Path("s3://bucket/data")), url_of("data"), url_of("file:///data")
         ('s3://bucket/data', None, None)
     """
-    found = _URL.match(str(path))
+    found = URL.match(str(path))
     if found is None or found[1] in ("file", "local"):
         return None
     return f"{found[1]}://{found[2]}"
@@ -296,7 +292,7 @@ def local_path(path: str | Path) -> Path:
     url = url_of(path)
     if url is not None:
         raise InputError(f"{url}: found a URL, expected a path of this machine")
-    found = _URL.match(str(path))
+    found = URL.match(str(path))
     return Path(path) if found is None else Path("/" + found[2])
 
 

@@ -199,6 +199,7 @@ def test_whatever_is_killed_the_objects_are_the_same(
                     server.kill()
                     run.wait()
                     server.start()
+                    continue  # even a run that had ended has lost what it made
                 elif victim == "worker" and (workers := Loky().workers(run.pid)):
                     with suppress(ProcessLookupError):
                         os.kill(rng.choice(workers), signal.SIGKILL)

@@ -198,3 +198,19 @@ def test_urls_of_nothing(bucket: str, url: str, message: str) -> None:
 def test_a_cluster_needs_a_shared_folder(bucket: str) -> None:
     with pytest.raises(InputError, match="expected a folder on a disk that every worker sees"):
         generate(CONFIG, Path(f"{bucket}/no"), quiet=True, cluster="tcp://127.0.0.1:1")
+
+
+def test_commands_say_urls_as_they_were_given(stored: Path, capsys) -> None:
+    from experiments.cli.commands import main
+
+    def ended(*words: str) -> int | str | None:
+        with pytest.raises(SystemExit) as end:
+            main(words)
+        return end.value.code
+
+    assert ended("verify", str(stored)) == 0
+    assert "s3://datasets/data: every file is as its catalogue says" in capsys.readouterr().out
+    url = "s3://datasets/model"
+    assert ended("train", str(stored), "--method", "majority", "--out", url, "--quiet") == 2
+    assert f"{url}: found a URL, expected a path of this machine" in capsys.readouterr().err
+    assert not Path("s3:").exists()
