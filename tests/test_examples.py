@@ -40,7 +40,8 @@ def test_a_notebook_is_clean_and_says_what_it_is_for(path: Path) -> None:
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=IDS)
 def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if "stable_baselines3" in path.read_text():
-        pytest.importorskip("stable_baselines3", reason="pip install stable-baselines3")
+        pytest.importorskip("stable_baselines3", reason="pip install graphrqi[train]")
+        pytest.importorskip("tensorboard", reason="pip install graphrqi[train]")
     monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "__main__"}
