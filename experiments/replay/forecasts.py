@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -26,6 +28,11 @@ EVERY_S: Final = 1.0
 
 LEAST_PROBABILITY: Final = 0.02
 """Futures less likely than this are not kept (our choice)."""
+
+MAX_FUTURES: Final = 1_000_000
+"""Most futures that a page keeps (our choice: some 15 MB). Of more, each agent's likeliest are
+kept, then the likeliest of the others; where even the former are more, there are fewer
+predictions."""
 
 
 FORECASTS: Final = pa.schema(
@@ -60,7 +67,7 @@ def forecast(
     predictor: str,
     horizon_s: float = 5.0,
 ) -> list[Forecast]:
-    """Predict every agent again and again through an episode.
+    """Predict every agent again and again through an episode: every second, or less often a crowd.
 
     Args:
         tracks: the episode; each prediction sees only its past.
@@ -70,10 +77,12 @@ def forecast(
         horizon_s: how far ahead, s.
 
     Returns:
-        One entry per second in which anybody is there.
+        One entry per instant at which anybody is there.
     """
     found = []
-    for step in sampled(tracks, EVERY_S)[1:]:
+    seconds = sampled(tracks, EVERY_S)
+    stride = -(-int(tracks.valid[:, seconds].sum()) // MAX_FUTURES)
+    for step in seconds[1 :: max(stride, 1)]:
         history = tracks.window(int(step) + 1, HISTORY_STEPS)
         if not history.ids.size:
             continue
@@ -100,6 +109,34 @@ def _kept(time_s: float, rows: IntArray, prediction: Prediction) -> Forecast:
         ahead_s=prediction.time_s[at],
         xy=prediction.xy[agent, order[agent, rank]][:, at],
     )
+
+
+def likeliest(forecasts: Sequence[Forecast], most: int = MAX_FUTURES) -> list[Forecast]:
+    """The likeliest futures of all, and at least one of each agent in every prediction.
+
+    Args:
+        forecasts: in order of time.
+        most: how many futures are kept in all, where that many are enough.
+
+    Examples:
+        >>> one = Forecast(1.0, np.array([4, 4, 7]), np.array([0.6, 0.4, 1.0]), np.array([0.5]),
+        ...     np.zeros((3, 1, 2)))
+        >>> [kept.agent.tolist() for kept in likeliest([one], 2)]
+        [[4, 7]]
+    """
+    if sum(one.agent.size for one in forecasts) <= most:
+        return list(forecasts)
+    first = [np.diff(one.agent, prepend=-1) != 0 for one in forecasts]
+    rest = np.concatenate([one.probability[~f] for one, f in zip(forecasts, first, strict=True)])
+    room = max(0, most - sum(int(f.sum()) for f in first))
+    least = np.partition(rest, rest.size - room)[rest.size - room] if room else np.inf
+    return [
+        dataclasses.replace(
+            one, agent=one.agent[kept], probability=one.probability[kept], xy=one.xy[kept]
+        )
+        for one, f in zip(forecasts, first, strict=True)
+        for kept in [f | (one.probability > least)]
+    ]
 
 
 def read_forecasts(

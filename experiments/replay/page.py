@@ -31,7 +31,7 @@ from sim.road.shapes import road_shapes
 from sim.store.atomic import write_whole
 
 SCRIPTS: Final = (
-    "data.js", "view.js", "colors.js", "draw.js", "timeline.js", "panel.js", "player.js",
+    "data.js", "view.js", "colors.js", "road.js", "draw.js", "timeline.js", "panel.js", "player.js",
 )  # fmt: skip
 """In the order in which they are joined."""
 

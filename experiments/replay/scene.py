@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -14,7 +15,7 @@ from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.data.admission import SCALED
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
-from experiments.replay.forecasts import Forecast, forecast, read_forecasts
+from experiments.replay.forecasts import Forecast, forecast, likeliest, read_forecasts
 from experiments.replay.ghosts import Ghosts, ghosts_of
 from experiments.replay.graph_history import GraphHistory, graph_history
 from experiments.replay.shown import shown_events, with_drawn_sizes
@@ -172,6 +173,8 @@ def gather(
         elif predictor != "none":
             shown = predictor or DEFAULT_PREDICTOR
             forecasts = forecast(tracks, beliefs, road, shown)
+        told = sum(one.agent.size for one in forecasts)
+        forecasts = likeliest(forecasts)
         progress.advance()
         graph = graph_history(tracks)
         progress.advance()
@@ -195,7 +198,7 @@ def gather(
         graph=graph,
         forecasts=tuple(forecasts),
         predictor=shown if forecasts else "",
-        notes=(*said, *_notes(episode, road, unit, stride)),
+        notes=(*said, *_notes(episode, road, unit, stride), *_left_out(told, forecasts)),
         ghosts=ghosts,
     )
 
@@ -204,6 +207,17 @@ def _stride(tracks: Tracks) -> int:
     """Every how many-th frame is kept."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
     return max(wanted, -(-tracks.as_rows().speed.size // MAX_PLACES))
+
+
+def _left_out(told: int, forecasts: Sequence[Forecast]) -> tuple[str, ...]:
+    """What to say of futures that are not kept."""
+    kept = sum(one.agent.size for one in forecasts)
+    if kept == told:
+        return ()
+    share = 100.0 * kept / told
+    return (
+        f"{share:.0f} % of the predicted futures are kept, the likeliest: the page stays small",
+    )
 
 
 def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple[str, ...]:

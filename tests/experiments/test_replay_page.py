@@ -424,3 +424,31 @@ def test_whom_nobody_knows_is_grey(open_page, make_scene, tmp_path):
     page.evaluate("replay.seek(8.0)")
     everybody = re.compile(r"(\d+) of \1 drivers unknown")
     until(page, lambda: everybody.search(page.locator("#sure").inner_text()))
+
+
+def test_a_crowd_is_drawn_as_boxes_and_named_only_near(open_page, make_scene, tmp_path):
+    crowd = make_scene("city", agents=400, seconds=12.0)
+    file = tmp_path / "city.html"
+    write_page(crowd, file, "true")
+    page = open_page(file=file)
+    page.click("#fit")
+    page.evaluate("replay.seek(8.0); replay.setLayer('names', true)")
+    drawn(page)
+    step = int(np.searchsorted(crowd.tracks.time_s, 8.0 - 1e-6))
+    shown = page.evaluate("replay.agents()")
+    assert len(shown) > 250
+    assert page.evaluate("replay.boxes('labels')") == []  # too many in sight for names
+    left, top = (page.locator("#stage").bounding_box()[side] for side in ("x", "y"))
+    picture = np.array(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), dtype=int)
+    right = [
+        np.abs(picture[round(top + a["y"]), round(left + a["x"])] - rgb(a["color"])).max() < 60
+        for a in shown
+    ]
+    assert np.mean(right) > 0.6  # the others lie under others, as they do not keep their distance
+    assert crowd.tracks.valid[:, step].sum() >= len(shown)
+    for _ in range(7):
+        page.click("#zoom-in")
+    drawn(page)
+    assert 0 < len(page.evaluate("replay.agents()")) <= 150
+    assert page.evaluate("replay.boxes('labels')")
+    assert page.evaluate("replay.cost(8.0)") > 0.0

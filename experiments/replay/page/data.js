@@ -61,7 +61,7 @@ function readFutures(arrays) {
       xy[2 * (m * ahead + h) + 1] = data.origin[1] + y * data.futureQuantum;
     }
   }
-  return { xy, ahead: data.ahead, agent: arrays.futureAgent, probability: arrays.futureProbability, time: arrays.forecastTime, begin: arrays.forecastBegin };
+  return { xy, ahead: data.ahead, agent: arrays.futureAgent, probability: arrays.futureProbability, time: arrays.forecastTime, begin: arrays.forecastBegin, stale: Math.max(2.1, 1.1 * (arrays.forecastTime[1] - arrays.forecastTime[0] || 0)) };
 }
 
 // By frame, where everyone factually was who is elsewhere now: of a counterfactual episode.
@@ -155,12 +155,14 @@ function futuresOf(index, time) {
   if (!futures) return null;
   const instant = latest(futures.time, time);
   if (instant < 0) return null;
-  const found = [];
-  for (let m = futures.begin[instant]; m < futures.begin[instant + 1]; m++) {
-    if (futures.agent[m] === index) found.push(m);
-    else if (futures.agent[m] > index) break;
+  const found = [], end = futures.begin[instant + 1];
+  let low = futures.begin[instant], high = end;   // those of one agent are together, agents ascend
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (futures.agent[middle] < index) low = middle + 1; else high = middle;
   }
-  return found.length && time - futures.time[instant] < 2.1 ? { time: futures.time[instant], futures: found } : null;
+  for (let m = low; m < end && futures.agent[m] === index; m++) found.push(m);
+  return found.length && time - futures.time[instant] < futures.stale ? { time: futures.time[instant], futures: found } : null;
 }
 
 function seconds(time) { return `${(data.begin + time).toFixed(1)} s`; }

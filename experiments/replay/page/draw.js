@@ -1,103 +1,4 @@
-// Draws the scene onto its canvas: the road once per panel, then everything that moves.
-
-const shapes = { paths: null };
-
-function pathOf(points, closed) {
-  const path = new Path2D();
-  addTo(path, points, closed);
-  return path;
-}
-
-function addTo(path, points, closed) {
-  path.moveTo(points[0], points[1]);
-  for (let i = 2; i < points.length; i += 2) path.lineTo(points[i], points[i + 1]);
-  if (closed) path.closePath();
-}
-
-function together(many, closed) {
-  const path = new Path2D();
-  for (const points of many) addTo(path, points, closed);
-  return path;
-}
-
-function setUpShapes() {
-  if (data.road) {
-    const { paving, asphalt, dashes, edges, middles, bars } = data.road;
-    // One path each: overlapping surfaces of one kind must not show their seams.
-    shapes.paths = {
-      paving: paving.map((p) => pathOf(p, true)), asphalt: asphalt.map((p) => pathOf(p, true)),
-      dashes: together(dashes), edges: together(edges), middles: together(middles), bars: together(bars, true),
-    };
-  } else {
-    shapes.tracks = new Path2D();
-    for (const agent of data.agents) {
-      for (const run of agent.runs) {
-        const stride = Math.max(1, Math.floor(run.size / 60));
-        shapes.tracks.moveTo(places.x[run.at], places.y[run.at]);
-        for (let i = stride; i < run.size; i += stride) shapes.tracks.lineTo(places.x[run.at + i], places.y[run.at + i]);
-        shapes.tracks.lineTo(places.x[run.at + run.size - 1], places.y[run.at + run.size - 1]);
-      }
-    }
-  }
-}
-
-const SIGNAL_COLORS = { red: "#d3312b", yellow: "#f2c230", green: "#25a55f", off: "#9aa3ad" };
-
-function signalState(group, frame) {
-  if (group < 0 || !data.signals || !data.signals[group]) return null;
-  let state = null;
-  for (const [step, code] of data.signals[group]) {
-    if (step > frame) break;
-    state = data.signalNames[code];
-  }
-  return state;
-}
-
-function drawRoad(ctx, panel, dpr, frame) {
-  const [a, b, c, d, e, f] = panel.matrix;
-  ctx.setTransform(a * dpr, b * dpr, c * dpr, d * dpr, e * dpr, f * dpr);
-  const pixel = 1 / panel.scale;
-  if (!data.road) {
-    ctx.strokeStyle = theme.track; ctx.globalAlpha = 0.45; ctx.lineWidth = 1.2 * pixel; ctx.lineJoin = "round";
-    ctx.stroke(shapes.tracks);
-    ctx.globalAlpha = 1;
-    return;
-  }
-  const { paving, asphalt, dashes, edges, middles, bars } = shapes.paths;
-  ctx.fillStyle = theme.paving;
-  for (const path of paving) ctx.fill(path);
-  ctx.fillStyle = theme.asphalt;
-  for (const path of asphalt) ctx.fill(path);
-  const thin = Math.max(0.14, 0.8 * pixel);
-  ctx.lineWidth = thin; ctx.strokeStyle = theme.paint; ctx.lineCap = "butt";
-  if (panel.scale > 1.2) ctx.stroke(dashes);
-  ctx.stroke(edges);
-  ctx.strokeStyle = theme.middle;
-  ctx.stroke(middles);
-  ctx.fillStyle = theme.paint;
-  ctx.fill(bars);
-  for (const stop of data.road.stops) drawStop(ctx, stop, signalState(stop.signal, frame), pixel);
-}
-
-// A stop line in its signal's colour with a lamp behind it whose shape says the same.
-function drawStop(ctx, { line }, state, pixel) {
-  ctx.strokeStyle = state ? SIGNAL_COLORS[state] : theme.paint;
-  ctx.lineWidth = Math.max(0.5, 2 * pixel);
-  ctx.beginPath(); ctx.moveTo(line[0], line[1]); ctx.lineTo(line[2], line[3]); ctx.stroke();
-  if (!state) return;
-  const size = Math.max(0.75, 3.2 * pixel);
-  // Ahead of the line, in driving direction: to the left of right-to-left, turned back.
-  const dx = line[2] - line[0], dy = line[3] - line[1], long = Math.hypot(dx, dy) || 1;
-  const x = (line[0] + line[2]) / 2 + dy / long * size * 1.7, y = (line[1] + line[3]) / 2 - dx / long * size * 1.7;
-  ctx.fillStyle = "#11151b";
-  ctx.beginPath(); ctx.arc(x, y, size * 1.35, 0, 2 * Math.PI); ctx.fill();
-  ctx.fillStyle = SIGNAL_COLORS[state];
-  ctx.beginPath();
-  if (state === "red") ctx.rect(x - size * 0.7, y - size * 0.7, size * 1.4, size * 1.4);
-  else if (state === "yellow") { ctx.moveTo(x, y + size); ctx.lineTo(x + size * 0.87, y - size * 0.5); ctx.lineTo(x - size * 0.87, y - size * 0.5); ctx.closePath(); }
-  else ctx.arc(x, y, size * 0.85, 0, 2 * Math.PI);
-  ctx.fill();
-}
+// Draws the scene onto its canvas: the road, then everything that moves.
 
 const edgesShown = [];
 const STUB = 26;   // pixels of an edge that are drawn towards somebody out of sight
@@ -186,6 +87,50 @@ function drawAgent(ctx, panel, dpr, index, place, color) {
   ctx.fill();
 }
 
+// From so many in sight on, they are drawn as plain boxes, all of one colour at once.
+const CROWD = 250;
+const MOST_NAMED = 150;   // names are drawn up to so many in sight
+
+// Those whose outline may reach into the panel: index, place, and where that is on the screen.
+function inSight(panel, present) {
+  const found = [];
+  for (const [index, place] of present) {
+    const [x, y] = toScreen(panel, place.x, place.y), reach = 6 + data.agents[index].length * panel.scale;
+    if (x < panel.left - reach || x > panel.left + panel.width + reach || y < panel.top - reach || y > panel.top + panel.height + reach) continue;
+    found.push({ index, place, x, y });
+  }
+  return found;
+}
+
+function drawAgents(ctx, panel, dpr, seen) {
+  if (seen.length <= CROWD) {
+    for (const { index, place } of seen) drawAgent(ctx, panel, dpr, index, place, colorOf(index, place));
+    return;
+  }
+  const single = [], groups = new Map();
+  for (const one of seen) {
+    const { index, place, x, y } = one, { length, width, kind } = data.agents[index];
+    if (index === player.selected || index === player.hover || length * panel.scale >= 11) { single.push(one); continue; }
+    const color = colorOf(index, place), dashed = player.mode === "predicted" && isUnsure(index), key = dashed ? `${color} dashed` : color;
+    if (!groups.has(key)) groups.set(key, { color, dashed, path: new Path2D() });
+    const { path } = groups.get(key), walks = data.kinds[kind] === "pedestrian";
+    const long = Math.max(length * panel.scale, walks ? 5 : 6) / 2, wide = Math.max(width * panel.scale, walks ? 5 : 3.6) / 2;
+    const turn = view.turned ? Math.atan2(Math.cos(place.heading), Math.sin(place.heading)) : -place.heading;
+    const ax = long * Math.cos(turn), ay = long * Math.sin(turn), bx = -wide * Math.sin(turn), by = wide * Math.cos(turn);
+    path.moveTo(x + ax + bx, y + ay + by); path.lineTo(x + ax - bx, y + ay - by);
+    path.lineTo(x - ax - bx, y - ay - by); path.lineTo(x - ax + bx, y - ay + by); path.closePath();
+  }
+  ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
+  ctx.strokeStyle = theme.outline;
+  for (const { color, dashed, path } of groups.values()) {
+    ctx.fillStyle = color; ctx.fill(path);
+    ctx.lineWidth = dashed ? 1.2 : 0.7; ctx.setLineDash(dashed ? [3, 2.5] : []);
+    ctx.stroke(path);
+  }
+  ctx.setLineDash([]);
+  for (const { index, place } of single) drawAgent(ctx, panel, dpr, index, place, colorOf(index, place));
+}
+
 // A dashed outline where somebody factually was.
 function drawGhost(ctx, panel, dpr, ghost) {
   const kind = data.kinds[ghost.kind], [x, y] = toScreen(panel, ghost.x, ghost.y);
@@ -271,10 +216,10 @@ const LABEL_FONT = "600 11.5px system-ui, 'DejaVu Sans', sans-serif", LABEL_TALL
 // Labels of one panel: none covers an agent or another label, and one without room is left out.
 const labels = {
   taken: [], shown: [], agents: [],
-  begin(panel, present) {
+  begin(panel, seen) {
     this.taken = [];
-    for (const [index, place] of present) {
-      const [x, y] = toScreen(panel, place.x, place.y), agent = data.agents[index];
+    for (const { index, place, x, y } of seen) {
+      const agent = data.agents[index];
       const long = Math.max(agent.length * panel.scale, 6), wide = Math.max(agent.width * panel.scale, 4);
       const turn = view.turned ? Math.PI / 2 - place.heading : place.heading;
       const cos = Math.abs(Math.cos(turn)), sin = Math.abs(Math.sin(turn));
@@ -362,28 +307,30 @@ function draw(canvas) {
   ctx.fillStyle = theme.stage; ctx.fillRect(0, 0, view.width, view.height);
   const plain = () => ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
   labels.shown = []; labels.agents = []; edgesShown.length = 0;
+  drawRoad(ctx, canvas, dpr);
   for (const panel of view.panels) {
     ctx.save();
     plain();
     ctx.beginPath(); ctx.rect(panel.left, panel.top, panel.width, panel.height); ctx.clip();
-    drawRoad(ctx, panel, dpr, frame);
+    drawStops(ctx, panel, dpr, frame);
     plain();
+    const seen = inSight(panel, present);
     if (player.layers.graph) drawGraph(ctx, panel, present);
-    if (player.layers.paths && futures) for (const [index, place] of present) drawFutures(ctx, panel, index, colorOf(index, place), true);
+    if (player.layers.paths && futures) for (const { index, place } of seen) drawFutures(ctx, panel, index, colorOf(index, place), true);
     for (const ghost of ghosts.get(frame) || []) drawGhost(ctx, panel, dpr, ghost);
-    for (const [index, place] of present) drawAgent(ctx, panel, dpr, index, place, colorOf(index, place));
+    drawAgents(ctx, panel, dpr, seen);
     plain();
-    labels.begin(panel, present);
-    const chosen = present.get(player.selected);
+    const chosen = present.get(player.selected), named = player.layers.names && seen.length <= MOST_NAMED;
+    labels.begin(panel, seen);
     if (chosen && futures) {
       drawFutures(ctx, panel, player.selected, colorOf(player.selected, chosen), false);
       drawAgent(ctx, panel, dpr, player.selected, chosen, colorOf(player.selected, chosen));
       plain();
     }
-    if (player.layers.names) for (const [index, place] of present) {
-      const [x, y] = toScreen(panel, place.x, place.y), agent = data.agents[index];
+    if (named) for (const { index, x, y } of seen) {
+      const agent = data.agents[index];
       if (inPanel(panel, [x, y])) labels.place(ctx, panel, x, y, Math.max(agent.width * panel.scale, 6) / 2, agent.name.slice(0, 18));
-    }
+    } else if (player.layers.names) tag(ctx, panel.left + 8, panel.top + 16, `${seen.length} in sight: zoom in to ${MOST_NAMED} for names`);
     drawEvents(ctx, panel);
     if (panel.label) {
       ctx.fillStyle = theme.muted; ctx.font = "11px system-ui, 'DejaVu Sans', sans-serif"; ctx.textAlign = "left"; ctx.textBaseline = "top";

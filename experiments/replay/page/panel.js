@@ -221,14 +221,18 @@ function drawBeliefs(canvas, index) {
   if (now >= 0 && now <= width) { ctx.strokeStyle = theme.outline; ctx.lineWidth = 2; ctx.beginPath(); ctx.moveTo(now, 0); ctx.lineTo(now, tall); ctx.stroke(); }
 }
 
+const MOST_LISTED = 500;
+
+// Of many events only the grave ones are listed, and of many of these the first.
 function showEvents() {
   if (!data.events.length) return;
-  const list = element("ul", { class: "list" });
-  for (const event of data.events) {
+  const list = element("ul", { class: "list" }), many = data.events.length > MOST_LISTED;
+  const listed = many ? data.events.filter((e) => data.grave.includes(e.kind)).slice(0, MOST_LISTED) : data.events;
+  for (const event of listed) {
     const who = [event.agent, event.other].filter((i) => i >= 0).map(titleOf).join(", ");
     list.append(jump(event.time, `${event.kind}: ${who}${event.rule ? ` (${event.rule})` : ""}`, null, event.agent));
   }
-  $("events").replaceChildren(element("details", { open: "" }, element("summary", {}, `Events (${data.events.length})`), list));
+  $("events").replaceChildren(element("details", { open: "" }, element("summary", {}, many ? `Events (the ${listed.length} gravest of ${data.events.length})` : `Events (${data.events.length})`), list));
 }
 
 function showNotes() {

@@ -212,7 +212,7 @@ function onStrip(event) {
     if (mark && event.type === "pointerdown") { if (mark.agent >= 0) select(mark.agent); seek(mark.time); return; }
     const left = gutter(width);
     seek((event.offsetX - left) / (width - left - 6) * duration);
-  } else if (mark) showTip(mark.text, event.offsetX, view.height);
+  } else if (mark) showTip(mark.text(), event.offsetX, view.height);
   else $("tip").hidden = true;
 }
 
@@ -287,6 +287,15 @@ async function start() {
     futures: (index) => {
       const told = futuresOf(index, player.time);
       return told && told.futures.map((m) => ({ time: data.begin + told.time, probability: futures.probability[m] / 255, places: futurePoints(m, null, 0) }));
+    },
+    // Milliseconds that drawing takes at a time, until every pixel is there.
+    cost: (time) => {
+      const began = performance.now();
+      player.time = time - data.begin;
+      draw(stage); drawTimeline(strip, strip.clientWidth);
+      for (const canvas of [stage, strip]) canvas.getContext("2d").getImageData(0, 0, 1, 1);
+      redraw();
+      return performance.now() - began;
     },
     boxes: (what) => labels[what === "agents" ? "agents" : "shown"], edges: () => edgesShown,
     state: () => ({ time: data.begin + player.time, playing: player.playing, mode: player.mode, selected: player.selected, layers: { ...player.layers } }),

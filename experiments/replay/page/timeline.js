@@ -1,7 +1,7 @@
 // The timeline: events and the traits that were shown, each kind of them a row.
 
 const ROW = 15, AXIS = 20, BIN_S = 0.5;
-const timeline = { rows: [], height: 0, marks: [] };
+const timeline = { rows: [], height: 0, marks: [], picture: null, key: "" };
 
 function setUpTimeline() {
   const rows = [];
@@ -30,10 +30,28 @@ function timelineX(time, width) {
   return left + time / duration * (width - left - 6);
 }
 
+// All but the line of the present is drawn anew only where it is another timeline.
 function drawTimeline(canvas, width) {
   const dpr = canvas.width / width, ctx = canvas.getContext("2d");
+  const key = JSON.stringify([canvas.width, canvas.height, width, player.selected, theme.panel, theme.muted]);
+  if (key !== timeline.key) {
+    const picture = timeline.picture ??= document.createElement("canvas");
+    picture.width = canvas.width; picture.height = canvas.height;
+    const own = picture.getContext("2d");
+    own.setTransform(dpr, 0, 0, dpr, 0, 0);
+    drawRows(own, width);
+    timeline.key = key;
+  }
+  ctx.setTransform(1, 0, 0, 1, 0, 0);
+  ctx.clearRect(0, 0, canvas.width, canvas.height);
+  if (timeline.picture.width && timeline.picture.height) ctx.drawImage(timeline.picture, 0, 0);
   ctx.setTransform(dpr, 0, 0, dpr, 0, 0);
-  ctx.clearRect(0, 0, width, timeline.height);
+  const x = timelineX(player.time, width);
+  ctx.strokeStyle = theme.accent; ctx.lineWidth = 2;
+  ctx.beginPath(); ctx.moveTo(x, 0); ctx.lineTo(x, timeline.height - AXIS + 4); ctx.stroke();
+}
+
+function drawRows(ctx, width) {
   ctx.font = `${width < 560 ? 10.5 : 11.5}px system-ui, 'DejaVu Sans', sans-serif`; ctx.textBaseline = "middle";
   timeline.marks = [];
   const left = gutter(width);
@@ -50,9 +68,6 @@ function drawTimeline(canvas, width) {
     else drawTraits(ctx, row, width, y);
   });
   drawAxis(ctx, width, left);
-  const x = timelineX(player.time, width);
-  ctx.strokeStyle = theme.accent; ctx.lineWidth = 2;
-  ctx.beginPath(); ctx.moveTo(x, 0); ctx.lineTo(x, timeline.height - AXIS + 4); ctx.stroke();
 }
 
 function clipped(ctx, text, width) {
@@ -85,7 +100,7 @@ function drawTraits(ctx, row, width, y) {
       ctx.strokeStyle = theme.outline; ctx.lineWidth = 1;
       ctx.beginPath(); ctx.roundRect(x0, y - 4.5, x1 - x0, 9, 2); ctx.fill(); ctx.stroke();
     }
-    timeline.marks.push({ x0, x1, y, agent, time: begin, text: `${row.label} · ${titleOf(agent)} · ${seconds(begin)} – ${seconds(end)}` });
+    timeline.marks.push({ x0, x1, y, agent, time: begin, text: () => `${row.label} · ${titleOf(agent)} · ${seconds(begin)} – ${seconds(end)}` });
   }
 }
 
@@ -102,7 +117,7 @@ function drawEventMark(ctx, event, width, y) {
     ctx.arc(x, y, 2.6, 0, 2 * Math.PI); ctx.fill();
   }
   ctx.globalAlpha = 1;
-  timeline.marks.push({ x0: x - 5, x1: x + 5, y, agent: event.agent, time: event.time, text: eventText(event) });
+  timeline.marks.push({ x0: x - 5, x1: x + 5, y, agent: event.agent, time: event.time, text: () => eventText(event) });
 }
 
 function eventText(event) {
