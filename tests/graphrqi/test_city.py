@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from scenarios.city import city_agents, city_scenario
 from sim.engines import get_engine
 from sim.episode.buffer import FrameBuffer
 from sim.frames import Tracks
-from sim.road import Road
+from sim.road import Road, SignalPlan
 from sim.road.lane_graph import LaneGraph
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, 6)))
@@ -147,3 +149,23 @@ def test_signals_on_the_way_follow_their_programme(city) -> None:
             states = {lag: plan.state_at(now - lag + 0.1 * h) for lag in (0.0, 0.1)}
             found = tuple(scene.stop_state[list(plan.groups), h].tolist())
             assert found in {tuple(stop_of[code] for code in each) for each in states.values()}
+
+
+def test_looking_a_road_up_does_not_cost_more_on_a_larger_one(city) -> None:
+    road, _ = city
+    longer = dataclasses.replace(road, lanes=road.lanes + road.lanes[:1])
+    same = dataclasses.replace(road)
+    assert {road: 1}[same] == 1
+    assert road != longer
+    counted = Counter[str]()
+
+    class Plan(SignalPlan):
+        def __hash__(self) -> int:
+            counted["hashed"] += 1
+            return 0
+
+    plans = tuple(
+        Plan(*(getattr(p, f.name) for f in dataclasses.fields(p))) for p in road.signal_plans
+    )
+    assert hash(dataclasses.replace(road, signal_plans=plans)) == hash(road)
+    assert not counted
