@@ -253,6 +253,6 @@ def _check_present(config: WhatIf, frame: Frame) -> None:
     some = ", ".join(map(str, present[:NAMED_DRIVERS]))
     more = ", ..." if len(present) > NAMED_DRIVERS else ""
     raise InputError(
-        f"agent {config.agent}: found it not on the road at {config.at_s:g} s, expected one of "
-        f"{some}{more}"
+        f"agent {config.agent}: found it not on the road at {config.at_s:g} s, expected one that "
+        + (f"is, such as {some}{more}" if some else "is; nobody is there yet")
     )
