@@ -173,7 +173,12 @@ def test_what_is_written_of_a_road_reads_back(tmp_path: Path, name: str) -> None
     for field in ("left", "right", "ahead", "behind"):
         expected = number[getattr(graph, field)[kept]]
         np.testing.assert_array_equal(getattr(again, field), expected, field)
-    np.testing.assert_array_equal(again.direction, graph.direction[kept])
+    expected = graph.direction[kept]
+    if name == "motorway_ramps":  # SUMO calls its exit a turn; such maps tell turns by their bend
+        (exit_path,) = np.flatnonzero(expected)
+        assert lanes[exit_path].internal
+        expected = np.zeros_like(expected)
+    np.testing.assert_array_equal(again.direction, expected)
     for i, ways in enumerate(graph.successors[kept]):
         assert set(number[ways]) - {-1} == set(again.successors[i]) - {-1}
 
