@@ -12,6 +12,12 @@ from behaviors.labels import BEHAVIORS
 from behaviors.populations import NUMBERS, SHIPPED, read_population
 from behaviors.profiles import PROFILES
 from graphrqi.calibrate.drives import Drive, Stretch, make_drive
+from graphrqi.calibrate.driving_on import (
+    candidate_weights,
+    driven_places,
+    gap_errors,
+    halves,
+)
 from graphrqi.calibrate.kernels import likelihood, most_likely
 from graphrqi.calibrate.laws import FIELDS, Law, prior
 from graphrqi.calibrate.posterior import calibrate
@@ -153,3 +159,16 @@ def test_broken_population_files_are_refused_by_field(
 def test_a_wrong_name_suggests_the_right_one() -> None:
     with pytest.raises(InputError, match="i80"):
         read_population("i8")
+
+
+def test_the_true_numbers_drive_on_best() -> None:
+    numbers = np.array([21.0, 1.2, 2.5, 1.6, 2.0])
+    cut = halves(_idm_drive(numbers, 11))
+    assert cut is not None
+    first, second = cut
+    assert first.rows[0, -1] == second.rows[0, 0]
+    tried = np.log(np.stack([numbers, numbers * 1.3, numbers * 0.7]))
+    errors = gap_errors(driven_places(Law.IDM, tried, first), first)
+    assert errors[0] < 0.1 < errors[1:].min()
+    assert candidate_weights(errors)[0] > 0.99
+    assert gap_errors(driven_places(Law.IDM, tried, second), second).argmin() == 0

@@ -1,0 +1,233 @@
+"""Calibration: do intervals hold the truth, and do a driver's numbers foretell its gaps?
+
+``simulated``: drivers of each law are simulated by code of this module alone, half of them with
+autocorrelated noise on the acceleration and noise on every place; `coverage` is the share of 90 %
+intervals that hold the true number, ``known`` the share of drivers of whom it is told, and
+``drivers_per_s`` counts them by processor time.
+
+``recorded``: of every driver in ``--data``, the first half of its longest stretch behind one
+leader is calibrated, and the second is driven behind the recorded leader. The errors of the gap are
+divided by those of one pooled driver (fitted to the same first halves), and by those of a driver
+from the literature; beside it stands the same with numbers of another driver (``permuted``).
+Intervals are over drivers.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.populations import NUMBERS
+from experiments.benches.contract import Bench, option
+from experiments.rows import Row, tidy_row
+from experiments.scoring.metrics import RESAMPLES, bootstrap, ratio
+from experiments.scoring.recordings import read_sources
+from graphrqi.calibrate.drives import Drive, Stretch, make_drive
+from graphrqi.calibrate.driving_on import (
+    candidate_weights,
+    candidates,
+    driven_places,
+    gap_errors,
+    halves,
+    pooled_driver,
+)
+from graphrqi.calibrate.laws import Law
+from graphrqi.calibrate.posterior import calibrate
+from graphrqi.calibrate.recorded import recorded_drivers
+
+FloatArray = NDArray[np.float64]
+
+LITERATURE: Final = np.log([33.3, 1.6, 2.0, 0.73, 1.67])
+"""IDM's first numbers, in the order of ``NUMBERS`` (Treiber, Hennecke, Helbing 2000, table I)."""
+
+MEDIAN: Final = np.log([22.0, 1.3, 2.6, 1.6, 2.1])
+SPREAD: Final = np.array([0.2, 0.35, 0.35, 0.35, 0.3])
+"""The simulated population (our choice, inside what recordings show)."""
+
+NOISE_MPS2, CORRELATION_S, NOISE_M = 0.19, 1.3, 0.1
+"""Noise of every second driver: on its acceleration (Zhang and Sun 2024), and on places."""
+
+STEP_S: Final = 0.1
+
+LEAST_HALF_S: Final = 5.0
+"""Shorter second halves are not scored, s (our choice: they hardly leave the start)."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How much is measured.
+
+    Attributes:
+        drivers: simulated, of each law.
+        seconds: length of each simulated drive, s.
+        data: folder of datasets of recordings; None for none.
+        seed: of everything random.
+    """
+
+    drivers: int = option(1000, "Simulated drivers of each law.")
+    seconds: float = option(30.0, "Length of each of their drives, s.")
+    data: Path | None = option(None, "Recordings; none for simulated drivers only.", "FOLDER")
+    seed: int = option(0, "Same seed, same rows but for times.")
+
+
+def measure(settings: Settings) -> Iterator[Sequence[Row]]:
+    """The rows of each law's simulated drivers, then of each dataset's recorded ones."""
+    if settings.drivers < 0 or settings.seconds < 5.0:
+        raise InputError(
+            f"drivers, seconds: found {settings.drivers}, {settings.seconds:g}, expected 0 or more "
+            "drivers of at least 5 s"
+        )
+    if settings.drivers:
+        for law in Law:
+            yield list(simulated_rows(law, settings))
+    if settings.data is not None:
+        found: dict[str, list[Drive]] = {}
+        for place in read_sources([settings.data]):
+            here = recorded_drivers(place.tracks, place.road)
+            found.setdefault(place.dataset, []).extend(driver.drive for driver in here)
+        for name, drives in found.items():
+            yield list(recorded_rows(name, drives, settings.seed))
+
+
+def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
+    """Coverage of the intervals of simulated drivers."""
+    rng = np.random.default_rng((settings.seed, law.code))
+    truth = np.exp(MEDIAN + SPREAD * rng.standard_normal((settings.drivers, len(NUMBERS))))
+    noisy = np.arange(settings.drivers) % 2 == 0
+    drives = [
+        _simulated_drive(law, one, settings.seconds, bool(shaken), rng)
+        for one, shaken in zip(truth, noisy, strict=True)
+    ]
+    begun = time.process_time()
+    told = calibrate(law, drives).summary()
+    spent_s = time.process_time() - begun
+    inside = (told.low <= truth) & (truth <= told.high)
+    keys: dict[str, Any] = {"part": "simulated", "dataset": "", "law": str(law), "number": ""}
+    yield tidy_row(keys, "drivers_per_s", len(drives) / max(spent_s, 1e-9), None, None, len(drives))
+    for k, number in enumerate(NUMBERS):
+        for noise, who in (("", noisy | True), ("noisy", noisy), ("exact", ~noisy)):
+            if who.any():
+                named = {**keys, "number": number, "noise": noise}
+                held = inside[who, k].astype(np.float64)
+                share = bootstrap(ratio, np.stack([held, np.ones(held.size)], axis=1))
+                yield tidy_row(named, "coverage", *share, int(who.sum()))
+                yield tidy_row(
+                    named, "known", float(told.known[who, k].mean()), None, None, int(who.sum())
+                )
+
+
+def _simulated_drive(
+    law: Law, numbers: FloatArray, seconds: float, noisy: bool, rng: np.random.Generator
+) -> Drive:
+    """A driver behind a leader whose wished speed changes every 4 to 12 s."""
+    count = int(seconds / STEP_S) + 1
+    base, speed, accel = rng.uniform(6.0, 25.0), rng.uniform(5.0, 22.0), 0.0
+    wanted, until = speed, 0
+    leading = np.empty(count)
+    for i in range(count):
+        if i >= until:
+            share = rng.choice((0.0, 0.4, 0.8, 1.0, 1.2), p=(0.1, 0.2, 0.3, 0.3, 0.1))
+            wanted, until = base * share, i + int(rng.integers(40, 120))
+        accel += (float(np.clip((wanted - speed) / 3.0, -2.5, 1.5)) - accel) * STEP_S / 0.8
+        speed = max(speed + accel * STEP_S, 0.0)
+        leading[i] = speed
+    moved = leading[1:] if law is Law.KRAUSS else 0.5 * (leading[1:] + leading[:-1])
+    rear = 60.0 + np.concatenate([[0.0], np.cumsum(moved)]) * STEP_S
+    v0, headway, s0, a, b = numbers
+    v = min(leading[0], v0)
+    x = rear[0] - (s0 + headway * v) * rng.uniform(1.0, 1.6)
+    kept = np.exp(-STEP_S / CORRELATION_S)
+    pushed = NOISE_MPS2 * noisy * np.sqrt(1.0 - kept**2) * rng.standard_normal(count)
+    residual, place = 0.0, np.empty(count)
+    for i in range(count):
+        place[i] = x
+        gap, u = max(rear[i] - x, 0.1), leading[i]
+        residual = kept * residual + pushed[i]
+        if law is Law.IDM:
+            wish = s0 + max(0.0, v * headway + v * (v - u) / (2.0 * np.sqrt(a * b)))
+            following = max(a * (1.0 - (v / v0) ** 4 - (wish / gap) ** 2), -9.0)
+        else:
+            safe = (
+                np.sqrt(max(0.0, (b * headway) ** 2 + u * u + 2.0 * b * (gap - s0))) - b * headway
+            )
+            following = (max(0.0, min(v + a * STEP_S, safe, v0)) - v) / STEP_S
+        faster = max(v + STEP_S * (following + residual), 0.0)
+        x += STEP_S * (faster if law is Law.KRAUSS else 0.5 * (v + faster))
+        v = faster
+    errors = rng.normal(0.0, NOISE_M * noisy, (2, count))
+    time_s = np.asarray(STEP_S * np.arange(count), dtype=np.float64)
+    drive = make_drive([Stretch(time_s, place + errors[0], rear + errors[1])])
+    assert drive is not None
+    return drive
+
+
+def recorded_rows(name: str, drives: Sequence[Drive], seed: int) -> Iterator[Row]:
+    """Errors of the second halves of a dataset's drives, for each law."""
+    cut = [found for drive in drives if (found := halves(drive)) is not None]
+    cut = [two for two in cut if two[1].seconds >= LEAST_HALF_S]
+    if len(cut) < 2:
+        return
+    first, second = [two[0] for two in cut], [two[1] for two in cut]
+    usual = _errors(Law.IDM, LITERATURE, second)
+    idm_pooled = pooled_driver(Law.IDM, first)
+    pooled = _errors(Law.IDM, idm_pooled, second)
+    keys = {"part": "recorded", "dataset": name, "number": "", "noise": ""}
+    for label, errors in (("pooled", pooled), ("literature", usual)):
+        yield from _ratio_rows({**keys, "law": "idm", "numbers": label}, errors, pooled, usual)
+    for law in Law:
+        tried = candidates(law, idm_pooled if law is Law.IDM else pooled_driver(law, first), seed)
+        weight = candidate_weights(
+            np.stack([gap_errors(driven_places(law, tried, one), one) for one in first])
+        )
+        other = np.roll(np.random.default_rng(seed).permutation(len(cut)), 1)
+        ahead = [driven_places(law, tried, one) for one in second]
+        for label, share in (("own", weight), ("permuted", weight[other])):
+            told = [w @ places for w, places in zip(share, ahead, strict=True)]
+            errors = np.array(
+                [gap_errors(one[None], drive)[0] for one, drive in zip(told, second, strict=True)]
+            )
+            touched = [
+                bool((one >= drive.rows[3]).any()) for one, drive in zip(told, second, strict=True)
+            ]
+            named = {**keys, "law": str(law), "numbers": label}
+            yield from _ratio_rows(named, errors, pooled, usual)
+            yield tidy_row(named, "collisions", float(sum(touched)), None, None, len(touched))
+
+
+def _errors(law: Law, logs: FloatArray, drives: Sequence[Drive]) -> FloatArray:
+    return np.array([gap_errors(driven_places(law, logs[None], one), one)[0] for one in drives])
+
+
+def _ratio_rows(
+    keys: dict[str, Any], found: FloatArray, pooled: FloatArray, usual: FloatArray
+) -> Iterator[Row]:
+    n = found.size
+    yield tidy_row(keys, "gap_rmse_m", *_median(found), n)
+    for name, other in (("pooled", pooled), ("literature", usual)):
+        yield tidy_row(keys, f"over_{name}", *_median(found / np.maximum(other, 1e-6)), n)
+        squares = np.stack([found**2, other**2], axis=1)
+        yield tidy_row(keys, f"squares_over_{name}", *bootstrap(ratio, squares), n)
+
+
+def _median(values: FloatArray) -> tuple[float, float, float]:
+    """A median with its 95 % interval, by resampling."""
+    drawn = np.random.default_rng(0).choice(values, (RESAMPLES, values.size))
+    low, high = np.quantile(np.median(drawn, axis=1), (0.025, 0.975))
+    return float(np.median(values)), float(low), float(high)
+
+
+BENCH: Final = Bench(
+    name="calibration",
+    summary="Whether calibrated drivers' intervals hold the truth and foretell their gaps.",
+    keys=("part", "dataset", "law", "number", "noise", "numbers"),
+    full=Settings(),
+    quick=Settings(drivers=16, seconds=15.0),
+    measure=measure,
+)
