@@ -94,13 +94,19 @@ class _Away:
         if self.observer.measured_s == self._asked_s:
             return
         self._asked_s = self.observer.measured_s
-        seen = self.observer.measured()
-        features = self.observer.features(seen.seconds, seen.sums, seen.instant)
-        self._kinds = self._elsewhere.kinds(features[:1])[0] if seen.ids.size else _AT_HOME
-        self._ids = seen.ids
-        self._known = self._elsewhere.answers_among(
-            features, self._kinds, seen, self._asked_s, self._place, self._people
-        )
+        one = self.observer.measured(most=1)
+        self._kinds = _AT_HOME
+        if one.ids.size:
+            described = self.observer.features(one.seconds, one.sums, one.instant)
+            self._kinds = self._elsewhere.kinds(described)[0]
+        self._ids, self._known = one.ids[:0], np.empty((0, len(BEHAVIORS)))
+        if self._kinds[HOME] < 1.0:
+            seen = self.observer.measured()
+            features = self.observer.features(seen.seconds, seen.sums, seen.instant)
+            self._ids = seen.ids
+            self._known = self._elsewhere.answers_among(
+                features, self._kinds, seen, self._asked_s, self._place, self._people
+            )
 
     def kinds(self) -> FloatArray:
         """(4,) probability of each kind of traffic."""

@@ -301,14 +301,18 @@ class RelativeObserver:
         """Time of the last frame at which motion was measured, s; minus infinity before."""
         return self._measured_s
 
-    def measured(self) -> Observation:
+    def measured(self, most: int | None = None) -> Observation:
         """Evidence as of that frame, on the drivers that were present shortly before it.
 
         It stays the same until motion is measured again.
+
+        Args:
+            most: how many drivers; None for all. The scene's numbers are the same for each.
         """
         if self._frozen is None:
             return self._with_evidence(np.empty(0, dtype=np.int64), np.empty(0), self.scene())
-        return self._with_evidence(*self._frozen)
+        ids, seconds, scene = self._frozen
+        return self._with_evidence(ids[:most], seconds[:most], scene)
 
     def _with_evidence(self, ids: IntArray, seconds: FloatArray, scene: FloatArray) -> Observation:
         known = np.nan_to_num(scene, nan=UNKNOWN_SCENE)
