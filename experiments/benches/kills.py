@@ -46,8 +46,8 @@ ENDED: Final[dict[int, tuple[int, ...]]] = {
 LATEST: Final = 1.1
 """Signals come until this many times the time that the undisturbed command took."""
 
-LONGEST_S: Final = 120.0
-"""Longest time for a command (our choice: they take seconds)."""
+LONGEST_S: Final = 600.0
+"""Longest time for a command (our choice: they take seconds, minutes while kernels compile)."""
 
 COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "generate": (
