@@ -15,6 +15,7 @@ import mmap
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -181,7 +182,7 @@ def _add_group(
     return pages
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Footer:
     """The end of a Parquet file, from which its row groups can be read one by one.
 
@@ -202,6 +203,17 @@ class Footer:
     groups: list[dict[int, Any]]
     schema: list[dict[int, Any]]
     metadata: dict[bytes, bytes]
+
+    @property
+    def begin(self) -> int:
+        """Where in the file it begins."""
+        return self.size - len(self.content)
+
+    @cached_property
+    def arrow(self) -> pq.FileMetaData:
+        """The same as Arrow reads it; done once, since a shard has thousands of row groups."""
+        with pa.PythonFile(_Parts(self.size, [(self.begin, self.content)]), mode="r") as source:
+            return pq.read_metadata(source)
 
 
 def read_footer(path: Path, size: int, read: Callable[[int, int], bytes]) -> Footer:
@@ -301,14 +313,17 @@ def opened_group(
             raise InputError(f"{path}: found {len(footer.groups)} row groups, expected {number}")
         group = footer.groups[number]
         columns = _columns(footer.schema)
-        first, end = _extent(group, footer.size - len(footer.content))
+        first, end = _extent(group, footer.begin)
         data = read(first, end)
         _require(len(data) == end - first, "a row group lies outside of the file")
         _add_group(_Shifted(data, first), end, columns, group)
         layout = Layout(group[3], tuple(columns))
-        parts = [(first, data), (footer.size - len(footer.content), footer.content)]
+        parts = [(first, data), (footer.begin, footer.content)]
         with pa.PythonFile(_Parts(footer.size, parts), mode="r") as source:
-            yield layout, pq.ParquetFile(source, page_checksum_verification=True)
+            yield (
+                layout,
+                pq.ParquetFile(source, metadata=footer.arrow, page_checksum_verification=True),
+            )
     except (InputError, FileNotFoundError):
         raise
     except (ThriftError, TypeError, KeyError, IndexError, AttributeError) as error:
