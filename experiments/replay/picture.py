@@ -26,8 +26,7 @@ FINE: Final = 2
 """By what factor the image is drawn larger before it is reduced."""
 
 LONG: Final = 4.0
-"""A scene whose sides have a larger ratio is turned until it lies, and folded into rows (our
-choice)."""
+"""A scene whose sides have a larger ratio is turned until it lies, and folded into rows."""
 
 HEAD_PX, FOOT_PX, GAP_PX = 44, 46, 8
 """Height of the title, height of the legend, distance between rows, pixels."""
@@ -54,6 +53,10 @@ LAMPS: Final = {Signal.RED: 4, Signal.YELLOW: 3, Signal.GREEN: 24}
 
 EVENT_S: Final = 1.5
 """How long a collision stays marked, s."""
+
+
+SCALE_PX: Final = 110
+"""Longest bar of a scale, pixels (our choice)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,17 @@ def lay_out(
     return panels
 
 
+def round_below(length: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a length.
+
+    Examples:
+        >>> [round_below(length) for length in (0.3, 7.0, 10.0, 49.0)]
+        [0.2, 5.0, 10.0, 20.0]
+    """
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(n * power for n in (1, 2, 5) if n * power <= length))
+
+
 def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of what a picture shows: the road; of a junction, where its traffic is."""
     places = scene.tracks.as_rows().xy
@@ -150,8 +164,7 @@ class Painter:
         mode: what agents are coloured by: true, predicted, confidence, speed or w.
         width: width of the image, pixels.
         height: height of the image, pixels.
-        words: whether title, time and legend are drawn; False for pictures that are shrunk, where
-            nobody could read them.
+        words: whether title, time and legend are drawn; in shrunk pictures nobody can read them.
     """
 
     def __init__(
@@ -197,7 +210,18 @@ class Painter:
             clock, font = f"{time_s:.1f} s", _font(15 * FINE)
             pen = ImageDraw.Draw(image)
             pen.text((self.width - 16 * FINE, HEAD_PX * FINE / 2), clock, INK, font, anchor="rm")
+            self._draw_scale(pen)
         return image.reduce(FINE)
+
+    def _draw_scale(self, pen: ImageDraw.ImageDraw) -> None:
+        """A bar of a round length in the lowest panel, which says how large things are."""
+        panel, unit = self.panels[-1], self.scene.unit
+        length = round_below(SCALE_PX * FINE / panel.scale)
+        x, y, tick = 16 * FINE, round(panel.box[3]) - 12 * FINE, 5 * FINE
+        end = x + length * panel.scale
+        pen.line([(x, y - tick), (x, y), (end, y), (end, y - tick)], INK, FINE)
+        middle = ((x + end) / 2, y - 4 * FINE)
+        pen.text(middle, f"{length:g} {unit}", INK, _font(12 * FINE), anchor="ms")
 
     def _draw_background(self) -> Image.Image:
         image = Image.new("RGB", (self.width, self.height), PAPER)
@@ -256,10 +280,7 @@ class Painter:
         return [*((ramp_color(x), word) for x, word in steps), (UNKNOWN_COLOR, "not known")]
 
     def _present(self, time_s: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """Rows, positions, headings and speeds of the agents that are present at a time.
-
-        Between two frames, agents are on the straight line between their positions in both.
-        """
+        """Rows, positions, headings and speeds at a time; between frames agents move straight."""
         tracks = self.scene.tracks
         step = max(int(np.searchsorted(tracks.time_s, time_s + 1e-6)) - 1, 0)
         after = min(step + 1, tracks.time_s.size - 1)
@@ -452,10 +473,7 @@ def _draw_road(
 
 
 def _draw_lamp(pen: ImageDraw.ImageDraw, ends: FloatArray, size: float, state: Signal) -> None:
-    """Draw a signal's lamp behind the middle of its stop line.
-
-    Each colour has a shape of its own, so that nobody needs to see colours.
-    """
+    """Draw a signal's lamp behind its stop line; each colour has a shape of its own."""
     across = (ends[1] - ends[0]) / max(float(np.hypot(*(ends[1] - ends[0]))), 1e-9)
     middle = ends.mean(axis=0) + 1.7 * size * np.array([-across[1], across[0]])
     around = 1.35 * size

@@ -87,8 +87,8 @@ class ReplayScene:
 def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
     """The episode that is asked for; by default the first.
 
-    It is called by its id, the beginning of its id, its name (the recording, or the scenario and
-    the index), or its scenario, of which it is the first then.
+    It is called by its id, the beginning of its id, its name (the recording, with its folder or
+    without, or the scenario and the index), or its scenario, of which it is the first then.
 
     Raises:
         InputError: if there is none, or if several have that name or begin so.
@@ -100,6 +100,7 @@ def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
         return entries[0]
     found = [entry for entry in entries if entry.id.startswith(episode)]
     found = found or [entry for entry in entries if entry.name == episode]
+    found = found or [e for e in entries if e.name.rpartition("/")[2] == episode]
     found = found or [entry for entry in entries if entry.scenario == episode][:1]
     if len(found) != 1:
         nearest = found or sorted(entries, key=lambda entry: -_likeness(entry.name, episode))

@@ -257,6 +257,10 @@ def probabilities(table: pa.Table) -> NDArray[np.float64]:
     return np.stack(columns, axis=1).astype(np.float64)
 
 
+_HEADINGS: Final = {"true_known": "truth known", "right_at_end": "right"}
+"""What columns are called for people, where it differs from the key."""
+
+
 def episodes_table(rows: Sequence[Row]) -> list[Row]:
     """The episodes among the rows of `classify_dataset`, as a table for people."""
     shown = (
@@ -265,7 +269,7 @@ def episodes_table(rows: Sequence[Row]) -> list[Row]:
     )  # fmt: skip
     return [
         {
-            str(key): per_cent(float(row[key] or 0.0))
+            _HEADINGS.get(key, str(key)): per_cent(float(row[key] or 0.0))
             if key in ("foreign", "confidence")
             else row[key]
             for key in shown
@@ -316,9 +320,9 @@ def foreign_notice(rows: Sequence[Row]) -> str | None:
     styles = sum(int(row["style_told"] or 0) for row in totals) / drivers
     unknown = sum(int(row["unknown"] or 0) for row in totals) / drivers
     return (
-        f"{per_cent(1.0 - foreign / drivers)} at home: this traffic is not of the kind that the "
-        f"model was trained on; the style of {per_cent(styles)} of the drivers is told, "
-        f"{per_cent(unknown)} are unknown, and behaviours within a style are hardly told apart"
+        f"this traffic is {per_cent(foreign / drivers)} foreign to what the model was trained on: "
+        f"it tells the style of {per_cent(styles)} of the drivers, {per_cent(unknown)} are unknown "
+        "and behaviours of one style can hardly be told apart; graphrqi adapt helps"
     )
 
 

@@ -21,7 +21,14 @@ from experiments.replay.forecasts import read_forecasts
 from experiments.replay.graph_history import graph_history
 from experiments.replay.packing import differences
 from experiments.replay.page import write_page
-from experiments.replay.picture import Painter, lay_out, write_picture
+from experiments.replay.picture import (
+    FINE,
+    SCALE_PX,
+    Painter,
+    lay_out,
+    round_below,
+    write_picture,
+)
 from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.shown import shown_events, with_drawn_sizes
 from experiments.replay.video import write_video
@@ -207,12 +214,17 @@ def test_an_episode_is_found_by_its_beginning_or_refused(dataset):
 def test_an_episode_whose_name_several_have_is_refused_by_ids(dataset, tmp_path):
     opened = open_dataset(dataset)
     first, second = opened.manifest.episodes
-    twin = second.model_copy(update={"options": first.options})
+    twins = [
+        entry.model_copy(update={"options": {"recording": name}})
+        for entry, name in ((first, "north/tracks"), (second, "south/tracks"))
+    ]
     folder = tmp_path / "data"
     shutil.copytree(dataset, folder)
-    write_manifest(folder, {}, [first, twin])
+    write_manifest(folder, {}, twins)
+    opened = open_dataset(folder)
     with pytest.raises(InputError, match=f"found 2 episodes .*{first.id}.*{second.id}"):
-        chosen_entry(open_dataset(folder), first.name)
+        chosen_entry(opened, "tracks")
+    assert chosen_entry(opened, "south/tracks").id == second.id
 
 
 def test_the_names_nearest_to_a_wrong_one_come_first(dataset):
@@ -225,6 +237,17 @@ def test_a_page_of_many_episodes_says_which_is_shown(dataset, tmp_path, caplog):
     options = ReplayOptions(predictor="none")
     write_replay(dataset, tmp_path / "page.html", options, quiet=True)
     assert f"{dataset}: showing mapped, the first of 2 episodes" in caplog.text
+
+
+def test_the_picture_says_how_large_things_are(scene):
+    painter = Painter(scene, "true")
+    panel = painter.panels[-1]
+    bar = round_below(SCALE_PX * FINE / panel.scale) * panel.scale / FINE
+    row = np.asarray(painter.draw(8.0))[round(panel.box[3] / FINE) - 12]
+    dark = np.flatnonzero(row.astype(int).sum(axis=1) < 3 * 80)
+    dark = dark[dark < 16 + SCALE_PX + 2]
+    assert 0.6 * SCALE_PX / 2.5 < bar <= SCALE_PX
+    assert (dark[0], dark[-1]) == (pytest.approx(16, abs=1), pytest.approx(16 + bar, abs=2))
 
 
 def test_the_picture_shows_nobody_in_a_colour_that_is_not_earned(scene):
