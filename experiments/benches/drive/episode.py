@@ -15,6 +15,16 @@ from experiments.benches.drive.crowds import CROWDS, Crowd
 from experiments.benches.drive.policies import get_policy
 from scenarios.environments.environment import TrafficEnv
 from scenarios.environments.four_way_intersection import FourWayIntersectionEnv
+from scenarios.environments.roads import (
+    AllWayStopEnv,
+    MotorwayEnv,
+    MotorwayRampsEnv,
+    OwnRoadEnv,
+    PriorityIntersectionEnv,
+    RightBeforeLeftEnv,
+    RoundaboutEnv,
+    TwoWayRoadEnv,
+)
 from scenarios.environments.straight_road import StraightRoadEnv
 from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
@@ -47,41 +57,19 @@ METRICS: Final = (
 """What is measured of an episode; all are counts or shares but for the jerk and the minutes."""
 
 
-class _TwoWayRoadEnv(TrafficEnv):
-    """Drive 1200 m of two-way road with a lane each way."""
+class _CityEnv(OwnRoadEnv):
+    """Drive through a grid of streets, along a route of the traffic's."""
 
-    scenario_name = "two_way_road"
-
-    def _route(self) -> tuple[str, ...]:
-        return ("east_in", "east_out")
-
-
-class _PriorityEnv(FourWayIntersectionEnv):
-    """Cross an intersection where one road has priority."""
-
-    scenario_name = "priority_intersection"
-
-
-class _AllWayStopEnv(FourWayIntersectionEnv):
-    """Cross an intersection with a stop sign on every arm."""
-
-    scenario_name = "all_way_stop"
-
-
-class _RightBeforeLeftEnv(FourWayIntersectionEnv):
-    """Cross an intersection where who comes from the right goes first."""
-
-    scenario_name = "right_before_left"
+    scenario_name = "city"
 
 
 ROADS: Final[dict[str, type[TrafficEnv]]] = {
-    "straight_road": StraightRoadEnv,
-    "two_way_road": _TwoWayRoadEnv,
-    "four_way_intersection": FourWayIntersectionEnv,
-    "priority_intersection": _PriorityEnv,
-    "all_way_stop": _AllWayStopEnv,
-    "right_before_left": _RightBeforeLeftEnv,
-}
+    made.scenario_name: made
+    for made in (
+        StraightRoadEnv, TwoWayRoadEnv, FourWayIntersectionEnv, PriorityIntersectionEnv,
+        AllWayStopEnv, RightBeforeLeftEnv, MotorwayEnv, MotorwayRampsEnv, RoundaboutEnv, _CityEnv,
+    )
+}  # fmt: skip
 """The environment of each scenario."""
 
 
