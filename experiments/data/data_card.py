@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.notices import LOGGER
+from experiments.data.cards.croissant import CROISSANT, CROISSANT_HEAD, croissant
+from experiments.data.cards.hub import HEAD, PRETTY_NAME, card_head
 from sim.frames import KINDS
 from sim.store.catalogue import is_dataset
 from sim.store.dataset import Dataset, open_dataset
@@ -19,8 +22,8 @@ from sim.store.schema import Split
 DATA_CARD: Final = "README.md"
 """Name of the card in a dataset's folder."""
 
-_TITLE: Final = "# Traffic episodes with labelled driver behaviour"
-"""First line of every card."""
+_TITLE: Final = f"# {PRETTY_NAME}"
+"""First line of every card, below its head."""
 
 LIMITS: Final = (
     "Labels are what each driver was drawn to be. What a driver had the chance to show in the"
@@ -32,44 +35,61 @@ LIMITS: Final = (
 """What everyone who uses the data should know."""
 
 
-def write_data_card(path: Path, edited: bool = False) -> None:
-    """Write the card of a dataset beside its data.
+def _cards(dataset: Dataset) -> Iterator[tuple[str, bytes]]:
+    """Everything that describes a dataset beside its data, by name."""
+    yield CROISSANT, croissant(dataset)
+    yield DATA_CARD, data_card(dataset).encode()
+
+
+def write_data_card(path: Path, edited: Collection[str] = ()) -> None:
+    """Write the card of a dataset and its Croissant description beside its data.
 
     Args:
         path: the dataset, a folder or a URL.
-        edited: whether somebody has changed the card that is there; it is kept, and a line on
-            the log says so.
+        edited: names of those that somebody has changed; they are kept, and a line on the log says
+            so.
 
     Raises:
-        OSError: if it cannot be written.
+        OSError: if one cannot be written.
     """
-    if edited:
-        LOGGER.warning("%s: kept, since it was edited", path / DATA_CARD)
-        return
-    place_of(path).write(DATA_CARD, data_card(open_dataset(path)).encode())
+    for name, content in _cards(open_dataset(path)):
+        if name in edited:
+            LOGGER.warning("%s: kept, since it was edited", path / name)
+        else:
+            place_of(path).write(name, content)
 
 
-def is_data_card(path: Path) -> bool:
-    """Whether a file begins as the cards of datasets do."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(_TITLE)) == _TITLE.encode()
+def cards_in(folder: Path) -> set[str]:
+    """Names of the files in a folder that begin as cards and descriptions of datasets do."""
+    found = set()
+    for name, begins in ((DATA_CARD, (HEAD, _TITLE)), (CROISSANT, (CROISSANT_HEAD,))):
+        if (folder / name).is_file():
+            with (folder / name).open("rb") as file:
+                head = file.read(max(map(len, begins))).decode(errors="replace")
+            if head.startswith(begins):
+                found.add(name)
+    return found
 
 
-def card_was_edited(path: Path) -> bool:
-    """Whether a dataset's card is not the one that its catalogue gives."""
+def edited_cards(path: Path) -> frozenset[str]:
+    """Names of what describes a dataset, but not as its catalogue says."""
     place = place_of(path)
-    if isinstance(place, Folder):
-        card = place.path / DATA_CARD
-        if card.exists() and not card.is_file():
-            return is_dataset(path)
-    if place.size(DATA_CARD) is None or not is_dataset(path):
-        return False
+    if not is_dataset(path):
+        return frozenset()
+    found = set()
+    for name in (CROISSANT, DATA_CARD):
+        if isinstance(place, Folder):
+            card = place.path / name
+            if card.exists() and not card.is_file():
+                found.add(name)
+    names = [n for n in (CROISSANT, DATA_CARD) if n not in found and place.size(n) is not None]
     try:
-        return place.read(DATA_CARD) != data_card(open_dataset(path)).encode()
+        for name, content in _cards(open_dataset(path)) if names else ():
+            if name in names and place.read(name) != content:
+                found.add(name)
     except (InputError, OSError):  # an episode is damaged: no card to compare
-        return False
+        return frozenset(found)
+    return frozenset(found)
 
 
 BRANCHED: Final = (
@@ -128,7 +148,7 @@ def data_card(dataset: Dataset) -> str:
     splits: tuple[Split, ...] = ("train", "validation", "test")
     names = dataset.scenarios
     kinds = [k for k in KINDS if any(counts[n][k] for n in names)]
-    return "\n".join(
+    return card_head(dataset) + "\n".join(
         [
             _TITLE,
             "",

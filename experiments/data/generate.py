@@ -22,8 +22,9 @@ from typing import Final
 from behaviors.errors import InputError
 from experiments.console.exit_codes import Interrupted
 from experiments.console.progress import Progress
+from experiments.data.cards.croissant import CROISSANT
 from experiments.data.cluster import make_on_cluster
-from experiments.data.data_card import DATA_CARD, card_was_edited, is_data_card, write_data_card
+from experiments.data.data_card import DATA_CARD, cards_in, edited_cards, write_data_card
 from experiments.data.episode import make_episode
 from experiments.data.processes import make_in_processes
 from experiments.data.shards.plan import (
@@ -81,13 +82,13 @@ def check_unfinished(
     place = place or Folder(folder)
     if folder.is_dir():
         # Where only the catalogue is gone there is a card, which is written anew.
-        ours = _OURS | {DATA_CARD} if is_data_card(folder / DATA_CARD) else _OURS
+        ours = _OURS | cards_in(folder)
         for path in folder.iterdir():
             if path.name not in ours and not path.name.startswith((PARTIAL_PREFIX, LOCK)):
                 raise InputError(f"{folder}: found {path.name} in it, expected an empty folder")
     elif not isinstance(place, Folder):
         for name in place.files():
-            if name.partition("/")[0] not in (_OURS | {DATA_CARD}):
+            if name.partition("/")[0] not in (_OURS | {DATA_CARD, CROISSANT}):
                 raise InputError(f"{place.url}: found {name} in it, expected an empty folder")
     sealed = (entry for shard in shards_in(place) for entry in shard.entries)
     for entry in itertools.chain(unlisted_episodes(folder), sealed):
@@ -294,7 +295,7 @@ def generate(
     with staged(out) as folder, sole_writer(folder), stoppable(folder, wanted, out):
         place = place_of(out)
         check_same(place, folder, config)
-        edited = card_was_edited(out)
+        edited = edited_cards(out)
         clear_partial(folder)
         run = Generation(config, out, folder, jobs, cluster, quiet)
         there = whole_shards(place, listed_files(place))

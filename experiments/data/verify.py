@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
+from experiments.data.cards.croissant import CROISSANT
 from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import DATA_CARD
 from experiments.data.generate import generate
@@ -35,7 +36,7 @@ from sim.store.writing import made_with
 
 State = Literal["missing", "altered", "foreign"]
 
-_OURS: Final = frozenset({EPISODES, MANIFEST, LOCK, DATA_CARD})
+_OURS: Final = frozenset({EPISODES, MANIFEST, LOCK, DATA_CARD, CROISSANT})
 """Files of a dataset that no episode owns."""
 
 _FOLDERS: Final = ("episodes", "roads", *TABLES)
@@ -255,7 +256,7 @@ def _folder_beside(folder: Path) -> Path:
 @contextmanager
 def _as_it_was(folder: Path) -> Iterator[None]:
     """Put manifest and data card back if the block fails: they say how the dataset should be."""
-    paths = [folder / EPISODES, folder / MANIFEST, folder / DATA_CARD]
+    paths = [folder / name for name in (EPISODES, MANIFEST, DATA_CARD, CROISSANT)]
     before = {path: path.read_bytes() for path in paths if path.is_file()}
     waiting = folder / "episodes"
     there = set(waiting.iterdir()) if waiting.is_dir() else set()

@@ -20,7 +20,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Behavior
 from experiments.console.progress import Progress
 from experiments.data.configuration import GenerateConfig
-from experiments.data.data_card import card_was_edited, write_data_card
+from experiments.data.data_card import edited_cards, write_data_card
 from experiments.data.episode import Task
 from experiments.data.generate import check_unfinished, stoppable
 from experiments.data.shards.plan import meta_of
@@ -153,7 +153,7 @@ def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
                 "made_with": dict(made_with(config.episode.engine)),
             }
             _check_same(folder, configuration, plan)
-            edited = card_was_edited(folder)
+            edited = edited_cards(folder)
             for partial in (folder, folder / "episodes", folder / "roads"):
                 remove_partial(partial)
             entries = _make(config, folder, plan, scenario, trunk, quiet)

@@ -23,7 +23,8 @@ FILLING: Final = "filling a new folder"
 """The purpose of runs that begin anew when they are killed."""
 
 OWN: Final = frozenset(
-    {"episodes", "roads", "manifest.json", "episodes.parquet", "README.md", *TABLES}
+    {"episodes", "roads", "manifest.json", "episodes.parquet", "README.md", "croissant.json"}
+    | set(TABLES)
 )
 """What a run writes into a dataset's folder."""
 

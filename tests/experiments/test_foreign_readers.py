@@ -7,19 +7,28 @@ Apache 2.0). Only these tests read pickles, and only those just written.
 
 from __future__ import annotations
 
+import ast
+import os
 import pickle
+import subprocess
+import sys
 import warnings
+from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import numpy as np
+import polars
+import pyarrow.dataset
 import pytest
 
 from behaviors.errors import InputError
 from experiments.data.configuration import GenerateConfig
 from experiments.data.exchange import export_dataset
 from experiments.data.generate import generate
+from experiments.data.verify import find_flaws
 from sim.store.dataset import open_dataset
 
 
@@ -34,7 +43,7 @@ def _no_warning():
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("read") / "data"
     config = GenerateConfig(
-        scenarios=("straight_road", "four_way_intersection"), episodes=2, seed=6, duration_s=32.0
+        scenarios=("straight_road", "four_way_intersection"), episodes=3, seed=6, duration_s=32.0
     )
     generate(config, folder, jobs=1, quiet=True)
     return folder
@@ -109,7 +118,7 @@ def test_metadrive_reads_scenarionet_exports(data: Path, tmp_path: Path) -> None
     assert {path.name for path in written} == files
     assert {p.name for p in (tmp_path / "out").iterdir()} == files | {".graphrqi-export"}
     dataset = open_dataset(data)
-    assert len(names) == len(dataset.episodes()) == 4
+    assert len(names) == len(dataset.episodes()) == 6
     for name in names:
         scenario = pickle.loads((tmp_path / "out" / mapping[name] / name).read_bytes())
         sanity_check(scenario)
@@ -145,3 +154,104 @@ def test_two_datasets_are_not_mixed(data: Path, tmp_path: Path, form: str) -> No
     with pytest.raises(InputError, match="that does not come from this dataset"):
         export_dataset(other, out, form, quiet=True)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == content
+
+
+# --- datasets as they are -----------------------------------------------------------------------
+
+
+HUB = """
+import sys, warnings
+warnings.simplefilter("error")
+import datasets
+folder, cache, rows = sys.argv[1], sys.argv[2], {}
+for name in datasets.get_dataset_config_names(folder):
+    found = datasets.load_dataset(folder, name, cache_dir=cache)
+    rows[name] = {split: part.num_rows for split, part in found.items()}
+default = datasets.load_dataset(folder, split="test", cache_dir=cache)
+rows["default"] = default.column_names
+print(rows)
+"""
+
+
+def test_the_hub_library_loads_a_folder(data: Path, tmp_path: Path) -> None:
+    """Offline, and in a process of its own, where every warning is an error."""
+    offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": str(tmp_path / "home")}
+    run = subprocess.run(
+        [sys.executable, "-c", HUB, str(data), str(tmp_path / "cache")],
+        env={**os.environ, **offline}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-3000:]
+    found = ast.literal_eval(run.stdout.strip().splitlines()[-1])
+    dataset = open_dataset(data)
+    steps = Counter[str]()
+    for entry in dataset.episodes():
+        steps[entry.split] += entry.agent_steps
+    assert found["steps"] == steps
+    assert found["episodes"] == {"catalogue": len(dataset.episodes())}
+    assert found["default"][:3] == ["episode", "agent", "step"]
+    for table in ("agents", "frames", "signals", "events", "traits"):
+        counts = {s: dataset.scan(table, split=s).count_rows() for s in steps}
+        assert found.get(table, {}) == {split: n for split, n in counts.items() if n}
+
+
+def test_mlcroissant_validates_and_reads_the_description(data: Path) -> None:
+    # Its own code uses what pandas is going to remove.
+    warnings.simplefilter("ignore")
+    import mlcroissant
+
+    described = mlcroissant.Dataset(jsonld=str(data / "croissant.json"))
+    issues = described.metadata.ctx.issues
+    assert (set(issues.errors), set(issues.warnings)) == (set(), set())
+    dataset = open_dataset(data)
+    episodes = {row["episodes/id"].decode() for row in described.records("episodes")}
+    assert episodes == {entry.id for entry in dataset.episodes()}
+    drawn = Counter(
+        (row["agents/scenario"].decode(), row["agents/split"].decode())
+        for row in described.records("agents")
+    )
+    for (scenario, split), count in drawn.items():
+        assert dataset.scan("agents", split=split, scenario=scenario).count_rows() == count
+    assert sum(drawn.values()) == dataset.scan("agents").count_rows()
+
+
+def test_descriptions_of_equal_datasets_are_equal_and_edited_ones_stay(tmp_path, caplog) -> None:
+    def made(folder: Path, episodes: int) -> Path:
+        config = GenerateConfig(
+            scenarios=("straight_road",), episodes=episodes, seed=8, duration_s=6.0
+        )
+        generate(config, folder, jobs=1, quiet=True)
+        return folder
+
+    one, two = made(tmp_path / "a", 3), made(tmp_path / "elsewhere" / "b", 3)
+    for name in ("croissant.json", "README.md"):
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+    mine = (one / "croissant.json").read_text().replace('"unknown"', '"CC-BY-4.0"')
+    (one / "croissant.json").write_text(mine)
+    made(one, 4)
+    assert (one / "croissant.json").read_text() == mine
+    assert "croissant.json: kept, since it was edited" in caplog.text
+    assert (one / "README.md").read_bytes() != (two / "README.md").read_bytes()
+    assert find_flaws(open_dataset(one)) == []
+
+
+def test_duckdb_polars_and_pyarrow_read_the_shards(data: Path) -> None:
+    steps = sum(entry.agent_steps for entry in open_dataset(data).episodes())
+    shards = f"{data}/steps/*/*/*.parquet"
+    assert polars.scan_parquet(shards).select(polars.len()).collect().item() == steps
+    counted = duckdb.sql(f"SELECT count(*) FROM '{shards}' WHERE split IS NOT NULL").fetchone()
+    assert counted == (steps,)
+    scanned = pyarrow.dataset.dataset(data / "steps", partitioning="hive")
+    assert scanned.count_rows() == steps
+    assert {"scenario", "split"} <= set(scanned.schema.names)
+
+
+def test_av2_reads_the_exported_scenarios(data: Path, tmp_path: Path) -> None:
+    loader = pytest.importorskip("av2.datasets.motion_forecasting.scenario_serialization")
+    from av2.map.map_api import ArgoverseStaticMap
+
+    for folder in export_dataset(data, tmp_path / "out", "argoverse2", quiet=True):
+        (file,) = folder.glob("scenario_*.parquet")
+        scenario = loader.load_argoverse_scenario_parquet(file)
+        assert len(scenario.timestamps_ns) == 110
+        (archive,) = folder.glob("log_map_archive_*.json")
+        assert ArgoverseStaticMap.from_json(archive).vector_lane_segments

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from behaviors.errors import InputError
 from experiments.data.configuration import GenerateConfig
-from experiments.data.data_card import card_was_edited, write_data_card
+from experiments.data.data_card import edited_cards, write_data_card
 from experiments.data.generate import (
     PLAN,
     Generation,
@@ -203,7 +203,7 @@ def merge(out: Path, quiet: bool = False) -> Manifest:
     config = config_of(place.url, plan.configuration)
     with staged(out) as folder, sole_writer(folder):
         clear_partial(folder)
-        edited = card_was_edited(out)
+        edited = edited_cards(out)
         run = Generation(config, out, folder, 1, None, quiet)
         shards = whole_shards(place, listed_files(place), hashed=False)
         known = run.known(shards)
