@@ -238,7 +238,7 @@ def test_duckdb_polars_and_pyarrow_read_the_shards(data: Path) -> None:
     steps = sum(entry.agent_steps for entry in open_dataset(data).episodes())
     shards = f"{data}/steps/*/*/*.parquet"
     assert polars.scan_parquet(shards).select(polars.len()).collect().item() == steps
-    counted = duckdb.sql(f"SELECT count(*) FROM '{shards}' WHERE split IS NOT NULL").fetchone()
+    counted = duckdb.sql(f"SELECT count(*) FROM '{shards}' WHERE split IS NOT NULL").fetchall()[0]
     assert counted == (steps,)
     scanned = pyarrow.dataset.dataset(data / "steps", partitioning="hive")
     assert scanned.count_rows() == steps
