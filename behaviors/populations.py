@@ -1,8 +1,8 @@
 """Populations of drivers as data: correlated car-following numbers, read from TOML.
 
 A population is a log-normal distribution of the numbers that recordings can tell. Files are written
-by ``graphrqi calibrate``; those that ship are named in ``SHIPPED``. Drivers of a population keep
-their behaviours: behaviours differ in where in the population their drivers lie.
+by ``graphrqi calibrate``. Drivers of a population keep their behaviours: behaviours differ in where
+in the population their drivers lie.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.profiles import PROFILES, Profile
 
@@ -36,11 +36,6 @@ REBASED: Final = NUMBERS[1:]
 keep their behaviour's multiple of the limit."""
 
 SCHEMA_VERSION: Final = 1
-
-FOLDER: Final = Path(__file__).parent / "data"
-
-SHIPPED: Final = tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
-"""Names of the populations that ship."""
 
 BEHAVIOR_SHARE: Final = 0.7
 """Share of a population's variance that lies between the six behaviours, the rest within them (our
@@ -103,7 +98,10 @@ class Population:
         """(count, 5) numbers of drivers.
 
         Examples:
-            >>> people = read_population("i80")
+            >>> people = Population(
+            ...     "road", "an example", "idm", 60, np.array([30.0, 1.3, 2.5, 1.2, 2.0]),
+            ...     np.full(5, 0.3), np.eye(5),
+            ... )
             >>> people.draw(np.random.default_rng(0), 4).shape
             (4, 5)
         """
@@ -182,23 +180,15 @@ _PLACES: Final = _places()
 
 
 def read_population(source: str | Path) -> Population:
-    """A population that ships, or one in a file.
+    """The population in a file.
 
     Args:
-        source: a name in ``SHIPPED``, or the path of a TOML file.
+        source: the path of a TOML file, as ``graphrqi calibrate`` writes it.
 
     Raises:
         InputError: if there is none, or the file is broken; the message names file and field.
-
-    Examples:
-        >>> read_population("i80").law
-        'idm'
     """
     path = Path(source)
-    if str(source) in SHIPPED:
-        path = FOLDER / f"{source}.toml"
-    elif path.suffix != ".toml" and not path.exists():
-        lookup(dict.fromkeys(SHIPPED), str(source), "population")
     if not path.is_file():
         raise InputError(f"{path}: found no file, expected a population's TOML")
     try:
