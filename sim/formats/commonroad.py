@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import (
@@ -28,10 +30,12 @@ from sim.formats.common.recording import (
     default_size,
     kind_codes,
 )
+from sim.formats.common.state_runs import RUN, StateRuns
 from sim.frames import AgentKind, Tracks
 from sim.road import Road
 from sim.road.maps.commonroad import ROOT, real, road_of
-from sim.xml_tree import read_tree, whole_number
+from sim.road.maps.lanelets import MAX_COORDINATE_M
+from sim.xml_tree import read_tree, whole_number, without_collection
 
 VERSIONS: Final = ("2017a", "2018a", "2018b", "2020a")
 IN_SECONDS: Final = frozenset({"2017a", "2018a"})
@@ -69,7 +73,15 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken, or has no obstacle; names the file and the element.
     """
-    root = read_tree(path)
+    with without_collection():
+        recording = _recording(path)
+    yield recording
+
+
+def _recording(path: Path) -> Recording:
+    """What is in the file; its tree is gone when this returns."""
+    runs = StateRuns(MAX_COORDINATE_M)
+    root = read_tree(path, runs.cut)
     if root.tag != ROOT:
         raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
     version = root.get("commonRoadVersion", "")
@@ -81,7 +93,7 @@ def read(path: Path) -> Iterator[Recording]:
     step_s = real(path, root.get("timeStepSize"), "timeStepSize")
     if step_s <= 0:
         raise InputError(f"{path}: timeStepSize: found {step_s:g}, expected more than 0")
-    found = _Obstacles(path, 1.0 if version in IN_SECONDS else step_s)
+    found = _Obstacles(path, 1.0 if version in IN_SECONDS else step_s, runs)
     for element in root:
         if element.tag in OBSTACLES:
             found.add(element)
@@ -92,7 +104,7 @@ def read(path: Path) -> Iterator[Recording]:
         tracks = _lit(tracks, road)
         if road.knows.unknown:
             notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
-    yield Recording(name, tracks, tuple(notes), road)
+    return Recording(name, tracks, tuple(notes), road)
 
 
 def _lit(tracks: Tracks, road: Road) -> Tracks:
@@ -109,14 +121,15 @@ def _lit(tracks: Tracks, road: Road) -> Tracks:
 class _Obstacles:
     """Gathers the states of the obstacles."""
 
-    def __init__(self, path: Path, unit_s: float) -> None:
+    def __init__(self, path: Path, unit_s: float, runs: StateRuns) -> None:
         self.path = path
+        self.runs = runs
         self.unit_s = unit_s
         self.names: dict[str, None] = {}
         self.kinds: list[AgentKind] = []
         self.sizes: list[tuple[float, float]] = []
         self.agent: list[int] = []
-        self.rows: list[tuple[float, float, float, float, float]] = []  # time, x, y, heading, speed
+        self.tables: list[NDArray[np.float64]] = []  # time, x, y, heading, speed
         self.standing: list[tuple[int, tuple[float, float, float, float, float]]] = []
         self.left_out: set[str] = set()
         self.unsized = 0
@@ -137,7 +150,8 @@ class _Obstacles:
         self.kinds.append(kind)
         self.sizes.append(self._size(element, kind, what))
         initial = element.find("initialState")
-        states = element.findall("trajectory/state")
+        states = element.findall("trajectory/*")
+        states = [state for state in states if state.tag in ("state", RUN)]
         role = (element.findtext("role") or "").strip()
         if not states and initial is not None and "static" in (role, element.tag[:6]):
             row = self._row(initial, what)
@@ -147,11 +161,22 @@ class _Obstacles:
             states = [initial, *states]
         if not states:
             raise InputError(f"{self.path}: {what}: found no state, expected a trajectory")
-        for state in states:
-            self.rows.append(self._row(state, what))
-        self.agent += [index] * len(states)
-        if len(self.rows) > MAX_ROWS:
+        for whole, part in groupby(states, key=lambda state: state.tag == RUN):
+            if whole:
+                tables = [self._run(run) for run in part]
+            else:
+                tables = [np.array([self._row(state, what) for state in part])]
+            self.tables += tables
+            self.agent += [index] * sum(map(len, tables))
+        if len(self.agent) > MAX_ROWS:
             raise InputError(f"{self.path}: found more than {MAX_ROWS} states")
+
+    def _run(self, element: Element) -> NDArray[np.float64]:
+        """(k, 5) the states of a run, each as `_row` has it."""
+        table = self.runs.tables[whole_number(self.path, element, "number")]
+        table[:, 0] = [round(time * self.unit_s, DECIMALS) for time in table[:, 0].tolist()]
+        table[:, 4] = np.where(table[:, 4] < 0, -table[:, 4], table[:, 4])
+        return table
 
     def _row(self, state: Element, what: str) -> tuple[float, float, float, float, float]:
         """Time, x, y, heading and speed of a state; NaN for a heading or speed that it lacks."""
@@ -210,7 +235,7 @@ class _Obstacles:
 
     def tracks(self) -> tuple[Tracks, list[str]]:
         """Everything as tracks, and what had to be assumed."""
-        table = np.array(self.rows, dtype=np.float64).reshape(-1, 5)
+        table = np.concatenate([np.zeros((0, 5)), *self.tables])
         agent = np.array(self.agent, dtype=np.int64)
         if self.standing:
             times = np.unique(table[:, 0]) if len(table) else np.zeros(1)

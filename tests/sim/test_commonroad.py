@@ -15,6 +15,7 @@ from experiments.benches.hostile.scenes import COMMONROAD
 from experiments.data.exchange import import_recordings
 from sim.formats import read_recordings, recognise
 from sim.formats.common.recording import Recording
+from sim.formats.common.state_runs import StateRuns
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
 from sim.road.files import read_road_file
@@ -180,3 +181,61 @@ def test_real_scenarios(place: str) -> None:
         at = road.project(tracks.xy[tracks.valid], tracks.heading[tracks.valid])
         width = np.array([lane.width_m for lane in road.lanes])[at.lane]
         assert np.mean(np.abs(at.offset) < width / 2) > 0.9
+
+
+def states(count: int) -> str:
+    """A trajectory of so many states, the last of which drives backwards."""
+    form = (
+        "\n  <state>\n    <position><point>\n<x>{}</x> <y>-2.5e-1</y></point></position>\n"
+        "    <orientation><exact>0.1</exact></orientation>\n    <time><exact>{}</exact></time>\n"
+        "    <velocity><exact>{}</exact></velocity>\n"
+        "    <acceleration><exact>1</exact></acceleration>\n  </state>"
+    )
+    rows = [form.format(2 + k / 3, k + 1, 4.0 if k + 1 < count else -4.0) for k in range(count)]
+    return f"<trajectory>{''.join(rows)}\n</trajectory>"
+
+
+def with_states(trajectory: str) -> str:
+    start, end = COMMONROAD.index("<trajectory>"), COMMONROAD.index("</trajectory>")
+    return COMMONROAD[:start] + trajectory + COMMONROAD[end + len("</trajectory>") :]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("</state>\n  <state>", "</state>\n  <!-- here --><state>"),
+        ("</state>\n  <state>", "</state>\n\n  <state>"),
+        ("<exact>2<", "<exact> 2 <"),
+    ],
+)
+def test_runs_of_states_are_read_as_single_states_are(tmp_path: Path, old: str, new: str) -> None:
+    text = states(5)
+    runs = StateRuns(most=1e9)
+    assert b"<state>" not in runs.cut(with_states(text).encode())
+    assert [len(table) for table in runs.tables] == [5]
+    other = text.replace(old, new, 1)
+    assert other != text
+    data = with_states(other).encode()
+    assert StateRuns(most=1e9).cut(data) == data
+    one, two = (read(tmp_path, with_states(t)).tracks for t in (text, other))
+    assert one.time_s.tolist() == two.time_s.tolist()
+    assert one.speed[0].tolist() == [10.0, 4.0, 4.0, 4.0, 4.0, 4.0]
+    for name in ("xy", "heading", "speed"):
+        assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("<exact>3<", "<exact>3-4<", "obstacle 30 time: found '3-4'"),
+        ("<exact>3<", "<exact>1e300<", "obstacle 30 time: found 1e+300"),
+        ("\n</trajectory>", "&none;</trajectory>", "undefined entity"),
+        ("</state>\n  <state>", "</state>\f<state>", "not well-formed"),
+    ],
+)
+def test_a_broken_run_of_states_is_refused(tmp_path: Path, old: str, new: str, told: str) -> None:
+    text = states(5)
+    assert old in text
+    with pytest.raises(InputError, match=r"scene\.xml") as caught:
+        read(tmp_path, with_states(text.replace(old, new, 1)))
+    assert told in str(caught.value)

@@ -336,18 +336,19 @@ def _crossing_ids(path: Path, lanelets: list[Lanelet]) -> set[int]:
     lines = [_thinned(one.centerline) for one in lanelets]
     low = np.array([line.min(axis=0) for line in lines])
     high = np.array([line.max(axis=0) for line in lines])
+    count = np.array([len(line) - 1 for line in lines])
+    segments = _Segments.of(lines)
     compared, inside = 0, set[int]()
     for i, one in enumerate(lanelets[:-1]):
         rest = slice(i + 1, None)
         meets = ((low[rest] <= high[i]) & (high[rest] >= low[i])).all(axis=1)
-        for j in np.flatnonzero(meets) + i + 1:
-            compared += LEAST_MEETINGS + (len(lines[i]) - 1) * (len(lines[j]) - 1)
-            if compared > MAX_MEETINGS:
-                raise InputError(
-                    f"{path}: found more than {MAX_MEETINGS} pieces of lane that overlap"
-                )
-            if _cross(lines[i], lines[j]):
-                inside |= {one.id, lanelets[j].id}
+        others = np.flatnonzero(meets) + i + 1
+        compared += int((LEAST_MEETINGS + count[i] * count[others]).sum())
+        if compared > MAX_MEETINGS:
+            raise InputError(f"{path}: found more than {MAX_MEETINGS} pieces of lane that overlap")
+        crossed = segments.crossed(i, others)
+        if crossed:
+            inside |= {one.id, *(lanelets[j].id for j in crossed)}
     return inside
 
 
@@ -357,24 +358,61 @@ def _thinned(line: FloatArray) -> FloatArray:
     return line if step == 1 else np.concatenate([line[:-1:step], line[-1:]])
 
 
-def _cross(one: FloatArray, other: FloatArray) -> bool:
-    """Whether two lines meet, not just at their ends, at an angle."""
-    a, b = one[:-1, None], other[None, :-1]
-    step_a, step_b = np.diff(one, axis=0)[:, None], np.diff(other, axis=0)[None]
-    det = step_a[..., 0] * step_b[..., 1] - step_a[..., 1] * step_b[..., 0]
-    size = np.hypot(step_a[..., 0], step_a[..., 1]) * np.hypot(step_b[..., 0], step_b[..., 1])
-    askew = np.abs(det) > math.sin(CROSSING_RAD) * size
-    safe = np.where(askew, det, 1.0)
-    gap = b - a
-    t = (gap[..., 0] * step_b[..., 1] - gap[..., 1] * step_b[..., 0]) / safe
-    u = (gap[..., 0] * step_a[..., 1] - gap[..., 1] * step_a[..., 0]) / safe
-    hit = askew & (t >= 0) & (t <= 1) & (u >= 0) & (u <= 1)
-    if not hit.any():
-        return False
-    i, j = (int(k[0]) for k in np.nonzero(hit))
-    point = one[i] + t[i, j] * (one[i + 1] - one[i])
-    ends = np.stack([one[0], one[-1], other[0], other[-1]])
-    return bool(np.hypot(*(ends - point).T).min() > END_M)
+@dataclass(frozen=True, slots=True)
+class _Segments:
+    """The segments of many lines, one line's after the other's.
+
+    Attributes:
+        lines: (P, 2) points of each, m.
+        first: (n + 1,) index of each line's first segment.
+        start: (S, 2) where each segment begins, m.
+        step: (S, 2) from there to its end, m.
+        size: (S,) its length, m.
+    """
+
+    lines: list[FloatArray]
+    first: NDArray[np.int64]
+    start: FloatArray
+    step: FloatArray
+    size: FloatArray
+
+    @classmethod
+    def of(cls, lines: list[FloatArray]) -> _Segments:
+        """Those of these lines."""
+        first = np.cumsum([0, *(len(line) - 1 for line in lines)])
+        step = np.concatenate([np.diff(line, axis=0) for line in lines])
+        start = np.concatenate([line[:-1] for line in lines])
+        return cls(lines, first, start, step, np.hypot(step[:, 0], step[:, 1]))
+
+    def crossed(self, i: int, others: NDArray[np.int64]) -> list[int]:
+        """Which of the others the line meets, not just at their ends, at an angle."""
+        if not others.size:
+            return []
+        first = self.first
+        mine = slice(first[i], first[i + 1])
+        theirs = np.concatenate([np.arange(first[j], first[j + 1]) for j in others])
+        (ax, ay), (bx, by) = self.step[mine].T[..., None], self.step[theirs].T[:, None]
+        det = ax * by - ay * bx
+        size = self.size[mine, None] * self.size[theirs]
+        askew = np.abs(det) > math.sin(CROSSING_RAD) * size
+        safe = np.where(askew, det, 1.0)
+        gap_x, gap_y = self.start[theirs].T[:, None] - self.start[mine].T[..., None]
+        t = (gap_x * by - gap_y * bx) / safe
+        u = (gap_x * ay - gap_y * ax) / safe
+        hit = askew & (t >= 0) & (t <= 1) & (u >= 0) & (u <= 1)
+        if not hit.any():
+            return []
+        line, found = self.lines[i], list[int]()
+        ends = np.cumsum(first[others + 1] - first[others])
+        for j in np.unique(np.searchsorted(ends, np.flatnonzero(hit.any(axis=0)), side="right")):
+            begin = ends[j - 1] if j else 0
+            k, column = (int(at[0]) for at in np.nonzero(hit[:, begin : ends[j]]))
+            point = line[k] + t[k, begin + column] * (line[k + 1] - line[k])
+            other = self.lines[others[j]]
+            corners = np.stack([line[0], line[-1], other[0], other[-1]])
+            if np.hypot(*(corners - point).T).min() > END_M:
+                found.append(int(others[j]))
+        return found
 
 
 END_M: Final = 1.0
