@@ -239,3 +239,10 @@ def test_a_broken_run_of_states_is_refused(tmp_path: Path, old: str, new: str, t
     with pytest.raises(InputError, match=r"scene\.xml") as caught:
         read(tmp_path, with_states(text.replace(old, new, 1)))
     assert told in str(caught.value)
+
+
+def test_a_first_trajectory_of_one_state_says_nothing_about_the_others() -> None:
+    runs = StateRuns(most=1e9)
+    cut = runs.cut((states(1) + states(3)).encode())
+    assert b"<state>" not in cut
+    assert [len(table) for table in runs.tables] == [1, 3]

@@ -18,15 +18,13 @@ RUN: Final = "stateRun"
 """The element that stands for a run; its ``number`` is the index into `StateRuns.tables`."""
 
 COLUMNS: Final = ("time", "x", "y", "orientation", "velocity")
-MAX_SPACE: Final = 200
-"""Most bytes between two states that are matched (our choice: indented by less)."""
-
 MAX_TAGS: Final = 16
 """Most parts of a state whose form is matched (our choice; the format knows some ten)."""
 
 _FIRST: Final = re.compile(rb"<([A-Za-z]+)>\s*<(?:exact|point)>")
 _NUMBER: Final = rb"[-+.\deE]+"
 _OPENED: Final = b"<trajectory>"
+_TWO: Final = re.compile(rb"</state>([ \t\r\n]*)<state>")
 _SPACE: Final = b" \t\r\n"
 
 
@@ -59,27 +57,29 @@ class StateRuns:
         if form is None:
             return data
         kept, at = list[bytes](), 0
+        rows, firsts = list[tuple[bytes, ...]](), list[int]()
         begin = data.find(_OPENED)
         while begin >= 0:
             begin += len(_OPENED)
             end = data.find(b"</trajectory>", begin)
             found = form.states(data[begin:end].strip(_SPACE)) if end >= 0 else []
             if found:
-                table = self._numbers(found, form)
-                if table is None:
-                    self.tables.clear()
-                    return data
-                kept += [data[at:begin], f'<{RUN} number="{len(self.tables)}"/>'.encode()]
-                self.tables.append(table)
+                kept += [data[at:begin], f'<{RUN} number="{len(firsts)}"/>'.encode()]
+                firsts.append(len(rows))
+                rows += found
                 at = end
             begin = data.find(_OPENED, begin)
+        table = self._numbers(rows, form)
+        if not rows or table is None:
+            return data
+        self.tables += np.split(table, firsts[1:])
         return b"".join([*kept, data[at:]])
 
     def _numbers(self, found: list[tuple[bytes, ...]], form: _Form) -> NDArray[np.float64] | None:
         """(k, 5) the states' numbers; None where one is no number, or too large."""
         table = np.full((len(found), len(COLUMNS)), np.nan)
         try:
-            for texts, name in zip(zip(*found, strict=True), form.names, strict=True):
+            for texts, name in zip(zip(*found, strict=True), form.names, strict=False):
                 if name in COLUMNS:
                     table[:, COLUMNS.index(name)] = list(map(float, texts))
         except ValueError:
@@ -130,8 +130,8 @@ def _form(data: bytes) -> _Form | None:
         literal.append(re.escape(data[at : first.start(group)]))
         at = first.end(group)
     literal.append(re.escape(data[at : first.end()]))
-    between = data[first.end() : first.end() + MAX_SPACE]
-    between = between[: len(between) - len(between.lstrip(_SPACE))]
+    two = _TWO.search(data, begin)
+    between = two.group(1) if two else b""
     return _Form(
         names=tuple(first.re.groupindex),
         pattern=re.compile((b"(%b)" % _NUMBER).join(literal) + b"(?:%b|$)" % re.escape(between)),
