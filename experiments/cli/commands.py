@@ -317,18 +317,25 @@ def report(
         list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or files of rows.")
     ],
     out: Annotated[
-        Path, typer.Option(dir_okay=False, metavar="FILE", help="The page that compares several.")
-    ] = Path("comparison.html"),
+        Path | None,
+        typer.Option(
+            dir_okay=False,
+            metavar="FILE",
+            help="The page; of several runs, the one that compares them "
+            "[default: beside the rows or in the run; comparison.html].",
+        ),
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make the page of each run; of several, also one that compares them."""
     from experiments.report import write_comparison, write_report
 
+    several = len(runs) > 1
     for run in runs:
-        say(str(write_report(run, jobs, quiet)))
-    if len(runs) > 1:
-        say(str(write_comparison(runs, out)))
+        say(str(write_report(run, jobs, quiet, None if several else out)))
+    if several:
+        say(str(write_comparison(runs, out or Path("comparison.html"))))
 
 
 @app.command("import", epilog="example: graphrqi import recordings --format ngsim --out data")

@@ -35,24 +35,32 @@ HEAD_BYTES: Final = 2000
 """How much of a page is looked at to tell whether it was written here."""
 
 
-def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Path:
+def write_report(
+    path: Path, jobs: int | None = None, quiet: bool = True, out: Path | None = None
+) -> Path:
     """Write the page of a run, or of a file of rows.
 
     Args:
         path: a run's folder, a folder with files of rows, or one such file.
         jobs: processes for looking at a run's episodes; None for one per core.
         quiet: whether to show no progress.
+        out: the page; None for ``report.html`` in the folder, or beside the file by its name.
 
     Returns:
-        The page: ``report.html`` in the folder, or beside the file by its name. It loads nothing;
-        a run's worst cases link to the replays beside it.
+        The page. It loads nothing; a run's worst cases link to the replays beside it.
 
     Raises:
-        InputError: if a part is missing or broken.
+        InputError: if a part is missing or broken, or the page of a run is to stand elsewhere.
         OSError: if it cannot be written.
     """
     source = read_source(path)
     run = source.run
+    beside = path / "report.html" if path.is_dir() else path.with_suffix(".html")
+    if run is not None and out is not None and out.resolve() != beside.resolve():
+        raise InputError(
+            f"--out: found {out}, expected {beside}: a run's page links to the replays beside it"
+        )
+    out = beside if out is None else out
     excerpts = []
     if run is not None and (path / run.dataset).is_dir() and (path / run.model).is_dir():
         predicted = source.rows.get("prediction", ())
@@ -67,7 +75,6 @@ def write_report(path: Path, jobs: int | None = None, quiet: bool = True) -> Pat
         ],
         "evaluation": confusions(source.rows.get("evaluation", ())),
     }
-    out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
     _write(
         out, "page.html", source=source, run=run, sections=sections(source.rows),
         behavior_colors=[*((COLORS[b], b.value) for b in BEHAVIORS), (UNKNOWN_COLOR, "not known")],

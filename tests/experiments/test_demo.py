@@ -82,6 +82,12 @@ def test_the_report_is_made_again_alike(run):
     assert (run / "report.html").read_bytes() == before
 
 
+def test_the_page_of_a_run_stays_beside_its_replays(run, tmp_path):
+    with pytest.raises(InputError, match="links to the replays beside it"):
+        write_report(run, out=tmp_path / "page.html")
+    assert not (tmp_path / "page.html").exists()
+
+
 def test_a_models_folder_and_a_run_beside_it_are_told_too(run, tmp_path):
     assert "never trained on" in write_report(run / "model").read_text()
     page = write_comparison([run, run / "model"], tmp_path / "c.html").read_text()

@@ -87,6 +87,12 @@ def test_rows_of_every_bench_are_shown(kind, study):
     assert text.count("<table") >= 1
 
 
+def test_the_page_of_rows_stands_where_it_is_wanted(study, tmp_path):
+    wanted = tmp_path / "page.html"
+    assert write_report(study / "loop.json", out=wanted) == wanted
+    assert "0.500" in wanted.read_text()
+
+
 def test_a_study_is_one_page_with_every_section_and_says_what_is_missing(study, tmp_path):
     text = write_report(study).read_text()
     for kind in KINDS:
