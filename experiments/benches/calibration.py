@@ -109,7 +109,10 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
     told = calibrate(law, drives).summary()
     spent_s = time.process_time() - begun
     inside = (told.low <= truth) & (truth <= told.high)
-    keys: dict[str, Any] = {"part": "simulated", "dataset": "", "law": str(law), "number": ""}
+    keys: dict[str, Any] = {
+        "part": "simulated", "dataset": "", "law": str(law), "number": "", "noise": "",
+        "numbers": "",
+    }  # fmt: skip
     yield tidy_row(keys, "drivers_per_s", len(drives) / max(spent_s, 1e-9), None, None, len(drives))
     for k, number in enumerate(NUMBERS):
         for noise, who in (("", noisy | True), ("noisy", noisy), ("exact", ~noisy)):

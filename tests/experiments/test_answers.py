@@ -173,7 +173,7 @@ def test_a_mixed_folder_is_read_whole(tmp_path, caplog) -> None:
     names = {entry.name: entry.engine for entry in manifest.episodes}
     assert names == {"00_tracks": "ind", "01_tracks": "ind", "a": "argo"}
     assert manifest.configuration["format"] == "ind, argo"
-    assert "left out, no ind or argo files: notes.csv" in caplog.text
+    assert "left out, because they are not in the format ind or argo: notes.csv" in caplog.text
     assert len(open_dataset(tmp_path / "data").manifest.episodes) == 3
 
 

@@ -16,6 +16,7 @@ from experiments.cli.bench import bench_command
 from experiments.cli.commands import main
 from experiments.report.sections import LAYOUTS
 from experiments.rows import FIGURE, Row, read_rows, tidy_row
+from experiments.scoring import evaluation
 from experiments.study import run_study
 
 
@@ -51,7 +52,7 @@ def test_every_bench_says_what_it_is(name: str) -> None:
 
 def test_the_layouts_are_of_benches() -> None:
     """A bench without a layout of its own is reported as other figures."""
-    assert LAYOUTS.keys() <= set(BENCHES)
+    assert LAYOUTS.keys() <= {*BENCHES, evaluation.BENCH}
 
 
 @dataclass(frozen=True)
