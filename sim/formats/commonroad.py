@@ -151,7 +151,8 @@ class _Obstacles:
         self.sizes.append(self._size(element, kind, what))
         initial = element.find("initialState")
         states = element.findall("trajectory/*")
-        states = [state for state in states if state.tag in ("state", RUN)]
+        tags = ("state", RUN) if self.runs.tables else ("state",)
+        states = [state for state in states if state.tag in tags]
         role = (element.findtext("role") or "").strip()
         if not states and initial is not None and "static" in (role, element.tag[:6]):
             row = self._row(initial, what)

@@ -246,3 +246,8 @@ def test_a_first_trajectory_of_one_state_says_nothing_about_the_others() -> None
     cut = runs.cut((states(1) + states(3)).encode())
     assert b"<state>" not in cut
     assert [len(table) for table in runs.tables] == [1, 3]
+
+
+def test_a_file_cannot_name_a_run_itself(tmp_path: Path) -> None:
+    text = states(2).replace("<trajectory>", '<trajectory><stateRun number="7"/>')
+    assert read(tmp_path, with_states(text)).tracks.speed[0].tolist() == [10.0, 4.0, 4.0]
