@@ -72,7 +72,11 @@ def cards_in(folder: Path) -> set[str]:
 
 
 def edited_cards(path: Path) -> frozenset[str]:
-    """Names of what describes a dataset, but not as its catalogue says."""
+    """Names of what describes a dataset, but not as its catalogue says.
+
+    Where a file is damaged, nothing can be compared; what is there counts as edited, so that it is
+    kept: a repair brings back the files that it describes.
+    """
     place = place_of(path)
     if not is_dataset(path):
         return frozenset()
@@ -87,8 +91,8 @@ def edited_cards(path: Path) -> frozenset[str]:
         for name, content in _cards(open_dataset(path)) if names else ():
             if name in names and place.read(name) != content:
                 found.add(name)
-    except (InputError, OSError):  # an episode is damaged: no card to compare
-        return frozenset(found)
+    except (InputError, OSError):
+        return frozenset({*found, *names})
     return frozenset(found)
 
 

@@ -11,9 +11,11 @@ import json
 from collections.abc import Iterator
 from typing import Final, get_args
 
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from behaviors.errors import InputError
 from experiments.data.cards.croissant import UNKNOWN_LICENCE
 from sim.store.dataset import Dataset
 from sim.store.entries import EPISODES
@@ -46,7 +48,7 @@ def card_head(dataset: Dataset) -> str:
         heads.
 
     Raises:
-        InputError: if the catalogue is broken.
+        InputError: if the catalogue or a shard is broken.
         OSError: if a file cannot be read.
     """
     if dataset.header.schema_version == 1:
@@ -77,7 +79,10 @@ def _configuration(dataset: Dataset, table: str) -> Iterator[str]:
         if not name.startswith(f"{table}/"):
             continue
         if file.size <= MAYBE_EMPTY_BYTES:
-            layout = pq.read_metadata(io.BytesIO(place.read(name)))
+            try:
+                layout = pq.read_metadata(io.BytesIO(place.read(name)))
+            except pa.ArrowException as error:
+                raise InputError(f"{dataset.path}: {name}: found no Parquet ({error})") from None
             if layout.num_rows == 0:
                 empty.add(name)
         split = next((s for s in get_args(Split) if f"/split={s}/" in name), "train")
