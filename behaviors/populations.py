@@ -1,24 +1,19 @@
-"""Populations of drivers as data: correlated car-following numbers, read from TOML.
+"""Populations of drivers as data: correlated car-following numbers, written as TOML.
 
 A population is a log-normal distribution of the numbers that recordings can tell. Files are written
-by ``graphrqi calibrate``. Drivers of a population keep their behaviours: behaviours differ in where
-in the population their drivers lie.
+by ``graphrqi calibrate``.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import tomllib
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Final
+from math import erf, log, sqrt
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
-from behaviors.profiles import PROFILES, Profile
 
 FloatArray = NDArray[np.float64]
 
@@ -31,15 +26,7 @@ NUMBERS: Final = (
 )
 """What recordings tell of a driver, in the order of a population's arrays."""
 
-REBASED: Final = NUMBERS[1:]
-"""Numbers that a population gives to a `Profile`; the desired speed depends on the road, so drivers
-keep their behaviour's multiple of the limit."""
-
 SCHEMA_VERSION: Final = 1
-
-BEHAVIOR_SHARE: Final = 0.7
-"""Share of a population's variance that lies between the six behaviours, the rest within them (our
-choice: in the profiles it is .8 of the variance of the time headway, and .6 of the gap)."""
 
 MOST_SPREAD: Final = 3.0
 """Largest log-normal spread that is believed (our choice: two thirds are within a factor of 20)."""
@@ -50,7 +37,7 @@ class Population:
     """A log-normal distribution of drivers' numbers.
 
     Attributes:
-        name: what it is called in datasets.
+        name: of what was calibrated.
         source: what it was calibrated on, in words.
         law: the car-following law that the numbers are of.
         drivers: how many drivers it rests on.
@@ -94,47 +81,11 @@ class Population:
                 "symmetric one with ones on its diagonal and no negative eigenvalue"
             )
 
-    def draw(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """(count, 5) numbers of drivers.
-
-        Examples:
-            >>> people = Population(
-            ...     "road", "an example", "idm", 60, np.array([30.0, 1.3, 2.5, 1.2, 2.0]),
-            ...     np.full(5, 0.3), np.eye(5),
-            ... )
-            >>> people.draw(np.random.default_rng(0), 4).shape
-            (4, 5)
-        """
-        z = rng.standard_normal((count, len(NUMBERS))) @ _root(self.correlation).T
-        return np.asarray(self.median * np.exp(self.log_spread * z))
-
     def quantile(self, name: str, value: float) -> float:
         """At which quantile of the population a number lies, 0 to 1."""
-        from math import erf, log, sqrt
-
         k = NUMBERS.index(name)
         z = log(value / self.median[k]) / max(float(self.log_spread[k]), 1e-12)
         return 0.5 * (1.0 + erf(z / sqrt(2.0)))
-
-    def rebased(self, profile: Profile, behavior: Behavior, rng: np.random.Generator) -> Profile:
-        """The profile of a driver of this population who has a behaviour.
-
-        Its place in the population is that of its behaviour's median among the six, and its own
-        deviation, which is correlated as in the population.
-
-        Args:
-            profile: as drawn for the behaviour; numbers that recordings do not tell are kept.
-            behavior: the driver's.
-            rng: source of randomness.
-
-        Returns:
-            The profile with the numbers in `REBASED` replaced.
-        """
-        own = _root(self.correlation) @ rng.standard_normal(len(NUMBERS))
-        place = _PLACES[BEHAVIORS.index(behavior)]
-        z = BEHAVIOR_SHARE**0.5 * place + (1.0 - BEHAVIOR_SHARE) ** 0.5 * own[1:]
-        numbers = self.median[1:] * np.exp(self.log_spread[1:] * z)
-        return dataclasses.replace(profile, **dict(zip(REBASED, map(float, numbers), strict=True)))
 
     def to_toml(self) -> str:
         """The text of its file."""
@@ -162,84 +113,3 @@ class Population:
 def _quoted(text: str) -> str:
     kept = "".join(c if c.isprintable() and c not in '"\\' else "_" for c in text)
     return f'"{kept}"'
-
-
-def _root(correlation: FloatArray) -> FloatArray:
-    """(5, 5) a matrix whose product with its transpose is the correlation."""
-    values, vectors = np.linalg.eigh(correlation)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _places() -> FloatArray:
-    """(6, 4) where each behaviour's median lies among the six, in standard deviations."""
-    logs = np.log([[getattr(PROFILES[b], name) for name in REBASED] for b in BEHAVIORS])
-    return np.asarray((logs - logs.mean(axis=0)) / logs.std(axis=0))
-
-
-_PLACES: Final = _places()
-
-
-def read_population(source: str | Path) -> Population:
-    """The population in a file.
-
-    Args:
-        source: the path of a TOML file, as ``graphrqi calibrate`` writes it.
-
-    Raises:
-        InputError: if there is none, or the file is broken; the message names file and field.
-    """
-    path = Path(source)
-    if not path.is_file():
-        raise InputError(f"{path}: found no file, expected a population's TOML")
-    try:
-        found = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: found no TOML ({error}), expected a population") from None
-    return _parsed(found, path)
-
-
-_KEYS: Final = {"schema_version": int, "name": str, "source": str, "law": str, "drivers": int}
-
-
-def _parsed(found: dict[str, Any], path: Path) -> Population:
-    """A population from what its file holds."""
-    unknown = sorted(set(found) - {*_KEYS, "numbers"})
-    if unknown:
-        raise InputError(f"{path}: {unknown[0]}: found a field that no population has, expected "
-                         f"{', '.join(_KEYS)} and numbers")  # fmt: skip
-    for key, kind in _KEYS.items():
-        if type(found.get(key)) is not kind:
-            raise InputError(
-                f"{path}: {key}: found {found.get(key)!r:.60}, expected {kind.__name__}"
-            )
-    if found["schema_version"] != SCHEMA_VERSION:
-        raise InputError(
-            f"{path}: schema_version: found {found['schema_version']}, expected {SCHEMA_VERSION}"
-        )
-    numbers = found.get("numbers")
-    if not isinstance(numbers, dict) or set(numbers) != set(NUMBERS):
-        raise InputError(f"{path}: numbers: found {sorted(numbers or ())!r:.80}, expected "
-                         f"{', '.join(NUMBERS)}")  # fmt: skip
-    median, spread, correlation = [], [], []
-    for name in NUMBERS:
-        entry = numbers[name]
-        expected = {"median", "log_spread", "correlation"}
-        if not isinstance(entry, dict) or set(entry) != expected:
-            raise InputError(
-                f"{path}: numbers.{name}: found {entry!r:.60}, expected median, log_spread and "
-                "correlation"
-            )
-        row = entry["correlation"]
-        values = [entry["median"], entry["log_spread"], *(row if isinstance(row, list) else [None])]
-        if len(values) != 2 + len(NUMBERS) or not all(type(v) in (int, float) for v in values):
-            raise InputError(
-                f"{path}: numbers.{name}: found {values!r:.60}, expected a median, a log_spread "
-                f"and {len(NUMBERS)} correlations"
-            )
-        median.append(values[0])
-        spread.append(values[1])
-        correlation.append(values[2:])
-    return Population(
-        name=found["name"], source=found["source"], law=found["law"], drivers=found["drivers"],
-        median=np.array(median), log_spread=np.array(spread), correlation=np.array(correlation),
-    )  # fmt: skip

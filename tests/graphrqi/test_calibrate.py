@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import tomllib
 
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
-from behaviors.populations import NUMBERS, Population, read_population
-from behaviors.profiles import PROFILES
+from behaviors.populations import NUMBERS, Population
 from graphrqi.calibrate.drives import Drive, Stretch, make_drive
 from graphrqi.calibrate.driving_on import (
     candidate_weights,
@@ -112,57 +109,16 @@ PEOPLE = Population(
 )  # fmt: skip
 
 
-def test_populations_are_read_as_they_were_written(tmp_path: Path) -> None:
-    copy = tmp_path / "copy.toml"
-    copy.write_text(PEOPLE.to_toml())
-    again = read_population(copy)
-    np.testing.assert_allclose(again.median, PEOPLE.median, rtol=1e-5)
-    np.testing.assert_allclose(again.correlation, PEOPLE.correlation, atol=1e-5)
-
-
-def test_drivers_of_a_population_are_correlated_as_it_says() -> None:
-    people = PEOPLE
-    logs = np.log(people.draw(np.random.default_rng(0), 20_000))
-    np.testing.assert_allclose(logs.mean(axis=0), np.log(people.median), atol=0.05)
-    np.testing.assert_allclose(np.corrcoef(logs.T), people.correlation, atol=0.05)
-
-
-def test_rebased_drivers_together_are_the_population() -> None:
-    people = PEOPLE
-    rng = np.random.default_rng(0)
-    logs = np.log(
-        [
-            [getattr(people.rebased(PROFILES[b], b, rng), name) for name in NUMBERS[1:]]
-            for b in BEHAVIORS
-            for _ in range(2_000)
-        ]
-    )
-    np.testing.assert_allclose(logs.mean(axis=0), np.log(people.median[1:]), atol=0.05)
-    np.testing.assert_allclose(logs.std(axis=0), people.log_spread[1:], rtol=0.05)
-
-
-@pytest.mark.parametrize(
-    ("text", "field"),
-    [
-        ("", "schema_version"),
-        ("schema_version = 9", "name"),
-        ("x = [", "no TOML"),
-        ("colour = 3", "colour"),
-    ],
-)
-def test_broken_population_files_are_refused_by_field(
-    text: str, field: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "people.toml"
-    path.write_text(text)
-    with pytest.raises(InputError, match=field) as refused:
-        read_population(path)
-    assert str(path) in str(refused.value)
-
-
-def test_a_population_that_is_not_there_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="found no file"):
-        read_population(tmp_path / "none.toml")
+def test_a_populations_text_holds_its_numbers() -> None:
+    told = tomllib.loads(PEOPLE.to_toml())
+    assert {key: told[key] for key in ("schema_version", "name", "source", "law", "drivers")} == {
+        "schema_version": 1, "name": "road", "source": "an example", "law": "idm", "drivers": 60,
+    }  # fmt: skip
+    numbers = [told["numbers"][name] for name in NUMBERS]
+    np.testing.assert_allclose([one["median"] for one in numbers], PEOPLE.median, rtol=1e-5)
+    np.testing.assert_allclose([one["log_spread"] for one in numbers], PEOPLE.log_spread, rtol=1e-5)
+    correlation = [one["correlation"] for one in numbers]
+    np.testing.assert_allclose(correlation, PEOPLE.correlation, atol=1e-5)
 
 
 def test_the_true_numbers_drive_on_best() -> None:
