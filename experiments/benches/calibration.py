@@ -34,6 +34,7 @@ from graphrqi.calibrate.driving_on import (
     candidate_weights,
     candidates,
     driven_places,
+    errors_of,
     gap_errors,
     halves,
     pooled_driver,
@@ -178,9 +179,9 @@ def recorded_rows(name: str, drives: Sequence[Drive], seed: int) -> Iterator[Row
     if len(cut) < 2:
         return
     first, second = [two[0] for two in cut], [two[1] for two in cut]
-    usual = _errors(Law.IDM, LITERATURE, second)
+    usual = errors_of(Law.IDM, LITERATURE, second)
     idm_pooled = pooled_driver(Law.IDM, first)
-    pooled = _errors(Law.IDM, idm_pooled, second)
+    pooled = errors_of(Law.IDM, idm_pooled, second)
     keys = {"part": "recorded", "dataset": name, "number": "", "noise": ""}
     for label, errors in (("pooled", pooled), ("literature", usual)):
         yield from _ratio_rows({**keys, "law": "idm", "numbers": label}, errors, pooled, usual)
@@ -202,10 +203,6 @@ def recorded_rows(name: str, drives: Sequence[Drive], seed: int) -> Iterator[Row
             named = {**keys, "law": str(law), "numbers": label}
             yield from _ratio_rows(named, errors, pooled, usual)
             yield tidy_row(named, "collisions", float(sum(touched)), None, None, len(touched))
-
-
-def _errors(law: Law, logs: FloatArray, drives: Sequence[Drive]) -> FloatArray:
-    return np.array([gap_errors(driven_places(law, logs[None], one), one)[0] for one in drives])
 
 
 def _ratio_rows(

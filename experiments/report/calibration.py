@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from behaviors.populations import NUMBERS, Population
 from behaviors.profiles import PROFILES
 from experiments.report.charts import Axis, Line, Point, line_chart
 from experiments.scoring.calibration import LAW_KNOWN, Calibrated
-from graphrqi.calibrate.drives import Drive
+from graphrqi.calibrate.driving_on import driven_places, errors_of, longest_led
 from graphrqi.calibrate.laws import Law
-
-FloatArray = NDArray[np.float64]
 
 WORDS: Final[dict[str, str]] = {
     "desired_speed_mps": "desired speed, m/s",
@@ -94,55 +90,28 @@ def _drives(calibrated: Calibrated, law: Law) -> list[tuple[str, float, Markup]]
     logs = np.einsum("nm,nmd->nd", fitted.weight, fitted.logs)
     errors = []
     for i, driver in enumerate(calibrated.drivers):
-        if driver.drive.led:
-            seen, simulated = simulated_gaps(law, np.exp(logs[i]), driver.drive)[1:]
-            errors.append((float(np.sqrt(np.mean((seen - simulated) ** 2))), i))
-    errors.sort()
+        drive = longest_led(driver.drive)
+        if drive is not None:
+            errors.append((float(errors_of(law, logs[i], [drive])[0]), i, drive))
+    errors.sort(key=lambda one: one[:2])
     half = min(PAIRS_SHOWN, len(errors) // 2)
     chosen = [*errors[:half], *errors[len(errors) - max(half, 1) :]]
     shown = []
-    for place, (error, i) in enumerate(chosen):
+    for place, (error, i, drive) in enumerate(chosen):
         driver = calibrated.drivers[i]
-        time_s, seen, simulated = simulated_gaps(law, np.exp(logs[i]), driver.drive)
+        watched = np.flatnonzero(drive.rows[1] > 0.0)
+        time_s = np.asarray(drive.step_s * watched, dtype=np.float64)
+        leader, driven = drive.rows[3], driven_places(law, logs[i : i + 1], drive)[0]
+        gaps = (("recorded", leader - drive.rows[0]), ("simulated", leader - driven))
         every = max(1, time_s.size // LINE_POINTS)
         lines = [
             Line(name, tuple(
                 Point(float(t), float(g))
-                for t, g in zip(time_s[::every], gap[::every], strict=True)
+                for t, g in zip(time_s[::every], gap[watched][::every], strict=True)
             ))
-            for name, gap in (("recorded", seen), ("simulated", simulated))
+            for name, gap in gaps
         ]  # fmt: skip
         which = "best" if place < half else "worst"
         title = f"{which} fitted: {driver.name} of {calibrated.recording[i]}"
         shown.append((title, error, line_chart(title, Axis("time, s"), Axis("gap, m"), lines)))
     return shown
-
-
-def simulated_gaps(
-    law: Law, numbers: FloatArray, drive: Drive
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The gap to the leader as recorded, and as the law drives from the same start.
-
-    Args:
-        law: the law.
-        numbers: (D,) the driver's.
-        drive: its longest stretch behind one leader is simulated.
-
-    Returns:
-        (n,) time since the start, s, recorded and simulated gaps, m.
-    """
-    from graphrqi.calibrate.kernels import drive_on
-
-    begins = drive.begins
-    led = [
-        (last - first, first, last)
-        for first, last in pairwise(begins.tolist())
-        if np.isfinite(drive.rows[3, first])
-    ]
-    _, first, last = max(led)
-    rows = np.ascontiguousarray(drive.rows[:, first:last])
-    driven = drive_on(law.code, numbers, 0.0, 1.0, rows[0, 0], rows[2, 0], rows, drive.step_s)
-    watched = rows[1] > 0.0
-    time_s = np.asarray(drive.step_s * np.flatnonzero(watched), dtype=np.float64)
-    leader = rows[3, watched]
-    return time_s, leader - rows[0, watched], leader - driven[0, watched]

@@ -72,10 +72,10 @@ class Drive:
         """How long the driver is known, s."""
         return float((self.rows.shape[1] - self.begins.size + 1) * self.step_s)
 
-    @property
-    def led(self) -> bool:
-        """Whether it has a leader at any time."""
-        return bool(np.isfinite(self.rows[3]).any())
+    def part(self, first: int, last: int) -> Drive:
+        """Its rows from one to before another, which are of one stretch."""
+        rows = np.ascontiguousarray(self.rows[:, first:last])
+        return Drive(rows, np.array([0, last - first]), self.step_s)
 
 
 def noise_of(values: FloatArray) -> float:

@@ -16,6 +16,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -27,7 +28,6 @@ from graphrqi.calibrate.drives import Drive
 from graphrqi.calibrate.laws import FIELDS, Law, prior
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 CANDIDATES: Final = 256
 """Drivers that are tried: half drawn from the prior of `laws`, half around the pooled driver."""
@@ -51,28 +51,33 @@ START_OFFSETS: Final = (
 minima, which differ in how drivers accelerate and brake. The best is searched once more."""
 
 
+def longest_led(drive: Drive) -> Drive | None:
+    """The longest stretch behind one leader; None if there is none."""
+    led = [
+        (last - first, first, last)
+        for first, last in pairwise(drive.begins.tolist())
+        if np.isfinite(drive.rows[3, first])
+    ]
+    if not led:
+        return None
+    _, first, last = max(led)
+    return drive.part(first, last)
+
+
 def halves(drive: Drive) -> tuple[Drive, Drive] | None:
     """The longest stretch behind one leader, cut in its middle; None if there is none.
 
     Returns:
         Its first and its second half; both hold the moment between them.
     """
-    begins = drive.begins
-    led = [
-        (int(begins[k + 1] - begins[k]), int(begins[k]))
-        for k in range(begins.size - 1)
-        if np.isfinite(drive.rows[3, begins[k]])
-    ]
-    if not led:
+    found = longest_led(drive)
+    if found is None:
         return None
-    length, first = max(led)
-    watched = np.flatnonzero(drive.rows[1, first : first + length] > 0.0)
+    watched = np.flatnonzero(found.rows[1] > 0.0)
     if watched.size < 5:
         return None
-    middle = first + int(watched[watched.size // 2])
-    parts = (slice(first, middle + 1), slice(middle, first + length))
-    rows = [np.ascontiguousarray(drive.rows[:, part]) for part in parts]
-    return tuple(Drive(one, np.array([0, one.shape[1]]), drive.step_s) for one in rows)  # type: ignore[return-value]
+    middle = int(watched[watched.size // 2])
+    return found.part(0, middle + 1), found.part(middle, found.rows.shape[1])
 
 
 def driven_places(law: Law, logs: FloatArray, drive: Drive) -> FloatArray:
@@ -80,17 +85,15 @@ def driven_places(law: Law, logs: FloatArray, drive: Drive) -> FloatArray:
 
     Args:
         law: the law.
-        logs: (M, 5) logarithms of their ``laws.NUMBERS``.
+        logs: (M, D) logarithms of their numbers, columns as ``laws.FIELDS[law]``. Of (M, 5) the
+            others count as 1: a driver reaches the safe speed of Krauss's law in 1 s.
         drive: one stretch.
     """
     from graphrqi.calibrate.kernels import drive_on
 
     filled = np.ones((len(logs), len(FIELDS[law])))
-    filled[:, : len(NUMBERS)] = np.exp(logs)
-    rows, step_s = drive.rows, drive.step_s
-    return np.stack(
-        [drive_on(law.code, n, 0.0, 1.0, rows[0, 0], rows[2, 0], rows, step_s)[0] for n in filled]
-    )
+    filled[:, : logs.shape[1]] = np.exp(logs)
+    return np.stack([drive_on(law.code, n, drive.rows, drive.step_s) for n in filled])
 
 
 def gap_errors(places: FloatArray, drive: Drive) -> FloatArray:
@@ -100,13 +103,16 @@ def gap_errors(places: FloatArray, drive: Drive) -> FloatArray:
     return np.asarray(np.sqrt((missed**2).mean(axis=1)))
 
 
+def errors_of(law: Law, logs: FloatArray, drives: Sequence[Drive]) -> FloatArray:
+    """(N,) errors of the gaps, m, that one driver makes in each of N drives; see `gap_errors`."""
+    return np.array([gap_errors(driven_places(law, logs[None], one), one)[0] for one in drives])
+
+
 def pooled_driver(law: Law, drives: Sequence[Drive]) -> FloatArray:
     """(5,) logarithms of the one driver whose simulated gaps err least over all drives."""
 
     def cost(logs: FloatArray) -> float:
-        return float(
-            sum(gap_errors(driven_places(law, logs[None], one), one)[0] ** 2 for one in drives)
-        )
+        return float(sum(errors_of(law, logs, drives) ** 2))
 
     start = prior(law)[0][: len(NUMBERS)]
     options: Any = {"maxfev": MOST_STEPS, "xatol": 1e-3}

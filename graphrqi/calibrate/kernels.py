@@ -23,9 +23,6 @@ import numpy as np
 
 from sim.compiled import compiled, inner
 
-STEP_S: Final = 0.1
-"""Longest step of the filter's motion, s (the step of most simulators and recordings)."""
-
 HARDEST_MPS2: Final = 10.0
 """No law brakes harder, m/s2 (tyres on a dry road)."""
 
@@ -370,39 +367,30 @@ def draw(
 
 
 @compiled
-def drive_on(
-    law: Any, n: Any, residual: Any, decay_s: Any, place: Any, speed: Any, drive: Any, h: Any
-) -> Any:
-    """Drive behind a recorded leader by a law.
+def drive_on(law: Any, n: Any, drive: Any, h: Any) -> Any:
+    """Drive behind a recorded leader by a law, from where the driver was first seen.
 
     Args:
         law: code of the law.
         n: (D,) the driver's numbers.
-        residual: acceleration at the start that the law does not explain, m/s2.
-        decay_s: time in which it falls to 1/e, s.
-        place: where the driver starts, m.
-        speed: its speed there, m/s.
-        drive: (5, T) as in `innovations`; of it only the leader counts.
+        drive: (5, T) as in `innovations`: one stretch.
         h: time between rows, s.
 
     Returns:
-        (2, T) places, m, and speeds, m/s.
+        (T,) places, m.
     """
-    t = drive.shape[1]
-    out = np.zeros((2, t))
-    x, v, e = place, speed, residual
-    rho = math.exp(-h / decay_s)
-    out[0, 0], out[1, 0] = x, v
-    for i in range(1, t):
+    out = np.zeros(drive.shape[1])
+    x, v = drive[0, 0], drive[2, 0]
+    out[0] = x
+    for i in range(1, out.size):
         u = drive[4, i - 1]
         if law == 1 and i > 1:
             u = 0.5 * (u + drive[4, i - 2])
         accel, _, _ = accelerate(law, n, v, u, drive[3, i - 1] - x, h)
-        faster = max(v + h * (accel + e), 0.0)
+        faster = max(v + h * accel, 0.0)
         x += 0.5 * h * (v + faster) if law == 0 else h * faster
         v = faster
-        e *= rho
-        out[0, i], out[1, i] = x, v
+        out[i] = x
     return out
 
 
