@@ -24,8 +24,8 @@ FINEST_S: Final = 0.1
 """Longest step of the filter between observations, s (the usual step of simulators)."""
 
 LEAST_HALF_S, MOST_HALF_S = 0.3, 0.8
-"""Half the stretch over which a leader's motion is smoothed, s: for exact places, and from
-`FULL_NOISE_M` on."""
+"""Half the stretch over which a motion is smoothed, s: for exact places, and from `FULL_NOISE_M`
+on."""
 
 FULL_NOISE_M: Final = 0.1
 """Noise from which the longest stretch is smoothed, m."""
@@ -92,6 +92,17 @@ def noise_of(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))  # 1 + 9 + 9 + 1 variances
 
 
+def smoothed_half_s(noise_m: float, frame_s: float) -> float:
+    """Half the stretch over which a motion is smoothed, s, by the noise and the time of a frame.
+
+    Examples:
+        >>> [round(smoothed_half_s(noise_m, 0.1), 2) for noise_m in (0.0, 0.05, 1.0)]
+        [0.3, 0.55, 0.8]
+    """
+    half_s = LEAST_HALF_S + (MOST_HALF_S - LEAST_HALF_S) * min(noise_m / FULL_NOISE_M, 1.0)
+    return max(half_s, 2.0 * frame_s)
+
+
 def make_drive(stretches: Sequence[Stretch]) -> Drive | None:
     """The rows of one driver.
 
@@ -111,9 +122,9 @@ def make_drive(stretches: Sequence[Stretch]) -> Drive | None:
     if not long:
         return None
     frame_s = float(np.median(np.concatenate([np.diff(one.time_s) for one in long])))
-    parts = [_rows(one, frame_s) for one in long]
     every = max(1, round(OBSERVED_S / frame_s))
-    steps = _steps(every * frame_s)
+    steps = max(1, int(np.ceil(every * frame_s / FINEST_S - 1e-6)))
+    parts = [_rows(one, frame_s, every, steps) for one in long]
     return Drive(
         rows=np.ascontiguousarray(np.concatenate(parts, axis=1)),
         begins=np.cumsum([0, *(part.shape[1] for part in parts)]),
@@ -121,17 +132,11 @@ def make_drive(stretches: Sequence[Stretch]) -> Drive | None:
     )
 
 
-def _steps(watched_s: float) -> int:
-    return max(1, int(np.ceil(watched_s / FINEST_S - 1e-6)))
-
-
-def _rows(one: Stretch, frame_s: float) -> FloatArray:
-    """(5, T) rows of one stretch."""
+def _rows(one: Stretch, frame_s: float, every: int, steps: int) -> FloatArray:
+    """(5, T) rows of one stretch, observed every so many frames, with so many steps in between."""
     from graphrqi.calibrate.kernels import local_parabolas
 
-    every = max(1, round(OBSERVED_S / frame_s))
     watched_s = every * frame_s
-    steps = _steps(watched_s)
     begin = float(one.time_s[0])
     count = int((one.time_s[-1] - begin) / watched_s + 1e-6)
     at = begin + watched_s / steps * np.arange(count * steps + 1)
@@ -145,8 +150,7 @@ def _rows(one: Stretch, frame_s: float) -> FloatArray:
     else:
         rows[0, ::steps] = np.interp(at[::steps], one.time_s, one.place)
         rows[1, ::steps] = max(noise_m, LEAST_NOISE_M)
-    half_s = LEAST_HALF_S + (MOST_HALF_S - LEAST_HALF_S) * min(noise_m / FULL_NOISE_M, 1.0)
-    half_s = max(half_s, 2.0 * frame_s)
+    half_s = smoothed_half_s(noise_m, frame_s)
     local_parabolas(one.time_s, one.place, at, half_s, fitted)
     rows[2] = np.maximum(fitted[1], 0.0)
     rows[3] = np.inf

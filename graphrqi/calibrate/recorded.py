@@ -13,16 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.calibrate.drives import (
-    FULL_NOISE_M,
-    LEAST_HALF_S,
-    LEAST_S,
-    MOST_HALF_S,
-    Drive,
-    Stretch,
-    make_drive,
-    noise_of,
-)
+from graphrqi.calibrate.drives import Drive, Stretch, make_drive, noise_of, smoothed_half_s
 from graphrqi.predict.recorded.gaps import inferred_leaders
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
@@ -66,7 +57,7 @@ class RecordedDriver:
 
 
 def recorded_drivers(tracks: Tracks, road: Road | None = None) -> list[RecordedDriver]:
-    """Every driver that is seen to follow or to drive freely for at least `LEAST_S`.
+    """Every driver that is seen to follow or to drive freely for at least `drives.LEAST_S`.
 
     Args:
         tracks: a recording, in metres.
@@ -83,8 +74,7 @@ def recorded_drivers(tracks: Tracks, road: Road | None = None) -> list[RecordedD
     for i in range(tracks.ids.size):
         if int(tracks.kind[i]) not in wanted:
             continue
-        stretches = _stretches(tracks, i, leader[i], gap[i], counts[i])
-        drive = make_drive(stretches) if stretches else None
+        drive = make_drive(_stretches(tracks, i, leader[i], gap[i], counts[i]))
         if drive is not None:
             found.append(RecordedDriver(int(tracks.ids[i]), tracks.names[i], drive))
     return found
@@ -130,11 +120,10 @@ def _stretches(
     edges = np.concatenate([[0], np.flatnonzero(breaks) + 1, [columns.size]])
     parts: list[Stretch] = []
     for first, last in pairwise(edges.tolist()):
-        if who[first] == -2 or time_s[last - 1] - time_s[first] < LEAST_S:
-            continue
-        here = slice(first, last)
-        rear = place[here] + gap[columns[here]]
-        parts.append(Stretch(time_s[here], place[here], rear))
+        if who[first] != -2:
+            here = slice(first, last)
+            rear = place[here] + gap[columns[here]]
+            parts.append(Stretch(time_s[here], place[here], rear))
     return parts
 
 
@@ -147,8 +136,7 @@ def _along(time_s: FloatArray, xy: FloatArray, frame_s: float) -> tuple[FloatArr
     from graphrqi.calibrate.kernels import local_parabolas
 
     noise_m = max(noise_of(xy[:, 0]), noise_of(xy[:, 1]))
-    half_s = LEAST_HALF_S + (MOST_HALF_S - LEAST_HALF_S) * min(noise_m / FULL_NOISE_M, 1.0)
-    half_s = max(half_s, 2.0 * frame_s)
+    half_s = smoothed_half_s(noise_m, frame_s)
     fitted = np.empty((2, 4, time_s.size))
     for axis in range(2):
         local_parabolas(time_s, np.ascontiguousarray(xy[:, axis]), time_s, half_s, fitted[axis])
