@@ -1,8 +1,8 @@
 """The laws that are calibrated, and the numbers that each of them has.
 
 Every driver has five numbers under either law. The rest of what is inferred of a driver describes
-what the law leaves unexplained: residual acceleration that is autocorrelated, and errors of the
-measured positions.
+what the law leaves unexplained: residual acceleration that is autocorrelated, and, under Krauss's
+law, the time in which the safe speed is reached.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Law(StrEnum):
 
 NUISANCES: Final = ("residual_mps2", "correlation_s", "relaxation_s")
 """What is inferred besides: standard deviation of the residual acceleration, m/s2, the time in
-which it is forgotten, s, standard deviation of the positions' errors, m, and, under Krauss's law,
-the time in which a driver reaches its safe speed, s (SUMO's drivers: one step)."""
+which it is forgotten, s, and, under Krauss's law, the time in which a driver reaches its safe
+speed, s (SUMO's drivers: one step)."""
 
 FIELDS: Final[dict[Law, tuple[str, ...]]] = {
     Law.IDM: (*NUMBERS, *NUISANCES[:2]),

@@ -119,7 +119,7 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """What is told of N drivers; columns as ``laws.NUMBERS``.
+    """What is told of N drivers; columns as `NUMBERS`.
 
     Attributes:
         mean: (N, 5) posterior means.
@@ -179,22 +179,6 @@ def visits(drivers: int) -> int:
     return drivers + ROUNDS * -(-drivers // every)
 
 
-def weighted_given(
-    law: Law, drives: Sequence[Drive], mean: FloatArray, covariance: FloatArray
-) -> Calibration:
-    """Drivers of a known population: nothing of it is estimated.
-
-    Args:
-        law: the law that all are assumed to drive by.
-        drives: one for each driver.
-        mean: (D,) the population's mean.
-        covariance: (D, D) its covariance.
-    """
-    drawn = _draw_all(law, drives, mean, covariance, None, DRAWS, _nothing)
-    weight, evidence = drawn.weights(mean, covariance)
-    return Calibration(law, mean, covariance, drawn.logs, weight, evidence)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Drawn:
     """Draws of N drivers, with log-likelihoods and log densities of their proposals (N, M)."""
@@ -206,12 +190,12 @@ class _Drawn:
 
     def weights(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N, M) weights under a population, and (N,) log-likelihoods of the drives."""
-        found = self.told + log_normal(self.logs, mean, covariance) - self.density
+        found = self.told + _log_normal(self.logs, mean, covariance) - self.density
         total = logsumexp(found, axis=1)
         return np.exp(found - total[:, None]), total - np.log(found.shape[1])
 
 
-def log_normal(points: FloatArray, mean: FloatArray, covariance: FloatArray) -> FloatArray:
+def _log_normal(points: FloatArray, mean: FloatArray, covariance: FloatArray) -> FloatArray:
     """Log density of a normal distribution at (..., D) points."""
     away = points - mean
     squared = np.einsum("...i,ij,...j->...", away, np.linalg.inv(covariance), away)
