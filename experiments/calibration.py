@@ -18,7 +18,6 @@ import pyarrow.parquet as pq
 from behaviors.populations import NUMBERS
 from experiments.report.calibration import calibration_page
 from experiments.scoring.calibration import (
-    LAW_KNOWN,
     Calibrated,
     calibrate_recordings,
     quantile_rows,
@@ -105,15 +104,13 @@ def write_calibration(
 
 def _card(calibrated: Calibrated) -> dict[str, Any]:
     """What ``calibration.json`` says."""
-    share = calibrated.law_probability(Law.IDM)
     return {
         "schema_version": 1,
         "source": calibrated.source,
         "drivers": len(calibrated.drivers),
         "seconds": round(sum(driver.drive.seconds for driver in calibrated.drivers), 1),
         "better_law": str(calibrated.better),
-        "law_told_idm": float((share >= LAW_KNOWN).mean()),
-        "law_told_krauss": float((share <= 1.0 - LAW_KNOWN).mean()),
+        **{f"law_told_{law}": calibrated.law_told(law) for law in Law},
         "populations": {
             str(law): {
                 "log_likelihood": float(fitted.evidence.sum()),

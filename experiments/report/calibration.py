@@ -12,7 +12,7 @@ from behaviors.labels import BEHAVIORS
 from behaviors.populations import NUMBERS, Population
 from behaviors.profiles import PROFILES
 from experiments.report.charts import Axis, Line, Point, line_chart
-from experiments.scoring.calibration import LAW_KNOWN, Calibrated
+from experiments.scoring.calibration import Calibrated
 from graphrqi.calibrate.driving_on import driven_places, errors_of, longest_led
 from graphrqi.calibrate.laws import Law
 
@@ -45,12 +45,11 @@ def calibration_page(calibrated: Calibrated) -> str:
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     known = calibrated.laws[law].summary().known.mean(axis=0)
-    share = calibrated.law_probability(Law.IDM)
     return environment.get_template("calibration.html").render(
         name=calibrated.source,
         law=str(law),
         drivers=len(calibrated.drivers),
-        told=(float((share >= LAW_KNOWN).mean()), float((share <= 1.0 - LAW_KNOWN).mean())),
+        told=[calibrated.law_told(law) for law in (Law.IDM, Law.KRAUSS)],
         marginals=[_marginal(population, number) for number in NUMBERS],
         numbers=[
             (WORDS[n], population.median[k], population.log_spread[k], known[k],

@@ -50,6 +50,10 @@ class Calibrated:
         other = next(one for one in Law if one is not law)
         return np.asarray(expit(self.laws[law].evidence - self.laws[other].evidence))
 
+    def law_told(self, law: Law) -> float:
+        """Share of the drivers of whom the data tell that they drive by a law."""
+        return float((self.law_probability(law) >= LAW_KNOWN).mean())
+
     @property
     def better(self) -> Law:
         """The law under which all recordings together are likelier."""
