@@ -130,7 +130,11 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
 def _simulated_drive(
     law: Law, numbers: FloatArray, seconds: float, noisy: bool, rng: np.random.Generator
 ) -> Drive:
-    """A driver behind a leader whose wished speed changes every 4 to 12 s."""
+    """A driver behind a leader whose wished speed changes every 4 to 12 s.
+
+    The laws are written out once more: an error in those that calibrate would not show in drivers
+    that were simulated by them.
+    """
     count = int(seconds / STEP_S) + 1
     base, speed, accel = rng.uniform(6.0, 25.0), rng.uniform(5.0, 22.0), 0.0
     wanted, until = speed, 0

@@ -50,6 +50,9 @@ STARTS_SPEED_MPS: Final = 0.5
 def accelerate(law: Any, n: Any, v: Any, u: Any, gap: Any, h: Any) -> Any:
     """A law's acceleration and its derivatives by speed and gap.
 
+    The laws are those of `behaviors.driver_models`, written out once more because the derivatives
+    are made of the same terms.
+
     Args:
         law: code of the law.
         n: (D,) the driver's numbers.

@@ -7,6 +7,12 @@ import tomllib
 import numpy as np
 import pytest
 
+from behaviors.driver_models import (
+    idm_desired_gap,
+    idm_free_acceleration,
+    idm_interaction,
+    krauss_safe_speed,
+)
 from behaviors.populations import NUMBERS, Population
 from graphrqi.calibrate.drives import Drive, Stretch, make_drive
 from graphrqi.calibrate.driving_on import (
@@ -15,9 +21,31 @@ from graphrqi.calibrate.driving_on import (
     gap_errors,
     halves,
 )
-from graphrqi.calibrate.kernels import likelihood, most_likely
+from graphrqi.calibrate.kernels import HARDEST_MPS2, drive_on, likelihood, most_likely
 from graphrqi.calibrate.laws import FIELDS, Law, prior
 from graphrqi.calibrate.posterior import calibrate
+
+
+@pytest.mark.parametrize("law", Law)
+def test_drivers_are_calibrated_under_the_laws_of_the_driver_models(law: Law) -> None:
+    rng = np.random.default_rng(9)
+    h = 0.1
+    for _ in range(300):
+        v0, headway, s0, a, b = np.array([20.0, 1.3, 2.5, 1.5, 2.0]) * np.exp(
+            0.3 * rng.standard_normal(5)
+        )
+        v, u = rng.uniform(0.0, 25.0, 2)
+        gap = float(rng.choice((s0 + rng.uniform(0.0, 60.0), np.inf), p=(0.9, 0.1)))
+        if law is Law.IDM:
+            wanted = idm_desired_gap(v, u, s0, headway, a, b)
+            accel = idm_free_acceleration(v, v0, a) - a * idm_interaction(gap, wanted)
+            expected = 0.5 * h * (v + max(v + h * max(accel, -HARDEST_MPS2), 0.0))
+        else:
+            reached = min(v0, krauss_safe_speed(gap - s0, u, headway, b), v + h * a)
+            expected = h * max(reached, v - h * HARDEST_MPS2, 0.0)
+        rows = np.array([[0.0] * 2, [0.0] * 2, [v] * 2, [gap] * 2, [u] * 2])
+        numbers = np.array([v0, headway, s0, a, b, 0.2, 1.3, 0.0])[: len(FIELDS[law])]
+        assert drive_on(law.code, numbers, rows, h)[1] == pytest.approx(expected, abs=1e-9)
 
 
 def _leader(rng: np.random.Generator, steps: int) -> np.ndarray:
