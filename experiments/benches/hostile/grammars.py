@@ -31,8 +31,10 @@ class Table:
         numbers: the columns that are read as numbers.
         words: the columns that are read as text.
         agent: the column with the agent.
-        place: agent's place at a time, from a row's fields by column.
-        kinds: words that ``kind`` may be, by the column; empty for any.
+        place: time and place of an agent, from a row's numbers by column.
+        sizes: the columns with lengths of an agent, m.
+        kinds: the words that may stand in a column, by the column.
+        from_zero: whether times are counted from the first one.
     """
 
     file: str
@@ -92,12 +94,15 @@ TABLES: Final = {
 }  # fmt: skip
 
 
+def _mistakes(choose: random.Random) -> Callable[[], bool]:
+    """Says at each production of one file whether something goes wrong there."""
+    odds = choose.choice([0.0, 0.005, 0.02, 0.1])
+    return lambda: choose.random() < odds
+
+
 def grow_table(table: Table, choose: random.Random) -> bytes:
     """A CSV file, mostly well formed."""
-    odds = choose.choice([0.0, 0.005, 0.02, 0.1])
-
-    def wrong() -> bool:
-        return choose.random() < odds
+    wrong = _mistakes(choose)
 
     names = list(table.columns)
     if wrong():
@@ -145,10 +150,7 @@ def _bytes_wrong(data: bytes, choose: random.Random, wrong: Callable[[], bool]) 
 
 def grow_fcd(choose: random.Random) -> bytes:
     """An FCD file, mostly well formed."""
-    odds = choose.choice([0.0, 0.005, 0.02, 0.1])
-
-    def wrong() -> bool:
-        return choose.random() < odds
+    wrong = _mistakes(choose)
 
     def attribute(name: str, value: str) -> str:
         if wrong():
@@ -182,10 +184,7 @@ def grow_fcd(choose: random.Random) -> bytes:
 
 def grow_traf(choose: random.Random) -> bytes:
     """A TRAF file, mostly well formed; ids are used once in a frame."""
-    odds = choose.choice([0.0, 0.005, 0.02, 0.1])
-
-    def wrong() -> bool:
-        return choose.random() < odds
+    wrong = _mistakes(choose)
 
     def whole(value: int) -> str:
         return choose.choice(HOSTILE) if wrong() else str(value)

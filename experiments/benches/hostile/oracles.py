@@ -23,7 +23,6 @@ Rows = dict[tuple[str, float], tuple[float, float]]
 NUMBER: Final = re.compile(r"[-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST: Final = 1e9
 
-
 NOT_PLACES: Final = ("timestamp", "timestamp_ms", "frame", "heading")
 """Columns in other units than m, m/s and rad: limits hold for what they become."""
 
@@ -57,7 +56,7 @@ def read_table(table: Table, data: bytes) -> Rows:
     if b"\0" in data:
         raise Refused("NUL")
     text = data.decode("utf-8", "surrogateescape")
-    lines = [line for line in re.split(r"\r\n|\n|\r", text.removeprefix("\ufeff"))]
+    lines = re.split(r"\r\n|\n|\r", text.removeprefix("\ufeff"))
     header = [name.strip().strip('"').lower() for name in lines[0].split(",")]
     if not lines[0].isprintable() and any("\udc80" <= one <= "\udcff" for one in lines[0]):
         raise Refused("header is not UTF-8")

@@ -66,7 +66,7 @@ def check(family: str, number: int, folder: Path) -> tuple[str, str]:
     if family in CALLS:
         try:
             CALLS[family](number)
-        except Exception as error:
+        except Exception as error:  # whatever it is: errors that nobody foresaw are looked for
             return "crash", f"{type(error).__name__}: {error}"
         return "read", ""
     for name, data in files_of(family, number).items():
@@ -85,7 +85,7 @@ def _tried(read: Callable[[], object], folder: Path) -> tuple[str, str, object]:
         return "read", "", read()
     except (InputError, FileNotFoundError) as error:  # commands tell both in one line
         why = str(error)
-    except Exception as error:
+    except Exception as error:  # as above
         return "crash", f"{type(error).__name__}: {error}", None
     if "\n" in why:
         return "disagree", f"a message of several lines: {why!r}", None
