@@ -15,6 +15,7 @@ import heapq
 import math
 from typing import Final
 
+from sim.frames import FloatArray
 from sim.highway import driving
 from sim.highway.network import HighwayNetwork, LaneIndex, is_wrong_side
 from sim.highway.rules.way_ahead import RANGE_M, WayAhead
@@ -83,29 +84,21 @@ def _fits(road: RoadState, way: WayAhead, side: LaneIndex) -> bool:
         return False
     urgency = 1.0 - min(max(way.to_line, 0.0) / RANGE_M, 1.0)
     most = GENTLE_MPS2 + urgency * (URGENT_MPS2 - GENTLE_MPS2)
-    own = driving.bounded(
-        driver,
-        driving.idm(
-            driver, vehicle.speed, vehicle.desired_speed, there.front_gap, there.front_speed
-        ),
-        there.front_gap,
-        vehicle.speed - there.front_speed,
-    )
+    own = _braking(driver, vehicle.speed, vehicle.desired_speed, there.front_gap, there.front_speed)
     if own < -most:
         return False
     if there.rear is None:
         return True
-    rear = parameters_of(there.rear)
-    closing = there.rear_speed - vehicle.speed
-    braking = driving.bounded(
-        rear,
-        driving.idm(
-            rear, there.rear_speed, max(there.rear_speed, 1.0), there.rear_gap, vehicle.speed
-        ),
-        there.rear_gap,
-        closing,
-    )
-    return bool(braking >= -most)
+    rear, speed = parameters_of(there.rear), there.rear_speed
+    return _braking(rear, speed, max(speed, 1.0), there.rear_gap, vehicle.speed) >= -most
+
+
+def _braking(
+    driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
+) -> float:
+    """IDM's bounded acceleration, m/s2, whatever law the driver follows by; see `driving.idm`."""
+    wanted = driving.idm(driver, speed, desired, gap, leader_speed)
+    return float(driving.bounded(driver, wanted, gap, speed - leader_speed))
 
 
 def _go_another_way(network: HighwayNetwork, vehicle: ProfileVehicle, lane: LaneIndex) -> None:
