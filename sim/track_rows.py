@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.row_index import RowIndex
+from sim.checked_arrays import frozen
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -47,9 +48,8 @@ class TrackRows:
     def __post_init__(self) -> None:
         """Make the arrays 64-bit and read-only."""
         for name in ("xy", "heading", "speed"):
-            values = np.asarray(getattr(self, name), dtype=np.float64).view()
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, frozen(values))
 
     @classmethod
     def of_dense(
