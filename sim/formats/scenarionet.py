@@ -110,6 +110,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
                 "behavior": BEHAVIORS[code].value if code >= 0 else None,
             },
         }
+    summary = {key: _object_summary(key, agent) for key, agent in agents.items()}
     features = {} if road is None else _map_features(road)
     longest = int(np.argmax(np.diff(rows.index.first))) if len(tracks.names) else 0
     return {
@@ -124,8 +125,8 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
             "sdc_id": tracks.names[longest] if tracks.names else "",
             "dataset": "graphrqi",
             "scenario_id": name,
-            "object_summary": {key: _object_summary(key, agent) for key, agent in agents.items()},
-            "number_summary": _number_summary(agents, len(features)),
+            "object_summary": summary,
+            "number_summary": _number_summary(summary, len(features)),
         },
         "tracks": agents,
         "dynamic_map_states": {},
@@ -152,16 +153,14 @@ def _object_summary(name: str, agent: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _number_summary(agents: Mapping[str, Mapping[str, Any]], features: int) -> dict[str, Any]:
+def _number_summary(summary: Mapping[str, Mapping[str, Any]], features: int) -> dict[str, Any]:
     """What the format counts in an episode; there are no lights and no heights in ours."""
-    types = Counter(agent["type"] for agent in agents.values())
+    types = Counter(agent["type"] for agent in summary.values())
     moving = Counter(
-        agent["type"]
-        for name, agent in agents.items()
-        if _object_summary(name, agent)["moving_distance"] > MOVED_M
+        agent["type"] for agent in summary.values() if agent["moving_distance"] > MOVED_M
     )
     return {
-        "num_objects": len(agents),
+        "num_objects": len(summary),
         "object_types": tuple(sorted(types)),
         "num_objects_each_type": {name: types[name] for name in sorted(types)},
         "num_moving_objects": moving.total(),
