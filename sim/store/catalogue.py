@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar, cast
 
@@ -224,11 +225,11 @@ def is_dataset(path: Path) -> bool:
     return any(place.size(name) is not None for name in (EPISODES, MANIFEST))
 
 
-def checked_bytes(place: Place, entry: EpisodeEntry, name: str) -> bytes:
+def checked_bytes(place: Place, entry: EpisodeEntry, name: FileName) -> bytes:
     """The content of an episode's own file, which must be as the entry says."""
     file = f"episodes/{entry.id}/{name}"
     path = place.path / file
-    expected = entry.files.get(cast(FileName, name))
+    expected = entry.files.get(name)
     if expected is None:
         raise InputError(f"{path}: found no checksum of it in the manifest, expected one")
     size = place.size(file)
@@ -242,22 +243,6 @@ def checked_bytes(place: Place, entry: EpisodeEntry, name: str) -> bytes:
     return data
 
 
-class _CheckedFiles(Mapping[str, bytes]):
-    """The bytes of an episode's own files, read and compared when they are asked for."""
-
-    def __init__(self, place: Place, entry: EpisodeEntry) -> None:
-        self._place, self._entry = place, entry
-
-    def __getitem__(self, name: str) -> bytes:
-        return checked_bytes(self._place, self._entry, name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(EPISODE_FILES)
-
-    def __len__(self) -> int:
-        return len(EPISODE_FILES)
-
-
 def tables_of(place: Place, entry: EpisodeEntry) -> Tables:
     """The tables of an episode, in its shard or in files of its own.
 
@@ -267,4 +252,4 @@ def tables_of(place: Place, entry: EpisodeEntry) -> Tables:
     """
     if entry.shard is not None:
         return ShardTables(place, entry)
-    return EpisodeFiles(place.path / "episodes" / entry.id, _CheckedFiles(place, entry))
+    return EpisodeFiles(place.path / "episodes" / entry.id, partial(checked_bytes, place, entry))

@@ -5,7 +5,7 @@ Whatever can be wrong with a table is one `InputError` that names the file.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
@@ -74,11 +74,11 @@ class EpisodeFiles:
 
     Attributes:
         home: the episode's folder, for messages.
-        data: the bytes of each of ``EPISODE_FILES``.
+        read: gives the bytes of each of ``EPISODE_FILES``.
     """
 
     home: Path
-    data: Mapping[str, bytes]
+    read: Callable[[FileName], bytes]
 
     def path(self, name: FileName) -> Path:
         """The table's file."""
@@ -93,7 +93,7 @@ class EpisodeFiles:
     ) -> pa.Table:
         """A table that has one of the schemas."""
         path = self.path(name)
-        with opened(path, self.data[name]) as (layout, source):
+        with opened(path, self.read(name)) as (layout, source):
             found = pq.read_schema(source).remove_metadata()
             check_columns(path, found, schemas)
             # the edges of all routes count as the rows of routes
