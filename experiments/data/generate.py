@@ -41,13 +41,13 @@ from experiments.data.shards.staging import staged
 from experiments.data.tasks import T
 from experiments.data.worlds.episode import WorldsConfig, make_world
 from sim.store.atomic import PARTIAL_PREFIX, remove_partial
-from sim.store.catalogue import is_dataset, unlisted_episodes
+from sim.store.catalogue import is_dataset, road_is_sound, unlisted_episodes
 from sim.store.dataset import open_dataset
 from sim.store.entries import EPISODES
 from sim.store.lock import LOCK, sole_writer
 from sim.store.places import Folder, Place, is_remote, place_of
 from sim.store.schema import TABLES, EpisodeEntry, EpisodeMeta, FileEntry, Manifest
-from sim.store.sealing import Sealer, Shard, road_is_sound, shards_in, whole_shards
+from sim.store.sealing import Sealer, Shard, shards_in, whole_shards
 
 PLAN: Final = "plan.json"
 """What the parts of a dataset have in common, for `merge`; removed by it."""

@@ -23,8 +23,8 @@ from sim.road.maps.stored import SUFFIX, encode_road
 from sim.store.atomic import write_whole
 from sim.store.decode import EpisodeFiles, Tables
 from sim.store.entries import EPISODES, Versioned, check_version
-from sim.store.places import Folder, Place, place_of
-from sim.store.schema import EPISODE_FILES, EpisodeEntry, FileName, Manifest
+from sim.store.places import Folder, Place, file_checksum, place_of
+from sim.store.schema import EPISODE_FILES, EpisodeEntry, FileEntry, FileName, Manifest
 from sim.store.shards import ShardTables
 
 M = TypeVar("M", bound=BaseModel)
@@ -148,21 +148,34 @@ def altered_files(folder: Path, entry: EpisodeEntry) -> list[Path]:
     Returns:
         Paths; empty if all is well.
     """
-    home = folder / "episodes" / entry.id
-    expected = [(home / n, entry.files.get(n)) for n in cast("tuple[FileName, ...]", EPISODE_FILES)]
-    altered = [
-        path
-        for path, file in expected
-        if file is None
-        or not path.is_file()
-        or path.stat().st_size != file.size
-        or checksum(path.read_bytes()) != file.sha256
-    ]
-    if entry.road is not None:
-        road = road_path(folder, entry.road)
-        if not road.is_file() or checksum(road.read_bytes()) != entry.road:
-            altered.append(road)
+    place, altered = Folder(folder), list[Path]()
+    for name in cast("tuple[FileName, ...]", EPISODE_FILES):
+        path, file = f"episodes/{entry.id}/{name}", entry.files.get(name)
+        if file is None or not is_unaltered(place, path, file):
+            altered.append(folder / path)
+    if entry.road is not None and not road_is_sound(place, entry.road):
+        altered.append(road_path(folder, entry.road))
     return altered
+
+
+def is_unaltered(place: Place, name: str, file: FileEntry, hashed: bool = True) -> bool:
+    """Whether a file of a dataset is there, as it was said to be.
+
+    Args:
+        place: the dataset.
+        name: of the file.
+        file: its size and checksum.
+        hashed: whether to read and compare everything; otherwise the size is.
+    """
+    return place.size(name) == file.size and (
+        not hashed or file_checksum(place, name) == file.sha256
+    )
+
+
+def road_is_sound(place: Place, sha256: str) -> bool:
+    """Whether a dataset has a road, unaltered."""
+    name = road_name(place, sha256)
+    return place.size(name) is not None and file_checksum(place, name) == sha256
 
 
 def validated(model: type[M], path: Path) -> M:

@@ -27,7 +27,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.frames import KINDS
 from sim.store.atomic import PARTIAL_PREFIX
-from sim.store.catalogue import MANIFEST, road_name, tables_of
+from sim.store.catalogue import MANIFEST, is_unaltered, road_is_sound, road_name, tables_of
 from sim.store.decode import STEPS, Tables
 from sim.store.encode import parquet_options
 from sim.store.entries import (
@@ -375,8 +375,7 @@ def is_whole(place: Place, shard: Shard, hashed: bool = True) -> bool:
     """
     expected = {shard_path(name, shard.entries[0]) for name in _FILES}
     return expected == set(shard.files) and all(
-        place.size(path) == file.size and (not hashed or file_checksum(place, path) == file.sha256)
-        for path, file in shard.files.items()
+        is_unaltered(place, path, file, hashed) for path, file in shard.files.items()
     )
 
 
@@ -421,12 +420,6 @@ def entries_in(place: Place) -> dict[str, EpisodeEntry]:
     roads = {entry.road for shard in shards for entry in shard.entries if entry.road is not None}
     unsound = {road for road in roads if not road_is_sound(place, road)}
     return {e.id: e for shard in shards for e in shard.entries if e.road not in unsound}
-
-
-def road_is_sound(place: Place, sha256: str) -> bool:
-    """Whether a dataset has a road, unaltered."""
-    name = road_name(place, sha256)
-    return place.size(name) is not None and file_checksum(place, name) == sha256
 
 
 def write_manifest(
