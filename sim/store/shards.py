@@ -29,7 +29,7 @@ from sim.store.parquet import (
     read_footer,
     read_packed,
 )
-from sim.store.places import Place, place_of
+from sim.store.places import Folder, Place, place_of
 from sim.store.schema import (
     MAX_CELLS,
     EpisodeEntry,
@@ -158,10 +158,9 @@ class _SmallTable:
 
 def _stamp(place: Place, file: str) -> Hashable:
     """What changes when a file does; of object stores nothing, since it would be asked for."""
-    folder = place.path
-    if place_of(folder).url != str(folder):
+    if not isinstance(place, Folder):
         return None
-    status = (folder / file).stat()
+    status = (place.path / file).stat()
     return status.st_size, status.st_mtime_ns, status.st_ino
 
 
