@@ -183,6 +183,10 @@ class Sealer:
     staging: Path
     waiting: Place | None = None
 
+    @property
+    def _origin(self) -> Place:
+        return self.waiting or Folder(self.staging)
+
     def seal(self, entries: Iterable[EpisodeEntry], there: Iterable[Shard] = ()) -> list[Shard]:
         """Put the episodes of some whole blocks into shards, where they are not.
 
@@ -197,8 +201,7 @@ class Sealer:
             InputError: if an episode is missing, altered or broken.
             OSError: if a shard cannot be written.
         """
-        waiting = self.waiting or Folder(self.staging)
-        origins = {entry.id: with_counts(waiting, entry) for entry in entries}
+        origins = {entry.id: with_counts(self._origin, entry) for entry in entries}
         known = {shard.name: shard for shard in there}
         shards = []
         for planned in planned_shards(origins.values()):
@@ -210,12 +213,11 @@ class Sealer:
 
     def _write(self, planned: Sequence[EpisodeEntry], origins: Mapping[str, EpisodeEntry]) -> Shard:
         files: dict[str, FileEntry] = {}
-        waiting = self.waiting or Folder(self.staging)
         names = sorted(_FILES, key=lambda name: name == "agents.parquet")  # that one last
         made = []
         for entry in planned:
             origin = origins[entry.id]
-            place = waiting if origin.shard is None else self.place
+            place = self._origin if origin.shard is None else self.place
             made.append((entry, tables_of(place, origin)))
         with scratch_folder(self.staging) as scratch:
             for name in names:
@@ -260,7 +262,9 @@ class Sealer:
     def _publish_roads(self, roads: Collection[str]) -> None:
         """Move the roads that are made elsewhere to the dataset."""
         for waiting in (Folder(self.staging), self.waiting or self.place):
-            for sha256 in sorted(roads) if waiting.url != self.place.url else ():
+            if waiting.url == self.place.url:
+                continue
+            for sha256 in sorted(roads):
                 name = road_name(waiting, sha256)
                 if waiting.size(name) is not None:
                     self.place.write(name, waiting.read(name))
@@ -278,8 +282,9 @@ class Sealer:
     def remove_waiting(self, identities: Collection[str]) -> None:
         """Remove the folders of episodes that are in a shard now."""
         if isinstance(self.waiting, Store) and self.waiting.url == self.place.url:
+            wanted = set(identities)
             for name in list(self.waiting.files("episodes")):
-                if name.split("/")[1] in set(identities):
+                if name.split("/")[1] in wanted:
                     self.waiting.remove(name)
         home = self.staging / "episodes"
         for identity in identities:
