@@ -228,7 +228,7 @@ def read_manifest(place: Place) -> Manifest:
             "generate again"
         )
     version = validated_in(Versioned, place, MANIFEST).schema_version
-    check_version(manifest, version, (1,))
+    check_version(manifest, version, 1)
     return validated_in(Manifest, place, MANIFEST)
 
 

@@ -7,7 +7,7 @@ A catalogue is opened by its last bytes alone; its rows are read when they are a
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -152,7 +152,7 @@ class Catalogue:
         self._place = place
         self._path = place.path / EPISODES
         said = metadata_of(self._path, footer, Versioned)
-        check_version(self._path, said.schema_version, (SCHEMA_VERSION,))
+        check_version(self._path, said.schema_version, SCHEMA_VERSION)
         self.header = metadata_of(self._path, footer, Header)
         self.count = footer.rows
 
@@ -236,16 +236,16 @@ class Versioned(BaseModel):
     schema_version: int
 
 
-def check_version(path: Path, version: int, expected: Sequence[int]) -> None:
+def check_version(path: Path, version: int, expected: int) -> None:
     """Refuse the description of a dataset that another version of this package wrote.
 
     Raises:
         InputError: naming both versions.
     """
-    if version not in expected:
+    if version != expected:
         raise InputError(
-            f"{path}: found schema_version {version}, expected {expected[-1]}"
-            + ("; a newer graphrqi reads it" if version > max(expected) else "")
+            f"{path}: found schema_version {version}, expected {expected}"
+            + ("; a newer graphrqi reads it" if version > expected else "")
         )
 
 
