@@ -160,11 +160,7 @@ class Dataset:
             )
         if (split, scenario, behavior, mix, flow) == (None,) * 5:
             return self.manifest.episodes
-        fitting = rows_where(self.catalogue, split, scenario, behavior, mix, flow)
-        if isinstance(self._catalogue, Manifest):
-            wanted = set(fitting.column("id").to_pylist())
-            return tuple(e for e in self._catalogue.episodes if e.id in wanted)
-        return self._catalogue.entries(fitting)
+        return self.entries(rows_where(self.catalogue, split, scenario, behavior, mix, flow))
 
     def entries(self, rows: pa.Table) -> tuple[EpisodeEntry, ...]:
         """Rows of the `catalogue` as entries, in their order."""
