@@ -120,8 +120,7 @@ def opened(path: Path, data: bytes | None = None) -> Iterator[tuple[Layout, pa.N
     except InputError:
         raise
     except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: found no readable Parquet table ({reason:.200})") from None
+        raise _unreadable(path, error) from None
 
 
 def look_through(path: Path, data: Any) -> Layout:
@@ -140,8 +139,14 @@ def look_through(path: Path, data: Any) -> Layout:
     try:
         return _layout(data)
     except (ThriftError, TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
-        reason = str(error) if isinstance(error, ThriftError) else "a header is broken"
-        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+        raise _unreadable(path, error, "a header is broken") from None
+
+
+def _unreadable(path: Path, error: Exception, otherwise: str | None = None) -> InputError:
+    """What Arrow or we found broken; ``otherwise`` where only our own words say what it is."""
+    said = (str(error).splitlines() or [type(error).__name__])[0]
+    reason = said if otherwise is None or isinstance(error, ThriftError) else otherwise
+    return InputError(f"{path}: found no readable Parquet table ({reason:.200})")
 
 
 def _require(holds: bool, reason: str) -> None:
@@ -241,8 +246,7 @@ def read_footer(path: Path, size: int, read: Callable[[int, int], bytes]) -> Foo
         said = {pair[1]: pair[2] for pair in head.get(5, []) if 2 in pair}
         return Footer(path, size, content, rows, groups, head[2], said)
     except (ThriftError, TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
-        reason = str(error) if isinstance(error, ThriftError) else "its footer is broken"
-        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+        raise _unreadable(path, error, "its footer is broken") from None
 
 
 class _Parts(io.RawIOBase):
@@ -327,11 +331,9 @@ def opened_group(
     except (InputError, FileNotFoundError):
         raise
     except (ThriftError, TypeError, KeyError, IndexError, AttributeError) as error:
-        reason = str(error) if isinstance(error, ThriftError) else "a header is broken"
-        raise InputError(f"{path}: found no readable Parquet table ({reason})") from None
+        raise _unreadable(path, error, "a header is broken") from None
     except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: found no readable Parquet table ({reason:.200})") from None
+        raise _unreadable(path, error) from None
 
 
 def _extent(group: Mapping[int, Any], limit: int) -> tuple[int, int]:
