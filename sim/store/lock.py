@@ -18,6 +18,8 @@ from sim.store.schema import TABLES
 LOCK: Final = ".lock"
 """Name of the lock file. It exists only while a run writes, and names that run."""
 
+SAID_BYTES: Final = 200
+"""So much of what a lock file says is read."""
 
 FILLING: Final = "filling a new folder"
 """The purpose of runs that begin anew when they are killed."""
@@ -45,34 +47,13 @@ def sole_writer(folder: Path, purpose: str = "writing") -> Iterator[str]:
         InputError: if another process holds it, or the path is not a folder.
         OSError: if the folder cannot be written.
     """
-    refuse_url(folder)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: found a file, expected a folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / LOCK
-    while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = os.pread(descriptor, 200, 0).decode(errors="replace").strip()
-            os.close(descriptor)
-            raise InputError(
-                f"{folder}: another run is writing to it{f' ({holder})' if holder else ''}; "
-                "wait for its end or choose another folder"
-            ) from None
-        if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
-            left = os.pread(descriptor, 200, 0).decode(errors="replace")
-            os.ftruncate(descriptor, 0)
-            holder = f"process {os.getpid()} on {socket.gethostname()}, {purpose}"
-            os.pwrite(descriptor, holder.encode(), 0)
-            break
-        os.close(descriptor)  # the holder before us removed the file that we opened
-    try:
+    _make(folder)
+    with _locked(folder, LOCK, fcntl.LOCK_EX) as descriptor:
+        left = os.pread(descriptor, SAID_BYTES, 0).decode(errors="replace")
+        os.ftruncate(descriptor, 0)
+        holder = f"process {os.getpid()} on {socket.gethostname()}, {purpose}"
+        os.pwrite(descriptor, holder.encode(), 0)
         yield left
-    finally:
-        path.unlink(missing_ok=True)
-        os.close(descriptor)
 
 
 @contextmanager
@@ -90,10 +71,7 @@ def one_of_several_writers(folder: Path, name: str) -> Iterator[None]:
         InputError: if a sole writer holds it, or another one of that name.
         OSError: if the folder cannot be written.
     """
-    refuse_url(folder)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: found a file, expected a folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    _make(folder)
     with (
         _locked(folder, LOCK, fcntl.LOCK_SH, f"one of several writers, {name}"),
         _locked(folder, f"{LOCK}-{name}", fcntl.LOCK_EX, name),
@@ -101,24 +79,36 @@ def one_of_several_writers(folder: Path, name: str) -> Iterator[None]:
         yield
 
 
+def _make(folder: Path) -> None:
+    refuse_url(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: found a file, expected a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+
+
 @contextmanager
-def _locked(folder: Path, name: str, kind: int, purpose: str) -> Iterator[None]:
-    """Hold a lock file of a folder; the last one that holds it removes it."""
+def _locked(folder: Path, name: str, kind: int, purpose: str | None = None) -> Iterator[int]:
+    """Hold a lock file of a folder; the last one that holds it removes it.
+
+    Who is refused is told its own purpose, or else what the file says and to go elsewhere.
+    """
     path = folder / name
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
         except BlockingIOError:
+            holder = purpose or os.pread(descriptor, SAID_BYTES, 0).decode(errors="replace").strip()
             os.close(descriptor)
             raise InputError(
-                f"{folder}: another run is writing to it ({purpose}); wait for its end"
+                f"{folder}: another run is writing to it{f' ({holder})' if holder else ''}; "
+                f"wait for its end{'' if purpose else ' or choose another folder'}"
             ) from None
         if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
             break
-        os.close(descriptor)
+        os.close(descriptor)  # the holder before us removed the file that we opened
     try:
-        yield
+        yield descriptor
     finally:
         with suppress(BlockingIOError):
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
