@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -174,9 +175,9 @@ class Store:
             raise FileNotFoundError(2, "No such file", self._called(name)) from None
         except PermissionError as error:
             raise PermissionError(13, f"{error:.200}", self._called(name)) from None
+        except InputError:
+            raise
         except Exception as error:  # stores' clients have their own errors, of no common class
-            if isinstance(error, InputError):
-                raise
             raise OSError(5, f"{error:.200}".replace("\n", " "), self._called(name)) from error
 
     def _called(self, name: str) -> str:
@@ -336,8 +337,6 @@ def whole_file_at(path: Path) -> Iterator[Path]:
         with whole_file(local_path(path)) as partial:
             yield partial
         return
-    import tempfile
-
     with tempfile.TemporaryDirectory(prefix="graphrqi-") as scratch:
         file = Path(scratch) / path.name
         yield file
