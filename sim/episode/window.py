@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -92,11 +92,6 @@ class Window:
             },
             events=tuple(event for event in frame.events if event.agent in here),
         )
-
-    def of_each(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames of a run with the agents that count."""
-        for frame in frames:
-            yield self.of(frame)
 
     def of_tracks(self, tracks: Tracks) -> Tracks:
         """The tracks of the agents that count at the last time; they keep their whole past."""
