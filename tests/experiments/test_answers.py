@@ -15,7 +15,6 @@ from packaging.requirements import Requirement
 from behaviors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli import doctor
-from experiments.cli.commands import main
 from experiments.console.notices import LOGGER
 from experiments.data.configuration import GenerateConfig, read_config
 from experiments.data.exchange import import_recordings
@@ -23,6 +22,7 @@ from experiments.data.generate import generate
 from experiments.scoring.classification import LABELS
 from sim.formats import formats_in, left_out_files
 from sim.store.dataset import open_dataset
+from tests.experiments.shared import call
 
 ARGO = "frame,id,x,y\n" + "".join(
     f"{t},{i},{t * (1 + i)},{4 * i}\n" for t in range(60) for i in (0, 1)
@@ -46,12 +46,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = GenerateConfig(scenarios=("straight_road",), episodes=5, seed=1, duration_s=30.0)
     generate(config, folder, jobs=1, quiet=True)
     return folder
-
-
-def call(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return int(ended.value.code or 0)
 
 
 def test_training_ends_with_its_scores(data, tmp_path, capsys) -> None:

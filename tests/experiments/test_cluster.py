@@ -21,13 +21,9 @@ import experiments.data.cluster
 from behaviors import InputError
 from experiments.data.configuration import GenerateConfig, read_cluster
 from experiments.data.generate import generate
+from tests.experiments.shared import content
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=4, seed=5, duration_s=30.0)
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    files = (p for p in folder.rglob("*") if p.is_file())
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
 @pytest.fixture(scope="module")

@@ -15,13 +15,13 @@ import pytest
 from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
 from behaviors.labels import BEHAVIORS, Behavior
-from experiments.cli.commands import main
 from experiments.data.configuration import GenerateConfig
 from experiments.data.exchange import import_recordings
 from experiments.data.generate import generate
 from experiments.scoring.classification import LABELS, Answered
 from experiments.scoring.evaluation import BENCH, evaluation_rows
 from sim.store.dataset import open_dataset
+from tests.experiments.shared import call
 
 FOLLOWERS = "frame,id,x,y\n" + "".join(
     f"{t},{i},{t * (1 + i) * 0.8},{4 * i}\n" for t in range(60) for i in (0, 1, 2)
@@ -34,12 +34,6 @@ def data(tmp_path_factory) -> Path:
     config = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=4, duration_s=25.0)
     generate(config, folder, jobs=1, quiet=True)
     return folder
-
-
-def call(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return int(ended.value.code or 0)
 
 
 def figures(path: Path, **keys: str) -> dict[str, dict]:

@@ -28,15 +28,11 @@ from sim.store.entries import write_catalogue
 from sim.store.lock import sole_writer
 from sim.store.places import place_of
 from sim.store.schema import CATALOGUE, EpisodeEntry
+from tests.experiments.shared import content
 
 CONFIG = GenerateConfig(
     scenarios=("straight_road", "four_way_intersection"), episodes=1, seed=7, duration_s=12.0
 )
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    files = (p for p in folder.rglob("*") if p.is_file())
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
 def shards(folder: Path, table: str) -> list[Path]:

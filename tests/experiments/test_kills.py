@@ -19,6 +19,7 @@ import pytest
 
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
+from tests.experiments.shared import content
 
 pytestmark = pytest.mark.skipif(
     "GRAPHRQI_SLOW" not in os.environ, reason="takes minutes; set GRAPHRQI_SLOW=1 to run it"
@@ -34,11 +35,6 @@ COMMAND = [
     "--scenario", "four_way_intersection", "--episodes", "6", "--seed", "3", "--duration-s", "30",
     "--quiet",
 ]  # fmt: skip
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    files = (p for p in folder.rglob("*") if p.is_file())
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
 def children(process: int) -> list[psutil.Process]:

@@ -25,20 +25,11 @@ from sim.store.catalogue import canonical
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.lock import sole_writer
 from sim.store.schema import EPISODE_FIELDS
+from tests.experiments.shared import content, in_this_process
 
 CONFIG = GenerateConfig(
     scenarios=("straight_road", "two_way_road"), episodes=4, seed=5, duration_s=2.0
 )
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    files = (p for p in folder.rglob("*") if p.is_file())
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
-
-
-def in_this_process(make, folder, tasks, jobs, shown):
-    """As `make_in_processes`, without the seconds that starting workers takes."""
-    return [make(folder, task) for task in tasks], []
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -23,15 +23,12 @@ from experiments.scoring.classification import classify_dataset
 from experiments.training.classifier import train_on
 from sim.store.dataset import open_dataset
 from sim.store.places import Place, place_of, url_of
+from tests.experiments.shared import in_this_process
 
 pytest.importorskip("moto", reason="pip install 'graphrqi[dev]'")
 pytest.importorskip("s3fs", reason="pip install 'graphrqi[store]'")
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=5, duration_s=12.0)
-
-
-def in_this_process(make, folder, tasks, jobs, shown):
-    return [make(folder, task) for task in tasks], []
 
 
 @pytest.fixture(scope="module")

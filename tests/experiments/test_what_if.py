@@ -28,6 +28,7 @@ from experiments.scoring.what_if import (
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.store.dataset import open_dataset
 from sim.sumo.control.acting import Action
+from tests.experiments.shared import content
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
 EPISODE = GenerateConfig(
@@ -51,10 +52,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def folder(made: Path, tmp_path: Path) -> Path:
     shutil.copytree(made, tmp_path / "data")
     return tmp_path / "data"
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 def test_the_factual_episode_is_the_one_that_generate_makes(made: Path, tmp_path: Path) -> None:
