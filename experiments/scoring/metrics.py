@@ -47,6 +47,12 @@ class Estimate:
         return {name: None if x != x else x for name, x in asdict(self).items()}
 
 
+def _numbered(episode: IntArray) -> tuple[IntArray, int]:
+    """(n,) which of the episodes each belongs to, counted from 0, and how many there are."""
+    known, number = np.unique(episode, return_inverse=True)
+    return number, known.size
+
+
 def confusion(
     truth: NDArray[np.int8], answer: IntArray, episode: IntArray, k: int = len(BEHAVIORS)
 ) -> FloatArray:
@@ -61,8 +67,7 @@ def confusion(
     Returns:
         (E, k, k) one matrix per episode; rows are true classes.
     """
-    _, number = np.unique(episode, return_inverse=True)
-    count = int(number.max()) + 1 if number.size else 0
+    number, count = _numbered(episode)
     flat = (number * k + truth.astype(np.int64)) * k + answer
     return np.bincount(flat, minlength=count * k * k).reshape(count, k, k).astype(np.float64)
 
@@ -152,8 +157,7 @@ def reliability(truth: NDArray[np.int8], probability: FloatArray, episode: IntAr
     """
     confidence = probability.max(axis=1)
     right = probability.argmax(axis=1) == truth
-    _, number = np.unique(episode, return_inverse=True)
-    count = int(number.max()) + 1 if number.size else 0
+    number, count = _numbered(episode)
     number_of_bin = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     flat = number * CONFIDENCE_BINS + number_of_bin
     columns = [
@@ -283,14 +287,21 @@ def bootstrap(
         are NaN.
     """
     value = float(statistic(per_episode.sum(axis=0)))
-    episodes = len(per_episode)
-    if episodes < 2:
+    if len(per_episode) < 2:
         return value, float("nan"), float("nan")
+
+    def weighted(weight: FloatArray) -> FloatArray:
+        return statistic(np.tensordot(weight, per_episode, axes=1))
+
+    return value, *_interval(weighted, len(per_episode), seed)
+
+
+def _interval(weighted: Statistic, episodes: int, seed: int) -> tuple[float, float]:
+    """The 95 % interval of a statistic of (RESAMPLES, E) how often each episode is drawn."""
     rng = np.random.default_rng(seed)
     weight = rng.multinomial(episodes, np.full(episodes, 1.0 / episodes), size=RESAMPLES)
-    drawn = statistic(np.tensordot(weight.astype(np.float64), per_episode, axes=1))
-    low, high = np.nanquantile(drawn, [0.025, 0.975])
-    return value, float(low), float(high)
+    low, high = np.nanquantile(weighted(weight.astype(np.float64)), [0.025, 0.975])
+    return float(low), float(high)
 
 
 def auc_over_episodes(
@@ -312,8 +323,7 @@ def auc_over_episodes(
         >>> auc_over_episodes(np.array([0.9, 0.5, 0.4]), truth, where)[0]
         0.5
     """
-    _, number = np.unique(episode, return_inverse=True)
-    count = int(number.max()) + 1 if number.size else 0
+    number, count = _numbered(episode)
     ups, downs = np.bincount(number[positive], minlength=count), number[~positive]
     won = np.zeros((count, count))
     for each in range(count):
@@ -331,10 +341,7 @@ def auc_over_episodes(
     value = float(area(np.ones(count))) if count else float("nan")
     if count < 2 or not np.isfinite(value):
         return value, float("nan"), float("nan")
-    rng = np.random.default_rng(seed)
-    drawn = rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES)
-    low, high = np.nanquantile(area(drawn.astype(np.float64)), [0.025, 0.975])
-    return value, float(low), float(high)
+    return value, *_interval(area, count, seed)
 
 
 def score(
