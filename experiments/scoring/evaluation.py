@@ -46,6 +46,7 @@ from experiments.scoring.metrics import (
     ratio,
     recall_of,
     reliability,
+    summed,
     weighted_accuracy,
 )
 from graphrqi.methods import Model
@@ -247,8 +248,8 @@ def _rows(cases: Cases, keys: Mapping[str, Cell]) -> Iterator[Row]:
     n, episode = cases.episode.size, cases.episode
 
     def share(name: str, part: FloatArray | NDArray[np.bool_], extra: Mapping[str, Cell]) -> Row:
-        sums = _sums(episode, part.astype(np.float64), np.ones(n))
-        return tidy_row({**keys, **extra}, name, *bootstrap(ratio, sums), n)
+        found = bootstrap(ratio, summed(episode, part, np.ones(n)))
+        return tidy_row({**keys, **extra}, name, *found, n)
 
     yield tidy_row(keys, "drivers", n, None, None, n)
     yield tidy_row(keys, "episodes", np.unique(episode).size, None, None, n)
@@ -275,7 +276,7 @@ def _behavior_rows(cases: Cases, keys: Mapping[str, Cell]) -> Iterator[Row]:
     majority = int(np.bincount(truth).argmax())
     constant = confusion(truth, np.full(n, majority), episode)
     bins = reliability(truth, cases.probability, episode)
-    told = _sums(episode, (cases.told & (answer == truth)).astype(np.float64), cases.told)
+    told = summed(episode, cases.told & (answer == truth), cases.told)
     measured: dict[str, tuple[Statistic, FloatArray, int]] = {
         "weighted_accuracy": (weighted_accuracy, counts, n),
         "majority_weighted_accuracy": (weighted_accuracy, constant, n),
@@ -323,13 +324,6 @@ def _style_rows(cases: Cases, keys: Mapping[str, Cell]) -> Iterator[Row]:
         yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
     area = auc_over_episodes(aggressive, truth == 0, episode)
     yield tidy_row(keys, "style_auc", *area, n)
-
-
-def _sums(episode: IntArray, part: FloatArray, whole: FloatArray | NDArray[np.bool_]) -> FloatArray:
-    """(E, 2) sums of two columns by episode."""
-    _, number = np.unique(episode, return_inverse=True)
-    columns = [np.bincount(number, weights.astype(np.float64)) for weights in (part, whole)]
-    return np.stack(columns, axis=1)
 
 
 SHOWN: Final = {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -270,6 +270,19 @@ def ratio(sums: FloatArray) -> FloatArray:
     """The first of two summed columns (..., 2) over the second: of a sum and a count, a mean."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(sums[..., 0] / sums[..., 1])
+
+
+def summed(group: IntArray, above: NDArray[Any], below: NDArray[Any]) -> FloatArray:
+    """(G, 2) sums of two columns (n,) over each group, of which `ratio` is the share.
+
+    Examples:
+        >>> where, right = np.array([4, 4, 7]), np.array([True, False, True])
+        >>> summed(where, right, np.ones(3)).tolist()
+        [[1.0, 2.0], [1.0, 1.0]]
+    """
+    number, _ = _numbered(group)
+    columns = [np.bincount(number, each.astype(np.float64)) for each in (above, below)]
+    return np.stack(columns, axis=1)
 
 
 def bootstrap(

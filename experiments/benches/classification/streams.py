@@ -20,6 +20,7 @@ from experiments.scoring.metrics import (
     confusion,
     ratio,
     reliability,
+    summed,
     weighted_accuracy,
 )
 from experiments.scoring.models import majority_of
@@ -170,10 +171,8 @@ def _mean(
     values: NDArray[np.bool_] | FloatArray, samples: Samples, of: NDArray[np.bool_] | None = None
 ) -> tuple[float, float, float]:
     """Mean of values (over those ``of`` which it is), with its interval over episodes."""
-    _, number = np.unique(samples.episode, return_inverse=True)
-    counted = np.ones(len(samples)) if of is None else of.astype(np.float64)
-    sums = [np.bincount(number, weights) for weights in (values.astype(np.float64), counted)]
-    return bootstrap(ratio, np.stack(sums, axis=1))
+    counted = np.ones(len(samples)) if of is None else of
+    return bootstrap(ratio, summed(samples.episode, values, counted))
 
 
 def by_age(samples: Samples, probability: FloatArray) -> list[tuple[float, Samples, FloatArray]]:

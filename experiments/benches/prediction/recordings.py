@@ -23,7 +23,7 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import bootstrap, ratio
+from experiments.scoring.metrics import bootstrap, ratio, summed
 from experiments.scoring.prediction_errors import hits, off_road, set_measures
 from experiments.scoring.recordings import (
     RecordedPlace,
@@ -256,17 +256,11 @@ def _rows(keys: dict[str, str | float], one: Scored) -> Iterator[Row]:
     for metric in COLUMNS:
         if metric.startswith("cv_") or not np.isfinite(column[metric]).all():
             continue
-        found = bootstrap(ratio, _summed(one.vehicle, column[metric], ones))
+        found = bootstrap(ratio, summed(one.vehicle, column[metric], ones))
         yield tidy_row(keys, metric, *found, n)
     for metric, above, below in RATIOS:
         for suffix, group in (("", one.vehicle), ("_by_place", one.place)):
-            found = bootstrap(ratio, _summed(group, column[above], column[below]))
+            found = bootstrap(ratio, summed(group, column[above], column[below]))
             yield tidy_row(keys, metric + suffix, *found, n)
     median = float(np.median(one.ms))
     yield tidy_row(keys, "ms_per_scene", median, float("nan"), float("nan"), one.ms.size)
-
-
-def _summed(group: IntArray, above: FloatArray, below: FloatArray) -> FloatArray:
-    """(G, 2) sums of two columns over each group."""
-    number = np.unique(group, return_inverse=True)[1]
-    return np.stack([np.bincount(number, above), np.bincount(number, below)], axis=1)
