@@ -23,8 +23,9 @@ from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
-from sim.formats.common.label_file import DriverLabel, DriverLabels, read_driver_labels
+from sim.formats.common.label_file import DriverLabels, read_driver_labels
 from sim.store.dataset import Episode, open_dataset
+from sim.store.schema import EpisodeEntry
 
 LABELS: Final = pa.schema(
     [
@@ -99,19 +100,23 @@ def label_episode(episode: Episode, model: Model) -> pa.Table:
 
 
 def with_truth(
-    table: pa.Table, names: Sequence[str], labels: Sequence[DriverLabel | None]
+    table: pa.Table, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels | None
 ) -> pa.Table:
     """Answers with labels that are given now instead of what was known.
 
     Args:
         table: with the columns ``LABELS``, of one episode.
         names: of the episode's agents.
-        labels: of each; None leaves what was known.
+        entry: the episode.
+        labels: of drivers; what was known is left of others. None if no labels are given.
 
     Returns:
         The table.
     """
-    given = {name: one for name, one in zip(names, labels, strict=True) if one is not None}
+    if labels is None:
+        return table
+    found = labels.of(names, entry.name, entry.file, entry.id)
+    given = {name: one for name, one in zip(names, found, strict=True) if one is not None}
     if not given:
         return table
     new: dict[str, list[str | None]] = {"truth": [], "true_style": []}
@@ -192,10 +197,11 @@ def classify_dataset(
     ):
         for entry, place in zip(episodes, places_of([dataset]), strict=True):
             episode = dataset.read(entry)
-            table = _known(label_episode(episode, trained), episode, given)
+            names = episode.tracks.names
+            table = with_truth(label_episode(episode, trained), names, entry, given)
             writer.write_table(table)
             last = last_answers(table)
-            found.append(Answered(place, episode.tracks.names, last))
+            found.append(Answered(place, names, last))
             head = {"episode": entry.id, "name": entry.name, "split": entry.split}
             rows.append({**head, **summary_of(last), "rows": table.num_rows})
             progress.advance()
@@ -207,13 +213,6 @@ def classify_dataset(
             {"episode": "all", "name": None, "split": split, **summary_of(pa.concat_tables(own))}
         )
     return rows, found
-
-
-def _known(table: pa.Table, episode: Episode, labels: DriverLabels | None) -> pa.Table:
-    if labels is None:
-        return table
-    names, entry = episode.tracks.names, episode.entry
-    return with_truth(table, names, labels.of(names, entry.name, entry.file, entry.id))
 
 
 def summary_of(last: pa.Table) -> dict[str, Cell]:

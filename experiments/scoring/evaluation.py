@@ -139,8 +139,7 @@ def evaluate(
     answered = answers_of(load_model(model), [dataset], None, jobs, quiet)
     if given is not None:
         for number, (entry, found) in enumerate(zip(dataset.episodes(), answered, strict=True)):
-            known = given.of(found.names, entry.name, entry.file, entry.id)
-            table = with_truth(found.table, found.names, known)
+            table = with_truth(found.table, found.names, entry, given)
             answered[number] = Answered(found.place, found.names, table)
         given.check()
     rows = evaluation_rows(answered, str(model))
