@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from behaviors.labels import BEHAVIORS
 from behaviors.populations import NUMBERS, Population
 from behaviors.profiles import PROFILES
 from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.templates import rendered
 from experiments.scoring.calibration import Calibrated
 from graphrqi.calibrate.driving_on import driven_places, errors_of, longest_led
 from graphrqi.calibrate.laws import Law
@@ -40,12 +40,9 @@ def calibration_page(calibrated: Calibrated) -> str:
     """
     law = calibrated.better
     population = calibrated.population(law)
-    environment = Environment(
-        loader=PackageLoader("experiments.report", "."), autoescape=True,
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
     known = calibrated.laws[law].summary().known.mean(axis=0)
-    return environment.get_template("calibration.html").render(
+    return rendered(
+        "calibration.html",
         name=calibrated.source,
         law=str(law),
         drivers=len(calibrated.drivers),

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
@@ -25,6 +23,7 @@ from experiments.report.sections import (
 )
 from experiments.report.source import Source, by_bench, read_source, rows_of
 from experiments.report.tables import Table, name_of, pivot, words
+from experiments.report.templates import rendered
 from experiments.rows import Row
 from sim.store.atomic import write_whole
 
@@ -169,14 +168,7 @@ def compare(runs: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[Section]:
 def _write(out: Path, template: str, **values: Any) -> None:
     if out.is_file() and OURS not in out.read_bytes()[:HEAD_BYTES]:
         raise InputError(f"{out}: found a page that is not a report, expected none; move it away")
-    environment = Environment(
-        loader=PackageLoader("experiments.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    write_whole(out, environment.get_template(template).render(values).encode())
+    write_whole(out, rendered(template, **values).encode())
 
 
 def printed_tables(metrics: Metrics) -> list[tuple[str, Table]]:
