@@ -24,6 +24,7 @@ from scenarios.networks.geometry import (
     StraightGeometry,
 )
 from scenarios.networks.more_geometry import MotorwayGeometry, RoundaboutGeometry
+from sim.store.atomic import write_whole
 
 FOLDER: Final = Path(__file__).resolve().parent
 """Where the shipped nets lie: ``<name>/road.net.xml`` beside its sources."""
@@ -178,12 +179,7 @@ def run_program(
         if done.returncode != 0 or not made.is_file():
             raise InputError(f"{what}: {name} refused the sources: {_reason(done.stderr)}")
         text = _without_header(made.read_text(encoding="utf-8"))
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=net.parent, prefix=f".{net.name}.", delete=False
-        ) as partial:
-            partial.write(text)
-        Path(partial.name).chmod(0o644)
-        Path(partial.name).replace(net)
+        write_whole(net, text.encode("utf-8"))
 
 
 def _reason(stderr: str) -> str:

@@ -10,6 +10,7 @@ from typing import Final
 from behaviors.errors import InputError
 from scenarios.networks.convert import kept_net
 from sim.road.net import MAX_NET_BYTES
+from sim.store.atomic import write_whole
 from sim.xml_tree import read_bytes, read_tree
 
 LEAST_LIMIT_MPS: Final = 1.0
@@ -46,9 +47,7 @@ def edited_net(net: Path, signals: bool = True, limit_mps: float | None = None) 
             _take_signals_out(root)
         if limit_mps is not None:
             _lower_limits(path, root, limit_mps)
-        partial = to.with_name(f".{to.name}.partial")
-        ET.ElementTree(root).write(partial, encoding="utf-8", xml_declaration=True)
-        partial.replace(to)
+        write_whole(to, ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
     what = ["edited", f"signals {signals}", f"limit {limit_mps}"]
     return kept_net(what, read_bytes(net, MAX_NET_BYTES), net, make)
