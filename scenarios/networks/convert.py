@@ -12,6 +12,7 @@ import hashlib
 import re
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -58,6 +59,12 @@ OPTIONS: Final[dict[str, tuple[str, ...]]] = {
 where the map has them, with fixed programmes; nobody turns round; turns are as slow as in our
 nets."""
 
+_READ_BY_NETCONVERT: Final[dict[str, tuple[str, str]]] = {
+    "openstreetmap": ("--osm-files", "map.osm"),
+    "opendrive": ("--opendrive-files", "map.xodr"),
+}
+"""Kinds of maps that netconvert reads itself: its option for them, and a file's name."""
+
 _ROOT: Final = re.compile(
     rb"\A(?:\xef\xbb\xbf)?\s*(?:(?:<\?.*?\?>|<!--.*?-->)\s*)*<([A-Za-z_][\w.:-]*)", re.DOTALL
 )
@@ -78,16 +85,19 @@ def kind_of(path: Path) -> str:
     Raises:
         InputError: if the file is missing, too large, declares a document type, or is no map.
     """
-    data = _content(path)
+    return _kind_of(path, _content(path))
+
+
+def _kind_of(path: Path, content: bytes) -> str:
     name = path.name.lower().removesuffix(".gz")
     if name.endswith(".road.json"):
         return "stored"
     if name.endswith(".json"):
         return "argoverse2"
-    root = _ROOT.match(data)
+    root = _ROOT.match(content)
     found = root.group(1) if root else b""
     if found == b"osm":
-        relation = re.search(rb"""k\s*=\s*["']type["']\s+v\s*=\s*["']lanelet["']""", data)
+        relation = re.search(rb"""k\s*=\s*["']type["']\s+v\s*=\s*["']lanelet["']""", content)
         return "lanelet2" if relation else "openstreetmap"
     roots = {b"net": "sumo", b"OpenDRIVE": "opendrive", b"commonRoad": "commonroad"}
     if found in roots:
@@ -128,46 +138,40 @@ def drivable_net(path: Path) -> Path:
     Raises:
         InputError: if the map is broken, netconvert refuses it, or is needed and missing.
     """
-    kind = kind_of(path)
+    content = _content(path)
+    kind = _kind_of(path, content)
     if kind == "sumo":
         return path
-    return kept_net([kind, *OPTIONS.get(kind, OPTIONS["lanes"])], _content(path), path, _made(kind))
+    if kind in _READ_BY_NETCONVERT:
+        what, make = [kind, *OPTIONS[kind]], partial(_imported, path, content, kind)
+    else:
+        what, make = [kind, *OPTIONS["lanes"]], partial(_from_lanes, path)
+    return kept_net(what, content, make)
 
 
-def kept_net(
-    what: list[str], content: bytes, path: Path, make: Callable[[Path, bytes, Path], None]
-) -> Path:
+def kept_net(what: list[str], content: bytes, make: Callable[[Path], None]) -> Path:
     """The net that was made from some content in some way, made now if it was not before.
 
     Args:
         what: the way, in words.
         content: of the map.
-        path: the map, for messages.
-        make: writes the net: takes the map's path, its content and the net's path.
+        make: writes the net to a path.
     """
     digest = hashlib.sha256("\0".join([*what, ""]).encode() + content).hexdigest()[:16]
     net = cache_folder() / "maps" / digest / NET
     if not net.is_file():
         net.parent.mkdir(parents=True, exist_ok=True)
-        make(path, content, net)
+        make(net)
     return net
 
 
-def _made(kind: str) -> Callable[[Path, bytes, Path], None]:
-    return _from_lanes if kind in ("lanelet2", "commonroad", "argoverse2", "stored") else _imported
-
-
-def _imported(path: Path, content: bytes, net: Path) -> None:
+def _imported(path: Path, content: bytes, kind: str, net: Path) -> None:
     """A net of what netconvert reads itself."""
-    kind = kind_of(path)
-    option, file = {
-        "openstreetmap": ("--osm-files", "map.osm"),
-        "opendrive": ("--opendrive-files", "map.xodr"),
-    }[kind]
+    option, file = _READ_BY_NETCONVERT[kind]
     _convert(path, {file: content}, [option, file, *OPTIONS[kind]], net)
 
 
-def _from_lanes(path: Path, content: bytes, net: Path) -> None:
+def _from_lanes(path: Path, net: Path) -> None:
     """A net of a map that the project reads itself, lane by lane."""
     from scenarios.networks.lanes import plain_files
 

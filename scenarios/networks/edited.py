@@ -39,18 +39,18 @@ def edited_net(net: Path, signals: bool = True, limit_mps: float | None = None) 
     if signals and limit_mps is None:
         return net
 
-    def make(path: Path, _: bytes, to: Path) -> None:
-        root = read_tree(path)
+    def make(to: Path) -> None:
+        root = read_tree(net)
         if root.tag != "net":
-            raise InputError(f"{path}: found <{root.tag:.40}>, expected a SUMO net")
+            raise InputError(f"{net}: found <{root.tag:.40}>, expected a SUMO net")
         if not signals:
             _take_signals_out(root)
         if limit_mps is not None:
-            _lower_limits(path, root, limit_mps)
+            _lower_limits(net, root, limit_mps)
         write_whole(to, ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
     what = ["edited", f"signals {signals}", f"limit {limit_mps}"]
-    return kept_net(what, read_bytes(net, MAX_NET_BYTES), net, make)
+    return kept_net(what, read_bytes(net, MAX_NET_BYTES), make)
 
 
 def _take_signals_out(root: ET.Element) -> None:
