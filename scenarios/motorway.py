@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
-from scenarios.networks.more_geometry import MOTORWAY_LIMIT_MPS, MotorwayGeometry
+from scenarios.networks.motorway_and_roundabout import MOTORWAY_LIMIT_MPS, MotorwayGeometry
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 500.0, "medium": 1000.0, "dense": 1500.0}

@@ -23,7 +23,7 @@ from scenarios.networks.geometry import (
     Geometry,
     StraightGeometry,
 )
-from scenarios.networks.more_geometry import MotorwayGeometry, RoundaboutGeometry
+from scenarios.networks.motorway_and_roundabout import MotorwayGeometry, RoundaboutGeometry
 from sim.store.atomic import write_whole
 
 FOLDER: Final = Path(__file__).resolve().parent

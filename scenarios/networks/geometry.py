@@ -7,12 +7,19 @@ straight road runs along +x from x = 0; the intersection's centre is the origin.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
 from behaviors.errors import InputError
 
 SIDEWALK_WIDTH_M: Final = 2.0
+LANE_WIDTH_M: Final = 3.2
+"""SUMO's default lane width, m."""
+
+RAMP_SLOPE: Final = 0.12
+"""How far a ramp departs from the road per metre (our choice: seven degrees)."""
+
 CROSSING_WIDTH_M: Final = 4.0
 """SUMO's default crossing width, m."""
 
@@ -182,9 +189,16 @@ class Geometry(Protocol):
         ...
 
 
-def document(root: str, rows: list[str]) -> str:
+def document(root: str, rows: Iterable[str]) -> str:
     """An XML document of rows."""
     return "\n".join([f"<{root}>", *rows, f"</{root}>", ""])
+
+
+def connections(links: Iterable[tuple[str, int, str, int]]) -> str:
+    """The document of some ways between lanes: first edge and lane, last edge and lane."""
+    return document("connections", [
+        f'    <connection from="{a}" fromLane="{i}" to="{b}" toLane="{j}"/>' for a, i, b, j in links
+    ])  # fmt: skip
 
 
 def settings(opposites: bool, *, limit_turns: bool = True) -> str:

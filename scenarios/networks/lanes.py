@@ -10,12 +10,11 @@ import itertools
 import math
 from collections.abc import Iterable
 from typing import Final
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from behaviors.errors import InputError
-from scenarios.networks.geometry import LIMIT_MPS
+from scenarios.networks.geometry import LIMIT_MPS, connections, document
 from sim.road import Lane, Road
 
 _Link = tuple[str, int, str, int, bool]
@@ -91,19 +90,13 @@ def plain_files(road: Road) -> dict[str, str]:
         for edge, lanes in edges.items()
         for row in _edge(named[edge], nodes[edge, False], nodes[edge, True], lanes)
     ]
-    seen: set[tuple[str, int, str, int]] = set()
-    connection_rows = []
-    for begin, i, end, j, _ in links:
-        if begin == end or (begin, i, end, j) in seen:
-            continue
-        seen.add((begin, i, end, j))
-        connection_rows.append(
-            f'    <connection from="{named[begin]}" to="{named[end]}" fromLane="{i}" toLane="{j}"/>'
-        )
+    ways = dict.fromkeys(
+        (named[begin], i, named[end], j) for begin, i, end, j, _ in links if begin != end
+    )
     return {
-        "map.nod.xml": _document("nodes", rows),
-        "map.edg.xml": _document("edges", edge_rows),
-        "map.con.xml": _document("connections", connection_rows),
+        "map.nod.xml": document("nodes", rows),
+        "map.edg.xml": document("edges", edge_rows),
+        "map.con.xml": connections(ways),
     }
 
 
@@ -167,7 +160,7 @@ def _edge(name: str, begin: str, end: str, lanes: list[Lane]) -> Iterable[str]:
     """An edge's element with a lane's element for each of its lanes."""
     middle = lanes[len(lanes) // 2]
     yield (
-        f'    <edge id={quoteattr(name)} from="{begin}" to="{end}" numLanes="{len(lanes)}" '
+        f'    <edge id="{name}" from="{begin}" to="{end}" numLanes="{len(lanes)}" '
         f'priority="1" spreadType="center" shape="{_shape(middle.centerline)}">'
     )
     for i, lane in enumerate(lanes):
@@ -190,7 +183,3 @@ def _shape(line: np.ndarray) -> str:
     if len(kept) == 1 or sum(itertools.starmap(math.dist, itertools.pairwise(kept))) < 1e-6:
         kept = [line[0], line[0] + np.array([LEAST_LENGTH_M, 0.0])]
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in kept)
-
-
-def _document(root: str, rows: Iterable[str]) -> str:
-    return "\n".join([f"<{root}>", *rows, f"</{root}>", ""])

@@ -14,16 +14,10 @@ from typing import Final
 
 from behaviors.errors import InputError
 from scenarios.networks.build import FOLDER, NET, SHIPPED
-
-LANE_WIDTH_M: Final = 3.2
-"""SUMO's default lane width, m."""
+from scenarios.networks.geometry import LANE_WIDTH_M, RAMP_SLOPE
 
 RAMP_M: Final = 200.0
 """Length of a ramp before or after its acceleration lane, m (our choice)."""
-
-RAMP_SLOPE: Final = 0.12
-"""How far a ramp departs from the road per metre (our choice: seven degrees)."""
-
 _HEAD: Final = """<?xml version="1.0" encoding="UTF-8"?>
 
 <net version="1.20" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \

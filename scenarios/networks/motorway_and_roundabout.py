@@ -13,9 +13,12 @@ from typing import Final
 from behaviors.errors import InputError
 from scenarios.networks.geometry import (
     ARMS,
+    LANE_WIDTH_M,
     LIMIT_MPS,
+    RAMP_SLOPE,
     check_lanes,
     check_positive,
+    connections,
     document,
     settings,
 )
@@ -31,12 +34,6 @@ RAMP_LIMIT_MPS: Final = 22.22
 
 RING_LIMIT_MPS: Final = 8.33
 """30 km/h: what the bend of a small roundabout allows."""
-
-RAMP_SLOPE: Final = 0.12
-"""How far a ramp departs from the road per metre (our choice: seven degrees)."""
-
-LANE_WIDTH_M: Final = 3.2
-"""SUMO's default lane width, m."""
 
 MOTORS: Final = 'disallow="pedestrian bicycle"'
 
@@ -106,10 +103,7 @@ class MotorwayGeometry:
                 + f"{MOTORS}/>"
                 for edge, begin, end, lanes, limit in edges
             ]),
-            "road.con.xml": document("connections", [
-                f'    <connection from="{a}" fromLane="{i}" to="{b}" toLane="{j}"/>'
-                for a, i, b, j in links
-            ]),
+            "road.con.xml": connections(links),
             "road.netccfg": settings(opposites=False, limit_turns=False),
         }  # fmt: skip
 
@@ -178,9 +172,6 @@ class RoundaboutGeometry:
         return {
             "road.nod.xml": document("nodes", nodes),
             "road.edg.xml": document("edges", edges),
-            "road.con.xml": document("connections", [
-                f'    <connection from="{a}" fromLane="{i}" to="{b}" toLane="{j}"/>'
-                for a, i, b, j in links
-            ]),
+            "road.con.xml": connections(links),
             "road.netccfg": settings(opposites=False),
         }  # fmt: skip
