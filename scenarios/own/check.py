@@ -167,28 +167,21 @@ def _of_reach(road: Road) -> Iterator[Defect]:
             yield Defect("unreachable lane", f"lane {lane.id}", "found a limit too low to drive")
     if not usable:
         return
-    entered = {then for ways in graph.onward.values() for then in ways}
-    begins = [edge for edge in graph.lanes if edge not in entered]
-    ends = [edge for edge, ways in graph.onward.items() if not ways]
     backward: dict[str, list[str]] = {edge: [] for edge in graph.lanes}
     for edge, ways in graph.onward.items():
         for then in ways:
             backward[then].append(edge)
-    if begins:
-        reached = _reached(begins, graph.onward)
+    if graph.entries:
+        reached = _reached(graph.entries, graph.onward)
         for edge in sorted(usable - reached):
             yield Defect("unreachable lane", f"edge {edge}", "found no way to it from any entry")
-    if ends:
-        leaving = _reached(ends, backward)
+    if graph.exits:
+        leaving = _reached(graph.exits, backward)
         for edge in sorted(usable - leaving):
             yield Defect("trap", f"edge {edge}", "found no way from it out of the road")
-    both = {edge: [*graph.onward[edge], *backward[edge]] for edge in graph.lanes}
-    for links in graph.links:
-        both[links[0]].append(links[1])
-        both[links[1]].append(links[0])
-    lonely = [edge for edge in sorted(usable) if not both[edge]]
-    if lonely and len(usable) > len(lonely):
-        for edge in lonely:
+    joined = set(itertools.chain(*graph.links))
+    if joined:
+        for edge in sorted(usable - joined):
             yield Defect("lonely edge", f"edge {edge}", "found no way to or from another edge")
 
 

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
+from scenarios.demand import parse_flow
 from sim.road import Connection, Lane, Road
 from sim.scenario import MAX_PER_HOUR, RouteFlow
 
@@ -101,15 +102,25 @@ class EdgeGraph:
         return {edge: _travel_s(lanes) for edge, lanes in self.lanes.items()}
 
     @cached_property
-    def sources(self) -> tuple[str, ...]:
-        """Edges at which vehicles enter: those that no other edge leads to."""
+    def entries(self) -> list[str]:
+        """The edges that no other edge leads to."""
         entered = {then for ways in self.onward.values() for then in ways}
-        return self._chosen([edge for edge in self.lanes if edge not in entered])
+        return [edge for edge in self.lanes if edge not in entered]
+
+    @cached_property
+    def exits(self) -> list[str]:
+        """The edges that lead to no other."""
+        return [edge for edge, ways in self.onward.items() if not ways]
+
+    @cached_property
+    def sources(self) -> tuple[str, ...]:
+        """Edges at which vehicles enter."""
+        return self._chosen(self.entries)
 
     @cached_property
     def sinks(self) -> tuple[str, ...]:
-        """Edges at which vehicles leave: those that lead to no other."""
-        return self._chosen([edge for edge, ways in self.onward.items() if not ways])
+        """Edges at which vehicles leave."""
+        return self._chosen(self.exits)
 
     def _chosen(self, fringe: list[str]) -> tuple[str, ...]:
         """The long and wide edges of the fringe, or of all edges where there is no fringe."""
@@ -254,8 +265,6 @@ def flows_of(road: Road, flow: str | float, demand: Mapping[str, float] | None) 
         InputError: if an edge of the demand is not on the road or leads nowhere, or no route is
             found.
     """
-    from scenarios.demand import parse_flow
-
     graph = EdgeGraph(road)
     if demand is not None:
         return list(_demanded(graph, demand))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -48,9 +49,14 @@ class Survey:
     knows: MapKnowledge
     defects: tuple[Defect, ...]
 
+    @cached_property
+    def graph(self) -> EdgeGraph:
+        """The road's edges for cars and the ways between them."""
+        return EdgeGraph(self.road)
+
     def rows(self) -> list[dict[str, str | int | float]]:
         """What was found, what is lacking and every defect, as rows of ``what`` and ``value``."""
-        road, graph = self.road, EdgeGraph(self.road)
+        road, graph = self.road, self.graph
         cars = [lane for lane in road.lanes if lane.cars and not lane.walking and not lane.internal]
         limits = sorted({round(lane.speed_limit_mps, 2) for lane in cars})
         x0, y0, x1, y1 = road.bounds
@@ -85,8 +91,7 @@ class Survey:
 
     def picture(self) -> str:
         """The road as an SVG: lanes, crossings, entries green, exits blue, defects red."""
-        graph = EdgeGraph(self.road)
-        sources, sinks = set(graph.sources), set(graph.sinks)
+        sources, sinks = set(self.graph.sources), set(self.graph.sinks)
         wrong = {one.place.split(" ", 1)[-1] for one in self.defects}
         x0, y0, x1, y1 = self.road.bounds
         wide, high = x1 - x0 + 2 * MARGIN_M, y1 - y0 + 2 * MARGIN_M
