@@ -2,88 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import functools
-import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from behaviors.errors import InputError, lookup
 from behaviors.registry import Registry
+from scenarios.entry import ScenarioEntry
 from scenarios.environments import ENVIRONMENTS, register_environments
-from sim.scenario import Scenario
-
-
-@dataclass(frozen=True, slots=True)
-class ScenarioEntry:
-    """A scenario by its registered name.
-
-    Attributes:
-        name: what it is registered as.
-        function: makes it from keyword options; those that a `functools.partial` has set are fixed,
-            and ``**population`` stands for all of `PopulationOptions`.
-        given: options that have another value unless they are given.
-        limits_mps: speed limits that the episodes of a dataset take in turn, m/s; empty for none.
-    """
-
-    name: str
-    function: Callable[..., Scenario]
-    given: Mapping[str, Any] = field(default_factory=dict)
-    limits_mps: tuple[float, ...] = ()
-
-    @property
-    def options(self) -> Mapping[str, inspect.Parameter]:
-        """The options that it takes, with their defaults."""
-        fixed = self.function.keywords if isinstance(self.function, functools.partial) else ()
-        found: dict[str, inspect.Parameter] = {}
-        for name, parameter in inspect.signature(self.function).parameters.items():
-            if parameter.kind is inspect.Parameter.VAR_KEYWORD:
-                found |= _population_options()
-            elif name not in fixed:
-                found[name] = parameter
-        return found
-
-    def __call__(self, **options: Any) -> Scenario:
-        """Make the scenario; the docstring of its function explains the options.
-
-        Raises:
-            InputError: if an option is unknown or out of range; the message names it.
-        """
-        options = {**self.given, **options}
-        for name, value in options.items():
-            parameter = lookup(self.options, name, f"option of scenario {self.name!r},")
-            if not _fits(value, parameter.default):
-                raise InputError(
-                    f"{name}: found {value!r}, expected a value like {parameter.default!r}"
-                )
-        return dataclasses.replace(self.function(**options), name=self.name)
-
-
-def _population_options() -> dict[str, inspect.Parameter]:
-    """The options of every scenario, with the defaults of `Scenario`."""
-    from scenarios.demand import PopulationOptions
-
-    keyword, missing = inspect.Parameter.KEYWORD_ONLY, dataclasses.MISSING
-    return {
-        one.name: inspect.Parameter(
-            one.name, keyword, default=None if one.default is missing else one.default
-        )
-        for one in dataclasses.fields(Scenario)
-        if one.name in PopulationOptions.__annotations__
-    }
-
-
-def _fits(value: object, default: object) -> bool:
-    """Whether a value has the type of the default, where that is a truth value or a number."""
-    if isinstance(default, bool):
-        return isinstance(value, bool)
-    if isinstance(default, int | float):
-        whole = isinstance(default, int)
-        return isinstance(value, int if whole else int | float) and not isinstance(value, bool)
-    return True
-
 
 SCENARIOS: Final[Registry[ScenarioEntry]] = Registry(
     "scenario",
@@ -118,9 +42,7 @@ def get_scenario(name: str) -> ScenarioEntry:
 
     if not is_path(name):
         return SCENARIOS[name]
-    found = scenario_at(Path(name))
-    function = SCENARIOS[found.base].function if found.base else found.function
-    return ScenarioEntry(found.name, function, found.given, found.limits_mps)
+    return scenario_at(Path(name), SCENARIOS)
 
 
 register_environments()

@@ -10,13 +10,13 @@ from __future__ import annotations
 import functools
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from behaviors.errors import InputError
+from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.road import own_road
 from sim.invalid_fields import first_wrong_field
@@ -139,25 +139,6 @@ class ScenarioFile(BaseModel):
         return found
 
 
-@dataclass(frozen=True)
-class PathScenario:
-    """What a path stands for as a scenario.
-
-    Attributes:
-        name: what it is called.
-        function: makes it.
-        base: name of the registered scenario that it differs from; "" for a map.
-        given: options that are set.
-        limits_mps: speed limits that episodes take in turn, m/s; empty for none.
-    """
-
-    name: str
-    function: Callable[..., Scenario]
-    base: str
-    given: Mapping[str, Any]
-    limits_mps: tuple[float, ...] = ()
-
-
 def is_path(name: str) -> bool:
     """Whether a scenario's name is a path: registered names have no dot and no slash.
 
@@ -168,8 +149,12 @@ def is_path(name: str) -> bool:
     return "." in name or "/" in name or "\\" in name
 
 
-def scenario_at(path: Path) -> PathScenario:
+def scenario_at(path: Path, registered: Mapping[str, ScenarioEntry]) -> ScenarioEntry:
     """The scenario of a TOML file or of a map.
+
+    Args:
+        path: of the file.
+        registered: the scenarios that a file may differ from, by name.
 
     Raises:
         InputError: if the file is missing or broken; the message names the key.
@@ -177,22 +162,23 @@ def scenario_at(path: Path) -> PathScenario:
     if path.suffix != SUFFIX:
         if not path.is_file():
             raise InputError(f"{path}: found no file, expected a map or a scenario ({SUFFIX})")
-        return PathScenario(name_of(path), functools.partial(own_road, net=path), "", {})
+        return ScenarioEntry(name_of(path), functools.partial(own_road, net=path))
     read = read_scenario_file(path)
     try:
         given = read.given(path.parent)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    name, limits = read.name or name_of(path), read.limits_mps or ()
+    function: Callable[..., Scenario]
     if read.net is not None:
         function = functools.partial(own_road, net=path.parent / read.net)
-        return PathScenario(name, function, "", given, limits)
-    assert read.scenario is not None
-    if is_path(read.scenario):
-        raise InputError(
-            f"{path}: scenario: found {read.scenario!r:.60}, expected a registered one"
-        )
-    return PathScenario(name, own_road, read.scenario, given, limits)
+    else:
+        assert read.scenario is not None
+        if is_path(read.scenario):
+            raise InputError(
+                f"{path}: scenario: found {read.scenario!r:.60}, expected a registered one"
+            )
+        function = registered[read.scenario].function
+    return ScenarioEntry(read.name or name_of(path), function, given, read.limits_mps or ())
 
 
 def read_scenario_file(path: Path) -> ScenarioFile:
@@ -209,9 +195,5 @@ def read_scenario_file(path: Path) -> ScenarioFile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: {' '.join(str(error).split())}") from None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        cause = first.get("ctx", {}).get("error")
-        wrong = cause if isinstance(cause, InputError) else first_wrong_field(
-            error, list(ScenarioFile.model_fields)
-        )  # fmt: skip
+        wrong = first_wrong_field(error, ScenarioFile.model_fields)
         raise InputError(f"{path}: {wrong}") from None
