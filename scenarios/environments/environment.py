@@ -350,9 +350,7 @@ class TrafficEnv(EgoEnv):
         parts = self._judge(action, before, frames)
         if self.render_mode == "human":
             self.render()
-        reward = sum(REWARDS[name] * value for name, value in parts.items())
-        ended, cut = self._is_terminated(), self._is_truncated()
-        return self._observe(), float(reward), ended, cut, self._info(parts)
+        return self._outcome(parts)
 
     def _note_near(self) -> None:
         """Count those that have come near since the last frame."""
@@ -371,6 +369,14 @@ class TrafficEnv(EgoEnv):
         reachable_m = limit * frames * self._dt
         self._progress = float(np.clip((before - self._distance_left) / reachable_m, 0.0, 1.0))
         return self._rewards(action)
+
+    def _outcome(
+        self, parts: Mapping[str, float]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What `step` returns, from the parts of the reward."""
+        reward = sum(REWARDS[name] * value for name, value in parts.items())
+        ended, cut = self._is_terminated(), self._is_truncated()
+        return self._observe(), float(reward), ended, cut, self._info(parts)
 
     def _check_action(self, action: object) -> None:
         space, numbers = self.action_space, np.asarray(action)

@@ -25,7 +25,7 @@ from pettingzoo import ParallelEnv
 
 from behaviors.errors import InputError, lookup
 from scenarios.environments import ENVIRONMENTS
-from scenarios.environments.environment import REWARDS, ROOM_M, TrafficEnv
+from scenarios.environments.environment import ROOM_M, TrafficEnv
 from sim.highway.ego import as_mapping, distance_left_m
 
 MOST_EGOS: Final = 1000
@@ -179,14 +179,13 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
             and infos, by agent: of those that were there, and of those that have come.
 
         Raises:
-            InputError: if an action is not finite or of an agent that is not there.
+            InputError: if an action is of an agent that is not there, or not one that the
+                environment for one vehicle takes; nobody has moved.
         """
         env = self._env
         for name, action in actions.items():
             lookup(self._here, name, "agent")
-            numbers = np.asarray(action)
-            if numbers.dtype.kind == "f" and not np.isfinite(numbers).all():
-                raise InputError(f"action: found {action!r:.60}, expected finite numbers")
+            env._check_action(action)
         frames = env.config["simulation_frequency"] // env.config["policy_frequency"]
         before = {name: ego.distance_left for name, ego in self._here.items()}
         env._events = []
@@ -201,9 +200,8 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
         for name, ego in self._here.items():
             with self._as(ego):
                 parts = env._judge(actions.get(name, 0), before[name], frames)
-                rewards[name] = float(sum(REWARDS[n] * value for n, value in parts.items()))
-                ended[name], cut[name] = env._is_terminated(), env._is_truncated()
-                seen[name], infos[name] = env._observe(), env._info(parts)
+                outcome = env._outcome(parts)
+            seen[name], rewards[name], ended[name], cut[name], infos[name] = outcome
         for name in list(self._here):
             if ended[name] or cut[name]:
                 env.road.vehicles.remove(self._here.pop(name).vehicle)

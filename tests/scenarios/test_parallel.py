@@ -96,3 +96,10 @@ def test_an_action_of_an_agent_that_is_not_there_is_refused():
     env.reset(seed=0)
     with pytest.raises(InputError, match="ego_1"):
         env.step({"ego_1": 0})
+
+
+def test_an_action_that_there_is_not_is_refused_as_by_the_environment_for_one():
+    env = parallel_env("graphrqi/Roundabout-v0", egos=1, config=QUICK)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="expected 0 to 4"):
+        env.step({"ego_0": 99})
