@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import Json
+from experiments.cli.options import Json, in_a_folder
 
 
 def road(
@@ -29,10 +29,10 @@ def road(
 ) -> None:
     """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
     from behaviors.errors import InputError
-    from experiments.cli.options import in_a_folder
     from experiments.console.notices import say
     from experiments.console.tables import show_table
     from scenarios.own.survey import survey
+    from sim.road.net import MAX_NET_BYTES
     from sim.store.atomic import write_whole
     from sim.xml_tree import read_bytes
 
@@ -40,7 +40,7 @@ def road(
     found = survey(file)
     if out is not None:
         files = {
-            Path(f"{out}.net.xml"): read_bytes(found.net, 2**28),
+            Path(f"{out}.net.xml"): read_bytes(found.net, MAX_NET_BYTES),
             Path(f"{out}.svg"): found.picture().encode(),
             Path(f"{out}.toml"): f'net = "{out.name}.net.xml"\nflow = "medium"\n'.encode(),
         }
