@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import FormatName, GivenLabels, Json, Net, Quiet
+from experiments.cli.options import FormatName, GivenLabels, Json, Net, Quiet, Source
 
 
 def adapt(
     model: Annotated[str, typer.Argument(help="A model that ships, or a folder.")],
-    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    source: Source,
     out: Annotated[
         Path, typer.Option(file_okay=False, metavar="FOLDER", help="Folder of the adapted model.")
     ],

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import FormatName, Json, Net, Quiet
+from experiments.cli.options import FormatName, Json, Net, Quiet, Source
 
 
 def calibrate(
-    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    source: Source,
     out: Annotated[
         Path, typer.Option(file_okay=False, metavar="FOLDER", help="New folder for the results.")
     ],

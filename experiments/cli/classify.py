@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from experiments.cli.options import FormatName, GivenLabels, Json, LabelsFile, ModelName, Net, Quiet
+from experiments.cli.options import (
+    FormatName,
+    GivenLabels,
+    Jobs,
+    Json,
+    LabelsFile,
+    ModelName,
+    Net,
+    Quiet,
+    Source,
+)
 
 if TYPE_CHECKING:
     from experiments.rows import Row
 
 
 def classify(
-    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    source: Source,
     out: LabelsFile,
     format: FormatName = None,
     net: Net = None,
@@ -52,11 +61,11 @@ def classify(
 
 def evaluate(
     model: Annotated[str, typer.Argument(help="A model that ships, or a folder.")],
-    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    source: Source,
     format: FormatName = None,
     net: Net = None,
     labels: GivenLabels = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:

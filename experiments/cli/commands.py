@@ -26,6 +26,7 @@ from experiments.cli.options import (
     Flow,
     FormatName,
     GivenLabels,
+    Jobs,
     Json,
     Mix,
     ModelName,
@@ -35,6 +36,7 @@ from experiments.cli.options import (
     Routes,
     ScenarioOptions,
     Seed,
+    Source,
     Spread,
     Verbose,
     Version,
@@ -140,7 +142,7 @@ def train(
         str, typer.Option(help="See graphrqi list.", autocompletion=names_of("method"))
     ] = "graphrqi-plus",
     seed: Seed = 0,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -179,7 +181,7 @@ app.command(epilog="example: graphrqi adapt graphrqi-plus data --labels few.csv 
 
 @app.command(epilog="example: graphrqi predict data --predictors car-following --horizon-s 5")
 def predict(
-    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    source: Source,
     predictors: Annotated[
         str, typer.Option(metavar="A,B", help="Names, separated by commas; see graphrqi list.")
     ] = "constant-velocity,car-following-blind,graphrqi-predict",
@@ -208,7 +210,7 @@ def predict(
         Path | None,
         typer.Option(metavar="FOLDER", help="From train-predictor [default: those that ship]."),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -242,7 +244,7 @@ def predict(
 
 @app.command(epilog="example: graphrqi replay data --episode straight_road --out replay.html")
 def replay(
-    source: Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")],
+    source: Source,
     out: Annotated[
         Path, typer.Option(dir_okay=False, metavar="FILE.html", help="The page.")
     ] = Path("replay.html"),
@@ -325,7 +327,7 @@ def report(
             "[default: beside the rows or in the run; comparison.html].",
         ),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:
     """Make the page of each run; of several, also one that compares them."""

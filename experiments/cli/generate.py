@@ -11,6 +11,7 @@ from experiments.cli.options import (
     FLAGS,
     DurationS,
     Flow,
+    Jobs,
     Mix,
     OwnNet,
     Quiet,
@@ -64,7 +65,7 @@ def generate(
     duration_s: DurationS = None,
     option: ScenarioOptions = None,
     seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    jobs: Jobs = None,
     net: OwnNet = None,
     routes: Routes = None,
     cluster: Annotated[

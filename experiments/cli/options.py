@@ -64,6 +64,8 @@ def json_option(help: str) -> OptionInfo:
     return option
 
 
+Source = Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")]
+Jobs = Annotated[int | None, typer.Option(help="Processes [default: one per core].")]
 Json = Annotated[Path | None, json_option("Write the table as JSON; - for standard output.")]
 ModelName = Annotated[
     str, typer.Option("--model", help="A model that ships, or a folder written by train.")

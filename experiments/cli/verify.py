@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import Json, Quiet
+from experiments.cli.options import Jobs, Json, Quiet
 from experiments.console.notices import say
 
 
 def verify(
     dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
     repair: Annotated[bool, typer.Option("--repair", help="Make wrong files again.")] = False,
-    jobs: Annotated[int | None, typer.Option(help="Processes [default: one per core].")] = None,
+    jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
