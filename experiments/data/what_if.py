@@ -22,11 +22,10 @@ from experiments.console.progress import Progress
 from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import edited_cards, write_data_card
 from experiments.data.episode import Task
-from experiments.data.generate import check_unfinished, stoppable
+from experiments.data.generate import check_unfinished, clear_partial, stoppable
 from experiments.data.shards.plan import meta_of
 from sim.frames import Frame
 from sim.scenario import AgentSpec, Scenario, sample_agents
-from sim.store.atomic import remove_partial
 from sim.store.catalogue import finished_episode, is_dataset
 from sim.store.dataset import open_dataset
 from sim.store.lock import sole_writer
@@ -154,8 +153,7 @@ def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
             }
             _check_same(folder, configuration, plan)
             edited = edited_cards(folder)
-            for partial in (folder, folder / "episodes", folder / "roads"):
-                remove_partial(partial)
+            clear_partial(folder)
             entries = _make(config, folder, plan, scenario, trunk, quiet)
             manifest = write_manifest(folder, configuration, entries)
             write_data_card(folder, edited)
