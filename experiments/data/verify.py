@@ -19,12 +19,10 @@ from pydantic import ValidationError
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.data.cards.croissant import CROISSANT
-from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import DATA_CARD
 from experiments.data.generate import generate
-from experiments.data.shards.plan import AnyConfig
+from experiments.data.shards.plan import AnyConfig, check_versions, config_in
 from experiments.data.what_if import WhatIf, make_what_if
-from experiments.data.worlds.episode import WorldsConfig
 from sim.store.atomic import write_whole
 from sim.store.catalogue import ENTRY, MANIFEST, altered_files, road_name, road_path
 from sim.store.dataset import Dataset, open_dataset
@@ -32,7 +30,6 @@ from sim.store.entries import EPISODES
 from sim.store.lock import LOCK, sole_writer
 from sim.store.places import Folder, Place, file_checksum, is_remote, place_of
 from sim.store.schema import EPISODE_FILES, TABLES, EpisodeEntry, Header, Manifest
-from sim.store.writing import made_with
 
 State = Literal["missing", "altered", "foreign"]
 
@@ -276,7 +273,6 @@ def _as_it_was(folder: Path) -> Iterator[None]:
 def _maker(dataset: Dataset, jobs: int | None, quiet: bool) -> Callable[[], Manifest]:
     """What makes the dataset again in its folder."""
     fields: dict[str, Any] = dict(dataset.header.configuration)
-    versions = fields.pop("made_with", None)
     config: AnyConfig
     make: Callable[[], Manifest]
     try:
@@ -284,10 +280,7 @@ def _maker(dataset: Dataset, jobs: int | None, quiet: bool) -> Callable[[], Mani
             what_if = WhatIf.model_validate_json(json.dumps(fields["what_if"]))
             config, make = what_if.episode, partial(make_what_if, what_if, dataset.path, quiet)
         else:
-            model: type[WorldsConfig | GenerateConfig] = (
-                WorldsConfig if "worlds" in fields else GenerateConfig
-            )
-            config = model.model_validate(fields)
+            config = config_in(fields)
             make = partial(generate, config, dataset.path, jobs, quiet, whole_or_not=True)
     except ValidationError:
         raise InputError(
@@ -295,11 +288,7 @@ def _maker(dataset: Dataset, jobs: int | None, quiet: bool) -> Callable[[], Mani
             "import it again"
         ) from None
     config.check()
-    here = made_with(config.engine)
-    if versions != here:
-        raise InputError(
-            f"{dataset.path}: was made with {versions}, found {here}; install those versions"
-        )
+    check_versions(str(dataset.path), fields, config.engine)
     return make
 
 

@@ -14,7 +14,6 @@ from typing import Annotated, Final
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from behaviors.errors import InputError
-from experiments.data.configuration import GenerateConfig
 from experiments.data.data_card import edited_cards, write_data_card
 from experiments.data.generate import (
     PLAN,
@@ -29,13 +28,14 @@ from experiments.data.generate import (
 from experiments.data.shards.plan import (
     AnyConfig,
     Part,
+    check_versions,
+    config_in,
     configuration_of,
     key_of,
     planned_count,
     shares,
 )
 from experiments.data.shards.staging import staged
-from experiments.data.worlds.episode import WorldsConfig
 from sim.store.catalogue import ENTRY, altered_files, canonical, unlisted_episodes, validated_in
 from sim.store.lock import one_of_several_writers, sole_writer
 from sim.store.places import Folder, Place, Store, place_of
@@ -70,17 +70,11 @@ def config_of(what: str, configuration: dict[str, JsonValue]) -> AnyConfig:
     Raises:
         InputError: if it was not generated, or with other versions than those installed.
     """
-    fields = {name: value for name, value in configuration.items() if name != "made_with"}
-    model: type[WorldsConfig | GenerateConfig] = (
-        WorldsConfig if "worlds" in fields else GenerateConfig
-    )
     try:
-        config = model.model_validate(fields)
+        config = config_in(configuration)
     except ValidationError:
         raise InputError(f"{what}: was not made by generate, expected a dataset that was") from None
-    here, there = configuration_of(config)["made_with"], configuration.get("made_with")
-    if here != there:
-        raise InputError(f"{what}: was made with {there}, found {here}; install those versions")
+    check_versions(what, configuration, config.engine)
     return config
 
 

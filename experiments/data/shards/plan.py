@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias
@@ -166,6 +166,35 @@ def belongs_to(config: AnyConfig) -> Callable[[EpisodeMeta], bool]:
         return meta_of(made) == Task(config, given, made.index).meta(scenario)
 
     return belongs
+
+
+def config_in(configuration: Mapping[str, Any]) -> AnyConfig:
+    """The configuration that a catalogue says a dataset was made from.
+
+    Raises:
+        ValidationError: if it is none.
+    """
+    fields = {name: value for name, value in configuration.items() if name != "made_with"}
+    model: type[WorldsConfig | GenerateConfig] = (
+        WorldsConfig if "worlds" in fields else GenerateConfig
+    )
+    return model.model_validate(fields)
+
+
+def check_versions(what: str, configuration: Mapping[str, Any], engine: str) -> None:
+    """Refuse to make episodes again with other packages than they were made with.
+
+    Args:
+        what: name of the dataset, for messages.
+        configuration: of its catalogue.
+        engine: registered name of the engine.
+
+    Raises:
+        InputError: if the versions installed here are others.
+    """
+    here, there = made_with(engine), configuration.get("made_with")
+    if here != there:
+        raise InputError(f"{what}: was made with {there}, found {here}; install those versions")
 
 
 def meta_of(made: EpisodeMeta) -> EpisodeMeta:
