@@ -26,11 +26,11 @@ from sim.store.catalogue import altered_files, canonical, finished_episode
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import (
     AGENTS,
-    EPISODE_FILES,
     EVENTS,
     HEADING_QUANTUM,
     POSITION_QUANTUM,
     SIGNALS_TABLE,
+    TABLES,
     TRAITS_TABLE,
     EpisodeMeta,
     Manifest,
@@ -38,8 +38,6 @@ from sim.store.schema import (
 )
 from sim.store.sealing import write_manifest
 from sim.store.writing import episode_id, write_episode, write_recording
-
-TABLES = [name.removesuffix(".parquet") for name in EPISODE_FILES]
 
 META = EpisodeMeta(scenario="hand-made", engine="sumo", seed=4, options={"mix": {"timid": 1.0}})
 

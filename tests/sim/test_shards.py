@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 
 from behaviors import InputError
 from sim.frames import Tracks
+from sim.store import entries
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.schema import EPISODE_FILES, EpisodeEntry, EpisodeMeta, split_of
+from sim.store.places import Folder
+from sim.store.schema import TABLES, EpisodeEntry, EpisodeMeta, split_of
 from sim.store.sealing import planned_shards, write_manifest
 from sim.store.writing import write_recording
 
-TABLES = [name.removesuffix(".parquet") for name in EPISODE_FILES]
 EPISODES = 6
 
 
@@ -206,20 +207,12 @@ def test_a_dataset_without_a_catalogue_is_none(folder: Path) -> None:
 def test_a_catalogue_of_many_row_groups_is_grouped(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from sim.store import entries
-
     monkeypatch.setattr(entries, "_GROUP_ROWS", 2)
     dataset = open_dataset(made)
     entries.write_catalogue(
-        entries_place(tmp_path), dataset.header, entries.catalogue_table(dataset.episodes())
+        Folder(tmp_path), dataset.header, entries.catalogue_table(dataset.episodes())
     )
     again: Dataset = open_dataset(tmp_path)
     counts = again.catalogue.group_by("scenario").aggregate([("timid", "sum")]).to_pylist()
     assert counts == [{"scenario": "a/b c", "timid_sum": EPISODES}]
     assert again.manifest == dataset.manifest
-
-
-def entries_place(folder: Path):
-    from sim.store.places import Folder
-
-    return Folder(folder)
