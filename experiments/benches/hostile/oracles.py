@@ -190,7 +190,7 @@ try:
     t.validate(full=True)
     keep = ("track_id", "object_type", "timestep", "position_x", "position_y")
     print(json.dumps([t.column(c).to_pylist() for c in keep]))
-except Exception as error:
+except Exception:  # pyarrow refuses by errors of many kinds
     print("null")
 """
 
