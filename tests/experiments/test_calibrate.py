@@ -1,0 +1,65 @@
+"""``graphrqi calibrate`` from a recording to its folder."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.populations import NUMBERS
+from experiments.calibration import SCHEMA, write_calibration
+from experiments.scoring.calibration import population_rows
+from graphrqi.calibrate.laws import Law
+
+HEADWAY_S = 1.2
+
+
+def recording(path: Path, seconds: float) -> Path:
+    """Four cars behind one another, each by IDM at a headway of 1.2 s behind the one ahead."""
+    steps = round(10 * seconds)
+    x, v = -30.0 * np.arange(4), np.full(4, 14.0)
+    lines = ["TIMESTAMP,TRACK_ID,OBJECT_TYPE,X,Y,CITY_NAME"]
+    for k in range(steps):
+        lines += [f"{k / 10:.1f},t{a},OTHERS,{x[a]:.4f},0.0,PIT" for a in range(4)]
+        gap = np.append(np.inf, x[:-1] - x[1:] - 4.5)
+        ahead = np.append(v[0], v[:-1])
+        wanted = 2.5 + np.maximum(HEADWAY_S * v + v * (v - ahead) / (2.0 * np.sqrt(3.0)), 0.0)
+        accel = 1.5 * (1.0 - (v / 22.0) ** 4 - (wanted / gap) ** 2)
+        accel[0] = 1.5 * np.sin(0.4 * k / 10)
+        faster = np.maximum(v + 0.1 * accel, 0.0)
+        x, v = x + 0.05 * (v + faster), faster
+    path.write_text("\n".join([*lines, ""]))
+    return path
+
+
+def test_a_recording_is_calibrated_into_a_folder(tmp_path: Path) -> None:
+    source, out = recording(tmp_path / "a.csv", 30.0), tmp_path / "out"
+    calibrated = write_calibration(source, out, "argoverse1", quiet=True)
+    table = pq.read_table(out / "drivers.parquet")
+    assert table.schema.equals(SCHEMA)
+    assert set(table.column("name").to_pylist()) == {"t1", "t2", "t3"}
+    assert table.num_rows == 3 * len(Law) * len(NUMBERS)
+    headway = calibrated.laws[Law.IDM].summary().mean[:, NUMBERS.index("time_headway_s")]
+    np.testing.assert_allclose(headway, HEADWAY_S, atol=0.2)
+    card = json.loads((out / "calibration.json").read_bytes())
+    assert card["drivers"] == 3
+    assert 0.0 <= card["law_told_idm"] + card["law_told_krauss"] <= 1.0
+    assert card["law_told_idm"] == calibrated.law_told(Law.IDM)
+    better = (out / f"population_{card['better_law']}.toml").read_text()
+    assert (out / "population.toml").read_text() == better
+    assert set(tomllib.loads(better)["numbers"]) == set(NUMBERS)
+    page = (out / "report.html").read_text()
+    assert "best fitted: t" in page
+    assert "worst fitted: t" in page
+    assert len(population_rows(calibrated)) == len(Law) * len(NUMBERS)
+
+
+def test_nobody_to_calibrate_is_said(tmp_path: Path) -> None:
+    source = recording(tmp_path / "a.csv", 3.0)
+    with pytest.raises(InputError, match="found no driver that follows another one"):
+        write_calibration(source, tmp_path / "out", "argoverse1", quiet=True)
