@@ -29,7 +29,10 @@ START_LIMIT_S: Final = 120.0
 
 EXTRAS: Final[dict[str, str]] = {
     "cluster": "only needed to generate on many machines",
-    "networks": "only needed to build roads of your own",
+    "networks": "only needed to build roads and read maps of your own",
+    "store": "only needed for datasets in object stores",
+    "multi": "only needed for environments with several agents",
+    "train": "only needed to train drivers by reinforcement learning",
     "video": "only needed for films in MP4",
     "docs": "only needed to build the documentation's pages",
     "dev": "only needed to test and change the code",
