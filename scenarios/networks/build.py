@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import os
 import shutil
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from scenarios.networks.geometry import (
 )
 from scenarios.networks.motorway_and_roundabout import MotorwayGeometry, RoundaboutGeometry
 from sim.store.atomic import write_whole
+from sim.store.places import user_cache
 
 FOLDER: Final = Path(__file__).resolve().parent
 """Where the shipped nets lie: ``<name>/road.net.xml`` beside its sources."""
@@ -116,8 +116,7 @@ def net_of(geometry: Geometry) -> Path:
 
 def cache_folder() -> Path:
     """Where nets built on the fly are kept: in the user's cache folder."""
-    home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "graphrqi" / "networks"
+    return user_cache() / "networks"
 
 
 def write_sources(geometry: Geometry, folder: Path) -> None:

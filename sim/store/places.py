@@ -32,6 +32,11 @@ CHUNK_BYTES: Final = 2**20
 """How much of a file is hashed or copied at once."""
 
 
+def user_cache() -> Path:
+    """The user's folder on this machine for what can be made again (``XDG_CACHE_HOME``)."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphrqi"
+
+
 class Place(Protocol):
     """A folder of files, on a disk or in an object store. Names are relative, with slashes."""
 

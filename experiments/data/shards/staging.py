@@ -8,7 +8,6 @@ is killed, so the same command goes on with what is there.
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -16,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from behaviors.errors import InputError
-from sim.store.places import Folder, Place, is_remote, local_path, place_of
+from sim.store.places import Folder, Place, is_remote, local_path, place_of, user_cache
 
 
 @contextmanager
@@ -114,6 +113,5 @@ def check_empty(place: Place) -> None:
 
 def staging_folder(out: Path, name: str = "") -> Path:
     """The folder of this machine in which a dataset of an object store is made."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     digest = hashlib.sha256(place_of(out).url.encode()).hexdigest()[:16]
-    return home / "graphrqi" / "unfinished" / f"{digest}{name and '-'}{name}"
+    return user_cache() / "unfinished" / f"{digest}{name and '-'}{name}"
