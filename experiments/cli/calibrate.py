@@ -23,12 +23,8 @@ def calibrate(
     """Infer every driver's car-following numbers, and the population they come from."""
     from experiments.calibration import write_calibration
     from experiments.console.tables import show_table
-    from experiments.rows import write_json
     from experiments.scoring.calibration import population_rows
 
     calibrated = write_calibration(source, out, format, net, quiet)
-    rows = population_rows(calibrated)
-    if json is not None:
-        write_json(rows, json)
-    if str(json) != "-":
-        show_table(rows, title=f"{out}: {len(calibrated.drivers)} drivers")
+    title = f"{out}: {len(calibrated.drivers)} drivers"
+    show_table(population_rows(calibrated), json, title)

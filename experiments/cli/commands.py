@@ -18,7 +18,7 @@ from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
 from experiments.cli.calibrate import calibrate
 from experiments.cli.classify import classify, evaluate
-from experiments.cli.generate import generate, merge, upgrade
+from experiments.cli.generate import generate, merge, size_of, upgrade
 from experiments.cli.options import (
     FLAGS,
     DurationS,
@@ -357,8 +357,7 @@ def import_(
     from experiments.data.exchange import import_recordings
 
     manifest = import_recordings(source, out, format, net, quiet=quiet, types=types, labels=labels)
-    steps = sum(e.agent_steps for e in manifest.episodes)
-    say(f"{out}: {len(manifest.episodes)} episodes, {steps} agent-steps")
+    say(size_of(out, manifest))
 
 
 @app.command(epilog="example: graphrqi export data --format argoverse2 --out exported")
