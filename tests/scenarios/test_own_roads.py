@@ -30,6 +30,14 @@ def ramp(tmp_path):
     return net
 
 
+def refusal(make) -> str:
+    """The one line with which something is refused."""
+    with pytest.raises(InputError) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
 def ride(scenario, engine: str, demand_s: float, most_s: float):
     """Who entered, and who is still on the road at the end."""
     agents = sample_agents(dataclasses.replace(scenario, duration_s=demand_s), 0)
@@ -125,10 +133,7 @@ def test_a_route_file_says_how_often_each_route_is_driven(ramp, tmp_path):
 def test_broken_route_files_are_refused_in_one_line(ramp, tmp_path, content, said):
     routes = tmp_path / "bad.rou.xml"
     routes.write_text(content)
-    with pytest.raises(InputError) as caught:
-        own_road(net=ramp, routes=routes)
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert said in refusal(lambda: own_road(net=ramp, routes=routes))
 
 
 def test_a_file_describes_a_scenario(ramp, tmp_path):
@@ -178,10 +183,7 @@ def test_a_file_changes_a_registered_scenario(tmp_path):
 def test_broken_scenario_files_are_refused_in_one_line(ramp, tmp_path, content, said):
     file = tmp_path / "bad.toml"
     file.write_text(content)
-    with pytest.raises(InputError) as caught:
-        get_scenario(str(file))()
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert said in refusal(lambda: get_scenario(str(file))())
 
 
 def test_signals_can_be_taken_out_of_a_net():
