@@ -6,7 +6,7 @@ order nor on how many episodes there are. Running the same command again makes o
 
 Finished episodes wait in folders of their own until all of their block are there; then they are put
 into shards (`sim.store.sealing`). Several commands can share the work, each making one part
-(`generate_part`); `merge` then checks that nothing is missing and completes the dataset.
+(`experiments.data.array_job.parts`).
 """
 
 from __future__ import annotations
