@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from behaviors.labels import BEHAVIORS
 from experiments.report.charts import Axis, Line, Point, line_chart
-from experiments.report.tables import words
+from experiments.report.tables import grouped, number_or_none
 from experiments.rows import Row
 
 DRAWN: Final = frozenset({"confusion", "reliability"})
@@ -48,14 +48,13 @@ def _parts(rows: Iterable[Row], metric: str) -> dict[str, list[Row]]:
     """
     wanted = [row for row in rows if row["metric"] == metric]
     tested = {row.get("model") for row in wanted if row.get("split") == "test"}
+    shown = [r for r in wanted if r.get("model") not in tested or r.get("split") == "test"]
     keys = ("model", "scenario", "split")
-    parts: dict[str, list[Row]] = {}
-    for row in wanted:
-        if row.get("model") in tested and row.get("split") != "test":
-            continue
-        named = {key: words(row.get(key)) for key in keys}
-        title = ", ".join(f"all {k}s" if word == "all" else word for k, word in named.items())
-        parts.setdefault(title, []).append(row)
+    parts = {}
+    for values, part in grouped(shown, keys).items():
+        named = zip(keys, values, strict=True)
+        title = ", ".join(f"all {k}s" if word == "all" else word for k, word in named)
+        parts[title] = part
     return parts
 
 
@@ -80,10 +79,10 @@ def reliability_charts(rows: Iterable[Row]) -> list[Markup]:
     even = Line("as often as claimed", (Point(0.0, 0.0), Point(1.0, 1.0)), thin=True)
     for title, part in _parts(rows, "reliability").items():
         points = [
-            Point(x, y, _number(row.get("low")), _number(row.get("high")))
+            Point(x, y, number_or_none(row.get("low")), number_or_none(row.get("high")))
             for row in part
-            if (x := _number(row.get("confidence"))) is not None
-            and (y := _number(row["value"])) is not None
+            if (x := number_or_none(row.get("confidence"))) is not None
+            and (y := number_or_none(row["value"])) is not None
         ]
         if points:
             line = Line("answers", tuple(sorted(points, key=lambda p: p.x)))
@@ -91,7 +90,3 @@ def reliability_charts(rows: Iterable[Row]) -> list[Markup]:
             said = f"{title}: how often answers of each confidence are right"
             charts.append(line_chart(said, sure, right, [line, even]))
     return charts
-
-
-def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) else None

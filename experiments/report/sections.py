@@ -11,7 +11,7 @@ from markupsafe import Markup
 from behaviors.labels import BEHAVIORS
 from experiments.report.charts import Axis, Line, Point, line_chart
 from experiments.report.evaluation import DRAWN, reliability_charts
-from experiments.report.tables import Table, name_of, pivot, words
+from experiments.report.tables import Table, grouped, name_of, number_or_none, pivot, words
 from experiments.rows import Row
 
 OURS: Final = "graphrqi-predict"
@@ -183,14 +183,6 @@ def layouts(benches: Iterable[str]) -> dict[str, Layout]:
     return known | dict.fromkeys(sorted(present - set(LAYOUTS)), OTHER)
 
 
-def grouped(rows: Sequence[Row], keys: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
-    """Rows grouped by the values of some keys, in the order in which the values first appear."""
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(words(row.get(k)) for k in keys), []).append(row)
-    return groups
-
-
 def _tables(rows: Sequence[Row], layout: Layout) -> tuple[tuple[Table, ...], tuple[Table, ...]]:
     """The tables that are visible at first, and the others."""
     down = (
@@ -242,7 +234,12 @@ def _charts(bench: str, rows: Sequence[Row]) -> list[Markup]:
 def line_of(name: str, rows: Sequence[Row], key: str) -> Line:
     """A line of a chart: the values of rows over one of their keys."""
     points = [
-        Point(_number(r[key]), _number(r["value"]), _maybe(r.get("low")), _maybe(r.get("high")))
+        Point(
+            _number(r[key]),
+            _number(r["value"]),
+            number_or_none(r.get("low")),
+            number_or_none(r.get("high")),
+        )
         for r in rows
     ]
     return Line(name, tuple(sorted(points, key=lambda p: p.x)))
@@ -251,10 +248,6 @@ def line_of(name: str, rows: Sequence[Row], key: str) -> Line:
 def _number(value: object) -> float:
     assert isinstance(value, int | float)
     return float(value)
-
-
-def _maybe(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) else None
 
 
 def _prediction_charts(rows: Sequence[Row]) -> list[Markup]:

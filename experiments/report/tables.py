@@ -103,6 +103,19 @@ def words(value: object) -> str:
     return "none" if value is None or value == "" else str(value)
 
 
+def number_or_none(value: object) -> float | None:
+    """The value of a row as a number; None where it has none."""
+    return float(value) if isinstance(value, int | float) else None
+
+
+def grouped(rows: Sequence[Row], keys: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
+    """Rows grouped by the values of some keys, in the order in which the values first appear."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(words(row.get(k)) for k in keys), []).append(row)
+    return groups
+
+
 def number(value: float) -> str:
     """A figure as text, with three or four significant digits.
 
