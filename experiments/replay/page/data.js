@@ -81,12 +81,16 @@ function readGhosts(arrays) {
 
 // Index of the last entry that is not after the time; -1 if all are.
 function latest(times, time) {
-  let low = 0, high = times.length;
+  return firstBeyond(0, times.length, (i) => times[i] <= time + 1e-4) - 1;
+}
+
+// The first index from low on for which something holds no more; high if it holds for all.
+function firstBeyond(low, high, holds) {
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (times[middle] <= time + 1e-4) low = middle + 1; else high = middle;
+    if (holds(middle)) low = middle + 1; else high = middle;
   }
-  return low - 1;
+  return low;
 }
 
 let arrays, places, futures, ghosts, duration;
@@ -156,12 +160,9 @@ function futuresOf(index, time) {
   const instant = latest(futures.time, time);
   if (instant < 0) return null;
   const found = [], end = futures.begin[instant + 1];
-  let low = futures.begin[instant], high = end;   // those of one agent are together, agents ascend
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (futures.agent[middle] < index) low = middle + 1; else high = middle;
-  }
-  for (let m = low; m < end && futures.agent[m] === index; m++) found.push(m);
+  // Agents ascend, so those of one are together.
+  const first = firstBeyond(futures.begin[instant], end, (m) => futures.agent[m] < index);
+  for (let m = first; m < end && futures.agent[m] === index; m++) found.push(m);
   return found.length && time - futures.time[instant] < futures.stale ? { time: futures.time[instant], futures: found } : null;
 }
 

@@ -120,12 +120,8 @@ const SIGNAL_COLORS = { red: "#d3312b", yellow: "#f2c230", green: "#25a55f", off
 function signalState(group, frame) {
   const changes = group < 0 || !data.signals ? null : data.signals[group];
   if (!changes) return null;
-  let low = 0, high = changes.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (changes[middle][0] <= frame) low = middle + 1; else high = middle;
-  }
-  return low ? data.signalNames[changes[low - 1][1]] : null;
+  const since = firstBeyond(0, changes.length, (i) => changes[i][0] <= frame) - 1;
+  return since < 0 ? null : data.signalNames[changes[since][1]];
 }
 
 function drawStops(ctx, panel, dpr, frame) {
