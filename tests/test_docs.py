@@ -7,8 +7,10 @@ the documentation has two workers, on this machine, and large datasets are made 
 
 from __future__ import annotations
 
+import ast
 import os
 import re
+import runpy
 import shutil
 import signal
 import subprocess
@@ -116,3 +118,19 @@ def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
     assert run.returncode == 0, run.stderr
     home = (tmp_path / "index.html").read_text()
     assert "fonts.googleapis" not in home
+    assert not missing_in_reference(tmp_path)
+
+
+def missing_in_reference(site: Path) -> list[str]:
+    """The public functions and classes that the reference does not describe."""
+    script = runpy.run_path(str(ROOT / "docs" / "reference_pages.py"))
+    missing = []
+    for name, files in [room for each in script["PACKAGES"] for room in script["rooms"](each)]:
+        shown = site / script["file_name"](name).replace(".md", ".html")
+        described = set(re.findall(r'id="([\w.]+)"', shown.read_text()))
+        for path in files:
+            body = ast.parse(path.read_text()).body
+            named = [node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+            public = [f"{script['module_name'](path)}.{n}" for n in named if not n.startswith("_")]
+            missing += [each for each in public if each not in described]
+    return missing
