@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
+from pathlib import Path
 
 import pytest
 
 from behaviors import InputError
-from scenarios import get_scenario
+from scenarios import SCENARIOS, get_scenario
 from scenarios.networks.grid import grid_net
 from scenarios.networks.written import ramp_net, straight_net
 from scenarios.own.demand import EdgeGraph, capacity_per_h, flows_of, routes_of
+from scenarios.own.file import ScenarioFile
 from scenarios.own.road import own_road
 from sim.engines import get_engine
 from sim.road.net import read_road
-from sim.scenario import sample_agents
+from sim.scenario import RouteFlow, sample_agents
 
 
 @pytest.fixture(autouse=True)
@@ -161,6 +164,69 @@ def test_a_file_changes_a_registered_scenario(tmp_path):
     assert (scenario.name, scenario.road.signal_groups) == ("quiet", ())
     assert scenario.per_hour(walking=True) == 0.0
     assert set(scenario.kinds.values()) == {0.5}
+
+
+def documented(heading: str) -> dict[str, str]:
+    """The rows of a table of the page about roads: the first cell, without its marks, and the rest.
+
+    Args:
+        heading: what stands in the head of its first column.
+    """
+    page = (Path(__file__).parents[2] / "docs" / "roads.md").read_text()
+    rows = page.partition(f"| {heading} |")[2].splitlines()[2:]
+    cells = (row.split("|", 2) for row in itertools.takewhile(lambda row: row[:1] == "|", rows))
+    return {name.strip(" `"): rest for _, name, rest in cells}
+
+
+def test_the_page_on_roads_has_every_key_of_a_scenario_file():
+    assert list(documented("key")) == list(ScenarioFile.model_fields)
+
+
+def test_the_page_on_roads_has_every_further_option_of_every_scenario():
+    further = documented("further option")
+    known = {
+        (option, name)
+        for name, entry in SCENARIOS.items()
+        for option in entry.options
+        if option not in ScenarioFile.model_fields
+    }
+    told = {
+        (option, name)
+        for option, rest in further.items()
+        for name in SCENARIOS
+        if f"`{name}`" in rest.split("|")[0]
+    }
+    assert told == known
+
+
+@pytest.mark.parametrize("name", [*SCENARIOS, "ramp.net.xml"])
+def test_a_file_takes_every_option_that_the_scenario_takes(name, ramp, tmp_path):
+    own = name == ramp.name
+    values = {
+        **{"flow": 123.0, "pedestrians_per_h": 12.0, "mix": "timid=1", "kinds": "bus=1"},
+        **{"spread": 0.3, "duration_s": 12.0, "step_s": 0.2, "jaywalk_share": 0.4},
+        **{"lanes": 2, "limit_mps": 13.89, "signals": False, "routes": "town.rou.xml"},
+        **{"two_way": False, "crossing": True, "ramps": False, "control": "priority", "blocks": 3},
+        **{"length_m": 800.0, "arm_m": 250.0, "radius_m": 20.0},
+        **{"demand": {"on": 60.0}, "flows": [{"route": ["on"], "per_hour": 3.0}]},
+    }
+    entry = get_scenario(str(ramp) if own else name)
+    for option in entry.options:
+        value = values[option]
+        further = option not in ScenarioFile.model_fields
+        text = json.dumps(value)
+        if isinstance(value, dict):
+            text = "{ " + ", ".join(f"{k} = {json.dumps(v)}" for k, v in value.items()) + " }"
+        if isinstance(value, list):
+            text = '[{ route = ["on"], per_hour = 3.0 }]'
+        head = f'net = "{name}"' if own else f'scenario = "{name}"'
+        file = tmp_path / "one.toml"
+        file.write_text(f"{head}\n" + ("[options]\n" if further else "") + f"{option} = {text}\n")
+        read = get_scenario(str(file))
+        assert list(read.given) == [option]
+        expected = {"routes": tmp_path / "town.rou.xml", "flows": [RouteFlow(("on",), 3.0)]}
+        assert read.given[option] == expected.get(option, value)
+        assert read.options.keys() == entry.options.keys()
 
 
 @pytest.mark.parametrize(
