@@ -102,6 +102,10 @@ _PROBABILITIES: Final = (
     "insistence",
 )
 
+SPREAD_FIELDS: Final = tuple(name for name in PROFILE_FIELDS if name not in _PROBABILITIES)
+"""The numbers in which drivers of one behaviour differ; chance enters the others at each
+encounter."""
+
 PROFILES: Final[dict[Behavior, Profile]] = {
     Behavior.IMPATIENT: Profile(
         speed_factor=1.35, time_headway_s=0.7, min_gap_m=1.2, max_accel_mps2=3.5,
@@ -220,8 +224,7 @@ def sample_profile(
     if not np.isfinite(spread) or spread < 0:
         raise InputError(f"spread: found {spread}, expected a number >= 0")
     median = PROFILES[behavior]
-    names = [n for n in PROFILE_FIELDS if n not in _PROBABILITIES]
-    drawn_z = rng.standard_normal(len(names)).clip(-FARTHEST_SPREADS, FARTHEST_SPREADS)
+    drawn_z = rng.standard_normal(len(SPREAD_FIELDS)).clip(-FARTHEST_SPREADS, FARTHEST_SPREADS)
     factors = np.exp(spread * drawn_z)
-    drawn = {n: float(getattr(median, n) * f) for n, f in zip(names, factors, strict=True)}
+    drawn = {n: float(getattr(median, n) * f) for n, f in zip(SPREAD_FIELDS, factors, strict=True)}
     return dataclasses.replace(median, **drawn)

@@ -70,6 +70,7 @@ FLAGS: Final[dict[str, dict[str, Any]]] = {
     "mix": {"help": "shares of behaviours or styles: aggressive=.2,timid=.8"},
     "kinds": {"help": "share of each kind: car=.9,truck=.1"},
     "spread": {"type": float, "help": "spread between drivers of one behaviour"},
+    "population": {"help": "drivers' numbers: a name (graphrqi list) or a file"},
     "duration_s": {"type": float, "help": "length, s"},
     "step_s": {"type": float, "help": "time between frames, s"},
 }
@@ -213,6 +214,7 @@ def _run(
     chosen = {
         **({"flow": defaults["flow"].default} if "flow" in defaults else {}),
         **{name: str(value) if name == "routes" else value for name, value in given.items()},
+        **scenario.population_option,
         "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
         "kinds": {str(kind): share for kind, share in scenario.kinds.items()},
         "spread": scenario.spread,

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, TypedDict, TypeVar
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
+from behaviors.populations import Population, read_population
 from scenarios.networks.build import net_of
 from scenarios.networks.geometry import Geometry
 from sim.frames import AgentKind
@@ -26,6 +28,8 @@ class PopulationOptions(TypedDict, total=False):
         duration_s: length of an episode, s.
         step_s: time between frames, s.
         jaywalk_share: share of pedestrians who cross on red and anywhere.
+        population: of which drivers are drawn: the name of one that ships, a file, or what such a
+            file says; None for drivers around the profiles.
     """
 
     mix: str | Mapping[Behavior, float] | Mapping[str, float] | None
@@ -34,6 +38,7 @@ class PopulationOptions(TypedDict, total=False):
     duration_s: float
     step_s: float
     jaywalk_share: float
+    population: str | Path | Mapping[str, Any] | Population | None
 
 
 def make_scenario(
@@ -58,12 +63,15 @@ def parse_population(options: PopulationOptions) -> dict[str, Any]:
     """The population as `Scenario` takes it, from options as a user writes them.
 
     Raises:
-        InputError: if a share is unknown or out of range; the message names it.
+        InputError: if a share is unknown or out of range, or the population's file is broken; the
+            message names it.
     """
+    population = options.get("population")
     return {
         **options,
         "mix": parse_mix(options.get("mix")),
         "kinds": parse_kinds(options.get("kinds")),
+        "population": None if population is None else read_population(population),
     }
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from behaviors.display import counted, html_table
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
+from behaviors.populations import Population, drivers_of
 from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
@@ -118,6 +119,8 @@ class Scenario:
         step_s: time between frames, s.
         kinds: share of each vehicle kind; sums to 1.
         jaywalk_share: share of pedestrians who cross where and when they should not.
+        population: of which drivers are drawn; None for drivers around the profiles, with numbers
+            independent of each other.
     """
 
     name: str
@@ -129,6 +132,7 @@ class Scenario:
     step_s: float = 0.1
     kinds: Mapping[AgentKind, float] = field(default_factory=lambda: {AgentKind.CAR: 1.0})
     jaywalk_share: float = DEFAULT_JAYWALK_SHARE
+    population: Population | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated, by name."""
@@ -170,6 +174,11 @@ class Scenario:
             )
 
     @property
+    def population_option(self) -> dict[str, Any]:
+        """What an episode's options say of the population; nothing where there is none."""
+        return {} if self.population is None else {"population": self.population.option}
+
+    @property
     def steps(self) -> int:
         """How many frames an episode has: the last is at or just before its end."""
         return math.floor(self.duration_s / self.step_s + 1e-6)
@@ -201,6 +210,7 @@ class Scenario:
             ("kinds of vehicle", listed(self.kinds)),
             ("behaviours", listed(self.mix)),
             ("spread within a behaviour", f"{self.spread:g}"),
+            ("population", "none" if self.population is None else self.population.name),
             ("duration", f"{self.duration_s:g} s in steps of {self.step_s:g} s"),
         ]
         return html_table(f"Scenario {self.name}", ("", ""), rows)
@@ -252,7 +262,9 @@ WALKING_SPEED_MPS: Final = (1.34, 0.26)
 """Mean and standard deviation of pedestrians' free speed (Weidmann 1993)."""
 
 
-def sample_agents(scenario: Scenario, seed: int) -> tuple[AgentSpec, ...]:
+def sample_agents(
+    scenario: Scenario, seed: int, population: Population | None = None
+) -> tuple[AgentSpec, ...]:
     """Draw all agents of an episode, in order of departure.
 
     Each flow draws from its own generator, so changing one flow leaves the agents of the others as
@@ -261,6 +273,7 @@ def sample_agents(scenario: Scenario, seed: int) -> tuple[AgentSpec, ...]:
     Args:
         scenario: whose demand to draw.
         seed: any non-negative integer; the same seed draws the same agents.
+        population: of which drivers are drawn; None for the scenario's.
 
     Returns:
         Agents with ids 0, 1, 2, ... in order of departure.
@@ -270,6 +283,8 @@ def sample_agents(scenario: Scenario, seed: int) -> tuple[AgentSpec, ...]:
     """
     if seed < 0:
         raise InputError(f"seed: found {seed}, expected an integer >= 0")
+    if population is not None:
+        scenario = dataclasses.replace(scenario, population=population)
     drawn: list[AgentSpec] = []
     children = np.random.SeedSequence(seed).spawn(len(scenario.flows))
     for flow, child in zip(scenario.flows, children, strict=True):
@@ -334,7 +349,11 @@ def _draw_driver(
     behavior = _choose(BEHAVIORS, scenario.mix, rng)
     kind = _choose(KINDS, scenario.kinds, rng)
     limits = KIND_LIMITS[kind]
-    profile = _limited(sample_profile(behavior, rng, scenario.spread), limits)
+    profile = sample_profile(behavior, rng, scenario.spread)
+    if scenario.population is not None:
+        own = np.random.default_rng((seed, _POPULATION_STREAM))
+        profile = drivers_of(scenario.population).draw(behavior, own, scenario.spread)
+    profile = _limited(profile, limits)
     median, width, spread = DIMENSIONS_M[kind]
     length = float(median * np.exp(spread * rng.standard_normal()))
     return AgentSpec(0, kind, behavior, profile, route, depart_s, length, width, 0.0, seed)
@@ -352,9 +371,16 @@ def _limited(wanted: Profile, limits: KindLimits) -> Profile:
 _REDRAWN_STREAM: Final = 7
 """Number of a driver's random stream for other behaviours; controllers use smaller ones."""
 
+_POPULATION_STREAM: Final = 9
+"""Number of a driver's random stream for its numbers in a population, so that the same departures,
+routes and behaviours are drawn whatever the population is (worlds use 8)."""
+
 
 def with_behavior(
-    agent: AgentSpec, behavior: Behavior, spread: float = DEFAULT_SPREAD
+    agent: AgentSpec,
+    behavior: Behavior,
+    spread: float = DEFAULT_SPREAD,
+    population: Population | None = None,
 ) -> AgentSpec:
     """The same driver, had it been drawn with another behaviour.
 
@@ -365,6 +391,7 @@ def with_behavior(
         agent: a driver.
         behavior: the behaviour to draw the profile of.
         spread: how much drivers of one behaviour differ, as in `Scenario`.
+        population: of which drivers are drawn, as in `Scenario`.
 
     Returns:
         The agent with that behaviour and its profile.
@@ -375,7 +402,12 @@ def with_behavior(
     if agent.profile is None:
         raise InputError(f"agent {agent.id}: found a pedestrian, expected a driver")
     rng = np.random.default_rng((agent.seed, _REDRAWN_STREAM, BEHAVIORS.index(behavior)))
-    profile = _limited(sample_profile(behavior, rng, spread), KIND_LIMITS[agent.kind])
+    profile = (
+        sample_profile(behavior, rng, spread)
+        if population is None
+        else drivers_of(population).draw(behavior, rng, spread)
+    )
+    profile = _limited(profile, KIND_LIMITS[agent.kind])
     return dataclasses.replace(agent, behavior=behavior, profile=profile)
 
 

@@ -32,6 +32,7 @@ from experiments.cli.options import (
     ModelName,
     Net,
     OwnNet,
+    PopulationName,
     Quiet,
     Routes,
     ScenarioOptions,
@@ -108,6 +109,7 @@ def run(
     flow: Flow = None,
     mix: Mix = None,
     spread: Spread = None,
+    population: PopulationName = None,
     duration_s: DurationS = None,
     net: OwnNet = None,
     routes: Routes = None,
@@ -124,7 +126,8 @@ def run(
 
     config = read_config(
         None, scenarios=[scenario] if scenario else None, net=net, routes=routes, episodes=1,
-        seed=seed, engine=engine, flow=flow, mix=mix, spread=spread, duration_s=duration_s,
+        seed=seed, engine=engine, flow=flow, mix=mix, spread=spread, population=population,
+        duration_s=duration_s,
         scenario_options=read_options(option or [], FLAGS) or None,
     )  # fmt: skip
     used = model if stream or predict else None

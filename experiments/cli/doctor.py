@@ -21,6 +21,7 @@ from urllib.parse import unquote, urlsplit
 from packaging.requirements import Requirement
 
 from behaviors.errors import InputError, lookup
+from behaviors.populations import POPULATIONS, read_population
 from behaviors.registry import Registry, loaded
 from experiments.rows import Row
 
@@ -101,12 +102,12 @@ def names_of(what: str) -> list[str]:
         >>> names_of("engine")
         ['sumo', 'sumo-idm', 'highway', 'highway-krauss']
     """
-    return list(_registry(what))
+    return list(POPULATIONS if what == "population" else _registry(what))
 
 
 def registered_names() -> list[Row]:
     """Every registered name: what it names, where it comes from, and one line on what it is."""
-    return [
+    found: list[Row] = [
         {
             "what": what,
             "name": name,
@@ -117,6 +118,10 @@ def registered_names() -> list[Row]:
         for registry in (_registry(what),)
         for name in registry
     ]
+    for name in POPULATIONS:
+        about = read_population(name).source
+        found.append({"what": "population", "name": name, "from": "graphrqi", "about": about})
+    return found
 
 
 def _registry(what: str) -> Registry[object]:

@@ -14,6 +14,7 @@ from experiments.cli.options import (
     Jobs,
     Mix,
     OwnNet,
+    PopulationName,
     Quiet,
     Routes,
     ScenarioOptions,
@@ -62,6 +63,7 @@ def generate(
     flow: Flow = None,
     mix: Mix = None,
     spread: Spread = None,
+    population: PopulationName = None,
     duration_s: DurationS = None,
     option: ScenarioOptions = None,
     seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
@@ -88,8 +90,8 @@ def generate(
 
     given = {
         "scenarios": scenario or None, "episodes": episodes, "engine": engine, "flow": flow,
-        "mix": mix, "spread": spread, "duration_s": duration_s, "seed": seed, "net": net,
-        "routes": routes,
+        "mix": mix, "spread": spread, "population": population, "duration_s": duration_s,
+        "seed": seed, "net": net, "routes": routes,
         "scenario_options": read_options(option or [], FLAGS) or None,
     }  # fmt: skip
     chosen = (

@@ -145,6 +145,16 @@ Mix = Annotated[
 Spread = Annotated[
     float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")
 ]
+PopulationName = Annotated[
+    str | None,
+    typer.Option(
+        "--population",
+        metavar="NAME or FILE",
+        help="Of which drivers are drawn: a name (see graphrqi list) or a TOML file, such as "
+        "calibrate writes.",
+        autocompletion=names_of("population"),
+    ),
+]
 WindowText = Annotated[
     str | None,
     typer.Option(
@@ -162,5 +172,5 @@ ScenarioOptions = Annotated[
         help="Another option of the scenario, such as lanes=2; repeat for several.",
     ),
 ]
-FLAGS = ("flow", "mix", "spread", "duration_s")
+FLAGS = ("flow", "mix", "spread", "population", "duration_s")
 """Options of a scenario that commands have beside ``--set``."""

@@ -13,6 +13,7 @@ from experiments.cli.options import (
     Flow,
     Json,
     Mix,
+    PopulationName,
     Quiet,
     Seed,
     Spread,
@@ -53,6 +54,7 @@ def what_if(
     flow: Flow = None,
     mix: Mix = None,
     spread: Spread = None,
+    population: PopulationName = None,
     duration_s: DurationS = None,
     picture: Annotated[
         Path | None,
@@ -78,7 +80,7 @@ def what_if(
     config = WhatIf(
         episode=read_config(
             None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
-            mix=mix, spread=spread, duration_s=duration_s,
+            mix=mix, spread=spread, population=population, duration_s=duration_s,
         ),
         index=episode,
         at_s=at_s,
@@ -103,6 +105,7 @@ def blame(
     flow: Flow = None,
     mix: Mix = None,
     spread: Spread = None,
+    population: PopulationName = None,
     duration_s: DurationS = None,
     bystanders: Annotated[
         int, typer.Option(min=0, help="How many drivers beside the two parties are tried.")
@@ -118,7 +121,7 @@ def blame(
 
     config = read_config(
         None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
-        mix=mix, spread=spread, duration_s=duration_s,
+        mix=mix, spread=spread, population=population, duration_s=duration_s,
     )  # fmt: skip
     made = config.scenario(scenario, episode)
     drawn = Task(config, scenario, episode).seed

@@ -6,13 +6,18 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
+from behaviors.populations import read_population
 from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario
+
+
+def _population_table(given: Any) -> dict[str, Any]:
+    return read_population(given).table()
 
 
 class GenerateConfig(BaseModel):
@@ -26,6 +31,8 @@ class GenerateConfig(BaseModel):
         flow: light, medium, dense or vehicles per hour; None for the scenario's own.
         mix: share of each behaviour, as text or mapping; None for the scenario's own.
         spread: how much drivers of one behaviour differ; None for the scenario's own.
+        population: what a population's file says, of which drivers are drawn; a name or a file
+            stands for its content. None for the scenario's own.
         duration_s: length of an episode, s; None for the scenario's own.
         step_s: time between frames, s; None for the scenario's own.
         limits_mps: speed limits that a scenario's episodes take in turn, m/s; None for its own.
@@ -43,6 +50,7 @@ class GenerateConfig(BaseModel):
     flow: str | float | None = None
     mix: str | dict[str, float] | None = None
     spread: float | None = None
+    population: Annotated[dict[str, Any], BeforeValidator(_population_table)] | None = None
     duration_s: float | None = None
     step_s: float | None = None
     limits_mps: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
@@ -53,7 +61,8 @@ class GenerateConfig(BaseModel):
         """What a scenario of the episode with this index is called with."""
         given: dict[str, Any] = dict(self.scenario_options or {})
         given |= self.model_dump(
-            include={"flow", "mix", "spread", "duration_s", "step_s", "routes"}, exclude_none=True
+            include={"flow", "mix", "spread", "population", "duration_s", "step_s", "routes"},
+            exclude_none=True,
         )
         limits = self.limits_mps or get_scenario(name).limits_mps
         if limits:

@@ -58,6 +58,7 @@ class Task:
                 **{name: given[name] for name in ("flow", "limit_mps") if name in given},
                 "mix": {behavior.value: share for behavior, share in scenario.mix.items()},
                 "spread": scenario.spread,
+                **scenario.population_option,
                 "duration_s": scenario.duration_s,
                 "step_s": scenario.step_s,
             },

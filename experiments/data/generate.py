@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from behaviors.errors import InputError
 from experiments.console.exit_codes import Interrupted
@@ -113,10 +113,18 @@ def _check_same_manifest(place: Place, config: AnyConfig) -> None:
                 )
         elif there.get(name) != wanted.get(name):
             raise InputError(
-                f"{place.url}: was made with {name} {there.get(name, 'not given')!r}, now "
-                f"{wanted.get(name, 'not given')!r}; "
+                f"{place.url}: was made with {name} {_shown(there, name)}, now "
+                f"{_shown(wanted, name)}; "
                 "choose another folder"
             )
+
+
+def _shown(configuration: Mapping[str, Any], name: str) -> str:
+    """What a configuration gives; of a population, its name."""
+    value = configuration.get(name, "not given")
+    if name == "population" and isinstance(value, Mapping):
+        value = value.get("name")
+    return repr(value)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from behaviors.errors import InputError, lookup
+from behaviors.populations import read_population
 from behaviors.profiles import DEFAULT_SPREAD
 from sim.highway.ego import check_action
 from sim.invalid_fields import first_wrong_field
@@ -47,6 +48,10 @@ def _check_classifier(source: object) -> object:
     if not named and not callable(source):
         raise InputError(f"classifier: found {source!r}, expected 'module:function' or a callable")
     return source
+
+
+def _population_table(source: Any) -> dict[str, Any] | None:
+    return None if source is None else read_population(source).table()
 
 
 class TrafficConfig(BaseModel):
@@ -80,6 +85,10 @@ class TrafficConfig(BaseModel):
 
     spread: Annotated[float, SkipValidation] = DEFAULT_SPREAD
     """How much drivers of one behaviour differ."""
+
+    population: Annotated[dict[str, Any] | None, PlainValidator(_population_table)] = None
+    """Of which the drivers are drawn: the name of one that ships ("us101"), a TOML file, or what
+    such a file says; None for drivers around the profiles."""
 
     net: str | None = None
     """A map to drive on instead (SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or

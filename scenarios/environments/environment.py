@@ -179,7 +179,8 @@ class TrafficEnv(EgoEnv):
         """The scenario of a configuration; another one's own options hold unless they are given."""
         reference = checked.net or checked.scenario or self.scenario_name
         options: dict[str, Any] = {
-            "flow": checked.flow, "mix": checked.mix, "spread": checked.spread
+            "flow": checked.flow, "mix": checked.mix, "spread": checked.spread,
+            "population": checked.population,
         }  # fmt: skip
         if reference != self.scenario_name:
             usual = TrafficConfig()

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from behaviors.errors import InputError
+from behaviors.populations import read_population
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.road import own_road
@@ -86,6 +87,10 @@ class ScenarioFile(BaseModel):
     spread: float | None = None
     """How much drivers of one behaviour differ, 0 to 1."""
 
+    population: str | dict[str, Any] | None = None
+    """Of which drivers are drawn: the name of one that ships, a TOML file (a path from the file's
+    folder), or a table with what such a file says."""
+
     jaywalk_share: float | None = None
     """Share of pedestrians who cross on red and anywhere."""
 
@@ -134,6 +139,11 @@ class ScenarioFile(BaseModel):
             found["flows"] = [RouteFlow(one.route, one.per_hour, one.walking) for one in self.flows]
         if self.routes is not None:
             found["routes"] = folder / self.routes
+        if self.population is not None:
+            given = self.population
+            is_file = isinstance(given, str) and is_path(given)
+            path_or_name = folder / str(given) if is_file else given
+            found["population"] = read_population(path_or_name).table()
         if self.limits_mps is not None:
             found["limit_mps"] = self.limits_mps[0]
         return found

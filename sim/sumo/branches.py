@@ -116,7 +116,7 @@ class Trunk(_Closing):
             )
         self._connection: Connection = Connection(here.detach())
         self._drivers = {a.id: a for a in agents if a.profile is not None}
-        self._spread = scenario.spread
+        self._spread, self._population = scenario.spread, scenario.population
         others = tuple(
             self.alternative(agent.id, behavior)
             for agent in self._drivers.values()
@@ -197,7 +197,7 @@ class Trunk(_Closing):
         Raises:
             InputError: if there is no driver of that id.
         """
-        return with_behavior(self.driver(agent), behavior, self._spread)
+        return with_behavior(self.driver(agent), behavior, self._spread, self._population)
 
     @property
     def process_id(self) -> int:

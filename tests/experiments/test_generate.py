@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import signal
@@ -16,13 +17,14 @@ import pytest
 import experiments.data.generate
 import experiments.data.processes
 from behaviors import InputError
+from behaviors.populations import read_population
 from experiments.cli.commands import main
 from experiments.data.configuration import GenerateConfig, read_config
 from experiments.data.episode import Task, make_episode
 from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
 from scenarios import SCENARIOS
-from sim.scenario import Scenario
+from sim.scenario import Scenario, sample_agents
 from sim.store.dataset import open_dataset
 from sim.store.entries import write_catalogue
 from sim.store.lock import sole_writer
@@ -340,6 +342,27 @@ def test_broken_configuration_files(tmp_path: Path, text: str, message: str) -> 
     with pytest.raises(InputError) as caught:
         read_config(path)
     assert message in str(caught.value)
+
+
+def test_a_dataset_says_which_population_its_drivers_are_of(tmp_path: Path) -> None:
+    people = read_population("profiles")
+    file = tmp_path / "people.toml"
+    file.write_text(people.to_toml())
+    given = {"scenarios": ["straight_road"], "episodes": 1, "duration_s": 5.0, "seed": 2}
+    config = read_config(None, **given, population=str(file))
+    file.unlink()  # the catalogue holds what it said
+    generate(config, tmp_path / "data", jobs=1, quiet=True)
+    dataset = open_dataset(tmp_path / "data")
+    assert dataset.header.configuration["population"] == people.table()
+    (entry,) = dataset.episodes()
+    assert entry.options["population"] == {"name": "profiles", "sha256": people.sha256}
+    scenario = config.scenario("straight_road")
+    drawn = sample_agents(scenario, entry.seed)
+    plain = dataclasses.replace(scenario, population=None)
+    assert drawn == sample_agents(plain, entry.seed, people) != sample_agents(plain, entry.seed)
+    assert dataset.read(entry).agents == drawn
+    with pytest.raises(InputError, match="was made with population 'profiles', now 'not given'"):
+        generate(read_config(None, **given), tmp_path / "data", jobs=1, quiet=True)
 
 
 @pytest.mark.parametrize(

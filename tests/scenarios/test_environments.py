@@ -16,9 +16,11 @@ from gymnasium.utils.env_checker import check_env
 
 import scenarios
 from behaviors import BEHAVIORS, InputError
+from behaviors.populations import read_population
 from scenarios import ENVIRONMENTS
 from scenarios.environments.observation import observable_agents
 from sim.highway.ego import is_off_road
+from sim.scenario import sample_agents
 
 QUICK = {"warmup_s": 4.0, "duration_s": 3.0}
 IDS = tuple(ENVIRONMENTS)
@@ -455,6 +457,15 @@ def test_refuses_bad_options_at_reset_and_a_bad_goal():
         gymnasium.make("graphrqi/FourWayIntersection-v0", config={"goal": "strait"})
     with pytest.raises(InputError, match="compiled: found 'yes'"):
         gymnasium.make("graphrqi/StraightRoad-v0", config={"compiled": "yes"})
+
+
+def test_traffic_is_drawn_from_a_population():
+    env = make("graphrqi/StraightRoad-v0", population="profiles", seed=1, duration_s=5.0).unwrapped
+    env.reset(seed=0)
+    drawn = sample_agents(env.scenario, 1, read_population("profiles"))
+    assert tuple(env._agents.values()) == drawn
+    env.configure({"population": None})
+    assert env.scenario.population is None
 
 
 def test_reset_takes_changes_to_the_configuration():

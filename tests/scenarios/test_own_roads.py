@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from behaviors import InputError
+from behaviors.populations import read_population
 from scenarios import SCENARIOS, get_scenario
 from scenarios.networks.grid import grid_net
 from scenarios.networks.written import ramp_net, straight_net
@@ -204,6 +205,7 @@ def test_a_file_takes_every_option_that_the_scenario_takes(name, ramp, tmp_path)
     own = name == ramp.name
     values = {
         **{"flow": 123.0, "pedestrians_per_h": 12.0, "mix": "timid=1", "kinds": "bus=1"},
+        **{"population": "profiles"},
         **{"spread": 0.3, "duration_s": 12.0, "step_s": 0.2, "jaywalk_share": 0.4},
         **{"lanes": 2, "limit_mps": 13.89, "signals": False, "routes": "town.rou.xml"},
         **{"two_way": False, "crossing": True, "ramps": False, "control": "priority", "blocks": 3},
@@ -225,13 +227,26 @@ def test_a_file_takes_every_option_that_the_scenario_takes(name, ramp, tmp_path)
         read = get_scenario(str(file))
         assert list(read.given) == [option]
         expected = {"routes": tmp_path / "town.rou.xml", "flows": [RouteFlow(("on",), 3.0)]}
+        expected["population"] = read_population("profiles").table()
         assert read.given[option] == expected.get(option, value)
         assert read.options.keys() == entry.options.keys()
+
+
+def test_a_file_names_a_population_beside_it(tmp_path):
+    people = read_population("profiles")
+    (tmp_path / "people.toml").write_text(people.to_toml())
+    file = tmp_path / "town.toml"
+    for given in ('"people.toml"', '"profiles"'):
+        file.write_text(f'scenario = "straight_road"\npopulation = {given}\n')
+        population = get_scenario(str(file))(duration_s=5.0).population
+        assert population.option == people.option
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
+        ('scenario = "straight_road"\npopulation = "people"', "unknown population"),
+        ('scenario = "straight_road"\npopulation = "a.toml"', "expected a population's file"),
         ("", "expected either it or net"),
         ('scenario = "a"\nnet = "b"', "expected either it or net"),
         ('scenario = "straight_road"\nflo = 3', "did you mean 'flow'"),

@@ -62,7 +62,7 @@ def test_every_option_has_the_default_that_the_scenario_is_made_with(name):
 
 
 def test_a_scenario_takes_the_options_of_the_population():
-    population = {"mix", "kinds", "spread", "duration_s", "step_s", "jaywalk_share"}
+    population = {"mix", "kinds", "spread", "duration_s", "step_s", "jaywalk_share", "population"}
     assert population == PopulationOptions.__annotations__.keys()
     assert population < SCENARIOS["two_way_road"].options.keys()
     assert SCENARIOS["two_way_road"].options.keys().isdisjoint({"two_way", "lanes", "crossing"})

@@ -5,9 +5,18 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior
+from behaviors.populations import read_population
+from scenarios import SCENARIOS
 from scenarios.straight_road import straight_road
 from sim.frames import AgentKind
-from sim.scenario import KIND_LIMITS, RouteFlow, Scenario, check_agents, sample_agents
+from sim.scenario import (
+    KIND_LIMITS,
+    RouteFlow,
+    Scenario,
+    check_agents,
+    sample_agents,
+    with_behavior,
+)
 
 
 @pytest.fixture(scope="module")
@@ -124,3 +133,20 @@ def test_agents_that_no_engine_can_drive_are_refused(scenario, change, seed, mes
     check_agents(scenario, (first, second), 0)
     with pytest.raises(InputError, match=message):
         check_agents(scenario, (first, dataclasses.replace(second, **change)), seed)
+
+
+def test_a_population_changes_drivers_numbers_and_nothing_else():
+    scenario = SCENARIOS["straight_road"](duration_s=60.0)
+    plain = sample_agents(scenario, 3)
+    recorded = sample_agents(scenario, 3, read_population("profiles"))
+    assert [dataclasses.replace(a, profile=None) for a in plain] == [
+        dataclasses.replace(a, profile=None) for a in recorded
+    ]
+    driving = [(a, b) for a, b in zip(plain, recorded, strict=True) if a.profile is not None]
+    assert all(a.profile != b.profile for a, b in driving)
+    named = SCENARIOS["straight_road"](duration_s=60.0, population="profiles")
+    assert sample_agents(named, 3) == recorded
+    agent = driving[0][1]
+    other = with_behavior(agent, Behavior.TIMID, population=named.population)
+    assert other == with_behavior(agent, Behavior.TIMID, population=read_population("profiles"))
+    assert other != with_behavior(agent, Behavior.TIMID)

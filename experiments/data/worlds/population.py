@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.populations.draw import LOWEST_HEADWAY_S
 from behaviors.profiles import FARTHEST_SPREADS, PROFILES, Profile
 from graphrqi.posterior import AGGRESSIVE
 from sim.frames import AgentKind
@@ -52,9 +53,6 @@ TENDENCY: Final[dict[str, float]] = {
 
 ACTS: Final = ("cut_in_rate_per_min", "stop_rate_per_min", "wrong_way_rate_per_min")
 """What drivers do on purpose; worlds differ in how often."""
-
-LOWEST_HEADWAY_S: Final = 0.35
-"""No driver keeps less, s: laws collide below (Krauss's needs more than a step)."""
 
 
 @dataclass(frozen=True, slots=True)

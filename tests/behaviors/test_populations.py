@@ -1,0 +1,185 @@
+"""Populations: drivers drawn from one look like it, files are read whole or refused in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.populations import (
+    NUMBERS,
+    POPULATION_TOLD,
+    POPULATIONS,
+    Around,
+    Population,
+    drivers_of,
+    read_population,
+)
+from behaviors.populations.draw import FARTHEST, LOWEST_HEADWAY_S
+from behaviors.profiles import FARTHEST_SPREADS, PROFILE_FIELDS, PROFILES, SPREAD_FIELDS
+
+CORRELATION = np.array(
+    [
+        [1.0, 0.1, 0.0, 0.2, 0.0],
+        [0.1, 1.0, 0.3, -0.4, 0.0],
+        [0.0, 0.3, 1.0, -0.2, 0.1],
+        [0.2, -0.4, -0.2, 1.0, 0.3],
+        [0.0, 0.0, 0.1, 0.3, 1.0],
+    ]
+)
+PEOPLE = Population(
+    "road", "an example", "idm", 60, np.array([30.0, 1.6, 2.9, 1.4, 2.0]),
+    np.array([0.12, 0.35, 0.4, 0.3, 0.25]), CORRELATION,
+)  # fmt: skip
+DRIVERS = 3000
+
+
+def told_logs(population: Population, behavior: Behavior, count: int, seed: int) -> np.ndarray:
+    source, rng = drivers_of(population), np.random.default_rng((seed, BEHAVIORS.index(behavior)))
+    drawn = [source.draw(behavior, rng, 0.15) for _ in range(count)]
+    return np.log([[getattr(one, name) for name in POPULATION_TOLD] for one in drawn])
+
+
+def test_all_behaviours_together_have_the_populations_medians_and_spreads() -> None:
+    logs = np.concatenate([told_logs(PEOPLE, b, DRIVERS // 6, 0) for b in BEHAVIORS])
+    np.testing.assert_allclose(logs.std(axis=0), PEOPLE.log_spread, rtol=0.06)
+    np.testing.assert_allclose(logs.mean(axis=0)[1:], np.log(PEOPLE.median)[1:], atol=0.03)
+    usual = np.mean(np.log([PROFILES[b].speed_factor for b in BEHAVIORS]))
+    assert logs[:, 0].mean() == pytest.approx(usual, abs=0.02)
+
+
+@pytest.mark.parametrize("around", Around)
+def test_drivers_of_one_behaviour_correlate_as_the_population_says(around: Around) -> None:
+    population = dataclasses.replace(PEOPLE, around=around)
+    logs = told_logs(population, Behavior.CAREFUL, DRIVERS, 1)
+    np.testing.assert_allclose(np.corrcoef(logs.T), CORRELATION, atol=0.06)
+    if around is Around.PROFILES:
+        median = [getattr(PROFILES[Behavior.CAREFUL], name) for name in POPULATION_TOLD]
+        np.testing.assert_allclose(np.exp(np.median(logs, axis=0)), median, rtol=0.04)
+        np.testing.assert_allclose(logs.std(axis=0), PEOPLE.log_spread, rtol=0.06)
+
+
+def test_the_behaviours_keep_their_order_in_a_population() -> None:
+    source = drivers_of(PEOPLE)
+    for name in POPULATION_TOLD:
+        for one, other in itertools.combinations(BEHAVIORS, 2):
+            before = getattr(PROFILES[one], name) - getattr(PROFILES[other], name)
+            after = getattr(source.median(one), name) - getattr(source.median(other), name)
+            assert before * after > 0
+    untold = [name for name in PROFILE_FIELDS if name not in POPULATION_TOLD]
+    for behavior in BEHAVIORS:
+        median = source.median(behavior)
+        assert [getattr(median, n) for n in untold] == [
+            getattr(PROFILES[behavior], n) for n in untold
+        ]
+
+
+def test_nobody_stands_at_a_cut() -> None:
+    logs = told_logs(dataclasses.replace(PEOPLE, around=Around.PROFILES), Behavior.THREATENING,
+                     DRIVERS, 2)  # fmt: skip
+    centre = np.log([getattr(PROFILES[Behavior.THREATENING], name) for name in POPULATION_TOLD])
+    z = np.abs(logs - centre) / PEOPLE.log_spread
+    assert z.max() < FARTHEST
+    assert np.unique(logs[:, 1]).size == DRIVERS
+    assert np.exp(logs[:, 1]).min() > LOWEST_HEADWAY_S
+    source, rng = drivers_of(PEOPLE), np.random.default_rng(0)
+    others = [name for name in SPREAD_FIELDS if name not in POPULATION_TOLD]
+    assert "gap_acceptance_s" in others
+    gaps = [source.draw(Behavior.TIMID, rng, 0.2).gap_acceptance_s for _ in range(DRIVERS)]
+    away = np.abs(np.log(gaps) - math.log(PROFILES[Behavior.TIMID].gap_acceptance_s)) / 0.2
+    assert 0.9 * FARTHEST_SPREADS < away.max() < FARTHEST_SPREADS
+    assert np.unique(gaps).size == DRIVERS
+
+
+def test_a_population_in_which_nobody_can_drive_is_refused() -> None:
+    close = dataclasses.replace(
+        PEOPLE, median=np.array([30.0, 0.1, 2.9, 1.4, 2.0]), log_spread=np.full(5, 0.01)
+    )
+    with pytest.raises(InputError, match=r"time_headway_s: found no .* with 0\.35 s"):
+        drivers_of(close).draw(Behavior.THREATENING, np.random.default_rng(0), 0.15)
+
+
+def test_a_file_holds_a_population_whole(tmp_path: Path) -> None:
+    path = tmp_path / "people.toml"
+    path.write_text(PEOPLE.to_toml())
+    read = read_population(path)
+    assert read.table() == PEOPLE.table() == tomllib.loads(PEOPLE.to_toml())
+    assert read_population(read.table()).to_toml() == PEOPLE.to_toml()
+    assert read.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert read.option == {"name": "road", "sha256": PEOPLE.sha256}
+
+
+@pytest.mark.parametrize("name", POPULATIONS)
+def test_what_ships_is_written_as_it_would_be_again(name: str) -> None:
+    population = read_population(name)
+    assert population.name == name
+    assert population.to_toml() == POPULATIONS[name].read_text()
+    for behavior in BEHAVIORS:
+        drivers_of(population).draw(behavior, np.random.default_rng(0), 0.15)
+
+
+def _changed(**change: Any) -> dict[str, Any]:
+    return {**PEOPLE.table(), **change}
+
+
+def _number(**change: Any) -> dict[str, Any]:
+    table = PEOPLE.table()
+    table["numbers"]["min_gap_m"] |= change
+    return table
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (_changed(schema_version=2), "schema_version: found 2, expected 1"),
+        (_changed(colour="red"), "colour: found an unknown key"),
+        (_changed(name=3), "name: found 3, expected 1 to"),
+        (_changed(drivers=-1), "drivers: found -1"),
+        (_changed(around="nobody"), "around: found 'nobody', expected population or profiles"),
+        (_changed(numbers={}), "numbers.desired_speed_mps: found none"),
+        (_changed(numbers=[]), "numbers: found none"),
+        (_number(median=0.0), "numbers.min_gap_m.median: found 0, expected 0.1 to 20"),
+        (_number(median=True), "numbers.min_gap_m.median: found True, expected a number"),
+        (_number(median=float("nan")), "numbers.min_gap_m.median: found nan"),
+        (_number(median=10**400), "numbers.min_gap_m.median: found 1000"),
+        (_number(log_spread=-0.1), "log_spread: found"),
+        (_number(correlation=[1.0]), "correlation: found [1.0], expected 5 numbers"),
+        (_number(correlation=[0.9, 0.3, 1.0, 0, 0]), "correlation: found no correlation matrix"),
+    ],
+)
+def test_a_broken_table_is_refused_by_its_key(table: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_population(table)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"name = ", "Invalid value"), (b"\xff\xfe", "utf-8"), (b"#" * 1_000_001, "found more than"),
+     (b"", "schema_version: found None")],
+)  # fmt: skip
+def test_a_broken_file_is_refused_by_its_path(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_population(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert said in str(caught.value)
+
+
+def test_names_and_files_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="did you mean 'profiles'"):
+        read_population("profile")
+    with pytest.raises(InputError, match="expected a population's file"):
+        read_population(tmp_path / "none.toml")
+    assert tuple(read_population("profiles").table()["numbers"]) == NUMBERS
