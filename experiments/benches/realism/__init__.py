@@ -1,0 +1,1 @@
+"""Realism: how much simulated traffic looks like the recorded traffic that it starts from."""
