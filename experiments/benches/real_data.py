@@ -30,7 +30,9 @@ from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
 from experiments.benches.contract import Bench, option
 from experiments.benches.prediction.recordings import measure_recordings
+from experiments.benches.prediction.told import measure_told
 from experiments.data.parallel import in_parallel
+from experiments.report.worst_cases import Case, worst_cases_page, worst_of
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import (
     auc_within,
@@ -50,6 +52,7 @@ from graphrqi.methods import METHODS
 from sim.formats import traf, traf_sheets
 from sim.formats.common.recording import CAR_LENGTH_M
 from sim.frames import Tracks
+from sim.store.atomic import write_whole
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -76,6 +79,9 @@ TASKS: Final[dict[int, tuple[int, ...]]] = {
 
 EVERY_FRAMES: Final = 3
 """Frames of video per step of an observer (our choice: 8 steps a second)."""
+
+MOST_CASES: Final = 1000
+"""When so many cases are kept, all but the worst of each family are let go."""
 
 LOOK_STEPS: Final = 5
 """Steps between looks at what an observer has gathered (our choice)."""
@@ -379,11 +385,13 @@ class Settings:
 
     Attributes:
         data: folder with ``traf``, or for prediction of datasets; None for ``GRAPHRQI_DATA``.
-        task: ``behavior`` or ``prediction``.
+        task: ``behavior``, ``prediction``, or ``told``: whether it helps a prediction to know the
+            driver.
         leave_out: for prediction, what is left out of the training in turn: each ``dataset``,
             each ``place``, or ``nothing``.
         epochs: for prediction, of each training.
         seed: for prediction, of trainings and noise.
+        worst: for prediction, a page of the worst cases of each family that is written at the end.
         test_videos: names of videos never trained on; () leaves each one out in turn.
         views: keys of ``VIEWS``.
         tasks: keys of ``TASKS``.
@@ -391,10 +399,13 @@ class Settings:
     """
 
     data: Path | None = option(None, "Folder of recordings [default: GRAPHRQI_DATA].")
-    task: str = option("behavior", "behavior, or prediction: where vehicles go.")
+    task: str = option(
+        "behavior", "behavior; prediction: where vehicles go; told: does knowing drivers help it."
+    )
     leave_out: str = option("dataset", "For prediction: dataset, place or nothing.")
     epochs: int = option(10, "For prediction: of each training.")
     seed: int = 0
+    worst: Path | None = option(None, "For prediction: page of the worst cases.", "FILE.html")
     test_videos: tuple[str, ...] = option((), "Videos that are only tested on.")
     views: tuple[str, ...] = tuple(VIEWS)
     tasks: tuple[int, ...] = tuple(TASKS)
@@ -410,14 +421,17 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     data = settings.data
     if data is None and os.environ.get(DATA_VARIABLE):
         data = Path(os.environ[DATA_VARIABLE])
-    if settings.task == "prediction":
+    if settings.task in ("prediction", "told"):
         if data is None:
             sys.stderr.write(f"real-data: skipped: found no --data and no {DATA_VARIABLE}\n")
             return
-        yield from measure_recordings(data, settings.leave_out, settings.epochs, settings.seed)
+        if settings.task == "told":
+            yield from measure_told(data, settings.seed)
+            return
+        yield from _measure_prediction(data, settings)
         return
     if settings.task != "behavior":
-        raise InputError(f"task: found {settings.task!r}, expected behavior or prediction")
+        raise InputError(f"task: found {settings.task!r}, expected behavior, prediction or told")
     if data is None or not (data / "traf" / "tracks").is_dir():
         where = f"no --data and no {DATA_VARIABLE}" if data is None else f"no {data}/traf/tracks"
         print(f"real-data: traf skipped: found {where}", file=sys.stderr)
@@ -430,6 +444,28 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         for defect in video.defects:
             print(f"real-data: {video.name}: {defect}", file=sys.stderr)
     yield evaluate_traf(videos, settings.test_videos, settings.views, settings.tasks, settings.jobs)
+
+
+def _measure_prediction(data: Path, settings: Settings) -> Iterator[list[Row]]:
+    """Score predictors, and write the page of the worst cases if one is wanted."""
+    if settings.worst is not None and settings.worst.suffix.lower() != ".html":
+        raise InputError(f"--worst: found {settings.worst.name!r}, expected a name ending in .html")
+    cases: list[Case] = []
+
+    def keep(case: Case) -> None:
+        cases.append(case)
+        if len(cases) > MOST_CASES:
+            cases[:] = worst_of(cases)
+
+    yield from measure_recordings(
+        data, settings.leave_out, settings.epochs, settings.seed,
+        on_case=None if settings.worst is None else keep,
+    )  # fmt: skip
+    if settings.worst is not None:
+        predictor = "graphrqi-predict"
+        if settings.leave_out != "nothing":
+            predictor += f", trained without the {settings.leave_out}"
+        write_whole(settings.worst, worst_cases_page(cases, predictor).encode())
 
 
 BENCH: Final = Bench(

@@ -30,12 +30,13 @@ _INK, _MUTED, _RULE = "#010101", "#020202", "#030303"
 _PAGE_COLORS: Final = {_INK: "currentColor", _MUTED: "var(--muted)", _RULE: "var(--line)"}
 """What matplotlib draws in the colour on the left takes the page's on the right."""
 
-_STYLE: Final[dict[Any, Any]] = {
+SVG_STYLE: Final[dict[Any, Any]] = {
     "svg.fonttype": "none", "font.family": "DejaVu Sans", "font.size": 9, "text.color": _INK,
     "text.parse_math": False, "axes.labelcolor": _INK, "axes.edgecolor": _MUTED,
     "xtick.color": _MUTED, "ytick.color": _MUTED, "xtick.labelcolor": _INK,
     "ytick.labelcolor": _INK, "grid.color": _RULE, "axes.axisbelow": True,
 }  # fmt: skip
+"""How matplotlib draws what `inlined` puts into a page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,7 @@ def line_chart(title: str, x: Axis, y: Axis, lines: Sequence[Line]) -> Markup:
     ]
     if not drawn:
         return Markup("")
-    with rc_context({"svg.hashsalt": title, **_STYLE}):
+    with rc_context({"svg.hashsalt": title, **SVG_STYLE}):
         legend_in = LEGEND_LINE_IN * -(-len(drawn) // 2)
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN + legend_in), layout="constrained")
         axes = figure.add_subplot()
@@ -156,7 +157,7 @@ def line_chart(title: str, x: Axis, y: Axis, lines: Sequence[Line]) -> Markup:
         out = io.StringIO()
         figure.savefig(out, format="svg", transparent=True, metadata={"Date": None})
     return Markup('<figure class="chart"><figcaption>{}</figcaption>{}</figure>').format(
-        title, _inlined(out.getvalue(), title)
+        title, inlined(out.getvalue(), title)
     )
 
 
@@ -170,7 +171,7 @@ def _label_logarithms(axis: DrawnAxis) -> None:
     axis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
 
 
-def _inlined(svg: str, title: str) -> Markup:
+def inlined(svg: str, title: str) -> Markup:
     """A matplotlib picture as part of a page: as wide as its place, in the page's colours."""
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r'^(<svg[^>]*?) width="[^"]*" height="[^"]*"', r"\1", svg)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +14,10 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.benches.prediction.recordings import RATIOS, measure_recordings
+from experiments.benches import real_data
+from experiments.benches.prediction import told
+from experiments.benches.prediction.recordings import RATIOS, _distance, measure_recordings
+from experiments.report.worst_cases import WORST
 from experiments.scoring.recordings import (
     family_of,
     happened,
@@ -161,6 +166,52 @@ def test_the_bench_leaves_each_dataset_out(data):
         next(measure_recordings(data, "nobody", 1, 0))
 
 
+def planted(seed: int, per_mps: float) -> told.Left:
+    """Drivers, three times each, of whom one number tells how much faster they become."""
+    rng = np.random.default_rng(seed)
+    vehicle = np.repeat(np.arange(200), 3)
+    number = rng.normal(size=200)[vehicle]
+    speed = rng.uniform(5.0, 15.0, vehicle.size)
+    along = (per_mps * number * speed)[:, None] * TIME_S + rng.normal(0, 0.5, (600, TIME_S.size))
+    numbers = np.column_stack([number, *rng.normal(size=(3, 600))])
+    numbers[::7, 0] = np.nan
+    beliefs = np.full((600, len(BEHAVIORS)), np.nan)
+    known = {told.BELIEFS: beliefs, told.NUMBERS: numbers}
+    return told.Left(along, np.zeros_like(along), speed, vehicle, known)
+
+
+def told_ratios(per_mps: float) -> dict[tuple[str, str], tuple[float, float, float]]:
+    others, held = [planted(seed, per_mps) for seed in range(3)], planted(9, per_mps)
+    rows = told._rows({"dataset": "held"}, others, held, seed=0)
+    return {(r["told"], r["metric"]): (r["low"], r["value"], r["high"]) for r in rows}
+
+
+def test_what_tells_where_drivers_go_is_found_and_its_placebo_is_not():
+    found = told_ratios(per_mps=0.1)
+    assert found["numbers", "ratio_to_placebo"][2] < 0.7
+    assert found["numbers", "placebo_ratio_to_untold"][1] == pytest.approx(1.0, abs=0.03)
+    assert found["nothing", "ratio_to_untold"][1] == pytest.approx(1.0, abs=0.03)
+    assert found["beliefs", "ratio_to_placebo"] == (1.0, 1.0, 1.0)
+
+
+def test_what_tells_nothing_is_not_found():
+    low, _, high = told_ratios(per_mps=0.0)["numbers", "ratio_to_placebo"]
+    assert low < 1.005
+    assert high > 0.98
+
+
+def test_knowledge_of_drivers_is_measured_on_each_dataset_left_out(data):
+    rows = [row for part in told.measure_told(data, seed=0) for row in part]
+    assert {row["dataset"] for row in rows} == {"ngsim_us101", "some_junction"}
+    assert {(row["told"], row["metric"]) for row in rows} == {
+        (told.NOTHING, "ratio_to_untold"),
+        *((kind, metric) for kind in (told.BELIEFS, told.NUMBERS)
+          for metric in ("ratio_to_untold", "placebo_ratio_to_untold", "ratio_to_placebo")),
+    }  # fmt: skip
+    with pytest.raises(InputError, match="expected two"):
+        list(told.measure_told(data / "some_junction", seed=0))
+
+
 def test_the_command_trains_and_tells(data, tmp_path):
     out = subprocess.run(
         [sys.executable, "-m", "experiments.cli", "train-predictor", str(data / "ngsim_us101"),
@@ -170,3 +221,25 @@ def test_the_command_trains_and_tells(data, tmp_path):
     rows = json.loads(out.stdout)
     assert [row["dataset"] for row in rows] == ["ngsim_us101"]
     assert (tmp_path / SHIPPED).is_file()
+
+
+def test_the_worst_cases_of_each_family_are_drawn(data, tmp_path, monkeypatch):
+    page = tmp_path / "worst.html"
+    settings = real_data.Settings(data=data, task="prediction", leave_out="nothing", worst=page)
+    monkeypatch.setattr(real_data, "MOST_CASES", 12)
+    for _ in real_data.measure(settings):
+        pass
+    text = page.read_text()
+    assert "<h2>motorway</h2>" in text
+    assert "<h2>junction</h2>" in text
+    assert 2 <= text.count("<svg") <= 2 * WORST
+    shown = re.findall(r"<figcaption>(.+?, vehicle \w+) at ", text)
+    assert len(shown) == len(set(shown)) == text.count("<svg")
+    with pytest.raises(InputError, match="ending in"):
+        list(real_data.measure(dataclasses.replace(settings, worst=tmp_path / "worst.png")))
+
+
+def test_the_nearest_point_of_a_line_counts():
+    line = np.array([[0.0, 0.0], [10.0, 0.0]])
+    assert _distance(np.array([5.0, 3.0]), line) == pytest.approx(3.0)
+    assert _distance(np.array([13.0, 4.0]), line) == pytest.approx(5.0)

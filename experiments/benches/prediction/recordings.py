@@ -22,6 +22,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.report.worst_cases import WORST, Case
 from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import bootstrap, ratio, summed
 from experiments.scoring.prediction_errors import hits, off_road, set_measures
@@ -57,6 +58,9 @@ NOISES_M: Final = (0.0, 0.1)
 
 SCORED_PER_DATASET: Final = 1_500
 """About so many vehicles at instants are scored in each dataset (our choice)."""
+
+NEAR_M: Final = 30.0
+"""Lanes and others are part of a case as far as its vehicle goes, and by this much farther, m."""
 
 SHIPPED, LEFT_OUT = "graphrqi-predict", "left-out"
 
@@ -99,7 +103,12 @@ class Scored:
 
 
 def measure_recordings(
-    data: Path, leave_out: str, epochs: int, seed: int, per_dataset: int = PER_DATASET
+    data: Path,
+    leave_out: str,
+    epochs: int,
+    seed: int,
+    per_dataset: int = PER_DATASET,
+    on_case: Callable[[Case], None] | None = None,
 ) -> Iterator[list[Row]]:
     """Score predictors on recordings, each dataset or place left out of the training in turn.
 
@@ -109,6 +118,7 @@ def measure_recordings(
         epochs: of each training.
         seed: of trainings and noise.
         per_dataset: about how many agents at instants are learned from in each.
+        on_case: is called with the cases that went most wrong, as `score_part` says.
 
     Yields:
         The rows of each part that was left out.
@@ -130,13 +140,17 @@ def measure_recordings(
     for name in sorted(parts):
         others = [found for other, found in examples.items() if other != name]
         network = fit_network(others, epochs, seed) if others else None
-        rows = list(score_part(name, parts[name], network, seed))
+        rows = list(score_part(name, parts[name], network, seed, on_case))
         if rows:
             yield rows
 
 
 def score_part(
-    name: str, places: Sequence[RecordedPlace], network: RecordedNetwork | None, seed: int
+    name: str,
+    places: Sequence[RecordedPlace],
+    network: RecordedNetwork | None,
+    seed: int,
+    on_case: Callable[[Case], None] | None = None,
 ) -> Iterator[Row]:
     """Rows of one part: every predictor, with and without noise.
 
@@ -145,6 +159,8 @@ def score_part(
         places: its recordings.
         network: trained without it; None for none.
         seed: of the noise.
+        on_case: is called with the worst cases of each recording, with the past as recorded, by the
+            network if there is one and by the weights that ship else.
     """
     predictors: dict[str, Told] = {
         rule: (lambda history, road, by=by: by(history, _STEPS))  # type: ignore[misc]
@@ -156,7 +172,7 @@ def score_part(
     if network is not None:
         predictors[LEFT_OUT] = lambda history, road: predict_recorded(history, _STEPS, network)
     for noise_m in NOISES_M:
-        scored = _scored(places, predictors, noise_m, seed)
+        scored = _scored(places, predictors, noise_m, seed, None if noise_m else on_case)
         for predictor, one in scored.items():
             keys: dict[str, str | float] = {
                 "dataset": places[0].dataset, "family": places[0].family, "place": name,
@@ -175,7 +191,7 @@ def _along_lanes(history: Tracks, road: Road | None) -> Prediction:
 
 def _scored(
     places: Sequence[RecordedPlace], predictors: dict[str, Told],
-    noise_m: float, seed: int,
+    noise_m: float, seed: int, on_case: Callable[[Case], None] | None,
 ) -> dict[str, Scored]:  # fmt: skip
     """Errors of every predictor over a part's recordings; {} where nobody moves long enough."""
     values: dict[str, list[FloatArray]] = {name: [] for name in predictors}
@@ -183,7 +199,8 @@ def _scored(
     vehicle: list[IntArray] = []
     place: list[IntArray] = []
     names = {one: number for number, one in enumerate(sorted({p.place for p in places}))}
-    every_s = _every_s(places)
+    every_s = scored_every_s(places)
+    whose = LEFT_OUT if LEFT_OUT in predictors else SHIPPED
     first = 0
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, index))
@@ -200,6 +217,9 @@ def _scored(
                 told = predict(history, one.road)
                 ms[name].append(1e3 * (time.perf_counter() - begun))
                 values[name].append(_values(one, history, told, truth, steady, counts))
+                if on_case is not None and name == whose:
+                    for case in _worst_cases(one, history, told, truth, values[name][-1], counts):
+                        on_case(case)
             rows = np.searchsorted(one.tracks.ids, clean.ids[counts])
             vehicle.append(first + rows)
             place.append(np.full(rows.size, names[one.place]))
@@ -239,7 +259,44 @@ def _values(
     return np.stack([np.asarray(column, dtype=np.float64) for column in columns], axis=1)
 
 
-def _every_s(places: Sequence[RecordedPlace]) -> float:
+def _worst_cases(
+    one: RecordedPlace, history: Tracks, told: Prediction, truth: FloatArray, values: FloatArray,
+    counts: BoolArray,
+) -> Iterator[Case]:  # fmt: skip
+    """What went most wrong at one instant."""
+    errors, steady = values[:, COLUMNS.index("ade_m")], values[:, COLUMNS.index("cv_ade_m")]
+    rows = np.flatnonzero(counts)
+    recording = " / ".join(dict.fromkeys((one.place, one.name)))
+    for i in np.argsort(-errors, kind="stable")[:WORST]:
+        row, here = rows[i], history.xy[rows[i], -1]
+        past = history.xy[row][history.valid[row]]
+        reach = NEAR_M + np.linalg.norm(truth[row] - here, axis=1).max()
+        near = np.linalg.norm(history.xy[:, -1] - here, axis=1) < reach
+        near[row] = False
+        yield Case(
+            one.family, recording, history.names[row], float(history.time_s[-1]),
+            float(errors[i]), float(steady[i]), past, truth[row], told.xy[row][:, _AT],
+            told.probability[row], history.xy[near, -1], lanes_near(one.road, here, reach),
+        )  # fmt: skip
+
+
+def lanes_near(road: Road | None, here: FloatArray, reach_m: float) -> tuple[FloatArray, ...]:
+    """Centre lines of the lanes with a point within reach; () without a map."""
+    if road is None:
+        return ()
+    lines = (np.asarray(lane.centerline) for lane in road.lanes)
+    return tuple(line for line in lines if _distance(here, line) < reach_m)
+
+
+def _distance(here: FloatArray, line: FloatArray) -> float:
+    """From a point to a line of points, m."""
+    begin, way = line[:-1], np.diff(line, axis=0)
+    along = ((here - begin) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12)
+    nearest = begin + np.clip(along, 0.0, 1.0)[:, None] * way
+    return float(np.linalg.norm(nearest - here, axis=1).min())
+
+
+def scored_every_s(places: Sequence[RecordedPlace]) -> float:
     """Time between the instants of a dataset, s."""
     seconds = 0.0
     for one in places:

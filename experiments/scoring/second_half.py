@@ -154,6 +154,59 @@ def _shifts(tracks: Tracks, motion: Motion) -> tuple[BoolArray, int]:
     return out, ahead
 
 
+@dataclass(frozen=True, slots=True)
+class Doings:
+    """What can be told at each instant of what the drivers of a recording do.
+
+    Attributes:
+        time_s: (T,) of the instants.
+        motion: smoothed.
+        headway: (N, T) time headway, s; NaN where there is none or nobody looked.
+        pace: (N, T) mean speed of others near by, m/s; NaN likewise.
+        shifts: (N, T) where someone begins to move into another lane.
+        takes: how many columns after that it is seen.
+    """
+
+    time_s: FloatArray
+    motion: Motion
+    headway: FloatArray
+    pace: FloatArray
+    shifts: BoolArray
+    takes: int
+
+    @staticmethod
+    def of(tracks: Tracks) -> Doings:
+        """From a recording, in metres."""
+        motion = motion_of(tracks)
+        headway, pace = _neighbours(tracks, motion)
+        shifts, takes = _shifts(tracks, motion)
+        return Doings(tracks.time_s, motion, headway, pace, shifts, takes)
+
+    def measures(self, row: int, start: int, stop: int) -> FloatArray:
+        """(4,) the ``MEASURES`` of one driver over some columns; NaN where one cannot be told.
+
+        A column's values rest on positions up to ``SPAN_S`` later.
+        """
+        out = np.full(len(MEASURES), np.nan)
+        here = slice(start, max(stop, start + 1))
+        followed = self.headway[row, here]
+        if np.count_nonzero(np.isfinite(followed)) >= 3:
+            out[0] = np.nanmean(followed)
+        pace = self.pace[row, here]
+        with_others = np.isfinite(pace)
+        if np.count_nonzero(with_others) >= 3 and pace[with_others].sum() > 0.0:
+            speed = self.motion.speed[row, here]
+            out[1] = speed[with_others].sum() / pace[with_others].sum()
+        shifted = np.flatnonzero(self.shifts[row, start : max(start, here.stop - self.takes)])
+        seconds = self.time_s[here.stop - 1] - self.time_s[start]
+        begun = np.count_nonzero(np.diff(shifted) > self.takes) + (shifted.size > 0)
+        out[2] = 60.0 * begun / max(seconds, 1.0)
+        braking = self.motion.braking[row, here]
+        if np.count_nonzero(np.isfinite(braking)) >= 3:
+            out[3] = np.nanquantile(braking, 0.98)
+        return out
+
+
 def measured(tracks: Tracks) -> FloatArray:
     """What everyone with two halves does in each of them.
 
@@ -168,29 +221,10 @@ def measured(tracks: Tracks) -> FloatArray:
     out = np.full((rows.size, 2, len(MEASURES)), np.nan)
     if not rows.size:
         return out
-    motion = motion_of(tracks)
-    headway, pace = _neighbours(tracks, motion)
-    shifts, takes = _shifts(tracks, motion)
+    doings = Doings.of(tracks)
     apart = 2 * max(1, round(SPAN_S / tracks.step_s))  # no instant rests on both halves
-    for i, row in enumerate(rows):
-        starts = (begins[i, 0], begins[i, 1] + apart)
-        ends = (begins[i, 1] - apart, last[i] + 1)
-        for half in (0, 1):
-            here = slice(int(starts[half]), max(int(ends[half]), int(starts[half]) + 1))
-            followed = headway[row, here]
-            if np.count_nonzero(np.isfinite(followed)) >= 3:
-                out[i, half, 0] = np.nanmean(followed)
-            with_others = np.isfinite(pace[row, here])
-            if np.count_nonzero(with_others) >= 3 and pace[row, here][with_others].sum() > 0.0:
-                out[i, half, 1] = (
-                    motion.speed[row, here][with_others].sum() / pace[row, here][with_others].sum()
-                )
-            whole = shifts[row, here.start : max(here.start, here.stop - takes)]
-            seconds = tracks.time_s[here.stop - 1] - tracks.time_s[here.start]
-            shifted = np.flatnonzero(whole)
-            begun = np.count_nonzero(np.diff(shifted) > takes) + (shifted.size > 0)
-            out[i, half, 2] = 60.0 * begun / max(seconds, 1.0)
-            braking = motion.braking[row, here]
-            if np.count_nonzero(np.isfinite(braking)) >= 3:
-                out[i, half, 3] = np.nanquantile(braking, 0.98)
+    for i, row in enumerate(rows.tolist()):
+        first, second = begins[i].tolist()
+        out[i, 0] = doings.measures(row, first, second - apart)
+        out[i, 1] = doings.measures(row, second + apart, int(last[i]) + 1)
     return out
