@@ -7,13 +7,14 @@ branch (`experiments.scoring.blame`). Beside it stands the agent that the rules 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from behaviors.errors import lookup
 from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
 from experiments.rows import Row, tidy_row
@@ -35,6 +36,8 @@ class Settings:
         seeds: episodes of each.
         first_seed: seed of the first episode.
         flow: of the traffic.
+        mix: shares of behaviours or styles; None for equal ones.
+        kinds: which incidents are judged.
         duration_s: length of an episode, s.
         bystanders: drivers beside the two parties who are tried for each incident.
         jobs: processes; None for one per core.
@@ -47,17 +50,23 @@ class Settings:
     seeds: int = option(10, "Episodes of each.")
     first_seed: int = option(900_000, "Seed of the first episode.")
     flow: str = option("dense", "light, medium, dense or vehicles per hour.")
+    mix: str | None = option(None, "Shares of behaviours or styles [default: equal].", "MIX")
+    kinds: tuple[str, ...] = option(
+        tuple(kind.value for kind in KINDS), "Which incidents are judged."
+    )
     duration_s: float = option(120.0, "Length of an episode, s.")
     bystanders: int = option(NEAREST, "Drivers beside the parties who are tried.")
     jobs: int | None = option(None, "Processes [default: one per core].")
 
 
 def judged(
-    scenario: str, flow: str, duration_s: float, seed: int, bystanders: int
+    scenario: str, options: Mapping[str, Any], seed: int, bystanders: int, kinds: Sequence[str]
 ) -> list[Agreement]:
     """What the counterfactuals say of each incident of one episode."""
-    made = get_scenario(scenario)(flow=flow, duration_s=duration_s)
-    return agreements(list(judge(made, sample_agents(made, seed), seed, bystanders=bystanders)))
+    made = get_scenario(scenario)(**options)
+    wanted = [EventKind(kind) for kind in kinds]
+    agents = sample_agents(made, seed)
+    return agreements(list(judge(made, agents, seed, bystanders=bystanders, kinds=wanted)))
 
 
 def measure(settings: Settings) -> Iterator[list[Row]]:
@@ -70,13 +79,20 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         that exactly one party prevents, the share in which it is the one blamed by rule
         (``agreement``); and how often drawing a driver anew prevents it by luck (``luck``).
     """
+    for kind in settings.kinds:
+        lookup({known.value: known for known in KINDS}, kind, "incident")
+    options = {"flow": settings.flow, "mix": settings.mix, "duration_s": settings.duration_s}
     for scenario in settings.scenarios:
         arguments = [
-            (scenario, settings.flow, settings.duration_s, seed, settings.bystanders)
+            (scenario, options, seed, settings.bystanders, settings.kinds)
             for seed in range(settings.first_seed, settings.first_seed + settings.seeds)
         ]
         episodes = list(in_parallel(judged, arguments, settings.jobs))
-        yield [row for kind in KINDS for row in rows_of(scenario, kind, episodes)]
+        yield [
+            row
+            for kind in map(EventKind, settings.kinds)
+            for row in rows_of(scenario, kind, episodes)
+        ]
 
 
 def rows_of(scenario: str, kind: EventKind, episodes: Sequence[Sequence[Agreement]]) -> list[Row]:

@@ -16,7 +16,7 @@ import typer
 
 from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
-from experiments.cli.calibrate import calibrate
+from experiments.cli.calibrate import calibrate, populations
 from experiments.cli.classify import classify, evaluate
 from experiments.cli.generate import generate, merge, size_of, upgrade
 from experiments.cli.options import (
@@ -179,6 +179,9 @@ app.command("train-predictor", epilog="example: graphrqi train-predictor recordi
 app.command(epilog="example: graphrqi classify data --out labels.parquet")(classify)
 app.command(epilog="example: graphrqi evaluate graphrqi-plus data --json scores.json")(evaluate)
 app.command(epilog="example: graphrqi calibrate recordings --out drivers")(calibrate)
+
+
+app.command(epilog="example: graphrqi populations")(populations)
 app.command(epilog="example: graphrqi adapt graphrqi-plus data --labels few.csv --out mine")(adapt)
 
 

@@ -71,6 +71,7 @@ def judge(
     seed: int,
     engine: str = "sumo",
     bystanders: int = NEAREST,
+    kinds: Sequence[EventKind] = INCIDENTS,
 ) -> Iterator[Verdict]:
     """Try every driver near each incident of an episode.
 
@@ -80,6 +81,7 @@ def judge(
         seed: of the simulator.
         engine: "sumo" or "sumo-idm".
         bystanders: how many drivers beside the parties are tried.
+        kinds: which incidents are judged.
 
     Yields:
         A verdict for each incident and driver, in order of time.
@@ -90,7 +92,7 @@ def judge(
     end_s = scenario.steps * scenario.step_s
     with Trunk(scenario, agents, seed, engine) as trunk:
         frames = trunk.advance(end_s)
-    found = [e for e in _incidents(frames, scenario) if e.kind in INCIDENTS]
+    found = [e for e in _incidents(frames, scenario) if e.kind in kinds]
     if not found:
         return
     with Trunk(scenario, agents, seed, engine) as trunk:

@@ -131,6 +131,33 @@ def population_rows(calibrated: Calibrated) -> list[Row]:
     return rows
 
 
+def place_rows(populations: Sequence[Population]) -> list[Row]:
+    """Every number of each population, and the quantiles at which the profiles' medians lie.
+
+    A desired speed has no quantiles: profiles have a factor of the limit instead.
+
+    Examples:
+        >>> from behaviors.populations import read_population
+        >>> rows = place_rows([read_population("profiles")])
+        >>> [row["timid"] for row in rows[:2]]
+        [None, 1.0]
+    """
+    found: list[Row] = []
+    for population in populations:
+        placed = {row["behavior"]: row for row in quantile_rows([population])}
+        found += [
+            {
+                "population": population.name,
+                "number": number,
+                "median": float(population.median[k]),
+                "log_spread": float(population.log_spread[k]),
+                **{str(b): placed[str(b)].get(number) for b in BEHAVIORS},
+            }
+            for k, number in enumerate(NUMBERS)
+        ]
+    return found
+
+
 def quantile_rows(populations: Sequence[Population]) -> list[Row]:
     """At which quantile of each population the median driver of each behaviour lies."""
     return [

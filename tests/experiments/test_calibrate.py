@@ -11,10 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.populations import NUMBERS
+from behaviors.populations import NUMBERS, read_population
 from experiments.calibration import SCHEMA, write_calibration
 from experiments.scoring.calibration import population_rows
 from graphrqi.calibrate.laws import Law
+from tests.experiments.shared import call
 
 HEADWAY_S = 1.2
 
@@ -63,3 +64,15 @@ def test_nobody_to_calibrate_is_said(tmp_path: Path) -> None:
     source = recording(tmp_path / "a.csv", 3.0)
     with pytest.raises(InputError, match="found no driver that follows another one"):
         write_calibration(source, tmp_path / "out", "argoverse1", quiet=True)
+
+
+def test_populations_are_laid_beside_the_profiles(tmp_path: Path) -> None:
+    people = read_population("profiles")
+    (tmp_path / "people.toml").write_text(people.to_toml())
+    out = tmp_path / "rows.json"
+    assert call("populations", "profiles", tmp_path / "people.toml", "--json", out) == 0
+    rows = json.loads(out.read_bytes())
+    assert [row["number"] for row in rows] == [*NUMBERS, *NUMBERS]
+    headway = next(row for row in rows if row["number"] == "time_headway_s")
+    assert headway["threatening"] < headway["careful"] < headway["timid"]
+    assert headway["careful"] == pytest.approx(people.quantile("time_headway_s", 1.45), abs=1e-3)

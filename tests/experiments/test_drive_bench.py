@@ -10,16 +10,14 @@ import pytest
 
 from behaviors import InputError
 from behaviors.labels import Behavior
+from behaviors.populations import read_population
 from experiments.benches.contract import Bench
 from experiments.benches.drive.bench import BENCH, Settings, measure
 from experiments.benches.drive.crowds import (
     CROWDS,
     HOMOGENEOUS,
     MIXED,
-    RECORDED,
     STANDARD,
-    recorded,
-    standard,
 )
 from experiments.benches.drive.episode import METRICS, ROADS, drive, score
 from experiments.benches.drive.policies import POLICIES, get_policy
@@ -56,14 +54,19 @@ def test_crowds_depart_alike_and_differ_by_their_drivers() -> None:
     assert all(agent.behavior is None for agent in clones)
 
 
-def test_recorded_medians_are_reached() -> None:
-    agents = sample_agents(SCENARIOS["straight_road"](flow=3000.0, duration_s=1800.0), 0)
-    shifted = [recorded(agent) for agent in agents if agent.profile]
-    for name, median in RECORDED.items():
-        found = np.median([getattr(agent.profile, name) for agent in shifted])
-        assert found == pytest.approx(median, rel=0.2)
-    walker = next(agent for agent in agents if agent.profile is None)
-    assert recorded(walker) == standard(walker) == walker
+def test_the_recorded_crowd_is_drawn_from_a_population(monkeypatch) -> None:
+    seen = []
+
+    def watching(env):
+        seen.append(env)
+        return lambda observation: 1
+
+    monkeypatch.setitem(POLICIES, "watching", (watching, {}))
+    drive("straight_road", "recorded", "watching", 4, SHORT)
+    drive("straight_road", MIXED, "watching", 4, SHORT)
+    (recorded, plain), scenario = [tuple(e._agents.values()) for e in seen], seen[1].scenario
+    assert plain == sample_agents(scenario, 4)
+    assert recorded == sample_agents(scenario, 4, read_population(CROWDS["recorded"].population))
 
 
 @pytest.mark.parametrize("policy", POLICIES)

@@ -11,10 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from behaviors.labels import BEHAVIORS
-from behaviors.profiles import PROFILES, Profile
+from behaviors.profiles import Profile
 from sim.scenario import AgentSpec
 
 STANDARD: Final = Profile(
@@ -28,12 +26,8 @@ STANDARD: Final = Profile(
 """The driver of homogeneous traffic: IDM's and MOBIL's usual numbers (Kesting, Treiber and Helbing
 2010, Phil. Trans. R. Soc. A 368, table 1), who breaks no rule."""
 
-RECORDED: Final[dict[str, float]] = {
-    "time_headway_s": 1.3, "min_gap_m": 2.9, "max_accel_mps2": 2.1, "comfort_decel_mps2": 2.2,
-}  # fmt: skip
-"""Median drivers of recordings: IDM fitted to NGSIM's I-80 by us, and braking as fitted to highD
-(Zhang and Sun 2024, Transportation Research Part C). A stand-in: between drivers, the spread is
-that of the behaviours."""
+RECORDED: Final = "us101"
+"""The population of the recorded crowd."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +37,12 @@ class Crowd:
     Attributes:
         mix: share of each behaviour, as the environments take it.
         changed: what becomes of each drawn agent.
+        population: of which drivers are drawn, as the environments take it.
     """
 
     mix: dict[str, float] | None = None
     changed: Callable[[AgentSpec], AgentSpec] = lambda agent: agent
+    population: str | None = None
 
 
 def standard(agent: AgentSpec) -> AgentSpec:
@@ -56,29 +52,13 @@ def standard(agent: AgentSpec) -> AgentSpec:
     return dataclasses.replace(agent, behavior=None, profile=STANDARD)
 
 
-_MEDIANS: Final = {
-    name: float(np.median([getattr(PROFILES[b], name) for b in BEHAVIORS])) for name in RECORDED
-}
-
-
-def recorded(agent: AgentSpec) -> AgentSpec:
-    """The agent with car-following numbers whose medians are `RECORDED`; a pedestrian as it is."""
-    if agent.profile is None:
-        return agent
-    scaled = {
-        name: getattr(agent.profile, name) * median / _MEDIANS[name]
-        for name, median in RECORDED.items()
-    }
-    return dataclasses.replace(agent, profile=dataclasses.replace(agent.profile, **scaled))
-
-
 HOMOGENEOUS, MIXED = "homogeneous", "mixed"
 
 CROWDS: Final[dict[str, Crowd]] = {
     **{b.value: Crowd({b.value: 1.0}) for b in BEHAVIORS},
     MIXED: Crowd(),
-    "recorded": Crowd(None, recorded),
+    "recorded": Crowd(population=RECORDED),
     HOMOGENEOUS: Crowd(None, standard),
 }
-"""By name: the behaviours alone, all of them in equal shares, the same shifted to recorded medians,
-and clones."""
+"""By name: the behaviours alone, all of them in equal shares, the same with
+numbers drawn from a recorded population, and clones."""

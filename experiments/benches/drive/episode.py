@@ -157,7 +157,8 @@ def _drive(
 ) -> dict[str, float]:
     make, changes = get_policy(policy)
     others = CROWDS[crowd]
-    settings = {"seed": seed, "mix": others.mix, **config, **changes}
+    drawn = {"seed": seed, "mix": others.mix, "population": others.population}
+    settings = {**drawn, **config, **changes}
     env: Any = _among(ROADS[scenario], others)(config=settings)
     act = make(env)
     observation, _ = env.reset(seed=seed)
