@@ -83,7 +83,7 @@ def _marginal(population: Population, number: str) -> Markup:
 def _drives(calibrated: Calibrated, law: Law) -> list[tuple[str, float, Markup]]:
     """The best and worst fitted drives: words, error of the gap, m, and a chart."""
     fitted = calibrated.laws[law]
-    logs = np.einsum("nm,nmd->nd", fitted.weight, fitted.logs)
+    logs = fitted.logs.mean(axis=1)
     errors = []
     for i, driver in enumerate(calibrated.drivers):
         drive = longest_led(driver.drive)

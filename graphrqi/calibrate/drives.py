@@ -1,4 +1,4 @@
-"""From measured places along a lane to the rows that the filter of `kernels` takes.
+"""From measured places along a lane to the rows that the filter takes.
 
 Own places are averaged over half a second, so that what recordings smooth away or tremble by within
 that time does not count; the leader's motion is smoothed by local parabolas.
@@ -54,7 +54,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """What is known of one driver, ready for `kernels.innovations`.
+    """What is known of one driver, ready for `filter.tell`.
 
     Attributes:
         rows: (5, T) observed place, m, standard deviation of its error, m (0: not observed), speed,

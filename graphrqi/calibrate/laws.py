@@ -2,7 +2,7 @@
 
 Every driver has five numbers under either law. The rest of what is inferred of a driver describes
 what the law leaves unexplained: residual acceleration that is autocorrelated, and, under Krauss's
-law, the time in which the safe speed is reached.
+law, the time in which the safe speed is reached, and random dawdling.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ class Law(StrEnum):
         return tuple(Law).index(self)
 
 
-NUISANCES: Final = ("residual_mps2", "correlation_s", "relaxation_s")
+NUISANCES: Final = ("residual_mps2", "correlation_s", "relaxation_s", "imperfection")
 """What is inferred besides: standard deviation of the residual acceleration, m/s2, the time in
 which it is forgotten, s, and, under Krauss's law, the time in which a driver reaches its safe
-speed, s (SUMO's drivers: one step)."""
+speed, s (SUMO's drivers: one step), and the largest share of its acceleration that it randomly
+loses in a step (SUMO's sigma)."""
 
 FIELDS: Final[dict[Law, tuple[str, ...]]] = {
     Law.IDM: (*NUMBERS, *NUISANCES[:2]),
@@ -47,9 +48,10 @@ PRIOR_MEDIAN: Final[dict[str, float]] = {
     "min_gap_m": 2.5,
     "max_accel_mps2": 1.5,
     "comfort_decel_mps2": 2.0,
-    "residual_mps2": 0.2,
+    "residual_mps2": 0.15,
     "correlation_s": 1.3,
-    "relaxation_s": 0.3,
+    "relaxation_s": 0.1,
+    "imperfection": 0.05,
 }
 """The median driver before anything is seen (Treiber and Kesting 2013, Traffic Flow Dynamics, table
 11.2, and fits to highD by Zhang and Sun 2024, Transportation Research Part C; noise and relaxation
@@ -61,12 +63,34 @@ PRIOR_SPREAD: Final[dict[str, float]] = {
     "min_gap_m": 0.4,
     "max_accel_mps2": 0.4,
     "comfort_decel_mps2": 0.4,
-    "residual_mps2": 0.7,
+    "residual_mps2": 1.0,
     "correlation_s": 0.4,
-    "relaxation_s": 0.7,
+    "relaxation_s": 1.0,
+    "imperfection": 1.2,
 }
 """Spread of the logarithms between drivers before anything is seen (fits of single drivers: .3 to
-.6; the others our choice)."""
+.6; the others our choice: next to none up to all that SUMO allows)."""
+
+PLACE_SPREAD: Final[dict[str, float]] = {
+    "desired_speed_mps": 0.35,
+    "time_headway_s": 0.3,
+    "min_gap_m": 0.25,
+    "max_accel_mps2": 0.3,
+    "comfort_decel_mps2": 0.25,
+    "residual_mps2": 1.0,
+    "correlation_s": 0.4,
+    "relaxation_s": 1.0,
+    "imperfection": 1.0,
+}
+"""Spread of the logarithms of places' medians around `PRIOR_MEDIAN`. Published fits of IDM lie at
+17 to 33 m/s, 1.1 to 1.8 s, 2 to 3.7 m, 0.7 to 2 m/s2 and 1.7 to 3 m/s2 (Treiber, Hennecke, Helbing
+2000; Kesting, Treiber 2008; Zhang, Sun 2024), which is about two spreads up and down; the others
+are our choice."""
+
+
+def place_spread(law: Law) -> FloatArray:
+    """(D,) spreads of places' medians, see `PLACE_SPREAD`."""
+    return np.array([PLACE_SPREAD[name] for name in FIELDS[law]])
 
 
 def prior(law: Law) -> tuple[FloatArray, FloatArray]:

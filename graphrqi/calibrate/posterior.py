@@ -1,9 +1,9 @@
 """The population of drivers and every driver's numbers, inferred together.
 
 Each driver's logarithms are drawn from a normal distribution that all drivers of a place share.
-For each driver, draws are weighted by likelihood and population (`kernels.draw`); the population is
-the most likely one given all drivers (expectation maximisation over the weighted draws), shrunken
-towards the prior of `laws` when there are few. Drawing and fitting alternate.
+For each driver, draws are made from its posterior under the population (`sampling.sample`); the
+population is the most likely one given all drivers' draws (expectation maximisation), and a prior
+from the literature (`laws`), which rules where drivers tell little. Drawing and fitting alternate.
 
 References:
     Dempster, Laird, Rubin (1977), Maximum likelihood from incomplete data via the EM algorithm,
@@ -16,40 +16,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
-from scipy.stats import chi2, norm, qmc
+from scipy.stats import norm, qmc
 
 from behaviors.populations import NUMBERS
 from graphrqi.calibrate.drives import Drive
-from graphrqi.calibrate.laws import FIELDS, Law, prior
+from graphrqi.calibrate.laws import FIELDS, NUISANCES, Law, place_spread, prior
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-FIRST_DRAWS, DRAWS = 128, 256
-"""Draws of a driver while the population is sought, and in the end (powers of 2, for Sobol's
-points). A quarter to a half of them count after weighting."""
+FIRST_POINTS, POINTS = 64, 128
+"""Draws of a driver that move together, while the population is sought and in the end."""
 
-PARTS: Final = 4
-"""In so many parts; each is proposed from what those before it have shown."""
+BLUR_M: Final = 3.0
+"""Blur of the places to begin with, m (our choice: drivers differ by more)."""
 
-ROUNDS, STEPS = 3, 10
+MOVES, FIRST_SWEEPS, SWEEPS = 4, 8, 20
+"""Their steps at each blur of the places, and without any; see `sampling.sample` (our
+choice: three times as many change no interval's share of truths by more than chance does)."""
+
+ROUNDS, STEPS = 4, 8
 """Rounds of drawing, and steps of expectation maximisation in each (our choice: afterwards nothing
-moves by more than a fiftieth of a spread)."""
-
-TRIES, CLIMBS = 32, 3
-"""Points at which each driver's likelihood is looked at first, and from how many of the best the
-most likely numbers are sought."""
+moves by more than a twentieth of a spread)."""
 
 PRIOR_DRIVERS: Final = 10.0
 """Strength of the prior on the population's covariance, in drivers."""
 
-PRIOR_MEAN_DRIVERS: Final = 1.0
-"""Strength of the prior on the population's mean, in drivers."""
+MOST_DRIVERS: Final = 30.0
+"""Against the prior on the population's mean, so many drivers count at most: a law's own error is
+the same for all drivers and does not average out (our choice: the prior then takes a twentieth of
+what every driver tells as exactly as drivers differ, and nearly all of what they hardly tell)."""
 
 MOST_FIRST: Final = 250
 """The population is sought among so many drivers at most, evenly chosen: a standard error of 6 %
@@ -71,8 +71,7 @@ class Calibration:
         law: the law.
         mean: (D,) the population's mean logarithms, columns as ``laws.FIELDS[law]``.
         covariance: (D, D) its covariance.
-        logs: (N, M, D) draws of each driver.
-        weight: (N, M) their weights, which sum to 1 for each driver.
+        logs: (N, M, D) draws of each driver, all alike.
         evidence: (N,) log-likelihood of each driver's drive under the population.
     """
 
@@ -80,7 +79,6 @@ class Calibration:
     mean: FloatArray
     covariance: FloatArray
     logs: FloatArray
-    weight: FloatArray
     evidence: FloatArray
 
     @property
@@ -91,26 +89,16 @@ class Calibration:
     def summary(self) -> Summary:
         """Mean and 90 % interval of every driver's `NUMBERS`, and whether the data tell them."""
         size = len(NUMBERS)
-        logs, weight = self.logs[:, :, :size], self.weight[:, :, None]
-        centre = (weight * logs).sum(axis=1)
-        spread = np.sqrt((weight * (logs - centre[:, None]) ** 2).sum(axis=1))
+        logs = self.logs[:, :, :size]
+        centre, spread = logs.mean(axis=1), logs.std(axis=1)
         all_mean, all_spread = self.mean[:size], self.spread[:size]
         known = (spread < LEAST_NARROWING * all_spread) | (
             np.abs(centre - all_mean) > LEAST_SHIFT * all_spread
         )
-        order = np.argsort(logs, axis=1)
-        sorted_logs = np.take_along_axis(logs, order, axis=1)
-        shares = np.take_along_axis(np.broadcast_to(weight, logs.shape), order, axis=1)
-        reached = np.cumsum(shares, axis=1) - 0.5 * shares
-        ends = np.empty((2, *centre.shape))
-        for i in range(len(logs)):
-            for d in range(size):
-                ends[:, i, d] = np.interp((0.05, 0.95), reached[i, :, d], sorted_logs[i, :, d])
+        ends = np.quantile(logs, (0.05, 0.95), axis=1)
         reach = norm.ppf(0.95) * all_spread
         return Summary(
-            mean=np.where(
-                known, (weight * np.exp(logs)).sum(axis=1), np.exp(all_mean + 0.5 * all_spread**2)
-            ),
+            mean=np.where(known, np.exp(logs).mean(axis=1), np.exp(all_mean + 0.5 * all_spread**2)),
             low=np.exp(np.where(known, ends[0], all_mean - reach)),
             high=np.exp(np.where(known, ends[1], all_mean + reach)),
             known=known,
@@ -160,17 +148,15 @@ def calibrate(
         True
     """
     mean, covariance = prior(law)
-    every = -(-len(drives) // MOST_FIRST)
-    some, modes = list(drives)[::every], None
+    some = list(drives)[:: -(-len(drives) // MOST_FIRST)]
+    drawn: FloatArray | None = None
     for _ in range(ROUNDS):
-        drawn = _draw_all(law, some, mean, covariance, modes, FIRST_DRAWS, on_driver)
-        mean, covariance = _population(law, drawn, mean, covariance)
-        modes = drawn.modes
-    drawn = _draw_all(
-        law, drives, mean, covariance, modes if every == 1 else None, DRAWS, on_driver
-    )
-    weight, evidence = drawn.weights(mean, covariance)
-    return Calibration(law, mean, covariance, drawn.logs, weight, evidence)
+        drawn, _ = _draw_all(law, some, mean, covariance, drawn, on_driver)
+        at, around = mean, covariance
+        mean, covariance = _population(law, drawn, at, around)
+        drawn = _thinned(drawn, _weights(drawn, mean, covariance, at, around))
+    logs, evidence = _draw_all(law, drives, mean, covariance, None, on_driver, final=True)
+    return Calibration(law, mean, covariance, logs, evidence)
 
 
 def visits(drivers: int) -> int:
@@ -179,108 +165,84 @@ def visits(drivers: int) -> int:
     return drivers + ROUNDS * -(-drivers // every)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Drawn:
-    """Draws of N drivers, with log-likelihoods and log densities of their proposals (N, M)."""
-
-    logs: FloatArray
-    told: FloatArray
-    density: FloatArray
-    modes: FloatArray
-
-    def weights(self, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N, M) weights under a population, and (N,) log-likelihoods of the drives."""
-        found = self.told + _log_normal(self.logs, mean, covariance) - self.density
-        total = logsumexp(found, axis=1)
-        return np.exp(found - total[:, None]), total - np.log(found.shape[1])
-
-
 def _log_normal(points: FloatArray, mean: FloatArray, covariance: FloatArray) -> FloatArray:
     """Log density of a normal distribution at (..., D) points."""
     away = points - mean
-    squared = np.einsum("...i,ij,...j->...", away, np.linalg.inv(covariance), away)
+    squared = np.einsum("...i,ij,...j->...", away, np.linalg.inv(covariance), away, optimize=True)
     return np.asarray(-0.5 * (squared + np.linalg.slogdet(2.0 * np.pi * covariance)[1]))
-
-
-def _student_points(count: int, size: int, seed: int) -> FloatArray:
-    """(count, size) evenly spread draws of Student's t."""
-    from graphrqi.calibrate.kernels import FREEDOM
-
-    uniform = qmc.Sobol(size + 1, seed=seed).random(count).clip(1e-6, 1.0 - 1e-6)
-    scale = np.sqrt(FREEDOM / chi2.ppf(uniform[:, size], FREEDOM))
-    return np.asarray(norm.ppf(uniform[:, :size]) * scale[:, None])
 
 
 def _draw_all(
     law: Law, drives: Sequence[Drive], mean: FloatArray, covariance: FloatArray,
-    starts: FloatArray | None, draws: int, on_driver: Callable[[], None],
-) -> _Drawn:  # fmt: skip
-    """Draws of every driver; ``starts`` are modes found before."""
-    from graphrqi.calibrate.kernels import draw
-
-    size = mean.size
-    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
-    tries = norm.ppf(qmc.Sobol(size, seed=1).random(TRIES).clip(1e-3, 1 - 1e-3))
-    tries = np.asarray(mean + 0.7 * tries @ np.linalg.cholesky(covariance).T, dtype=np.float64)
-    tries[0] = mean
-    points = np.stack([_student_points(draws // PARTS, size, 2 + part) for part in range(PARTS)])
-    logs = np.empty((len(drives), draws, size))
-    told, density = np.empty((2, len(drives), draws))
-    modes = np.empty((len(drives), size))
-    for i, drive in enumerate(drives):
-        given = (drive.rows, drive.begins, drive.step_s)
-        before = None if starts is None else starts[i]
-        modes[i], scale = _mode(law, drive, tries, before, mean, precision)
-        rng = np.random.default_rng(i)  # errors of the points are not to be the same for everybody
-        turned = (points * rng.choice((-1.0, 1.0), size))[:, :, rng.permutation(size)]
-        turned = np.ascontiguousarray(turned)
-        logs[i], told[i], density[i] = draw(
-            law.code, modes[i], scale, mean, precision, turned, *given
-        )
-        on_driver()
-    return _Drawn(logs, told, density, modes)
-
-
-def _mode(
-    law: Law, drive: Drive, tries: FloatArray, before: FloatArray | None, mean: FloatArray,
-    precision: FloatArray,
+    starts: FloatArray | None, on_driver: Callable[[], None], final: bool = False,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """(D,) most likely logarithms of a driver, and the covariance around them."""
-    from graphrqi.calibrate.kernels import likelihood, most_likely
+    """(N, M, D) draws of every driver, and (N,) log-likelihoods of the drives.
 
-    given = (drive.rows, drive.begins, drive.step_s)
-    out: Any = np.zeros((2, drive.rows.shape[1]))
-    fastest = np.log(1.03 * max(float(drive.rows[2].max()), 1.0))
-    tries = tries.copy()
-    tries[:, 0] = np.maximum(tries[:, 0], fastest)
-    found = np.array([likelihood(law.code, one, *given, out) for one in tries])
-    best = [tries[k] for k in np.argsort(found)[::-1][:CLIMBS]]
-    if before is not None:
-        best = [before, best[0]]
-    climbed = [most_likely(law.code, one, mean, precision, *given) for one in best]
-    mode, information, _ = min(climbed, key=lambda one: float(one[2]))
-    return mode, np.linalg.inv(information)
+    ``starts`` (N, K, D) are draws from about the posterior; None to begin with the population.
+    """
+    from graphrqi.calibrate.sampling import sample
+
+    size, points = mean.size, POINTS if final else FIRST_POINTS
+    sweeps = SWEEPS if final else FIRST_SWEEPS
+    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    uniform = qmc.Sobol(size, seed=1).random(points).clip(1e-4, 1.0 - 1e-4)
+    spread = norm.ppf(uniform) @ np.linalg.cholesky(covariance).T
+    everybody = np.asarray(mean + spread, dtype=np.float64)
+    logs = np.empty((len(drives), sweeps // 4 * points, size))
+    evidence = np.empty(len(drives))
+    for i, drive in enumerate(drives):
+        start, blur_m = (everybody, BLUR_M) if starts is None else (starts[i], 0.0)
+        rng = np.random.default_rng((i, points))
+        logs[i], evidence[i] = sample(
+            law.code, start, blur_m, 1.0, mean, precision, MOVES, sweeps, rng, drive.rows,
+            drive.begins, drive.step_s,
+        )  # fmt: skip
+        on_driver()
+    return logs, evidence
+
+
+def _weights(
+    logs: FloatArray, mean: FloatArray, covariance: FloatArray, drawn_mean: FloatArray,
+    drawn_covariance: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """(N, M) weights of draws under a population; they were drawn under another one."""
+    found = _log_normal(logs, mean, covariance)
+    found -= _log_normal(logs, drawn_mean, drawn_covariance)
+    found = np.exp(found - found.max(axis=1, keepdims=True))
+    return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+
+def _thinned(logs: FloatArray, weight: FloatArray) -> FloatArray:
+    """(N, `FIRST_POINTS`, D) of the draws, each as often as its weight asks for."""
+    reached = np.cumsum(weight, axis=1)
+    at = (np.arange(FIRST_POINTS) + 0.5) / FIRST_POINTS
+    chosen = [np.searchsorted(one / one[-1], at) for one in reached]
+    return np.stack([one[rows] for one, rows in zip(logs, chosen, strict=True)])
 
 
 def _population(
-    law: Law, drawn: _Drawn, mean: FloatArray, covariance: FloatArray
+    law: Law, logs: FloatArray, drawn_mean: FloatArray, drawn_covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The population under which the draws are most likely.
+    """The most likely population given the drivers' draws, which were drawn under another one.
 
-    The correlation time of the residual stays as the prior has it: with the residual's size it
-    forms a ridge along which the draws' noise would carry both away.
+    Size and correlation time of the residual stay as the prior has them: they form a ridge along
+    which the draws' noise would carry both away, and what is simulated exactly would make the
+    others' residuals small.
     """
+    fixed = [FIELDS[law].index(name) for name in NUISANCES[:2]]
     first_mean, first_covariance = prior(law)
-    n = len(drawn.logs)
-    fixed = FIELDS[law].index("correlation_s")
+    places = np.diag(place_spread(law) ** -2.0)
+    n = len(logs)
+    mean, covariance = drawn_mean, drawn_covariance
     for _ in range(STEPS):
-        weight, _ = drawn.weights(mean, covariance)
-        centre = np.einsum("nm,nmd->d", weight, drawn.logs)
-        mean = (centre + PRIOR_MEAN_DRIVERS * first_mean) / (n + PRIOR_MEAN_DRIVERS)
-        away = drawn.logs - mean
+        weight = _weights(logs, mean, covariance, drawn_mean, drawn_covariance)
+        centre = np.einsum("nm,nmd->d", weight, logs) / n
+        told = min(n, MOST_DRIVERS) * np.linalg.inv(covariance)
+        mean = np.linalg.solve(told + places, told @ centre + places @ first_mean)
+        away = logs - mean
         scatter = np.einsum("nm,nmd,nme->de", weight, away, away, optimize=True)
         covariance = (scatter + PRIOR_DRIVERS * first_covariance) / (n + PRIOR_DRIVERS)
         mean[fixed] = first_mean[fixed]
-        covariance[fixed] = covariance[:, fixed] = 0.0
-        covariance[fixed, fixed] = first_covariance[fixed, fixed]
+        covariance[fixed], covariance[:, fixed] = 0.0, 0.0
+        covariance[np.ix_(fixed, fixed)] = first_covariance[np.ix_(fixed, fixed)]
     return mean, covariance

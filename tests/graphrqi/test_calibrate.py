@@ -21,9 +21,11 @@ from graphrqi.calibrate.driving_on import (
     gap_errors,
     halves,
 )
-from graphrqi.calibrate.kernels import HARDEST_MPS2, drive_on, likelihood, most_likely
+from graphrqi.calibrate.filter import LANES, LEAST_RESIDUAL_MPS2, STARTS_SPEED_MPS, tell
+from graphrqi.calibrate.kernels import HARDEST_MPS2, drive_on
 from graphrqi.calibrate.laws import FIELDS, Law, prior
 from graphrqi.calibrate.posterior import calibrate
+from graphrqi.calibrate.sampling import sample
 
 
 @pytest.mark.parametrize("law", Law)
@@ -44,27 +46,27 @@ def test_drivers_are_calibrated_under_the_laws_of_the_driver_models(law: Law) ->
             reached = min(v0, krauss_safe_speed(gap - s0, u, headway, b), v + h * a)
             expected = h * max(reached, v - h * HARDEST_MPS2, 0.0)
         rows = np.array([[0.0] * 2, [0.0] * 2, [v] * 2, [gap] * 2, [u] * 2])
-        numbers = np.array([v0, headway, s0, a, b, 0.2, 1.3, 0.0])[: len(FIELDS[law])]
+        numbers = np.array([v0, headway, s0, a, b, 0.2, 1.3, 0.0, 0.0])[: len(FIELDS[law])]
         assert drive_on(law.code, numbers, rows, h)[1] == pytest.approx(expected, abs=1e-9)
 
 
-def _leader(rng: np.random.Generator, steps: int) -> np.ndarray:
-    """Speeds of someone who drives at changing speeds and stops now and then, m/s."""
+def _leader(rng: np.random.Generator, steps: int, stops: bool) -> np.ndarray:
+    """Speeds of someone who drives at changing speeds, and may stop now and then, m/s."""
     speed, accel, wanted = 14.0, 0.0, 14.0
     out = np.empty(steps)
     for i in range(steps):
         if i % 60 == 0:
-            wanted = float(rng.choice((0.0, 6.0, 12.0, 18.0, 24.0)))
+            wanted = float(rng.choice((0.0 if stops else 9.0, 6.0, 12.0, 18.0, 24.0)))
         accel += (np.clip((wanted - speed) / 3.0, -2.0, 1.2) - accel) * 0.1
         speed = max(speed + 0.1 * accel, 0.0)
         out[i] = speed
     return out
 
 
-def _idm_drive(numbers: np.ndarray, seed: int, noise_m: float = 0.0) -> Drive:
+def _idm_drive(numbers: np.ndarray, seed: int, noise_m: float = 0.0, stops: bool = True) -> Drive:
     """Someone who drives by IDM behind such a leader for 60 s, written out here once more."""
     rng = np.random.default_rng(seed)
-    u = _leader(rng, 600)
+    u = _leader(rng, 600, stops)
     rear = 40.0 + np.concatenate([[0.0], np.cumsum(0.05 * (u[1:] + u[:-1]))])
     v0, headway, s0, a, b = numbers
     x, v, e = rear[0] - s0 - headway * u[0], u[0], 0.0
@@ -110,25 +112,60 @@ def test_always_free_says_nothing_of_the_headway() -> None:
     assert not told.known[0, [1, 2, 4]].any()
 
 
-@pytest.mark.parametrize("law", Law)
-def test_the_most_likely_numbers_are_no_worse_than_their_neighbours(law: Law) -> None:
-    drive = _idm_drive(np.array([20.0, 1.2, 2.5, 1.5, 2.0]), 5, noise_m=0.1)
-    mean, covariance = prior(law)
-    precision = np.linalg.inv(covariance)
-    given = (drive.rows, drive.begins, drive.step_s)
-    out = np.zeros((2, drive.rows.shape[1]))
-    mode, _, value = most_likely(law.code, mean, mean, precision, *given)
+def _idm_slowly(logs: np.ndarray, drive: Drive) -> float:
+    """The filter in matrices, with derivatives by differences."""
+    v0, headway, s0, a, b, sigma, forgotten = np.exp(logs)
+    h, rho = drive.step_s, np.exp(-drive.step_s / forgotten)
+    variance = sigma**2 + LEAST_RESIDUAL_MPS2**2
 
-    def objective(z: np.ndarray) -> float:
-        away = z - mean
-        return float(0.5 * away @ precision @ away - likelihood(law.code, z, *given, out))
+    def moved(state: np.ndarray, i: int) -> np.ndarray:
+        x, v, e = state
+        wanted = idm_desired_gap(v, drive.rows[4, i], s0, headway, a, b)
+        gap = max(drive.rows[3, i] - x, 0.2)
+        pushed = idm_free_acceleration(v, v0, a) - a * idm_interaction(gap, wanted) + e
+        return np.array([x + v * h + 0.5 * h * h * pushed, v + h * pushed, rho * e])
 
-    assert objective(mode) == pytest.approx(value, abs=1e-6)
-    for k in range(len(FIELDS[law])):
-        for step in (-0.1, 0.1):
-            beside = mode.copy()
-            beside[k] += step
-            assert objective(beside) > value - 0.05
+    state = np.array([drive.rows[0, 0], drive.rows[2, 0], 0.0])
+    p = np.diag([drive.rows[1, 0] ** 2 + 1e-6, STARTS_SPEED_MPS**2, variance])
+    total = 0.0
+    for i in range(1, drive.rows.shape[1]):
+        steps = 1e-6 * np.eye(3)
+        f = np.stack([(moved(state + d, i - 1) - moved(state - d, i - 1)) / 2e-6 for d in steps], 1)
+        state, p = moved(state, i - 1), f @ p @ f.T
+        p[2, 2] += variance * (1.0 - rho**2)
+        if drive.rows[1, i] > 0.0:
+            s = p[0, 0] + drive.rows[1, i] ** 2
+            miss, k = drive.rows[0, i] - state[0], p[:, 0] / s
+            total -= 0.5 * (miss**2 / s + np.log(s))
+            state, p = state + k * miss, p - np.outer(k, p[0])
+    return total
+
+
+def test_the_compiled_filter_is_the_kalman_filter() -> None:
+    drive = _idm_drive(np.array([22.0, 1.2, 2.5, 1.5, 2.0]), 8, noise_m=0.1, stops=False)
+    mean, covariance = prior(Law.IDM)
+    mean[0] = np.log(25.0)
+    logs = np.random.default_rng(4).multivariate_normal(mean, 0.3 * covariance, LANES)
+    out = np.empty(LANES)
+    tell(Law.IDM.code, logs, 0.0, drive.rows, drive.begins, drive.step_s, out)
+    assert out[:4] == pytest.approx([_idm_slowly(one, drive) for one in logs[:4]], abs=1e-4)
+
+
+def test_what_nothing_is_known_of_is_drawn_from_the_population() -> None:
+    mean, covariance = prior(Law.KRAUSS)
+    covariance[1, 2] = covariance[2, 1] = -0.5 * np.sqrt(covariance[1, 1] * covariance[2, 2])
+    rng = np.random.default_rng(0)
+    start = rng.multivariate_normal(mean, covariance, 128)
+    rows = np.array([[0.0, 0.2], [0.1, 0.0], [2.0, 2.0], [np.inf] * 2, [0.0] * 2])
+    drawn, evidence = sample(
+        Law.KRAUSS.code, start, 3.0, 1.0, mean, np.linalg.inv(covariance), 4, 80, rng, rows,
+        np.array([0, 2]), 0.1,
+    )  # fmt: skip
+    assert evidence == pytest.approx(0.0, abs=1e-9)
+    spread = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose((drawn.mean(0) - mean) / spread, 0.0, atol=0.15)
+    np.testing.assert_allclose(drawn.std(0) / spread, 1.0, atol=0.12)
+    assert np.corrcoef(drawn[:, 1], drawn[:, 2])[0, 1] == pytest.approx(-0.5, abs=0.12)
 
 
 PEOPLE = Population(
