@@ -27,6 +27,7 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "blame": "experiments.benches.blame:BENCH",
         "drive": "experiments.benches.drive.bench:BENCH",
         "hostile": "experiments.benches.hostile.bench:BENCH",
+        "roads": "experiments.benches.roads.bench:BENCH",
         "kills": "experiments.benches.kills:BENCH",
         "realism": "experiments.benches.realism.bench:BENCH",
         "calibration": "experiments.benches.calibration:BENCH",

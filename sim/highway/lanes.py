@@ -6,6 +6,7 @@ handful of points, so a loop over their pieces is quicker and exact.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, Final
@@ -65,6 +66,10 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         ]
         self.sizes: list[float] = size.tolist()
         self.begins: list[float] = (np.cumsum(size) - size).tolist()
+        self.outsides: list[float] = [
+            math.copysign(1.0, dy * ex - dx * ey) if dx * ex + dy * ey < 0.0 else 0.0
+            for (dx, dy), (ex, ey) in itertools.pairwise(self.directions)
+        ]  # of corners sharper than 90 degrees: the side on which the far side of the corner lies
         self.length = float(size.sum())
         self.width = width
         self.line_types = line_types
@@ -95,15 +100,15 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         ):
             along = (x - x0) * dx + (y - y0) * dy
             across = (y - y0) * dx - (x - x0) * dy
-            clipped = along
+            clipped, side = along, across
             if along < 0.0 and i > 0:
-                clipped = 0.0
+                clipped, side = 0.0, self.outsides[i - 1] or across
             elif along > size and i < last:
-                clipped = size
+                clipped, side = size, self.outsides[i] or across
             distance = math.hypot(across, along - clipped)
             if distance < best:
                 best = distance
-                longitudinal, lateral = self.begins[i] + clipped, math.copysign(distance, across)
+                longitudinal, lateral = self.begins[i] + clipped, math.copysign(distance, side)
         return longitudinal, lateral
 
     def position(self, longitudinal: float, lateral: float) -> FloatArray:

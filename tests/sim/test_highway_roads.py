@@ -105,6 +105,15 @@ def test_polylines_project_back_and_survive_their_config():
     assert lane.heading_at(lane.length) == pytest.approx(np.pi / 2)
 
 
+@pytest.mark.parametrize("turn", [-1.0, 1.0])
+def test_beyond_a_sharp_corner_is_outside_of_it_whatever_piece_is_nearer(turn):
+    far = np.array([10.0 + 10.0 * np.cos(2.6), 10.0 * turn * np.sin(2.6)])
+    lane = PolylineLane(np.array([[0.0, 0.0], [10.0, 0.0], far]), 3.2)
+    for across in (-1.0, 0.0, 1.0):  # from either piece, and straight on
+        _, lateral = lane.local_coordinates(np.array([12.0, across]))
+        assert np.sign(lateral) == -turn
+
+
 def test_footways_use_crossings_only_where_they_have_to():
     road = SCENARIOS["four_way_intersection"]().road
     assert find_footway(road, ("east_in", "north_out")).crossovers == ()
