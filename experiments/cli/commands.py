@@ -282,6 +282,14 @@ def replay(
             autocompletion=names_of("predictor"),
         ),
     ] = None,
+    population: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME or FILE",
+            help="Infer drivers' car-following numbers, too, as drivers of this population.",
+            autocompletion=names_of("population"),
+        ),
+    ] = None,
     color: Annotated[
         str | None,
         typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),
@@ -304,7 +312,8 @@ def replay(
 
     options = ReplayOptions(
         episode=episode, labels=labels, predictions=predictions, format=format, net=net,
-        model=model, predictor=predictor, color=color, begin_s=begin_s, end_s=end_s, video=video,
+        model=model, predictor=predictor, population=population, color=color, begin_s=begin_s,
+        end_s=end_s, video=video,
         picture=picture,
     )  # fmt: skip
     for path in write_replay(source, out, options, quiet):
