@@ -45,7 +45,6 @@ from sim.highway.engine import network_of, read_frame
 from sim.highway.fast_road import outlines_of
 from sim.highway.network import LaneIndex
 from sim.highway.state import agent_of
-from sim.highway.straight import is_single_stretch
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -222,10 +221,7 @@ class TrafficEnv(EgoEnv):
             traffic = int(self.np_random.integers(2**31))
         agents = self._draw_agents(traffic)
         network = network_of(self.scenario.road)
-        compiled = config.get("compiled", False)
-        if compiled and self.elsewhere:
-            compiled = is_single_stretch(network)
-        self.road = TrafficRoad(network, compiled=compiled)
+        self.road = TrafficRoad(network, compiled=config["compiled"])
         self._demand = Demand(self.road, agents, traffic)
         self._agents = {agent.id: agent for agent in agents}
         self._classify = self._classifier()

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from scenarios.environments.config import TrafficConfig
 from scenarios.environments.environment import TrafficEnv
-
-
-class StraightRoadConfig(TrafficConfig):
-    """The configuration of `StraightRoadEnv`."""
-
-    compiled: bool = True
-    """Whether compiled code drives the other vehicles; the result is the same within rounding."""
 
 
 class StraightRoadEnv(TrafficEnv):
@@ -25,7 +17,6 @@ class StraightRoadEnv(TrafficEnv):
         v0: the first.
     """
 
-    config_model = StraightRoadConfig
     own_defaults: ClassVar[dict[str, Any]] = {
         "screen_width": 1000,
         "screen_height": 180,

@@ -28,7 +28,7 @@ def straight_traffic(road: str, cars: int, seed: int) -> Any:
     Args:
         road: ``stock`` (highway-env's road and drivers), ``fast`` (`FastRoad` with highway-env's
             drivers), ``stock-profiles`` (highway-env's road with our drivers), ``objects`` or
-            ``compiled`` (`TrafficRoad` with our drivers, stepped one by one or by the kernel).
+            ``compiled`` (`TrafficRoad` with our drivers, stepped one by one or by the kernels).
         cars: how many.
         seed: of places, speeds and profiles.
     """

@@ -1,7 +1,7 @@
 """How a driver of the highway engine accelerates, changes lanes and steers.
 
 The same compiled functions serve vehicle objects one at a time (`sim.highway.vehicle`) and the
-loops over all drivers of a straight road (`sim.highway.straight`). The laws themselves are those of
+loops over all drivers (`sim.highway.kernels`). The laws themselves are those of
 `behaviors.driver_models`. A driver's parameters are one row, made by `driver_parameters` and laid
 out by the indices below.
 

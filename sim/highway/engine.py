@@ -35,7 +35,7 @@ def network_of(road: Road) -> HighwayNetwork:
 
 
 def run(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, compiled: bool = False
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, compiled: bool = True
 ) -> Iterator[Frame]:
     """Drive a scenario in highway-env; drivers follow by IDM.
 
@@ -43,8 +43,8 @@ def run(
         scenario: the road, the duration and the step.
         agents: who travels, as drawn by `sim.scenario.sample_agents`.
         seed: of the drivers' random numbers; the same seed gives the same frames to the bit.
-        compiled: decide and move all drivers at once in compiled code: quicker, and the same
-            within rounding; only on a single straight stretch of road.
+        compiled: decide for all drivers and move them at once in compiled code: quicker, and the
+            same to the bit as one vehicle object after the other (see `sim.highway.kernels`).
 
     Yields:
         Frames from time ``step_s`` to ``duration_s``; without agents that found no room.
@@ -55,13 +55,15 @@ def run(
     return _run(scenario, agents, seed, "IDM", compiled)
 
 
-def run_krauss(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
+def run_krauss(
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, compiled: bool = True
+) -> Iterator[Frame]:
     """Drive a scenario in highway-env; drivers follow by Krauss's law. See `run`.
 
     The drivers have the same profiles as in `run` and follow by another law, so that a model
     trained on both depends less on either law. Lane changes are weighed by IDM in both.
     """
-    return _run(scenario, agents, seed, "Krauss", compiled=False)
+    return _run(scenario, agents, seed, "Krauss", compiled)
 
 
 def _run(

@@ -76,7 +76,7 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         self.speed_limit = speed_limit
         self.forbidden = forbidden
         self.priority = priority
-        self._turn_at, self._turn_heading = self._turns(
+        self.turn_at, self.turn_heading = self._turns(
             np.unwrap(np.arctan2(step[:, 1], step[:, 0])), size
         )
 
@@ -122,7 +122,7 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
 
     def heading_at(self, longitudinal: float) -> float:
         """The lane's heading, rad, clockwise from +x as seen from above."""
-        return float(np.interp(longitudinal, self._turn_at, self._turn_heading))
+        return float(np.interp(longitudinal, self.turn_at, self.turn_heading))
 
     def curvature_at(self, longitudinal: float) -> float:
         """How fast the heading turns over `BLEND_M` around a place, rad/m."""

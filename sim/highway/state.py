@@ -70,22 +70,26 @@ class Arrival:
     stood_s: float
 
 
-class LaneTable(NamedTuple):
-    """Every vehicle on some lanes, as of the last `RoadState.locate`; k lanes, n vehicles.
+class Located(NamedTuple):
+    """Where everybody is on the road's K lanes, as of the last `RoadState.locate`; n vehicles.
 
     Attributes:
-        order: (k, n) rows of those on each lane, by distance along it; -1 after the last.
-        number: (k,) how many are on each.
-        s: (n, k) distance of everybody along every lane, m.
-        lateral: (n, k) distance to the right of it, m.
-        along: (n, k) speed along it, m/s.
+        xy: (n, 2) m.
+        heading: (n,) rad.
+        speed: (n,) m/s.
+        s: (n, K) distance along every lane, m.
+        lateral: (n, K) distance to the right of it, m.
+        along: (n, K) speed along it, m/s.
+        on: (n, K) whether it is on it.
     """
 
-    order: IntArray
-    number: IntArray
+    xy: FloatArray
+    heading: FloatArray
+    speed: FloatArray
     s: FloatArray
     lateral: FloatArray
     along: FloatArray
+    on: NDArray[np.bool_]
 
 
 @compiled
@@ -260,47 +264,35 @@ class RoadState(Road):  # type: ignore[misc]
         heading = np.array([v.heading for v in self._located], dtype=np.float64)
         self.lengths = np.array([v.LENGTH for v in self._located], dtype=np.float64)
         speed = np.array([v.speed for v in self._located], dtype=np.float64)
-        self._s, self._lateral, facing = _locate(xy, heading, *self._pieces)
-        self._along = speed[:, None] * facing
-        on = np.abs(self._lateral) <= self._margin[None]
+        s, lateral, facing = _locate(xy, heading, *self._pieces)
+        along = speed[:, None] * facing
+        on = np.abs(lateral) <= self._margin[None]
         on &= np.where(self._connector[None], facing, np.abs(facing)) > ALIGNED
-        on &= self._s >= -self._behind[None]
-        on &= self._s <= self._lane_lengths[None] + self.lengths[:, None] / 2
-        self._on = on
+        on &= s >= -self._behind[None]
+        on &= s <= self._lane_lengths[None] + self.lengths[:, None] / 2
+        self.located = Located(xy, heading, speed, s, lateral, along, on)
         self._sorted: dict[LaneIndex, tuple[list[float], list[int]]] = {}
 
     def place(self, vehicle: Vehicle, lane: LaneIndex) -> tuple[float, float]:
         """Distance along a lane and to the right of it, m, as of the last `locate`."""
         row, k = self._row[id(vehicle)], self._index[lane]
-        return float(self._s[row, k]), float(self._lateral[row, k])
+        return float(self.located.s[row, k]), float(self.located.lateral[row, k])
 
     def on_lane(self, lane: LaneIndex) -> tuple[list[float], list[int]]:
         """Distances along a lane, ascending, m, and indices into ``vehicles`` of those on it."""
         found = self._sorted.get(lane)
         if found is None:
             k = self._index[lane]
-            rows = np.flatnonzero(self._on[:, k])
-            rows = rows[np.argsort(self._s[rows, k], kind="stable")]
-            found = self._sorted[lane] = (self._s[rows, k].tolist(), rows.tolist())
+            rows = np.flatnonzero(self.located.on[:, k])
+            rows = rows[np.argsort(self.located.s[rows, k], kind="stable")]
+            found = self._sorted[lane] = (self.located.s[rows, k].tolist(), rows.tolist())
         return found
-
-    def lane_table(self, lanes: list[LaneIndex]) -> LaneTable:
-        """Everybody on the given lanes, as of the last `locate`."""
-        columns = [self._index[lane] for lane in lanes]
-        order = np.full((len(lanes), max(len(self._located), 1)), -1, dtype=np.int64)
-        count = np.zeros(len(lanes), dtype=np.int64)
-        for k, lane in enumerate(lanes):
-            _, rows = self.on_lane(lane)
-            order[k, : len(rows)], count[k] = rows, len(rows)
-        return LaneTable(
-            order, count, self._s[:, columns], self._lateral[:, columns], self._along[:, columns]
-        )
 
     def neighbours(self, vehicle: Vehicle, lane: LaneIndex) -> Neighbours:
         """The vehicles ahead of and behind a vehicle on a lane, ahead also along its way."""
         me = self._row[id(vehicle)]
         k = self._index[lane]
-        here = float(self._s[me, k])
+        here = float(self.located.s[me, k])
         found = Neighbours()
         distances, rows = self.on_lane(lane)
         at = bisect.bisect_left(distances, here)
@@ -311,7 +303,7 @@ class RoadState(Road):  # type: ignore[misc]
             row = rows[before]
             found.rear = self._located[row]
             found.rear_gap = here - distances[before] - (self.lengths[me] + self.lengths[row]) / 2
-            found.rear_speed = float(self._along[row, k])
+            found.rear_speed = float(self.located.along[row, k])
         offset, now, visited = -here, lane, 0
         while True:
             while at < len(rows) and rows[at] == me:
@@ -321,7 +313,7 @@ class RoadState(Road):  # type: ignore[misc]
                 gap = offset + distances[at] - (self.lengths[me] + self.lengths[row]) / 2
                 if gap < LEADER_RANGE_M:
                     found.front, found.front_gap = self._located[row], float(gap)
-                    found.front_speed = float(self._along[row, self._index[now]])
+                    found.front_speed = float(self.located.along[row, self._index[now]])
                 return found
             offset += self.network_info.lanes[now].length
             visited += 1

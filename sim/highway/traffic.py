@@ -6,13 +6,13 @@ import math
 from typing import Final
 
 from sim.frames import EventKind
+from sim.highway.kernels.traffic import CompiledTraffic
 from sim.highway.network import HighwayNetwork
 from sim.highway.rules.collisions import Pair, find_cause, touching_pairs
 from sim.highway.rules.commands import give_commands
 from sim.highway.rules.crossings import may_walk
 from sim.highway.rules.wrong_way import record_wrong_way
 from sim.highway.state import RoadState, agent_of
-from sim.highway.straight import StraightTraffic
 from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Walker
 
@@ -26,32 +26,29 @@ class TrafficRoad(RoadState):
 
     Args:
         network: the road in highway-env's terms.
-        compiled: decide and move all drivers at once in compiled code; only on a single straight
-            stretch (see `sim.highway.straight`). The result is the same within rounding.
-
-    Raises:
-        InputError: if ``compiled`` is asked for on a road with junctions or bends.
+        compiled: decide for all drivers and move them at once in compiled code (see
+            `sim.highway.kernels`). The result is the same to the bit.
     """
 
     def __init__(self, network: HighwayNetwork, *, compiled: bool = False) -> None:
         super().__init__(network)
         self._touching: set[tuple[int, int]] = set()
-        self._straight = StraightTraffic(self) if compiled else None
+        self._compiled = CompiledTraffic(self) if compiled else None
 
     def act(self) -> None:
         """Let everybody decide."""
         self.locate()
-        give_commands(self)
-        if self._straight is not None:
-            self._straight.act()
+        if self._compiled is not None:
+            self._compiled.act()
             return
+        give_commands(self)
         for vehicle in self.vehicles:
             vehicle.act()
 
     def step(self, dt: float) -> None:
         """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
-        if self._straight is not None:
-            self._straight.step(dt)
+        if self._compiled is not None:
+            self._compiled.step(dt)
         else:
             for vehicle in self.vehicles:
                 vehicle.step(dt)

@@ -378,7 +378,7 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         if self.commands.forced_lane is not None:
             return self.commands.forced_lane
         if self.lane_index != self.target_lane_index:
-            return self._go_on_changing()
+            return self.go_on_changing()
         if self.timer <= self.LANE_CHANGE_DELAY:
             return self.lane_index
         self.timer = 0.0
@@ -412,7 +412,7 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         found: list[LaneIndex] = allowed(self)
         return found
 
-    def _go_on_changing(self) -> LaneIndex:
+    def go_on_changing(self) -> LaneIndex:
         """The target lane, or the present one if a vehicle just ahead changes to the same lane."""
         if self.wrong_way or is_wrong_side(self.target_lane_index):
             return self.target_lane_index

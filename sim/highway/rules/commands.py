@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from highway_env.vehicle.kinematics import Vehicle
+
 from behaviors.driver_models import braking_speed
 from sim.frames import EventKind, Signal
 from sim.highway import driving
-from sim.highway.network import is_wrong_side
+from sim.highway.network import LaneIndex, is_wrong_side
 from sim.highway.rules.crossings import (
     Walkers,
     find_arrivals,
@@ -119,9 +121,14 @@ def _record_violations(road: RoadState, ahead: list[WayAhead]) -> None:
             continue
         if not (before[1] > 0.0 >= way.to_line):
             continue
-        info = road.network_info.info[way.path]
-        if info.signal >= 0 and road.signals[info.signal] == Signal.RED.code:
-            vehicle.ran_red = True
-            road.add_event(EventKind.RED_RUN, agent_of(vehicle))
-        if info.must_stop and not getattr(vehicle, "draws", {}).get(("stood", way.path), False):
-            road.add_event(EventKind.STOP_ROLLED, agent_of(vehicle))
+        record_violation(road, vehicle, way.path)
+
+
+def record_violation(road: RoadState, vehicle: Vehicle, path: LaneIndex) -> None:
+    """Record a vehicle that has just come over the line of a path, if it was not allowed to."""
+    info = road.network_info.info[path]
+    if info.signal >= 0 and road.signals[info.signal] == Signal.RED.code:
+        vehicle.ran_red = True
+        road.add_event(EventKind.RED_RUN, agent_of(vehicle))
+    if info.must_stop and not getattr(vehicle, "draws", {}).get(("stood", path), False):
+        road.add_event(EventKind.STOP_ROLLED, agent_of(vehicle))

@@ -22,7 +22,7 @@ from sim.highway.rules.way_ahead import (
     draw_once,
 )
 from sim.highway.state import Arrival, RoadState
-from sim.highway.vehicle import DriverCommands
+from sim.highway.vehicle import DriverCommands, ProfileVehicle
 from sim.highway.walkers import Crossover, Walker
 
 KERB_SOON_S: Final = 4.0
@@ -118,7 +118,7 @@ def yield_at_crossings(
     yields = set()
     for strip in way.strips:
         if strip.far + vehicle.LENGTH < 0.0:
-            _record_encounter(road, way, strip.crossing)
+            record_encounter(road, vehicle, strip.crossing)
             continue
         people = walkers.get(strip.crossing)
         if strip.near > RANGE_M or strip.near < -ENTERED_M or not people:
@@ -130,12 +130,13 @@ def yield_at_crossings(
     commands.yields_to = frozenset(yields)
 
 
-def _record_encounter(road: RoadState, way: WayAhead, crossing: int) -> None:
-    draws = way.vehicle.draws
+def record_encounter(road: RoadState, vehicle: ProfileVehicle, crossing: int) -> None:
+    """Record whether a driver that has passed a crossing yielded to those it met there."""
+    draws = vehicle.draws
     if draws.pop(("met", crossing), False):
         yielded = draws.pop(("yielded", crossing), False)
         kind = EventKind.YIELDED if yielded else EventKind.NOT_YIELDED
-        road.add_event(kind, way.vehicle.agent)
+        road.add_event(kind, vehicle.agent)
 
 
 def _yields_to(

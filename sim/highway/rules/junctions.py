@@ -12,17 +12,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from highway_env.vehicle.kinematics import Vehicle
 
-from behaviors.driver_models import gap_accepted
+from behaviors import driver_models
+from sim.compiled import compiled, inner, shared
 from sim.frames import Signal
 from sim.highway import driving
 from sim.highway.network import Conflict, LaneIndex, LaneInfo
 from sim.highway.rules.way_ahead import ENTERED_M, RANGE_M, WayAhead, can_stop, draw_once
 from sim.highway.state import RoadState, agent_of
 from sim.highway.vehicle import DriverCommands, ProfileVehicle
+
+_gap_accepted = shared(driver_models.gap_accepted)
 
 STOPPED_M: Final = 3.0
 """A vehicle that stood this near the line has stopped at it."""
@@ -73,27 +76,58 @@ Approaching: TypeAlias = dict[LaneIndex, list[ApproachingVehicle]]
 """The vehicles on their way over each junction path."""
 
 
-@dataclass(slots=True)
-class _Passage:
+class Passage(NamedTuple):
     """How a driver is going to pass a conflict.
 
     Attributes:
-        vehicle: which.
+        agent: its id.
         to_line: front bumper to the beginning of its path, m.
         rank: right-of-way rank.
         entered: whether it is inside the junction.
+        after_green: whether it is inside on a path whose light has turned red.
         stood_s: for how long it has stood, s.
         enter_s: when it reaches the conflict, s from now.
         leave_s: when it has left it, s.
+        gap_acceptance_s: see `behaviors.profiles.Profile`.
+        insistence: likewise.
     """
 
-    vehicle: ProfileVehicle
+    agent: int
     to_line: float
     rank: int
     entered: bool
+    after_green: bool
     stood_s: float
     enter_s: float
     leave_s: float
+    gap_acceptance_s: float
+    insistence: float
+
+
+class Foe(NamedTuple):
+    """A vehicle on its way over the other path of a conflict.
+
+    Attributes:
+        agent: its id.
+        to_line: front bumper to the beginning of its path, m.
+        begin: to the conflict, m.
+        end: until its rear has left the conflict, m.
+        rank: right-of-way rank.
+        entered: whether it is inside the junction.
+        held: whether a light or a sign made it stop at the line a step ago.
+        speed: m/s.
+        stood_s: for how long it has stood, s.
+    """
+
+    agent: int
+    to_line: float
+    begin: float
+    end: float
+    rank: int
+    entered: bool
+    held: bool
+    speed: float
+    stood_s: float
 
 
 def approaching_vehicles(road: RoadState, ahead: list[WayAhead]) -> Approaching:
@@ -136,7 +170,8 @@ def _rank(road: RoadState, vehicle: Vehicle, path: LaneInfo, *, entered: bool) -
     return 1 if path.must_yield else 0
 
 
-def _reach_s(speed: float, distance: float, accel: float, top: float) -> float:
+@compiled
+def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
     """Time to cover a distance while speeding up to a top speed, s."""
     if distance <= 0.0:
         return 0.0
@@ -157,23 +192,22 @@ def obey_stop_line(road: RoadState, way: WayAhead, commands: DriverCommands) -> 
     """
     assert way.path is not None
     info = road.network_info.info[way.path]
-    if info.signal >= 0 and _stops_at_light(road, way, info.signal):
+    if info.signal >= 0:
+        red = road.signals[info.signal] == Signal.RED.code
+        first = red and road.neighbours(way.vehicle, way.lane).front_gap > way.to_line
+        commands.held = _stops_at_light(road, way, info.signal, first)
+    if info.must_stop and not commands.held:
+        commands.held = stops_at_sign(way.vehicle, way.path, way.to_line)
+    if commands.held:
         commands.stop_within(way.to_line)
-        commands.held = True
-    if info.must_stop and not commands.held and _stops_at_sign(way):
-        commands.stop_within(way.to_line)
-        commands.held = True
     if not commands.held and _exit_blocked(road, way):
         commands.stop_within(way.to_line)
 
 
-def _stops_at_light(road: RoadState, way: WayAhead, signal: int) -> bool:
-    vehicle = way.vehicle
-    state = road.signals[signal]
+def _stops_at_light(road: RoadState, way: WayAhead, signal: int, first: bool) -> bool:
+    vehicle, state = way.vehicle, road.signals[signal]
     if state == Signal.RED.code:
-        first = road.neighbours(vehicle, way.lane).front_gap > way.to_line
-        probability = vehicle.profile.red_run_probability
-        if first and draw_once(vehicle, ("red", way.path), probability):
+        if first and runs_red(vehicle, way.path):
             return False
         return can_stop(vehicle.speed, way.to_line, vehicle.parameters[driving.EMERGENCY_DECEL])
     if state == Signal.YELLOW.code:
@@ -184,9 +218,14 @@ def _stops_at_light(road: RoadState, way: WayAhead, signal: int) -> bool:
     return False
 
 
-def _stops_at_sign(way: WayAhead) -> bool:
-    vehicle, path = way.vehicle, way.path
-    if way.to_line < STOPPED_M and vehicle.speed < driving.STANDING_MPS:
+def runs_red(vehicle: ProfileVehicle, path: LaneIndex | None) -> bool:
+    """Whether the first driver before a red light runs it: drawn once per encounter."""
+    return draw_once(vehicle, ("red", path), vehicle.profile.red_run_probability)
+
+
+def stops_at_sign(vehicle: ProfileVehicle, path: LaneIndex | None, to_line: float) -> bool:
+    """Whether a driver stops at a stop sign, ``to_line`` m ahead, or has stopped there."""
+    if to_line < STOPPED_M and vehicle.speed < driving.STANDING_MPS:
         vehicle.draws["stood", path] = True
     rolls = draw_once(vehicle, ("roll", path), vehicle.profile.stop_roll_probability)
     return not rolls and not vehicle.draws.get(("stood", path), False)
@@ -220,10 +259,12 @@ def yield_to_conflicts(
     info = road.network_info.info[path]
     entered = way.to_line < -ENTERED_M
     rank = _rank(road, vehicle, info, entered=entered)
-    stood_s = road.stood_s(vehicle)
+    light = info.signal if entered and vehicle.lane_index == path else -1
+    after_green = light >= 0 and bool(road.signals[light] == Signal.RED.code)
+    stood_s, profile = float(road.stood_s(vehicle)), vehicle.profile
     top = vehicle.desired_speed
     accel = float(vehicle.parameters[driving.MAX_ACCEL])
-    delay = vehicle.profile.startup_delay_s if vehicle.speed < driving.STANDING_MPS else 0.0
+    delay = profile.startup_delay_s if vehicle.speed < driving.STANDING_MPS else 0.0
     for conflict in info.conflicts:
         foes = approaching.get(conflict.other)
         if not foes:
@@ -232,11 +273,22 @@ def yield_to_conflicts(
         end = way.to_line + conflict.end_s + vehicle.LENGTH
         if begin <= 0.0 or end < 0.0:
             continue  # in it or past it already
-        enter_s = delay + _reach_s(vehicle.speed, begin, accel, top)
-        leave_s = delay + _reach_s(vehicle.speed, end, accel, top)
-        own = _Passage(vehicle, way.to_line, rank, entered, stood_s, enter_s, leave_s)
+        enter_s = delay + float(reach_s(vehicle.speed, begin, accel, top))
+        leave_s = delay + float(reach_s(vehicle.speed, end, accel, top))
+        own = Passage(
+            agent=vehicle.agent,
+            to_line=float(way.to_line),
+            rank=rank,
+            entered=bool(entered),
+            after_green=after_green,
+            stood_s=stood_s,
+            enter_s=enter_s,
+            leave_s=leave_s,
+            gap_acceptance_s=float(profile.gap_acceptance_s),
+            insistence=float(profile.insistence),
+        )
         for foe in foes:
-            if foe.vehicle is vehicle or not _must_wait(road, own, conflict, foe):
+            if foe.vehicle is vehicle or not must_wait(own, _foe(road, conflict, foe)):
                 continue
             at_line = not entered and (conflict.begin_s < AT_LINE_M or rank == 2)
             gap = way.to_line if at_line else begin - CONFLICT_MARGIN_M
@@ -244,51 +296,60 @@ def yield_to_conflicts(
                 commands.stop_within(gap)
 
 
-def _must_wait(road: RoadState, own: _Passage, conflict: Conflict, foe: ApproachingVehicle) -> bool:
+def _foe(road: RoadState, conflict: Conflict, foe: ApproachingVehicle) -> Foe:
+    vehicle, to_line = foe.vehicle, foe.to_line
+    entered = to_line < -ENTERED_M
+    return Foe(
+        agent=agent_of(vehicle),
+        to_line=float(to_line),
+        begin=float(to_line + conflict.other_begin_s),
+        end=float(to_line + conflict.other_end_s + vehicle.LENGTH),
+        rank=_rank(road, vehicle, road.network_info.info[conflict.other], entered=entered),
+        entered=bool(entered),
+        held=bool(foe.held),
+        speed=float(max(vehicle.speed, 0.0)),
+        stood_s=road.stood_s(vehicle),
+    )
+
+
+@compiled
+def must_wait(own: Passage, foe: Foe) -> bool:
     """Whether a driver has to wait for another one before a conflict."""
-    other = foe.vehicle
-    begin = foe.to_line + conflict.other_begin_s
-    end = foe.to_line + conflict.other_end_s + other.LENGTH
-    if end < 0.0:
+    if foe.end < 0.0:
         return False
-    speed = max(other.speed, 0.0)
-    foe_stood_s = road.stood_s(other)
-    if begin <= 0.0:  # it is in the conflict
-        if own.stood_s > 2.0 * PATIENCE_S and foe_stood_s > PATIENCE_S:
+    speed = foe.speed
+    if foe.begin <= 0.0:  # it is in the conflict
+        if own.stood_s > 2.0 * PATIENCE_S and foe.stood_s > PATIENCE_S:
             return False
-        return bool(own.enter_s < end / max(speed, 0.5) + CLEARANCE_S)
+        return own.enter_s < foe.end / max(speed, 0.5) + CLEARANCE_S
     if foe.held:
         return False
-    if own.stood_s > PATIENCE_S and foe_stood_s > 1.0:
+    if own.stood_s > PATIENCE_S and foe.stood_s > 1.0:
         return False
-    foe_entered = foe.to_line < -ENTERED_M
-    foe_rank = _rank(road, other, road.network_info.info[conflict.other], entered=foe_entered)
-    light = road.network_info.info[own.vehicle.lane_index].signal if own.entered else -1
-    after_green = light >= 0 and road.signals[light] == Signal.RED.code
-    if foe_stood_s > WAITING_S and (foe_entered or foe_rank >= own.rank or after_green):
+    if foe.stood_s > WAITING_S and (foe.entered or foe.rank >= own.rank or own.after_green):
         return False  # it waits itself, for this vehicle or for another
-    foe_enters_s = _reach_s(speed, begin, FOE_ACCEL_MPS2, max(speed, 8.0))
-    foe_leaves_s = end / max(speed, 2.0)
-    if _goes_first(own, foe, foe_rank, foe_entered):
-        if not foe_entered or speed < driving.STANDING_MPS:
+    foe_enters_s = reach_s(speed, foe.begin, FOE_ACCEL_MPS2, max(speed, 8.0))
+    foe_leaves_s = foe.end / max(speed, 2.0)
+    if _goes_first(own, foe):
+        if not foe.entered or speed < driving.STANDING_MPS:
             return False
         return foe_enters_s < own.enter_s and own.enter_s < foe_leaves_s + CLEARANCE_S
-    profile = own.vehicle.profile
-    critical_s = profile.gap_acceptance_s
-    if gap_accepted(own.enter_s, own.leave_s, foe_enters_s, foe_leaves_s, critical_s, CLEARANCE_S):
+    critical_s = own.gap_acceptance_s
+    if _gap_accepted(own.enter_s, own.leave_s, foe_enters_s, foe_leaves_s, critical_s, CLEARANCE_S):
         return False
-    braking = speed * speed / (2.0 * begin)
-    insists = profile.insistence * INSISTED_BRAKING_MPS2
+    braking = speed * speed / (2.0 * foe.begin)
+    insists = own.insistence * INSISTED_BRAKING_MPS2
     lets_in = insists > 0.0 and braking <= insists and speed > 1.0
     return not (lets_in and own.leave_s < foe_leaves_s)
 
 
-def _goes_first(own: _Passage, foe: ApproachingVehicle, foe_rank: int, foe_entered: bool) -> bool:
+@inner
+def _goes_first(own: Passage, foe: Foe) -> bool:
     """Whether a driver has the right of way over another one: by rank, place, then number."""
-    if own.rank != foe_rank:
-        return own.rank < foe_rank
-    if own.entered != foe_entered:
+    if own.rank != foe.rank:
+        return own.rank < foe.rank
+    if own.entered != foe.entered:
         return own.entered
     if abs(own.to_line - foe.to_line) > 0.5:
         return own.to_line < foe.to_line
-    return agent_of(own.vehicle) < agent_of(foe.vehicle)
+    return own.agent < foe.agent

@@ -1,0 +1,167 @@
+"""The vehicles ahead and behind on a lane, also across junctions, for kernels.
+
+The same search as `sim.highway.state.RoadState.neighbours` makes for one vehicle.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.compiled import compiled, inner
+from sim.highway.kernels.lane_tables import Lanes
+from sim.highway.state import JOINED_M, LEADER_RANGE_M
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+MOST_LANES = 4
+"""A leader is looked for on the present lane and on this many after it (as by the vehicles)."""
+
+
+class Places(NamedTuple):
+    """Who is where on the road's K lanes now; n vehicles.
+
+    Attributes:
+        s: (n, K) distance of everybody along every lane, m.
+        along: (n, K) speed along it, m/s.
+        first: (K + 1,) of the vehicles on each lane.
+        order: rows of those on each lane, by distance along it.
+        length: (n,) m.
+        speed: (n,) m/s.
+        way: (n,) the row of ``ways`` that each follows.
+        ways: (w, m) numbers of the stretches on each way, -1 after the last.
+    """
+
+    s: FloatArray
+    along: FloatArray
+    first: IntArray
+    order: IntArray
+    length: FloatArray
+    speed: FloatArray
+    way: IntArray
+    ways: IntArray
+
+
+class Beside(NamedTuple):
+    """The vehicles ahead and behind: row (-1 for none), bumper gap, m, and speed, m/s, of each."""
+
+    front: int
+    front_gap: float
+    front_speed: float
+    rear: int
+    rear_gap: float
+    rear_speed: float
+
+
+@compiled
+def sort_lanes(on: BoolArray, s: FloatArray) -> tuple[IntArray, IntArray]:
+    """Those on each lane by distance along it, those at the same place in the order of rows.
+
+    Args:
+        on: (n, K) who is on which lane.
+        s: (n, K) distance along it, m.
+
+    Returns:
+        ``first`` and ``order`` of `Places`.
+    """
+    n, lanes = on.shape
+    first = np.zeros(lanes + 1, dtype=np.int64)
+    for i in range(n):
+        for k in range(lanes):
+            if on[i, k]:
+                first[k + 1] += 1
+    for k in range(lanes):
+        first[k + 1] += first[k]
+    order = np.empty(first[lanes], dtype=np.int64)
+    end = first[:-1].copy()
+    for i in range(n):
+        for k in range(lanes):
+            if on[i, k]:
+                at = end[k]
+                while at > first[k] and s[order[at - 1], k] > s[i, k]:
+                    order[at] = order[at - 1]
+                    at -= 1
+                order[at] = i
+                end[k] += 1
+    return first, order
+
+
+@inner
+def next_stretch(i: int, lane: int, lanes: Lanes, places: Places) -> int:
+    """The stretch that a vehicle wants to reach after a lane's; -1 at the end of its way."""
+    ways, way, stretch = places.ways, places.way[i], lanes.stretch[lane]
+    for at in range(ways.shape[1] - 1):
+        if ways[way, at] == stretch:
+            return int(ways[way, at + 1])
+    return -1
+
+
+@inner
+def path_to(lane: int, then: int, lanes: Lanes) -> int:
+    """The junction path from a lane to a stretch; -1 if there is none."""
+    for at in range(lanes.way_first[lane], lanes.way_first[lane + 1]):
+        if lanes.way_stretch[at] == then:
+            return int(lanes.way_path[at])
+    return -1
+
+
+@inner
+def onward(i: int, lane: int, lanes: Lanes, places: Places) -> int:
+    """The lane that follows on a vehicle's way; -1 at its end or on a wrong lane."""
+    if lanes.exit[lane] >= 0:
+        return int(lanes.exit[lane])
+    then = next_stretch(i, lane, lanes, places)
+    return path_to(lane, then, lanes) if then >= 0 else -1
+
+
+@inner
+def _after(x: float, lane: int, places: Places, equal: bool) -> int:
+    """The first entry on a lane beyond a place, or also at it if ``equal``."""
+    low, high = places.first[lane], places.first[lane + 1]
+    while low < high:
+        middle = (low + high) // 2
+        s = places.s[places.order[middle], lane]
+        if s < x or (s == x and not equal):
+            low = middle + 1
+        else:
+            high = middle
+    return int(low)
+
+
+@inner
+def beside(i: int, lane: int, lanes: Lanes, places: Places) -> Beside:
+    """The vehicles ahead of and behind a vehicle on a lane, ahead also along its way."""
+    s, order, length = places.s, places.order, places.length
+    here = s[i, lane]
+    at = _after(here, lane, places, True)
+    rear, rear_gap, rear_speed = -1, np.inf, 0.0
+    before = at - 1
+    while before >= places.first[lane] and order[before] == i:
+        before -= 1
+    if before >= places.first[lane]:
+        rear = order[before]
+        rear_gap = here - s[rear, lane] - (length[i] + length[rear]) / 2
+        rear_speed = places.along[rear, lane]
+    offset, now, visited = -here, lane, 0
+    while True:
+        end = places.first[now + 1]
+        while at < end and order[at] == i:
+            at += 1
+        if at < end:
+            j = order[at]
+            gap = offset + s[j, now] - (length[i] + length[j]) / 2
+            if gap < LEADER_RANGE_M:
+                return Beside(j, gap, places.along[j, now], rear, rear_gap, rear_speed)
+            break
+        offset += lanes.length[now]
+        visited += 1
+        then = onward(i, now, lanes, places)
+        if then < 0 or offset > LEADER_RANGE_M or visited > MOST_LANES:
+            break
+        now = then
+        at = _after(max(-offset, -JOINED_M), now, places, False)
+    return Beside(-1, np.inf, 0.0, rear, rear_gap, rear_speed)
