@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,6 +44,7 @@ from sim.engines import get_engine
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, Tracks
+from sim.road import Road
 from sim.scenario import sample_agents
 
 FloatArray = NDArray[np.float64]
@@ -112,26 +114,30 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         )
     if not settings.every_s > 0.0:
         raise InputError(f"every_s: found {settings.every_s:g}, expected seconds > 0")
-    found: dict[str, dict[str, _Found]] = {}
-    for place in _simulated() if settings.data is None else read_sources([settings.data]):
-        edge: RoadEdge | None = None
-        known = found.setdefault(place.dataset, {name: _Found() for name in settings.simulators})
-        for start in starts(place, settings.seconds, settings.every_s):
-            if len(next(iter(known.values())).scores) >= settings.instants:
-                break
-            edge = edge or road_edge(start.scene.road)
-            for name in settings.simulators:
+    places = _simulated() if settings.data is None else read_sources([settings.data])
+    played = False
+    for dataset, some in groupby(places, key=lambda place: place.dataset):
+        known = {name: _Found() for name in settings.simulators}
+        instants = (
+            start for place in some for start in starts(place, settings.seconds, settings.every_s)
+        )
+        road: Road | None = None
+        for start in islice(instants, settings.instants):
+            if start.scene.road is not road:
+                road = start.scene.road
+                edge = road_edge(road)
+            for name, found in known.items():
                 score, sampled = play(name, start, edge, settings.futures, settings.seed)
-                known[name].scores.append(score)
-                known[name].samples.append(sampled)
-    if not any(one.scores for known in found.values() for one in known.values()):
+                found.scores.append(score)
+                found.samples.append(sampled)
+            played = True
+        if next(iter(known.values())).scores:
+            yield list(_rows(dataset, known))
+    if not played:
         raise InputError(
             f"{settings.data}: found no recording with a map that goes on for "
             f"{settings.seconds:g} s, expected one"
         )
-    for dataset, known in found.items():
-        if next(iter(known.values())).scores:
-            yield list(_rows(dataset, known))
 
 
 def _simulated() -> Iterator[RecordedPlace]:
