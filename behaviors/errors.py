@@ -37,4 +37,4 @@ def lookup(registry: Mapping[str, T], name: str, what: str) -> T:
         return registry[name]
     near = difflib.get_close_matches(name, registry, n=1)
     hint = f"did you mean {near[0]!r}? " if near else "expected one of "
-    raise InputError(f"unknown {what} {name!r}: {hint}({', '.join(registry)})")
+    raise InputError(f"unknown {what} {name!r:.80}: {hint}({', '.join(registry)})")

@@ -99,9 +99,9 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
     try:
         value = math.nan if isinstance(flow, bool) else float(flow)
     except (TypeError, ValueError):
-        raise InputError(f"{field}: found {flow!r}, expected {expected}") from None
+        raise InputError(f"{field}: found {flow!r:.80}, expected {expected}") from None
     if not math.isfinite(value) or value < 0:
-        raise InputError(f"{field}: found {flow!r}, expected {expected}")
+        raise InputError(f"{field}: found {flow!r:.80}, expected {expected}")
     return value
 
 
@@ -167,13 +167,15 @@ def _shares(
 ) -> dict[K, float]:
     """Shares by member; the name of a group gives each of its members an equal part."""
     if not isinstance(given, (str, Mapping)):
-        raise InputError(f"{field}: found {given!r}, expected shares by name")
+        raise InputError(f"{field}: found {given!r:.80}, expected shares by name")
     names = {**{str(member): [member] for member in members}, **(groups or {})}
     pairs = _split(field, given) if isinstance(given, str) else [*given.items()]
     shares: dict[K, float] = {}
     for name, value in pairs:
         if str(name) not in names:
-            raise InputError(f"{field}: found {str(name)!r}, expected one of {', '.join(names)}")
+            raise InputError(
+                f"{field}: found {str(name)!r:.80}, expected one of {', '.join(names)}"
+            )
         named = names[str(name)]
         for member in named:
             if member in shares:

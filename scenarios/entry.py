@@ -53,7 +53,7 @@ class ScenarioEntry:
             parameter = lookup(self.options, name, f"option of scenario {self.name!r},")
             if not _fits(value, parameter.default):
                 raise InputError(
-                    f"{name}: found {value!r}, expected a value like {parameter.default!r}"
+                    f"{name}: found {value!r:.80}, expected a value like {parameter.default!r}"
                 )
         return dataclasses.replace(self.function(**options), name=self.name)
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
+from sim.written_numbers import whole
 
 MAX_TREE_BYTES: Final = 2**26
 """Largest XML file that is read as a tree, uncompressed (our choice: 64 MiB; a scene of 10 s has
@@ -85,7 +86,7 @@ def whole_number(path: Path, element: ET.Element, name: str) -> int:
     text = element.get(name)
     where = f"{path}: {element.tag[:40]} {name}"
     try:
-        value = int(text or "")
+        value = whole(text or "")
     except ValueError:
         raise InputError(f"{where}: found {str(text)[:40]!r}, expected a whole number") from None
     if abs(value) >= 2**63:

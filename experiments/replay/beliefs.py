@@ -156,6 +156,8 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
     here = np.abs(times[column] - time_s) < 1e-3
     told = np.stack([table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS], axis=1)
+    if not np.isfinite(time_s).all():
+        raise InputError(f"{path}: found a time_s that is not finite, expected seconds")
     if not np.isfinite(told).all() or (np.abs(told.sum(axis=1) - 1.0) > 1e-3).any():
         raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
     probability = _nothing(tracks, steps)

@@ -34,7 +34,7 @@ Horizon = Annotated[str, Field(pattern=r"^[0-9]{1,4}(\.[0-9]{1,6})?s$")]
 class Score(BaseModel):
     """A number with its 95 % interval (null with a single episode)."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
     value: Finite
     low: Finite | None
@@ -50,7 +50,7 @@ class Metrics(BaseModel):
     ``prediction.<scenario>.<predictor>.{ade_m,fde_m}.{1s,3s,5s}``.
     """
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
     classification: dict[str, dict[str, dict[str, Score]]]
     prediction: dict[str, dict[str, dict[str, dict[Horizon, Score]]]]
@@ -59,7 +59,7 @@ class Metrics(BaseModel):
 class RunFile(BaseModel):
     """``run.json``: how a run was made and where its parts are (relative to its folder)."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
     schema_version: int = SCHEMA_VERSION
     name: str

@@ -55,14 +55,14 @@ _MOST_LANES: Final = 5
 def check_lanes(lanes: int) -> None:
     """Refuse a number of lanes that no geometry has."""
     if not isinstance(lanes, int) or not 1 <= lanes <= _MOST_LANES:
-        raise InputError(f"lanes: found {lanes!r}, expected 1 to {_MOST_LANES}")
+        raise InputError(f"lanes: found {lanes!r:.80}, expected 1 to {_MOST_LANES}")
 
 
 def check_positive(**values: float) -> None:
     """Refuse lengths and limits that are not above zero."""
     for name, value in values.items():
         if not isinstance(value, int | float) or not math.isfinite(value) or value <= 0:
-            raise InputError(f"{name}: found {value!r}, expected a number > 0")
+            raise InputError(f"{name}: found {value!r:.80}, expected a number > 0")
 
 
 @dataclass(frozen=True, slots=True)

@@ -187,7 +187,10 @@ def scenario_at(path: Path, registered: Mapping[str, ScenarioEntry]) -> Scenario
             raise InputError(
                 f"{path}: scenario: found {read.scenario!r:.60}, expected a registered one"
             )
-        function = registered[read.scenario].function
+        try:
+            function = registered[read.scenario].function
+        except InputError as error:
+            raise InputError(f"{path}: scenario: {error}") from None
     return ScenarioEntry(read.name or name_of(path), function, given, read.limits_mps or ())
 
 

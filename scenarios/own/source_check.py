@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from typing import Final
 
 from scenarios.own.check import LIMITS_MPS, Defect
 from sim.road import MapKnowledge
+from sim.written_numbers import real
 from sim.xml_tree import read_tree
 
 MAY_BE_SLOW: Final = frozenset({"living_street", "service", "track", "pedestrian", "footway"})
@@ -58,7 +60,7 @@ def openstreetmap(path: Path) -> tuple[MapKnowledge, list[Defect]]:
             found += _of_limit(place, tags["maxspeed"], tags["highway"] in MAY_BE_SLOW)
         found += _of_line(place, way, nodes)
         lanes = tags.get("lanes")
-        if lanes is not None and not (lanes.isdigit() and 1 <= int(lanes[:4]) <= 20):
+        if lanes is not None and not (re.fullmatch("[0-9]{1,4}", lanes) and 1 <= int(lanes) <= 20):
             found.append(Defect("absurd lanes", place, f"found {lanes[:40]!r}, expected 1 to 20"))
     knows = MapKnowledge(
         limits=ways > 0 and limits == ways, signals=signals > 0, priority=priority > 0
@@ -172,6 +174,6 @@ def _of_speed(place: str, speed: ET.Element) -> Iterator[Defect]:
 
 def _real(text: str | None) -> float:
     try:
-        return float(text or "nan")
+        return real(text or "nan")
     except ValueError:
         return math.nan

@@ -27,12 +27,12 @@ from sim.formats.common.recording import (
     MAX_NAMES,
     Recording,
     Rows,
-    real,
     recordings,
 )
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, Tracks
 from sim.store.atomic import write_whole
+from sim.written_numbers import real
 
 STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""

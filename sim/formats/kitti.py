@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.packed import opened, plain_name, stem
+from sim.formats.common.packed import lines_of, opened, plain_name, stem
 from sim.formats.common.recording import (
     Recording,
     Rows,
@@ -29,6 +29,7 @@ from sim.formats.common.recording import (
     kind_codes,
 )
 from sim.frames import AgentKind
+from sim.written_numbers import real
 
 FloatArray = NDArray[np.float64]
 
@@ -161,7 +162,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[bytes]]]:
     """
     check_size(path)
     with opened(path) as file:
-        for line_number, line in enumerate(iter(lambda: file.readline(MAX_LINE), b""), 1):
+        for line_number, line in lines_of(path, file, MAX_LINE):
             if line_number > 100 * MAX_FRAMES:
                 raise InputError(f"{path}: found more than {100 * MAX_FRAMES} lines")
             fields = line.split()
@@ -171,7 +172,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[bytes]]]:
 
 def _numbers(where: str, fields: list[bytes]) -> list[float]:
     try:
-        return [float(field) for field in fields]
+        return [real(field) for field in fields]
     except ValueError:
         raise InputError(f"{where}: found {fields[0][:40]!r}..., expected numbers") from None
 

@@ -30,12 +30,12 @@ from sim.formats.common.recording import (
     Rows,
     check_size,
     kind_codes,
-    real,
     recordings,
 )
 from sim.formats.common.recording import default_size as usual_size
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
 from sim.store.atomic import write_whole
+from sim.written_numbers import real
 
 CHUNK_BYTES: Final = 2**20
 MAX_DEPTH: Final = 16

@@ -21,10 +21,11 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.formats.common.packed import opened, stem
+from sim.formats.common.packed import lines_of, opened, stem
 from sim.formats.common.recording import MAX_ROWS, Recording, Rows, check_size, recordings
 from sim.formats.traf_sheets import Sheet, defects, labels, sheets_beside
 from sim.track_rows import MAX_CELLS
+from sim.written_numbers import whole
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second that are assumed (the usual rate of such video; not stated anywhere)."""
@@ -67,14 +68,12 @@ def _frames(path: Path) -> Iterator[dict[int, list[_Box]]]:
     last = None
     total = 0
     with opened(path) as file:
-        for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), 1):
+        for number, line in lines_of(path, file, MAX_LINE_BYTES):
             if not line.strip():
                 continue
             where = f"{path}: line {number}"
             try:
-                if b"_" in line:  # which Python takes for digits' own
-                    raise ValueError
-                fields = [int(field) for field in line.split(b",")]
+                fields = [whole(field) for field in line.split(b",")]
             except ValueError:
                 raise InputError(f"{where}: found {line[:40]!r}, expected whole numbers") from None
             if len(fields) < 2 or fields[1] < 0 or len(fields) != 2 + 5 * fields[1]:

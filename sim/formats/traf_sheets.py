@@ -144,7 +144,7 @@ def read_sheet(path: Path) -> Sheet:
 
         def whole(column: str, row: list[str] = row, where: str = where) -> int:
             text = row[ord(column) - ord("A")]
-            if not re.fullmatch(r"-?\d{1,9}(\.0+)?", text):
+            if not re.fullmatch(r"-?[0-9]{1,9}(\.0+)?", text):
                 raise InputError(f"{where}, column {column}: found {text!r:.60}, expected a number")
             return int(float(text))
 

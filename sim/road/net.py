@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import functools
+import re
 import xml.sax
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
+from xml.sax.saxutils import unescape
 
 import numpy as np
 
@@ -55,6 +58,11 @@ MAX_WIDTH_M: Final = 1000.0
 MAX_LENGTH_M: Final = 1e7
 """Largest coordinate, width and length of all lanes together (our choice, as of other maps)."""
 
+_NO_NUMBER: Final = re.compile(
+    rb"""\s(?:shape|speed|length|width)\s*=\s*(?:"[^"]*[_\x80-\xff][^"]*"|'[^']*[_\x80-\xff][^']*')"""
+)
+"""What sumolib, as Python does, may take for numbers that no other program does: ``1_0``."""
+
 _BROKEN: Final = (
     xml.sax.SAXException, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
     OSError, RuntimeError, SyntaxError, TypeError, ValueError, zlib.error,
@@ -98,6 +106,10 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
     data = read_bytes(source, MAX_NET_BYTES)
     if DECLARED.search(data.replace(b"\0", b"")):
         raise InputError(f"{source}: found a document type or entity declaration, expected none")
+    odd = _NO_NUMBER.search(data)
+    if odd is not None:
+        told = odd[0][:60].decode("utf-8", "replace").strip()
+        raise InputError(f"{source}: found {told!r}, expected numbers")
     try:
         road = _road(source, name)
     except InputError as error:
@@ -107,8 +119,39 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
         raise InputError(
             f"{source}: found a broken file, expected a SUMO net ({reason:.200})"
         ) from None
+    _check_ids(source, data.replace(b"\0", b""), road)
     _check(source, road)
     return road
+
+
+_ID: Final = re.compile(rb"""<(edge|lane)\b[^>]*?\sid\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+"""An edge's or a lane's id."""
+
+
+def _check_ids(source: Path, data: bytes, road: Road) -> None:
+    """Refuse lanes whose ids are not those of their edges, as SUMO calls them.
+
+    sumolib counts an edge's lanes and does not look at their ids, so that a lane which stands in
+    another edge, or has another id or none, would silently be another lane.
+    """
+    told: dict[str, list[str]] = {}
+    edge = ""
+    for kind, plain, other in _ID.findall(data):
+        name = unescape((plain or other).decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"})
+        if kind == b"edge":
+            edge = name
+        else:
+            told.setdefault(edge, []).append(name)
+    for lane in road.lanes:
+        here = told.get(lane.edge, [])
+        if lane.id not in here[lane.index : lane.index + 1]:
+            raise InputError(
+                f"{source}: edge {lane.edge!r:.60}: found the lanes {', '.join(here)[:80]!r}, "
+                f"expected {lane.id!r:.60} as number {lane.index}"
+            )
+    twice = Counter(name for names in told.values() for name in names)
+    if twice and (most := twice.most_common(1)[0])[1] > 1:
+        raise InputError(f"{source}: found lane {most[0]!r:.60} {most[1]} times, expected it once")
 
 
 def _road(source: Path, name: str | None) -> Road:

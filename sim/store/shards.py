@@ -123,6 +123,9 @@ class ShardTables:
         for column in part.columns:
             check_spelled_out(path, column, MAX_TEXT_BYTES)
         wanted = schemas[0]
+        for field in wanted:
+            if not field.nullable and part[field.name].null_count:
+                raise InputError(f"{path}: found an empty {field.name}, expected one in every row")
         return part.select(wanted.names).cast(wanted)
 
     def _steps(

@@ -78,6 +78,18 @@ TABLES: Final = {
         {"agent_type": frozenset({"car", "bus", "truck", "motorcycle", "bicycle", "pedestrian",
                                   "pedestrian/bicycle"})},
     ),
+    "highd": Table(
+        "01_tracks.csv",
+        {
+            "frame": lambda a, k: str(k), "id": lambda a, k: str(a + 1), "x": _decimal,
+            "y": lambda a, k: f"{2 * a + 5}", "width": lambda a, k: "4.5",
+            "height": lambda a, k: "1.9", "xVelocity": lambda a, k: "25.5",
+            "yVelocity": lambda a, k: "-0.25",
+        },
+        ("frame", "x", "y", "width", "height", "xvelocity", "yvelocity"), ("id",), "id",
+        lambda v: (v["frame"] / 25.0, v["x"] + v["width"] / 2, -(v["y"] + v["height"] / 2)),
+        ("width", "height"),
+    ),
     "ind": Table(
         "00_tracks.csv",
         {
@@ -92,6 +104,19 @@ TABLES: Final = {
         ("width", "length"),
     ),
 }  # fmt: skip
+
+
+STEPS: Final = 12
+"""Times of recordings that are whole."""
+
+
+def grown(table: Table) -> bytes:
+    """A CSV file without mistakes, of three agents."""
+    rows = [
+        ",".join(make(a, k) for make in table.columns.values())
+        for k in range(STEPS) for a in range(3)
+    ]  # fmt: skip
+    return "\n".join([",".join(table.columns), *rows, ""]).encode()
 
 
 def _mistakes(choose: random.Random) -> Callable[[], bool]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import random
 import shutil
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -14,15 +13,24 @@ from behaviors.errors import InputError
 from experiments.benches.hostile import grammars
 from experiments.benches.hostile.calls import CALLS
 from experiments.benches.hostile.mutations import altered
-from experiments.benches.hostile.oracles import Rows, differ, oracle
-from experiments.benches.hostile.samples import Sample, samples
+from experiments.benches.hostile.oracles.grown import Refused, Unsure
+from experiments.benches.hostile.oracles.recordings import other_rows, rows_told
+from experiments.benches.hostile.sample import Sample
+from experiments.benches.hostile.samples import samples
 from sim.formats import get_reader
+
+STATES: Final = ("read", "refused", "stricter", "disagree", "crash", "abort", "slow", "large")
+"""What may become of an input."""
+
+FAILURES: Final = ("disagree", "crash", "abort", "slow", "large")
+"""What of that is a defect."""
 
 GROWN: Final = tuple(f"{name}-grown" for name in grammars.FILES)
 """Families whose inputs are grown from a grammar and compared with an independent reader."""
 
-ASKED_EVERY: Final = {"argoverse2-grown": 20}
-"""Of these families the oracle, which is a process, looks at one input in so many."""
+TWO_SIDED: Final = (*(f"{name}-grown" for name in grammars.FILES if name != "argoverse2"),)
+"""Families whose oracle knows all rules: what it reads, a reader must read. Of the others a reader
+may be stricter: it also checks ranges, references and limits of what is well formed."""
 
 LONGEST_MESSAGE: Final = 1000
 """Most characters of a message that are not the path's (our choice: it is to be one line)."""
@@ -73,9 +81,7 @@ def check(family: str, number: int, folder: Path) -> tuple[str, str]:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
     try:
-        if family in GROWN:
-            return _compared(family, number, folder)
-        return _tried(lambda: _samples()[family].read(folder), folder)[:2]
+        return _compared(family, number, folder)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -95,41 +101,32 @@ def _tried(read: Callable[[], object], folder: Path) -> tuple[str, str, object]:
 
 
 def _compared(family: str, number: int, folder: Path) -> tuple[str, str]:
-    name = family.removesuffix("-grown")
-    path = folder / grammars.FILES[name]
-    data = path.read_bytes()
-    state, why, mine = _tried(lambda: rows_read(name, path), folder)
-    if state in ("crash", "disagree") or number % ASKED_EVERY.get(family, 1):
+    """What a reader makes of an input, beside what an independent one makes of it."""
+    sample = sample_of(family)
+    state, why, mine = _tried(lambda: sample.read(folder), folder)
+    if state in FAILURES:
         return state, why
-    theirs = oracle(name, data)
-    if not isinstance(mine, dict):
-        if theirs is None:
-            return "refused", why
-        return ("stricter" if name == "argoverse2" else "disagree"), f"refused: {why}"
-    if theirs is None:
-        if name == "traf" and any("-" in agent[1:] for agent, _ in mine):
-            return "read", ""  # of two boxes with one id the oracle knows no names
-        return "disagree", "read, the oracle refuses"
-    difference = differ(mine, theirs)
+    try:
+        theirs = sample.oracle(folder)
+        if state == "refused":
+            return ("disagree" if family in TWO_SIDED else "stricter"), f"refused: {why}"
+        difference = sample.differs(mine, theirs)
+    except Unsure:
+        return state, why
+    except Refused as error:
+        return ("refused", why) if state == "refused" else ("disagree", f"the oracle: {error}")
+    except Exception as error:  # an oracle reads nothing that it does not expect
+        return ("refused", why) if state == "refused" else ("disagree", f"the oracle: {error!r}")
     return ("read", "") if difference is None else ("disagree", difference)
 
 
-def rows_read(name: str, path: Path) -> Rows:
-    """Place of each agent at each time, as graphrqi reads a recording.
-
-    Args:
-        name: key of its format.
-        path: the file.
-    """
-    found: Rows = {}
-    for recording in get_reader(name)(path):
-        tracks = recording.tracks
-        seen = tracks.as_rows()
-        for row in range(seen.speed.size):
-            agent, step = seen.index.agent[row], seen.index.step[row]
-            x, y = seen.xy[row].tolist()
-            if name == "sumo-fcd":  # back to the front of the vehicle
-                x += 0.5 * tracks.length[agent] * math.cos(seen.heading[row])
-                y += 0.5 * tracks.length[agent] * math.sin(seen.heading[row])
-            found[tracks.names[agent], float(tracks.time_s[step])] = (x, y)
-    return found
+def sample_of(family: str) -> Sample:
+    """The sample of a family that is files; one that is grown is read as its format."""
+    if family not in GROWN:
+        return _samples()[family]
+    key = family.removesuffix("-grown")
+    file = grammars.FILES[key]
+    return Sample(
+        {}, lambda folder: list(get_reader(key)(folder / file)),
+        lambda folder: rows_told(key, folder / file), partial(other_rows, key), key,
+    )  # fmt: skip

@@ -6,6 +6,8 @@ goes on with the next. Needs ``fork`` and ``resource``: Linux or macOS.
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import json
 import multiprocessing
 import os
@@ -13,16 +15,21 @@ import resource
 import signal
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
-from experiments.benches.hostile.trial import check, families
+from experiments.benches.hostile.trial import FAILURES, check, families
 
 WORKER_INPUTS: Final = 5000
 """Inputs after which a worker is replaced (our choice: what leaks then shows as its peak)."""
+
+PEAK: Final = Path("/proc/self/clear_refs")
+"""Linux forgets the peak of a process's memory when 5 is written here."""
+
+STATUS: Final = Path("/proc/self/status")
 
 
 @dataclass(frozen=True)
@@ -32,10 +39,11 @@ class Trial:
     Attributes:
         family: of the input.
         number: of the input.
-        state: as `experiments.benches.hostile.trial.check`, or "abort" or "slow".
+        state: as `experiments.benches.hostile.trial.check`, or "abort", "slow" or "large".
         why: in words.
         seconds: that it took.
-        peak_gb: most memory of the worker so far, GB.
+        peak_gb: most memory that the worker held while it tried this input, GB (where the system
+            is not Linux: so far).
     """
 
     family: str
@@ -46,12 +54,13 @@ class Trial:
     peak_gb: float
 
 
-def try_all(inputs: Sequence[tuple[str, int]], limit_gb: float, limit_s: float) -> Iterator[Trial]:
+def try_all(inputs: Iterable[tuple[str, int]], limit_gb: float, limit_s: float) -> Iterator[Trial]:
     """Try inputs one after another.
 
     Args:
         inputs: families and numbers.
-        limit_gb: address space that a worker may take beyond what it starts with, GB.
+        limit_gb: memory that one input may take, GB; a worker can have twice as much address space
+            beyond what it starts with, since libraries set space aside that they never use.
         limit_s: longest time for one input, s.
 
     Yields:
@@ -63,13 +72,12 @@ def try_all(inputs: Sequence[tuple[str, int]], limit_gb: float, limit_s: float) 
 
 
 def _try_all(
-    inputs: Sequence[tuple[str, int]], limit_gb: float, limit_s: float, scratch: Path
+    inputs: Iterable[tuple[str, int]], limit_gb: float, limit_s: float, scratch: Path
 ) -> Iterator[Trial]:
     context = multiprocessing.get_context("fork")
-    at = 0
-    while at < len(inputs):
+    coming = iter(inputs)
+    while part := list(itertools.islice(coming, WORKER_INPUTS)):
         told, tell = context.Pipe(duplex=False)
-        part = inputs[at : at + WORKER_INPUTS]
         worker = context.Process(target=_work, args=(part, tell, limit_gb, scratch))
         worker.start()
         tell.close()
@@ -96,8 +104,7 @@ def _try_all(
             why = f"over {limit_s:g} s" if state == "slow" else f"exit code {worker.exitcode}"
             seconds = time.monotonic() - began
             yield Trial(family, number, state, why, seconds, float("nan"))
-            done += 1
-        at += done
+            coming = itertools.chain(part[done + 1 :], coming)
 
 
 def _work(
@@ -105,18 +112,29 @@ def _work(
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    limit = _address_space() + int(limit_gb * 1e9)
+    limit = _address_space() + int(2e9 * limit_gb)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     for family, number in inputs:
+        with contextlib.suppress(OSError):
+            PEAK.write_bytes(b"5")
         began = time.perf_counter()
         state, why = check(family, number, scratch / f"{family}-{number}")
-        trial = Trial(
-            family, number, state, why[:500], time.perf_counter() - began,
-            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
-        )  # fmt: skip
+        seconds, peak_gb = time.perf_counter() - began, _peak_gb()
+        if peak_gb > limit_gb and state not in FAILURES:
+            state, why = "large", f"{peak_gb:.2f} GB, {why}"
+        trial = Trial(family, number, state, why[:500], seconds, peak_gb)
         tell.send_bytes(json.dumps(trial.__dict__).encode())
     tell.close()
     os._exit(0)  # the parent's clean-up is not ours
+
+
+def _peak_gb() -> float:
+    """Most memory that this process has held since its peak was forgotten, GB."""
+    try:
+        told = STATUS.read_bytes().partition(b"VmHWM:")[2].split(maxsplit=1)
+        return int(told[0]) / 1e6
+    except (OSError, IndexError, ValueError):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 def _address_space() -> int:

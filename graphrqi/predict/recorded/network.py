@@ -12,7 +12,9 @@ References:
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -55,6 +57,10 @@ MARGIN: Final = 0.15
 """Share of a range's end over which the network gives way to the base beyond it (our choice)."""
 
 
+LEAST: Final = 1e-9
+"""Ends of a range are no smaller (recordings without noise end at 0)."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrainedRange:
     """What the network was trained on.
@@ -80,7 +86,9 @@ class TrainedRange:
             (speed, self.speed_mps), (noise_m, self.noise_m), (noise_mps, self.noise_mps),
             (np.full_like(speed, step_s), self.step_s),
         ):  # fmt: skip
-            out = np.minimum(out, np.clip(1.0 - (value / most - 1.0) / MARGIN, 0.0, 1.0))
+            out = np.minimum(
+                out, np.clip(1.0 - (value / max(most, LEAST) - 1.0) / MARGIN, 0.0, 1.0)
+            )
         return out
 
 
@@ -165,10 +173,30 @@ def load_network(path: Path) -> RecordedNetwork:
     """
     layers, content = read_layers(path)
     try:
-        trained = TrainedRange(**content["trained"])
-    except (KeyError, TypeError) as error:
+        told = {name: float(value) for name, value in content["trained"].items()}
+        trained = TrainedRange(**told)
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+    for name, value in told.items():
+        if not 0.0 <= value < math.inf:
+            raise InputError(f"{path}: trained.{name}: found {value:g}, expected 0 or more")
+    _check_shapes(path, *layers)
     return RecordedNetwork(*layers, content["spread_scale"], trained)
+
+
+def _check_shapes(
+    path: Path, mean: FloatArray, scale: FloatArray, weights: Layers, biases: Layers
+) -> None:
+    """Refuse layers that do not lead from one to the next, from features to futures."""
+    sizes = [mean.size, *(bias.size for bias in biases)]
+    expected = [(sizes[0],), (sizes[0],), *((size,) for size in sizes[1:]), *pairwise(sizes)]
+    arrays: tuple[NDArray[Any], ...] = (mean, scale, *biases, *weights)
+    found = [array.shape for array in arrays]
+    if found != expected or sizes[-1] != MODES * PER_MODE or not (scale > 0.0).all():
+        raise InputError(
+            f"{path}: found arrays of the shapes {found}"[:300] + ", expected layers of a network "
+            f"with {MODES * PER_MODE} answers"
+        )
 
 
 SHIPPED: Final = "recorded.safetensors"

@@ -17,8 +17,9 @@ import pyarrow.csv as pv
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.packed import opened
-from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size, real
+from sim.formats.common.packed import lines_of, opened
+from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size
+from sim.written_numbers import real
 
 MAX_HEADER_BYTES: Final = 65536
 """Longest first line (our choice; the longest known has 300)."""
@@ -187,7 +188,7 @@ def read_fields(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Col
     columns: dict[str, list[float]] = {name: [] for name in wanted}
     places = [(columns[name], header.index(name)) for name in wanted]
     with opened(path) as file:
-        for number, line in enumerate(iter(lambda: file.readline(MAX_HEADER_BYTES), b""), 1):
+        for number, line in lines_of(path, file, MAX_HEADER_BYTES):
             fields = line.split()
             if not fields:
                 continue

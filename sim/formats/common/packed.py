@@ -11,6 +11,8 @@ from typing import IO, TYPE_CHECKING, Final, cast
 from behaviors.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from _typeshed import WriteableBuffer
 
 SUFFIX: Final = ".gz"
@@ -25,6 +27,23 @@ FREE_BYTES: Final = 2**26
 
 BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
 """What reading a file that is not packed as its name says raises."""
+
+
+def lines_of(path: Path, file: IO[bytes], most: int) -> Iterator[tuple[int, bytes]]:
+    """The lines of a file and their numbers, from 1.
+
+    Args:
+        path: for messages.
+        file: open for reading.
+        most: longest line, bytes.
+
+    Raises:
+        InputError: if a line is longer.
+    """
+    for number, line in enumerate(iter(lambda: file.readline(most), b""), 1):
+        if len(line) == most and line[-1:] != b"\n":
+            raise InputError(f"{path}: line {number}: found {most} bytes or more, expected fewer")
+        yield number, line
 
 
 def opened(path: Path) -> IO[bytes]:

@@ -202,21 +202,6 @@ def kind_codes(kinds: Sequence[AgentKind]) -> NDArray[np.int8]:
     return np.array([kind.code for kind in kinds], dtype=np.int8)
 
 
-def real(text: str | bytes) -> float:
-    """A number in the way that files write them: digits, a point, an exponent.
-
-    Raises:
-        ValueError: if it is none, or one that only Python reads: ``1_000``, full-width digits.
-
-    Examples:
-        >>> real("-1.5e3")
-        -1500.0
-    """
-    if not text.isascii() or ("_" in text if isinstance(text, str) else b"_" in text):
-        raise ValueError(f"found {text!r:.40}, expected a number")
-    return float(text)
-
-
 def default_size(kind: AgentKind) -> tuple[float, float]:
     """Length and width of a kind where a format does not say them, m."""
     if kind is AgentKind.CAR:

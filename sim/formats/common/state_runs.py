@@ -14,6 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.written_numbers import real
+
 RUN: Final = "stateRun"
 """The element that stands for a run; its ``number`` is the index into `StateRuns.tables`."""
 
@@ -81,7 +83,7 @@ class StateRuns:
         try:
             for texts, name in zip(zip(*found, strict=True), form.names, strict=False):
                 if name in COLUMNS:
-                    table[:, COLUMNS.index(name)] = list(map(float, texts))
+                    table[:, COLUMNS.index(name)] = list(map(real, texts))
         except ValueError:
             return None
         return None if (np.abs(table) > self.most).any() else table

@@ -31,6 +31,7 @@ from sim.formats.waymo.tfrecord import MAX_RECORD_BYTES, read_records
 from sim.frames import AgentKind, Signal
 from sim.road.maps.waymo import WaymoLane, waymo_road, with_neighbours
 from sim.track_rows import MAX_CELLS
+from sim.written_numbers import real, whole
 from sim.xml_tree import read_bytes
 
 FloatArray = NDArray[np.float64]
@@ -273,6 +274,16 @@ def _from_json(path: Path) -> _Scene:
         raise InputError(f"{path}: expected a Waymo scenario, found another: {reason}") from None
 
 
+def _real(value: Any) -> float:
+    """A number; protobuf's JSON may write it as text."""
+    return real(value) if isinstance(value, str) else float(value)
+
+
+def _whole(value: Any) -> int:
+    """A whole number; protobuf's JSON writes long ones as text."""
+    return whole(value) if isinstance(value, str) else int(value)
+
+
 def _field(part: Mapping[str, Any], name: str, default: Any = None) -> Any:
     """A field of a message in JSON, whose names are in snake_case or camelCase."""
     if name in part:
@@ -282,7 +293,7 @@ def _field(part: Mapping[str, Any], name: str, default: Any = None) -> Any:
 
 
 def _from_protobuf_json(path: Path, found: Mapping[str, Any]) -> _Scene:
-    times = [float(t) for t in _field(found, "timestamps_seconds", [])]
+    times = [_real(t) for t in _field(found, "timestamps_seconds", [])]
     tracks = _field(found, "tracks", [])
     _check_counts(str(path), len(tracks), len(times))
     name = str(_field(found, "scenario_id", stem(path)))[:100]
@@ -295,31 +306,31 @@ def _from_protobuf_json(path: Path, found: Mapping[str, Any]) -> _Scene:
                 raise InputError(f"{path}: found {len(states)} states, expected {len(times)}")
             scene.left_out += 1
             continue
-        scene.names.append(str(int(_field(track, "id", 0))))
+        scene.names.append(str(_whole(_field(track, "id", 0))))
         scene.kinds.append(kind)
         seen = [(t, s) for t, s in enumerate(states) if _field(s, "valid", False) is True]
         scene.steps.append([t for t, _ in seen])
         scene.values.append([_state(s) for _, s in seen])
     features = _field(found, "map_features", [])
     stops = {
-        int(lane) for f in features if (sign := _field(f, "stop_sign"))
+        _whole(lane) for f in features if (sign := _field(f, "stop_sign"))
         for lane in _field(sign, "lane", [])
     }  # fmt: skip
     for feature in features:
-        identity = int(_field(feature, "id", 0))
+        identity = _whole(_field(feature, "id", 0))
         lane, crosswalk = _field(feature, "lane"), _field(feature, "crosswalk")
         if lane is not None:
             beside = [_field(lane, f"{side}_neighbors", []) for side in ("left", "right")]
-            left, right = (int(_field(b[0], "feature_id")) if b else None for b in beside)
+            left, right = (_whole(_field(b[0], "feature_id")) if b else None for b in beside)
             scene.lanes.append(
                 WaymoLane(
                     id=identity,
                     line=_xy(_field(lane, "polyline", [])),
-                    limit_mph=float(_field(lane, "speed_limit_mph", 0.0)),
+                    limit_mph=_real(_field(lane, "speed_limit_mph", 0.0)),
                     type=_lane_type(_field(lane, "type", 0)),
                     interpolating=bool(_field(lane, "interpolating", False)),
-                    before=tuple(int(i) for i in _field(lane, "entry_lanes", [])[:16]),
-                    after=tuple(int(i) for i in _field(lane, "exit_lanes", [])[:16]),
+                    before=tuple(_whole(i) for i in _field(lane, "entry_lanes", [])[:16]),
+                    after=tuple(_whole(i) for i in _field(lane, "exit_lanes", [])[:16]),
                     left=left,
                     right=right,
                     stops=identity in stops,
@@ -330,7 +341,7 @@ def _from_protobuf_json(path: Path, found: Mapping[str, Any]) -> _Scene:
     for shown in _field(found, "dynamic_map_states", []):
         scene.lights.append(
             {
-                int(_field(s, "lane")): _light(_field(s, "state", 0))
+                _whole(_field(s, "lane")): _light(_field(s, "state", 0))
                 for s in _field(shown, "lane_states", [])
             }
         )
@@ -340,7 +351,7 @@ def _from_protobuf_json(path: Path, found: Mapping[str, Any]) -> _Scene:
 
 def _state(state: Mapping[str, Any]) -> tuple[float, ...]:
     x, y, heading, vx, vy, length, width = (
-        float(_field(state, name, 0.0))
+        _real(_field(state, name, 0.0))
         for name in ("center_x", "center_y", "heading", "velocity_x", "velocity_y", "length",
                      "width")
     )  # fmt: skip
@@ -348,7 +359,7 @@ def _state(state: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 def _xy(points: Sequence[Mapping[str, Any]]) -> FloatArray:
-    return np.array([(float(p["x"]), float(p["y"])) for p in points]).reshape(-1, 2)
+    return np.array([(_real(p["x"]), _real(p["y"])) for p in points]).reshape(-1, 2)
 
 
 def _kind(word: Any) -> AgentKind | None:
@@ -360,14 +371,14 @@ def _kind(word: Any) -> AgentKind | None:
 def _lane_type(word: Any) -> int:
     if isinstance(word, str):
         return LANE_WORDS.get(word.lower(), 3 if word.lower().endswith("bike_lane") else 0)
-    return int(word)
+    return _whole(word)
 
 
 def _light(word: Any) -> int:
     if isinstance(word, str):
         plain = word.lower().removeprefix("lane_state_")
         return STATE_WORDS.index(plain) if plain in STATE_WORDS else 0
-    return int(word) if 0 <= int(word) < len(STATES) else 0
+    return _whole(word) if 0 <= _whole(word) < len(STATES) else 0
 
 
 def _from_nocturne(path: Path, found: Mapping[str, Any]) -> _Scene:
@@ -383,19 +394,19 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> _Scene:
         if kind is None:
             scene.left_out += 1
             continue
-        scene.names.append(str(int(one.get("id", index))))
+        scene.names.append(str(_whole(one.get("id", index))))
         scene.kinds.append(kind)
-        length, width = float(one["length"]), float(one["width"])
+        length, width = _real(one["length"]), _real(one["width"])
         seen, values = list[int](), list[tuple[float, ...]]()
         for t, (place, heading, velocity, valid) in enumerate(
             zip(one["position"], one["heading"], one["velocity"], one["valid"], strict=True)
         ):
             if not valid:
                 continue
-            vx, vy = float(velocity["x"]), float(velocity["y"])
-            speed, angle = math.hypot(vx, vy), float(heading)
+            vx, vy = _real(velocity["x"]), _real(velocity["y"])
+            speed, angle = math.hypot(vx, vy), _real(heading)
             seen.append(t)
-            values.append((float(place["x"]), float(place["y"]), angle, speed, length, width))
+            values.append((_real(place["x"]), _real(place["y"]), angle, speed, length, width))
             headings.append(angle)
             courses.append(math.atan2(vy, vx) if 1.0 < speed < 1e9 else math.nan)
         scene.steps.append(seen)
@@ -423,15 +434,15 @@ def _nocturne_map(scene: _Scene, found: Mapping[str, Any]) -> None:
     """The lanes and lights of such a JSON: of lanes it has lines only."""
     for index, road in enumerate(found.get("roads") or []):
         if road["type"] == "lane":
-            identity = int(road.get("id", index))
+            identity = _whole(road.get("id", index))
             scene.lanes.append(WaymoLane(id=identity, line=_xy(road["geometry"])))
         elif road["type"] == "crosswalk":
             scene.crosswalks[str(road.get("id", index))] = _xy(road["geometry"])
     known = {lane.id for lane in scene.lanes}
     scene.lights = [{} for _ in range(scene.time_s.size)]
     for lane, shown in (found.get("tl_states") or {}).items():
-        if int(lane) not in known:
+        if _whole(lane) not in known:
             continue
         for t, state in zip(shown["time_index"], shown["state"], strict=True):
-            if 0 <= int(t) < len(scene.lights):
-                scene.lights[int(t)][int(lane)] = _light(state)
+            if 0 <= _whole(t) < len(scene.lights):
+                scene.lights[_whole(t)][_whole(lane)] = _light(state)

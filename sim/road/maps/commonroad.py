@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim import written_numbers
 from sim.frames import Signal
 from sim.road import Crossing, MapKnowledge, Road, SignalPlan
 from sim.road.maps.lanelets import (
@@ -158,7 +159,7 @@ def real(path: Path, text: str | None, what: str) -> float:
         InputError: naming the file and what the number is.
     """
     try:
-        value = float(text or "")
+        value = written_numbers.real(text or "")
     except ValueError:
         raise InputError(f"{path}: {what}: found {str(text)[:40]!r}, expected a number") from None
     if not abs(value) <= MAX_COORDINATE_M:
@@ -179,7 +180,7 @@ def line_of(path: Path, element: Element | None, what: str) -> NDArray[np.float6
     if len(x) != len(y) or len(x) < 2:
         raise InputError(f"{path}: {what}: found {len(x)} x and {len(y)} y, expected 2 or more")
     try:
-        line = np.array([list(map(float, x)), list(map(float, y))]).T
+        line = np.array([[written_numbers.real(one) for one in axis] for axis in (x, y)]).T
     except ValueError:
         raise InputError(f"{path}: {what}: found a point that is no number") from None
     if not (np.abs(line) <= MAX_COORDINATE_M).all():

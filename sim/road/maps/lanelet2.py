@@ -37,6 +37,7 @@ from sim.road.maps.lanelets import (
     with_junctions,
 )
 from sim.road.maps.transverse_mercator import to_metres, zone_of
+from sim.written_numbers import real
 from sim.xml_tree import read_tree, whole_number
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +59,7 @@ NOT_FOR_CARS: Final = frozenset({"bicycle_lane", "bikelane", "bus_lane", "rail"}
 UNITS: Final = {"": 1 / 3.6, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704, "m/s": 1.0}
 """Units of speed limits; without one they are km/h."""
 
-_SPEED: Final = re.compile(r"^\s*(?:de\s*:?\s*)?(\d{1,3}(?:\.\d{1,6})?)\s*([a-z/]*)\s*$")
+_SPEED: Final = re.compile(r"^\s*(?:de\s*:?\s*)?([0-9]{1,3}(?:\.[0-9]{1,6})?)\s*([a-z/]*)\s*$")
 
 
 def read_map(path: Path, name: str | None = None, origin: Origin | None = None) -> Road:
@@ -172,7 +173,7 @@ def _places(path: Path, root: Element, origin: Origin | None) -> dict[int, tuple
 
 def _table(path: Path, pairs: list[tuple[str | None, str | None]], most: float) -> FloatArray:
     try:
-        table = np.array([(float(a or ""), float(b or "")) for a, b in pairs])
+        table = np.array([(real(a or ""), real(b or "")) for a, b in pairs])
     except ValueError:
         raise InputError(f"{path}: found a node whose place is no number") from None
     if not (np.abs(table) <= most).all():

@@ -35,7 +35,7 @@ _Line = Annotated[list[tuple[_Number, _Number]], Field(min_length=2)]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
 
 class _Lane(_Part):

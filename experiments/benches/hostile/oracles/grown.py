@@ -11,11 +11,12 @@ import math
 import re
 import subprocess
 import sys
-import tempfile
 import xml.etree.ElementTree as ET
-from typing import Final
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
 
-from experiments.benches.hostile.grammars import TABLES, Table
+from experiments.benches.hostile.grammars import Table
 
 Rows = dict[tuple[str, float], tuple[float, float]]
 """Place of each agent at each time, as a reader found it."""
@@ -29,6 +30,10 @@ NOT_PLACES: Final = ("timestamp", "timestamp_ms", "frame", "heading")
 
 class Refused(Exception):
     """The oracle's answer to a file that is broken."""
+
+
+class Unsure(Exception):
+    """The oracle's answer where it cannot know."""
 
 
 def finite(text: str) -> float:
@@ -176,7 +181,7 @@ def read_traf(data: bytes) -> Rows:
             if w <= 0 or h <= 0 or max(map(abs, (x, y, w, h, agent))) > 10**6:
                 raise Refused("box")
             if (str(agent), last / 25.0) in found:
-                raise Refused("twins")  # the reader gives the second a name of its own
+                raise Unsure("the reader gives the second box of an id a name of its own")
             found[str(agent), last / 25.0] = (x + w / 2, 480 - (y + h / 2))
     if not found:
         raise Refused("no boxes")
@@ -185,42 +190,65 @@ def read_traf(data: bytes) -> Rows:
 
 CHILD: Final = """
 import json, sys, pyarrow.parquet as pq
-try:
-    t = pq.read_table(sys.argv[1], partitioning=None, use_threads=False)
-    t.validate(full=True)
-    keep = ("track_id", "object_type", "timestep", "position_x", "position_y")
-    print(json.dumps([t.column(c).to_pylist() for c in keep]))
-except Exception:  # pyarrow refuses by errors of many kinds
-    print("null")
+for line in sys.stdin:
+    try:
+        path, columns = json.loads(line)
+        t = pq.read_table(path, columns=columns, partitioning=None, use_threads=False)
+        t.validate(full=True)
+        told = json.dumps({c: t.column(c).to_pylist() for c in t.column_names}, default=str)
+    except Exception:  # pyarrow refuses by errors of many kinds
+        told = "null"
+    print(told, flush=True)
 """
 
+_child: list[subprocess.Popen[str]] = []
+"""The process with pyarrow, once there is one."""
 
-def read_argoverse2(data: bytes) -> Rows | None:
-    """What pyarrow reads in a process of its own; None where it refuses or dies."""
-    with tempfile.NamedTemporaryFile(suffix=".parquet") as file:
-        file.write(data)
-        file.flush()
-        done = subprocess.run(
-            [sys.executable, "-c", CHILD, file.name], capture_output=True, text=True, check=False
+
+def arrow_columns(path: Path, columns: Sequence[str]) -> dict[str, list[Any]] | None:
+    """What pyarrow reads of columns in a process of its own; None where it refuses or dies.
+
+    Args:
+        path: a Parquet file.
+        columns: which of its columns; those that are not there are left out.
+    """
+    if not _child:
+        _child.append(
+            subprocess.Popen(
+                [sys.executable, "-c", CHILD],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            )
         )
-    columns = json.loads(done.stdout or "null")
-    if columns is None:
+    child = _child[0]
+    assert child.stdin is not None
+    assert child.stdout is not None
+    try:
+        child.stdin.write(json.dumps([str(path), list(columns)]) + "\n")
+        child.stdin.flush()
+        told = child.stdout.readline()
+    except BrokenPipeError:
+        told = ""
+    if not told:
+        _child.clear()
+        child.kill()
+        child.communicate()
+        return None
+    found: dict[str, list[Any]] | None = json.loads(told)
+    return found
+
+
+def read_argoverse2(path: Path) -> Rows | None:
+    """What pyarrow reads of an Argoverse 2 scenario; None where it refuses."""
+    names = ("track_id", "object_type", "timestep", "position_x", "position_y")
+    columns = arrow_columns(path, (*names, "heading", "velocity_x", "velocity_y"))
+    if columns is None or not set(names) <= columns.keys():
         return None
     kinds = ("vehicle", "bus", "motorcyclist", "cyclist", "pedestrian")
-    rows = zip(*columns, strict=True)
+    rows = zip(*(columns[name] for name in names), strict=True)
     return {(t, k / 10.0): (x, y) for t, kind, k, x, y in rows if kind in kinds}
-
-
-def oracle(family: str, data: bytes) -> Rows | None:
-    """What the independent reader says; None where it refuses."""
-    try:
-        if family in TABLES:
-            return read_table(TABLES[family], data)
-        return {"sumo-fcd": read_fcd, "traf": read_traf, "argoverse2": read_argoverse2}[family](
-            data
-        )
-    except Refused:
-        return None
 
 
 def differ(one: Rows, other: Rows) -> str | None:

@@ -1,0 +1,1 @@
+"""Slow independent readers, which share no code with ours."""
