@@ -62,6 +62,7 @@ class DriverNumbers:
         low: (n, 5) where the 90 % interval begins.
         high: (n, 5) where it ends.
         known: (n, 5) whether the driver's own driving tells it; the others are the population's.
+        factor: (n, 5) the median over that of the population; 1 where it is not known.
     """
 
     ids: IntArray
@@ -69,6 +70,7 @@ class DriverNumbers:
     low: FloatArray
     high: FloatArray
     known: BoolArray
+    factor: FloatArray
 
     def __repr__(self) -> str:
         """How many drivers there are, and of how many something is known."""
@@ -172,7 +174,8 @@ class LiveNumbers:
             narrow = np.log(found[:, 2] / found[:, 0]) < KNOWN * 2.0 * reach
             known[i] = narrow
             low[i, narrow], median[i, narrow], high[i, narrow] = found[narrow].T
-        return DriverNumbers(ids, median, low, high, known)
+        factor = np.where(known, median / self.population.median, 1.0)
+        return DriverNumbers(ids, median, low, high, known, factor)
 
 
 def _quantiles(values: FloatArray, weight: FloatArray) -> FloatArray:

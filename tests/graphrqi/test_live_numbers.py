@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from behaviors.errors import InputError
 from behaviors.populations import NUMBERS, Population, drivers_of, read_population
-from graphrqi.calibrate.live import LiveNumbers
+from graphrqi.calibrate.live import DriverNumbers, LiveNumbers
+from graphrqi.posterior import Posterior
+from graphrqi.predict import predict
 from graphrqi.stream import load_stream
-from sim.frames import Frame
+from scenarios import SCENARIOS
+from sim.frames import Frame, Tracks
 
 PAIRS, SECONDS, STEP_S = 40, 60.0, 0.1
 PEOPLE = Population(
@@ -99,3 +104,41 @@ def test_a_stream_carries_the_numbers_along() -> None:
     assert numbers.known[:3].any()
     assert plain.numbers() is None
     assert drivers_of(read_population("us101")).population.name == "us101"
+
+
+def test_rollouts_drive_each_car_by_its_own_numbers() -> None:
+    road = SCENARIOS["straight_road"]().road
+    lane = next(lane for lane in road.lanes if lane.cars and not lane.walking)
+    begin = lane.centerline[0, :2]
+    heading = np.arctan2(*(lane.centerline[1, :2] - begin)[::-1])
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    made = []
+    for k in range(20):
+        xy = begin + (np.array([60.0, 72.0]) + 1.0 * k)[:, None] * ahead
+        made.append(
+            Frame(
+                time_s=0.1 * k, ids=np.arange(2), xy=xy, heading=np.full(2, heading),
+                speed=np.full(2, 10.0), length=np.full(2, 4.5), width=np.full(2, 1.8),
+                kind=np.zeros(2, np.int8),
+                signals=np.zeros(len(road.signal_groups), np.int8), events=(),
+            )
+        )  # fmt: skip
+    history = Tracks.from_frames(made)
+    nobody = Posterior(np.empty(0, np.int64), np.empty((0, 6)))
+
+    def numbers(factor: float) -> DriverNumbers:
+        ones = np.ones((2, 5))
+        own = ones.copy()
+        own[0, 1] = factor
+        return DriverNumbers(np.arange(2), own, ones, ones, own != 1.0, own)
+
+    def reached(factor: float) -> float:
+        told = predict(history, nobody, road, 5.0, "car-following", numbers=numbers(factor))
+        return float((told.xy[0, 0, -1] - begin) @ ahead)
+
+    assert reached(2.0) < reached(1.2) - 0.5 < reached(1.01) - 0.5
+    plain = predict(history, nobody, road, 5.0, "car-following")
+    same = predict(history, nobody, road, 5.0, "car-following", numbers=numbers(1.0))
+    np.testing.assert_array_equal(same.xy, plain.xy)
+    with pytest.raises(InputError, match="expected 'car-following' on a known road"):
+        predict(history, nobody, road, 5.0, "constant-velocity", numbers=numbers(1.0))

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from behaviors.populations import read_population
 from experiments.benches.drive.crowds import CROWDS, Crowd
 from experiments.benches.drive.policies import get_policy
 from scenarios.environments.environment import TrafficEnv
@@ -126,17 +127,20 @@ def drive(
     Raises:
         InputError: if the policy or a part of the configuration is not usable.
     """
-    path = None
+    path, of = None, dict(config)
+    population = CROWDS[crowd].population
+    if population is not None:  # another file of that name is another crowd
+        of["population"] = read_population(population).sha256
     if kept is not None:
         name = policy.replace(":", "--").replace("/", "--")
         path = Path(kept) / scenario / crowd / name / f"{seed}.json"
-        found = _kept(path, config)
+        found = _kept(path, of)
         if found is not None:
             return found
     figures = _drive(scenario, crowd, policy, seed, config)
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        content = {"config": dict(config), "figures": figures}
+        content = {"config": of, "figures": figures}
         write_whole(path, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
     return figures
 
