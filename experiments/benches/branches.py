@@ -77,9 +77,11 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
 
     Yields:
         Rows of each scenario: the share of branches that are ``identical`` and the ``branches``;
-        how many ``agents``, ``pedestrians`` and ``signal_changes`` were compared; ``forks_per_s``;
-        and after branches were killed, whether the trunk drove on identically
-        (``trunk_unharmed``) and how many ``dead_processes`` were left.
+        how many ``agents``, ``pedestrians`` and ``signal_changes`` were compared; ``forks_per_s``
+        by the clock on the wall, and ``fork_cpu_ms``, the processor time that each costs the
+        process that is copied, which other work on the machine does not lengthen; and after
+        branches were killed, whether the trunk drove on identically (``trunk_unharmed``) and how
+        many ``dead_processes`` were left.
     """
     for name in settings.scenarios:
         at_s, until_s = settings.at_s, settings.at_s + settings.seconds
@@ -91,7 +93,9 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         with Trunk(scenario, agents, settings.seed) as trunk:
             trunk.advance(at_s)
             exact = _identical_branches(trunk, after, settings.branches)
+            spent_s = processor_s(trunk.process_id)
             rate = _forks_per_s(trunk, at_s + scenario.step_s, settings.branches)
+            spent_s = processor_s(trunk.process_id) - spent_s
             left = _dead_after_kill(trunk, until_s)
             unharmed = identical(trunk.advance(until_s), after)
         signals = np.stack([frame.signals for frame in after])
@@ -106,6 +110,7 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
             ),
             "signal_changes": (float((np.diff(signals, axis=0) != 0).sum()), len(after)),
             "forks_per_s": (rate, n),
+            "fork_cpu_ms": (1e3 * spent_s / n, n),
             "trunk_unharmed": (float(unharmed), KILLED),
             "dead_processes": (float(left), KILLED),
         }  # fmt: skip
@@ -149,6 +154,12 @@ def _dead_after_kill(trunk: Trunk, until_s: float) -> int:
     while children(trunk.process_id) and time.monotonic() < late:
         time.sleep(0.05)
     return len(children(trunk.process_id))
+
+
+def processor_s(process: int) -> float:
+    """Processor time that a process has taken, s, without that of its children."""
+    fields = Path(f"/proc/{process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def children(process: int) -> list[int]:
