@@ -35,6 +35,7 @@ EXTRAS: Final[dict[str, str]] = {
     "multi": "only needed for environments with several agents",
     "train": "only needed to train drivers by reinforcement learning",
     "video": "only needed for films in MP4",
+    "asam": "only needed to export OpenSCENARIO and OpenDRIVE",
     "docs": "only needed to build the documentation's pages",
     "dev": "only needed to test and change the code",
 }

@@ -192,6 +192,11 @@ FORMATS: Final[Registry[Format]] = Registry(
             writer="sim.formats.scenarionet:write",
             index="sim.formats.scenarionet:Index",
         ),
+        "openscenario": Format(
+            ("*.xosc",),
+            re.compile(rb"(?!)"),
+            writer="sim.formats.asam.openscenario:write",
+        ),
     },
 )
 """Every format by name."""

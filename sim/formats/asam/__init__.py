@@ -1,0 +1,1 @@
+"""ASAM's formats: an episode as OpenSCENARIO and its road as OpenDRIVE (``graphrqi[asam]``)."""

@@ -1,0 +1,222 @@
+"""Episodes as OpenSCENARIO 1.2 with the road beside them as OpenDRIVE, for other simulators.
+
+Every agent is an entity that appears when it is first seen, follows its recorded positions and
+headings at their times, and disappears after it is last seen. An entity's reference point is the
+middle of its outline. Signals change by actions; drivers' behaviours are properties of entities.
+Time is the episode's own.
+
+References:
+    ASAM OpenSCENARIO XML 1.2; ASAM OpenDRIVE 1.7. Needs ``pip install graphrqi[asam]``.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from sim.formats.asam.opendrive import NO_DATE, RoadFile, as_bytes, opendrive
+from sim.frames import KINDS, SIGNALS, AgentKind, FloatArray, IntArray, Tracks
+from sim.road import Road
+from sim.store.atomic import write_whole
+
+HEIGHTS_M: Final[dict[AgentKind, float]] = {
+    AgentKind.CAR: 1.5, AgentKind.BUS: 3.2, AgentKind.TRUCK: 3.5, AgentKind.MOTORCYCLE: 1.5,
+    AgentKind.BICYCLE: 1.7, AgentKind.PEDESTRIAN: 1.7,
+}  # fmt: skip
+"""Heights of outlines, m (SUMO's defaults, rounded); frames have none."""
+
+CATEGORIES: Final[dict[AgentKind, str]] = {
+    AgentKind.CAR: "car", AgentKind.BUS: "bus", AgentKind.TRUCK: "truck",
+    AgentKind.MOTORCYCLE: "motorbike", AgentKind.BICYCLE: "bicycle",
+}  # fmt: skip
+"""OpenSCENARIO's categories of vehicles."""
+
+MAX_SPEED_MPS, MAX_ACCEL_MPS2, MAX_DECEL_MPS2 = 70.0, 10.0, 10.0
+"""Limits of vehicles, which the format asks for (our choice: no recorded motion exceeds them)."""
+
+AXLE_SHARE: Final = 0.3
+"""Axles lie this share of the length before and behind the middle (our choice, a car's)."""
+
+
+def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:
+    """Write an episode as ``<name>.xosc``, and its road as ``<name>.xodr``.
+
+    Args:
+        folder: where; it must exist.
+        name: the episode's id.
+        tracks: the episode.
+        road: where it happened, if known.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: if scenariogeneration is not installed.
+    """
+    try:
+        import scenariogeneration  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "openscenario: scenariogeneration not found, expected it: pip install graphrqi[asam]"
+        ) from None
+    made = None if road is None else opendrive(road, name)
+    paths = []
+    if made is not None:
+        paths.append(folder / f"{name}.xodr")
+        write_whole(paths[-1], made.content)
+    paths.append(folder / f"{name}.xosc")
+    write_whole(paths[-1], scenario(name, tracks, made, paths[0].name if made else None))
+    return paths
+
+
+def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | None) -> bytes:
+    """An episode as OpenSCENARIO.
+
+    Args:
+        name: what it is called.
+        tracks: the episode.
+        road: what its road became, for the ids of its signals.
+        road_file: where that is, from the scenario's folder.
+
+    Returns:
+        The file's content.
+    """
+    from scenariogeneration import xosc
+
+    entities, init = xosc.Entities(), xosc.Init()
+    act = xosc.Act("episode", _at(0.0, "begin"))
+    rows = tracks.as_rows()
+    for agent in range(len(tracks.ids)):
+        what = _name(tracks, agent)
+        entities.add_scenario_object(what, _entity(tracks, agent))
+        mine = rows.index.agent == agent
+        steps = np.asarray(rows.index.step)[mine]
+        order = np.argsort(steps, kind="stable")
+        events = _events(
+            what, tracks.time_s, steps[order], rows.xy[mine][order], rows.heading[mine][order]
+        )
+        maneuver = xosc.Maneuver(f"{what} as recorded")
+        for event in events:
+            maneuver.add_event(event)
+        group = xosc.ManeuverGroup(f"{what} alone")
+        group.add_actor(what)
+        group.add_maneuver(maneuver)
+        act.add_maneuver_group(group)
+    if road is not None and len(tracks.signals) == len(road.signals):
+        _add_signals(tracks, road, init, act)
+    story = xosc.Story("recorded")
+    story.add_act(act)
+    end_s = float(tracks.time_s[-1]) if len(tracks.time_s) else 0.0
+    board = xosc.StoryBoard(init, _at(end_s, "end", stops=True))
+    board.add_story(story)
+    made = xosc.Scenario(
+        name, "GraphRQI", xosc.ParameterDeclarations(), entities, board,
+        xosc.RoadNetwork(roadfile=road_file), xosc.Catalog(), osc_minor_version=2,
+        creation_date=datetime.datetime.fromisoformat(NO_DATE),
+    )  # fmt: skip
+    return as_bytes(made.get_element())
+
+
+def _name(tracks: Tracks, agent: int) -> str:
+    """What an agent is called: its id, because names of recordings may be anything."""
+    return f"agent {int(tracks.ids[agent])}"
+
+
+def _entity(tracks: Tracks, agent: int) -> Any:
+    """What an agent is: a vehicle with axles, or a pedestrian."""
+    from scenariogeneration import xosc
+
+    kind = KINDS[tracks.kind[agent]]
+    length, width = float(tracks.length[agent]), float(tracks.width[agent])
+    height = HEIGHTS_M[kind]
+    box = xosc.BoundingBox(width, length, height, 0.0, 0.0, height / 2)
+    what = f"{kind} {int(tracks.ids[agent])}"
+    if kind is AgentKind.PEDESTRIAN:
+        return xosc.Pedestrian(what, 75.0, xosc.PedestrianCategory.pedestrian, box)
+    axle = AXLE_SHARE * length
+    made = xosc.Vehicle(
+        what, getattr(xosc.VehicleCategory, CATEGORIES[kind]), box,
+        xosc.Axle(0.6, 0.6, 0.8 * width, axle, 0.3), xosc.Axle(0.0, 0.6, 0.8 * width, -axle, 0.3),
+        MAX_SPEED_MPS, MAX_ACCEL_MPS2, MAX_DECEL_MPS2,
+    )  # fmt: skip
+    if tracks.behavior is not None and tracks.behavior[agent] >= 0:
+        made.add_property("behavior", str(BEHAVIORS[tracks.behavior[agent]]))
+    return made
+
+
+def _at(time_s: float, name: str, *, stops: bool = False) -> Any:
+    """A trigger at a time of the simulation."""
+    from scenariogeneration import xosc
+
+    rule = xosc.Rule.greaterThan if stops else xosc.Rule.greaterOrEqual
+    condition = xosc.SimulationTimeCondition(time_s, rule)
+    point = "stop" if stops else "start"
+    return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=point)
+
+
+def _events(
+    what: str, time_s: FloatArray, steps: IntArray, xy: FloatArray, heading: FloatArray
+) -> Iterator[Any]:
+    """What an agent does each time that it is there: appear and drive, then disappear."""
+    from scenariogeneration import xosc
+
+    gaps = np.flatnonzero(np.diff(steps) > 1) + 1
+    for number, part in enumerate(np.split(np.arange(steps.size), gaps)):
+        if not part.size:
+            continue
+        times = time_s[steps[part]].tolist()
+        places = [
+            xosc.WorldPosition(float(xy[i, 0]), float(xy[i, 1]), 0.0, float(heading[i]))
+            for i in part
+        ]
+        about = f"{what}, part {number}"
+        event = xosc.Event(f"{about}: appear", xosc.Priority.parallel)
+        event.add_action(f"{about}: be there", xosc.AddEntityAction(what, places[0]))
+        event.add_trigger(_at(times[0], f"{about}: first seen"))
+        yield event
+        if len(places) > 1:
+            line = xosc.Trajectory(f"{about}: line", closed=False)
+            line.add_shape(xosc.Polyline(times, places))
+            follow = xosc.FollowTrajectoryAction(
+                line, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1.0, 0.0
+            )
+            event = xosc.Event(f"{about}: drive", xosc.Priority.parallel)
+            event.add_action(f"{about}: follow the line", follow)
+            event.add_trigger(_at(times[0], f"{about}: set out"))
+            yield event
+        event = xosc.Event(f"{about}: disappear", xosc.Priority.parallel)
+        event.add_action(f"{about}: be gone", xosc.DeleteEntityAction(what))
+        event.add_trigger(_at(times[-1], f"{about}: last seen"))
+        yield event
+
+
+def _add_signals(tracks: Tracks, road: RoadFile, init: Any, act: Any) -> None:
+    """What lights show at first, and every change."""
+    from scenariogeneration import xosc
+
+    group = xosc.ManeuverGroup("signals")
+    maneuver = xosc.Maneuver("programme")
+    count = 0
+    for states, ids in zip(tracks.signals, road.signals, strict=True):
+        if not len(states):
+            continue
+        for light in ids:
+            init.add_global_action(xosc.TrafficSignalStateAction(light, str(SIGNALS[states[0]])))
+        for step in (np.flatnonzero(np.diff(states)) + 1).tolist():
+            for light in ids:
+                shown = str(SIGNALS[states[step]])
+                event = xosc.Event(f"change {count}", xosc.Priority.parallel)
+                action = xosc.TrafficSignalStateAction(light, shown)
+                event.add_action(f"show {count}", action)
+                event.add_trigger(_at(float(tracks.time_s[step]), f"time of change {count}"))
+                maneuver.add_event(event)
+                count += 1
+    if count:
+        group.add_maneuver(maneuver)
+        act.add_maneuver_group(group)
