@@ -148,7 +148,7 @@ def _table(rows: Sequence[Row]) -> list[Row]:
 
 BENCH: Final = Bench(
     name="roads",
-    summary="Both engines on every map of a folder: who leaves, who stays, and what is wrong there.",
+    summary="Both engines on every map of a folder: who leaves, who stays, what is wrong there.",
     keys=("map", "kind", "engine", "what"),
     full=Settings(),
     quick=Settings(only="grid.net", vehicles=5, jobs=1),
