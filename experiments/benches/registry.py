@@ -28,7 +28,7 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "drive": "experiments.benches.drive.bench:BENCH",
         "hostile": "experiments.benches.hostile.bench:BENCH",
         "roads": "experiments.benches.roads.bench:BENCH",
-        "kills": "experiments.benches.kills:BENCH",
+        "kills": "experiments.benches.kills.bench:BENCH",
         "realism": "experiments.benches.realism.bench:BENCH",
         "calibration": "experiments.benches.calibration:BENCH",
     },

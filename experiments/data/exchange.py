@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,7 +29,7 @@ from sim.formats import (
 from sim.formats.common.label_file import read_driver_labels
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
-from sim.store.atomic import write_whole
+from sim.store.atomic import temporary_folder, write_whole
 from sim.store.catalogue import checksum, is_dataset
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.lock import new_folder
@@ -181,8 +180,8 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     if name is None and (source / "episodes").is_dir():
         yield source
         return
-    with tempfile.TemporaryDirectory(prefix="graphrqi-import-") as scratch:
-        folder = Path(scratch) / (source.resolve().name or "recordings")
+    with temporary_folder("import") as scratch:
+        folder = scratch / (source.resolve().name or "recordings")
         import_recordings(source, folder, name, net, split="test", quiet=True)
         with called(folder, source):
             yield folder

@@ -40,7 +40,7 @@ from experiments.data.shards.plan import (
 from experiments.data.shards.staging import staged
 from experiments.data.tasks import T
 from experiments.data.worlds.episode import WorldsConfig, make_world
-from sim.store.atomic import PARTIAL_PREFIX, remove_partial
+from sim.store.atomic import PARTIAL_PREFIX, remove_partial, remove_temporary
 from sim.store.catalogue import is_dataset, road_is_sound, unlisted_episodes
 from sim.store.dataset import open_dataset
 from sim.store.entries import EPISODES
@@ -312,6 +312,7 @@ def generate(
             raise run.failure(wanted)
         manifest = complete(run, sealed)
         write_data_card(out, edited)
+        remove_temporary()
     if run.failed:
         raise run.failure(wanted)
     return manifest
@@ -326,6 +327,7 @@ def complete(run: Generation, sealed: Sequence[Shard], sealer: Sealer | None = N
 
 def clear_partial(folder: Path) -> None:
     """Remove what earlier, killed runs left unfinished."""
+    remove_temporary()
     for home in (folder, folder / "episodes", folder / "roads"):
         remove_partial(home)
 

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
+from sim.store.atomic import remove_temporary
+
 T = TypeVar("T")
 
 PARENT_CHECK_S: Final = 0.25
@@ -27,6 +29,7 @@ def start_worker(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(PARENT_CHECK_S)
+        remove_temporary(own=True)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()

@@ -10,7 +10,6 @@ import importlib.util
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +22,7 @@ from scenarios.networks.geometry import (
     StraightGeometry,
 )
 from scenarios.networks.motorway_and_roundabout import MotorwayGeometry, RoundaboutGeometry
-from sim.store.atomic import write_whole
+from sim.store.atomic import temporary_folder, write_whole
 from sim.store.places import user_cache
 
 FOLDER: Final = Path(__file__).resolve().parent
@@ -165,8 +164,8 @@ def run_program(
         InputError: if the program refuses, or takes too long.
     """
     what, name = what or folder.name, Path(command[0]).stem
-    with tempfile.TemporaryDirectory() as scratch:
-        made = Path(scratch) / net.name
+    with temporary_folder("net") as scratch:
+        made = scratch / net.name
         try:
             done = subprocess.run(
                 [*command, "--output-file", str(made)],

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Final
 from behaviors.errors import InputError
 from scenarios.networks.build import NET, cache_folder, find_program, run_program
 from sim.road.files import read_road_file
+from sim.store.atomic import temporary_folder
 from sim.xml_tree import DECLARED, read_bytes
 
 MAX_MAP_BYTES: Final = 2**28
@@ -184,7 +184,7 @@ def _from_lanes(path: Path, net: Path) -> None:
 def _convert(path: Path, files: dict[str, bytes], options: list[str], net: Path) -> None:
     """Run netconvert over files in a folder of their own; the net appears whole or not at all."""
     program = find_program("netconvert")
-    with tempfile.TemporaryDirectory(prefix="graphrqi-map-") as scratch:
+    with temporary_folder("map") as scratch:
         for name, data in files.items():
-            (Path(scratch) / name).write_bytes(data)
-        run_program([program, *options], Path(scratch), net, what=str(path), within_s=LONGEST_S)
+            (scratch / name).write_bytes(data)
+        run_program([program, *options], scratch, net, what=str(path), within_s=LONGEST_S)

@@ -35,7 +35,11 @@ _ORPHAN: Final = re.compile(
     rf"{re.escape(PARTIAL_PREFIX)}.*-{_HERE}-(\d+)-[0-9a-f]{{8}}", re.DOTALL
 )
 
+_SCRATCH: Final = re.compile(rf"graphrqi-[a-z]+-{_HERE}-(\d+)-[0-9a-f]{{8}}")
+"""Names of temporary folders; see `temporary_folder`."""
+
 _looked_after: set[Path] = set()
+_temporary: set[Path] = set()
 
 
 def refuse_url(path: Path) -> None:
@@ -60,11 +64,11 @@ def _partial(path: Path) -> Path:
     return path.parent / f"{PARTIAL_PREFIX}{path.name}-{own}"
 
 
-def _remove_orphans(folder: Path) -> None:
+def _remove_orphans(folder: Path, names: re.Pattern[str] = _ORPHAN) -> None:
     """Remove what processes of this machine left unfinished in a folder when they were killed."""
     with suppress(OSError):  # a folder that may be written and not listed, or files of others
         for name in os.listdir(folder):
-            match = _ORPHAN.fullmatch(name)
+            match = names.fullmatch(name)
             if match is not None and not _alive(int(match[1])):
                 _remove(folder / name)
 
@@ -132,8 +136,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     refuse_url(path)
     if path.exists() and not path.is_file() and not path.is_dir():
-        with tempfile.TemporaryDirectory(prefix="graphrqi-") as scratch:
-            partial = Path(scratch) / path.name
+        with temporary_folder("file") as scratch:
+            partial = scratch / path.name
             yield partial
             path.write_bytes(partial.read_bytes())
         return
@@ -177,6 +181,49 @@ def whole_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
         _name(error, partial, given)
         raise
+
+
+@contextmanager
+def temporary_folder(purpose: str) -> Iterator[Path]:
+    """A folder for files of this process alone, removed when the block ends.
+
+    What processes that were killed left of theirs goes when the next one asks for its first.
+
+    Args:
+        purpose: a word for its name.
+
+    Yields:
+        The folder, below that for temporary files (``TMPDIR``).
+
+    Raises:
+        OSError: if it cannot be made.
+    """
+    home = Path(tempfile.gettempdir())
+    if home / "graphrqi" not in _looked_after:
+        _looked_after.add(home / "graphrqi")
+        remove_temporary()
+    own = f"{_HERE}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    folder = home / f"graphrqi-{purpose}-{own}"
+    folder.mkdir(mode=0o700)
+    _temporary.add(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _temporary.discard(folder)
+
+
+def remove_temporary(own: bool = False) -> None:
+    """Remove the temporary folders of processes that were killed.
+
+    Args:
+        own: whether to remove those of this process, too, which is about to end at once.
+    """
+    _remove_orphans(Path(tempfile.gettempdir()), _SCRATCH)
+    for folder in list(_temporary) if own else ():
+        match = _SCRATCH.fullmatch(folder.name)
+        if match is not None and int(match[1]) == os.getpid():  # not those of whom it was forked
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _move_folder(partial: Path, path: Path) -> None:

@@ -6,7 +6,6 @@ them.
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from sim.frames import Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.scenario import AgentSpec
+from sim.store.atomic import temporary_folder
 from sim.store.catalogue import checksum, read_manifest, road_name, tables_of
 from sim.store.decode import read_tables
 from sim.store.entries import Catalogue, catalogue_table, open_catalogue, rows_where
@@ -338,8 +338,8 @@ class Dataset:
             raise InputError(f"{path}: found another checksum than its name, expected it unaltered")
         if isinstance(self._place, Folder):
             return read_road_file(path, entry.scenario)
-        with tempfile.TemporaryDirectory(prefix="graphrqi-road-") as scratch:
-            copy = Path(scratch) / path.name
+        with temporary_folder("road") as scratch:
+            copy = scratch / path.name
             copy.write_bytes(data)
             return read_road_file(copy, entry.scenario)
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Protocol, TypeVar, cast
 
 from behaviors.errors import InputError
-from sim.store.atomic import URL, whole_file, write_whole
+from sim.store.atomic import URL, temporary_folder, whole_file, write_whole
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -342,8 +341,8 @@ def whole_file_at(path: Path) -> Iterator[Path]:
         with whole_file(local_path(path)) as partial:
             yield partial
         return
-    with tempfile.TemporaryDirectory(prefix="graphrqi-") as scratch:
-        file = Path(scratch) / path.name
+    with temporary_folder("file") as scratch:
+        file = scratch / path.name
         yield file
         home, _, name = url.rpartition("/")
         Store(home).put(file, name)

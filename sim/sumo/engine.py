@@ -10,7 +10,6 @@ References:
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
@@ -18,6 +17,7 @@ from typing import Any, Final, cast
 from behaviors.errors import InputError
 from sim.frames import Frame
 from sim.scenario import AgentSpec, CarFollowing, Scenario, check_agents
+from sim.store.atomic import temporary_folder
 from sim.sumo.control.acting import Command
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
@@ -215,8 +215,8 @@ def _steps(
 ) -> Generator[Frame | None, AgentSpec | Command | None]:
     """Frames, or None for each where none is read; what is sent to it changes a driver at once."""
     substeps, step_ms = _substeps(scenario.step_s, settings.longest_step_s)
-    with tempfile.TemporaryDirectory(prefix="graphrqi-sumo-") as scratch:
-        sumo, log = _start(scenario, agents, seed, step_ms, Path(scratch), settings, alternatives)
+    with temporary_folder("sumo") as scratch:
+        sumo, log = _start(scenario, agents, seed, step_ms, scratch, settings, alternatives)
         controls: Controls | None = None
         intervened = False  # whether controllers removed or placed an agent in the last step
         try:

@@ -16,8 +16,8 @@ from experiments.benches.hostile.calls import CALLS
 from experiments.benches.hostile.grammars import TABLES, grow
 from experiments.benches.hostile.oracles.grown import differ, read_table
 from experiments.benches.hostile.oracles.recordings import rows_of
-from experiments.benches.kills import Settings as Kills
-from experiments.benches.kills import measure as measure_kills
+from experiments.benches.kills.bench import Settings as Kills
+from experiments.benches.kills.bench import measure as measure_kills
 from sim.formats import FORMATS, get_reader
 
 SAMPLE = 40

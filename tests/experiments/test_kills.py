@@ -1,6 +1,8 @@
-"""A slow check: killed at random moments, again and again, a dataset ends up the same.
+"""Slow checks: killed at random moments, again and again, a dataset ends up the same.
 
-Set GRAPHRQI_SLOW=1 to run it; GRAPHRQI_KILLS says how many kills per pool (100 if not set).
+Workers are those that users have, started anew by loky or by Dask, which takes seconds; ``graphrqi
+bench kills`` forks them, and a sample of it is in ``test_kills_bench.py``. Set GRAPHRQI_SLOW=1 to
+run these; GRAPHRQI_KILLS says how many kills per pool (100 if not set).
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from experiments.benches.kills.object_server import BUCKET, ObjectServer, environment
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from tests.experiments.shared import content
@@ -131,48 +134,13 @@ def test_whatever_is_killed_the_bytes_are_the_same(pool: str, tmp_path: Path) ->
     print(f"{pool}: {kills}, {finished + 1} datasets")
 
 
-class Server:
-    """An S3 server of its own process, which keeps everything in memory."""
-
-    def __init__(self, port: int) -> None:
-        self._command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
-        self.url = f"http://127.0.0.1:{port}"
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> None:
-        """Start it, with an empty bucket."""
-        import s3fs
-
-        self._process = subprocess.Popen(
-            self._command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        for _ in range(200):
-            with suppress(Exception):
-                s3fs.S3FileSystem.clear_instance_cache()
-                s3fs.S3FileSystem(endpoint_url=self.url, use_listings_cache=False).mkdir("datasets")
-                return
-            time.sleep(0.1)
-        raise AssertionError("the server did not start")
-
-    def kill(self) -> None:
-        """Kill it; what it kept is lost."""
-        assert self._process is not None
-        self._process.kill()
-        self._process.wait()
-
-
 def test_whatever_is_killed_the_objects_are_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("moto")
-    from sim.store.places import Store, _filesystem
-
-    server = Server(18791)
-    for name, value in {
-        "AWS_ENDPOINT_URL": server.url, "AWS_ACCESS_KEY_ID": "testing",
-        "AWS_SECRET_ACCESS_KEY": "testing", "AWS_DEFAULT_REGION": "us-east-1",
-        "XDG_CACHE_HOME": str(tmp_path / "cache"),
-    }.items():  # fmt: skip
+    """A run, its workers, and a server that remembers what it had answered."""
+    server = ObjectServer(tmp_path / "kept")
+    given = {**environment(server.port), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    for name, value in given.items():
         monkeypatch.setenv(name, value)
     generate(CONFIG, tmp_path / "undisturbed", jobs=1, quiet=True)
     wanted = content(tmp_path / "undisturbed")
@@ -181,35 +149,31 @@ def test_whatever_is_killed_the_objects_are_the_same(
     finished = 0
     server.start()
     try:
-        while sum(kills.values()) < KILLS:
-            out = f"s3://datasets/data-{finished}"
+        while sum(kills.values()) < KILLS or not finished:
+            out = f"s3://{BUCKET}/data-{finished}"
             run = subprocess.Popen(
                 [*COMMAND, "--jobs", "2", "--out", out], stderr=subprocess.DEVNULL
             )
-            try:
-                run.wait(rng.uniform(0.3, 2 * LATEST_S))
-            except subprocess.TimeoutExpired:
+            while run.poll() is None:
+                with suppress(subprocess.TimeoutExpired):
+                    run.wait(rng.uniform(0.3, 2 * LATEST_S))
+                    break
                 victim = rng.choice(["run", "run", "worker", "worker", "server"])
-                kills[victim] += 1
+                workers = Loky().workers(run.pid)
                 if victim == "server":
                     server.kill()
-                    run.wait()
                     server.start()
-                    continue  # even a run that had ended has lost what it made
-                elif victim == "worker" and (workers := Loky().workers(run.pid)):
+                elif victim == "run":
+                    run.kill()
+                elif workers:
                     with suppress(ProcessLookupError):
                         os.kill(rng.choice(workers), signal.SIGKILL)
-                    run.wait()
-                else:
-                    run.kill()
-                    run.wait()
+                kills[victim] += victim != "worker" or bool(workers)
+            assert run.wait() in (0, 2, -signal.SIGKILL)
             if run.returncode == 0:
-                _filesystem.cache_clear()
-                store = Store(out)
-                assert {n: store.read(n) for n in store.files()} == wanted, f"after {kills}"
+                assert server.objects(f"data-{finished}") == wanted, f"after {kills}"
                 assert not list((tmp_path / "cache" / "graphrqi" / "unfinished").iterdir())
                 finished += 1
     finally:
         server.kill()
     print(f"s3: {kills}, {finished} datasets")
-    assert finished

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -12,7 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from sim.store.atomic import whole_file, whole_folder, write_whole
+from sim.store.atomic import (
+    remove_temporary,
+    temporary_folder,
+    whole_file,
+    whole_folder,
+    write_whole,
+)
 
 
 def test_a_link_is_followed(tmp_path: Path) -> None:
@@ -95,3 +102,26 @@ def test_what_a_killed_process_left_is_removed_by_the_next_one(tmp_path: Path) -
         assert subprocess.run([*command, "0"], check=True).returncode == 0
         assert mine.read_text() == "in progress", "somebody alive is at it"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "other", "part"]
+
+
+def test_temporary_folders_of_killed_processes_go_with_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    script = (
+        "import os; from sim.store.atomic import temporary_folder\n"
+        "with temporary_folder('sumo') as folder:\n"
+        "    (folder / 'routes').write_text('half')\n"
+        "    os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=False)
+    (left,) = tmp_path.iterdir()
+    (tmp_path / "graphrqi-sumo-of-another-kind").mkdir()
+    with temporary_folder("road") as mine:
+        assert not left.exists()
+        remove_temporary()
+        assert mine.exists()
+        remove_temporary(own=True)
+        assert not mine.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["graphrqi-sumo-of-another-kind"]

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from behaviors.errors import InputError
+from sim.store.atomic import temporary_folder
 from sim.store.places import Folder, Place, is_remote, local_path, place_of, user_cache
 
 
@@ -56,8 +56,8 @@ def fetched(source: Path) -> Iterator[Path]:
         yield local_path(source)
         return
     home = place_of(source.parent)
-    with tempfile.TemporaryDirectory(prefix="graphrqi-fetched-") as scratch:
-        copy = Path(scratch) / source.name
+    with temporary_folder("fetched") as scratch:
+        copy = scratch / source.name
         if home.size(source.name) is not None:
             copy.write_bytes(home.read(source.name))
         else:
@@ -89,8 +89,8 @@ def new_output(out: Path) -> Iterator[Path]:
         return
     target = place_of(out)
     check_empty(target)
-    with tempfile.TemporaryDirectory(prefix="graphrqi-out-") as scratch:
-        folder = Path(scratch) / out.name
+    with temporary_folder("out") as scratch:
+        folder = scratch / out.name
         folder.mkdir()
         yield folder
         made = Folder(folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from sim.frames import Frame, Tracks
 from sim.invalid_fields import first_wrong_field
 from sim.road.net import read_road
 from sim.scenario import AgentSpec, Scenario, sample_agents
+from sim.store.atomic import temporary_folder
 from sim.store.catalogue import finished_episode, keep_road
 from sim.store.schema import EpisodeEntry, EpisodeMeta, split_of
 from sim.store.writing import episode_id, made_with, write_sensed
@@ -124,8 +124,8 @@ def make_world(folder: Path, task: WorldTask) -> EpisodeEntry:
         OSError: if it cannot be written.
     """
     world, meta = task.world, task.meta()
-    with tempfile.TemporaryDirectory(prefix="graphrqi-world-") as scratch:
-        net = Path(scratch) / "world.net.xml"
+    with temporary_folder("world") as scratch:
+        net = scratch / "world.net.xml"
         net.write_text(world.road.net(), encoding="utf-8")
         scenario = world_scenario(world, net)
         agents = world.population.drivers(sample_agents(scenario, world.seed))

@@ -5,22 +5,19 @@ random moment. What is visible afterwards must be whole; after SIGTERM and SIGIN
 may be left, also not in the folder for temporary files. The same command is then run again, and the
 result must have the same bytes as one that nobody disturbed.
 
-Commands are run in forked processes that have everything imported: needs Linux or macOS.
+Generations with several workers are killed again and again until they come through, on a disk and
+in an object store (`experiments.benches.kills.generations`).
+
+Commands are run in forked processes that have everything imported: needs Linux.
 """
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import importlib
 import logging
-import multiprocessing
-import os
 import random
-import runpy
 import shutil
 import signal
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -29,7 +26,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from behaviors.errors import InputError
 from experiments.benches.contract import Bench, option
+from experiments.benches.kills import generations
+from experiments.benches.kills.forked import content, run
 from experiments.rows import Row, tidy_row
 
 LOGGER = logging.getLogger(__name__)
@@ -45,9 +45,6 @@ ENDED: Final[dict[int, tuple[int, ...]]] = {
 
 LATEST: Final = 1.1
 """Signals come until this many times the time that the undisturbed command took."""
-
-LONGEST_S: Final = 600.0
-"""Longest time for a command (our choice: they take seconds, minutes while kernels compile)."""
 
 COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "generate": (
@@ -87,9 +84,13 @@ UNFINISHED: Final = (".partial-", ".lock")
 class Settings:
     """Which commands are disturbed, and how often."""
 
-    commands: tuple[str, ...] = option(tuple(COMMANDS), "Commands.")
+    commands: tuple[str, ...] = option(tuple(COMMANDS), "Commands; empty for none.")
     kills: int = option(1000, "Signals, over all commands.")
     seed: int = option(0, "Decides the moments.")
+    places: tuple[str, ...] = option(
+        generations.PLACES, "Where generations are killed; s3 needs the extra dev; empty for none."
+    )
+    place_kills: int = option(1000, "SIGKILLs of runs, workers and server in each place.")
 
 
 def measure(settings: Settings) -> Iterator[list[Row]]:
@@ -97,15 +98,21 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
 
     Yields:
         The rows of each command: disturbed (those that the signal reached before their end),
-        half_written, left_behind, other_bytes and wrong_code.
+        half_written, left_behind, other_bytes and wrong_code. Then those of the generations in each
+        place, after every dataset: killed_runs, killed_workers, killed_servers, datasets (that came
+        through), and of these other_bytes and left_behind; wrong_code of the runs.
     """
+    for place in settings.places:
+        if place not in generations.PLACES:
+            expected = " or ".join(generations.PLACES)
+            raise InputError(f"places: found {place!r}, expected {expected}")
     for module in MODULES:
         importlib.import_module(module)
     with tempfile.TemporaryDirectory(prefix="graphrqi-kills-") as scratch:
         root = Path(scratch)
         needed = {word for name in settings.commands for word in COMMANDS[name]}
         _prepare(root / "given", "{given}/data" in needed)
-        share = -(-settings.kills // len(settings.commands))
+        share = -(-settings.kills // max(1, len(settings.commands)))
         for name in settings.commands:
             counts = _disturb(name, root, share, random.Random(f"{name}:{settings.seed}"))
             yield [
@@ -114,6 +121,18 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
                     "disturbed", "half_written", "left_behind", "other_bytes", "wrong_code"
                 )
             ]  # fmt: skip
+        for place in settings.places:
+            counts = Counter[str]()
+            for counts in generations.disturb(
+                place, root / place, settings.place_kills, settings.seed
+            ):
+                LOGGER.info("%s: %s", place, dict(counts))
+            kills = sum(counts[metric] for metric in generations.METRICS[:3])
+            key = {"command": f"generate on {place}"}
+            yield [
+                tidy_row(key, metric, float(counts[metric]), None, None, kills)
+                for metric in generations.METRICS
+            ]
 
 
 def _prepare(given: Path, dataset: bool) -> None:
@@ -125,7 +144,7 @@ def _prepare(given: Path, dataset: bool) -> None:
     (given / "a.csv").write_text("\n".join([header, *lines, ""]))
     for name, target in (("generate", "data"), ("train", "model")) if dataset else ():
         words = [w.format(out=given, given=given) for w in COMMANDS[name]]
-        code, told = _run(words, given / "scratch", None)
+        code, told = run(words, given / "scratch", None)
         if code != 0:
             raise RuntimeError(f"{name} ended with {code} and made no {target}: {told}")
     shutil.rmtree(given / "scratch", ignore_errors=True)
@@ -145,24 +164,24 @@ def _disturb(name: str, root: Path, kills: int, choose: random.Random) -> Counte
     for _ in range(2):  # the second time nothing is compiled any more
         fresh()
         began = time.monotonic()
-        code, told = _run(words, root / "temporary", None)
+        code, told = run(words, root / "temporary", None)
         lasted_s = time.monotonic() - began
     if code != 0:
         raise RuntimeError(f"{name}: ended with {code} when nobody disturbed it: {told}")
-    wanted = _content(place)
+    wanted = content(place)
     for number in range(kills):
         fresh()
         shutil.rmtree(root / "temporary", ignore_errors=True)
         sent = SIGNALS[number % len(SIGNALS)]
         after_s = choose.uniform(0.0, LATEST * lasted_s)
-        code, told = _run(words, root / "temporary", (sent, after_s))
-        found = _content(place)
+        code, told = run(words, root / "temporary", (sent, after_s))
+        found = content(place)
         counts["disturbed"] += code != 0
         flaws = _flaws(sent, code, found, wanted, root / "temporary")
         if code != 0:
-            code, told = _run(words, root / "temporary", None)
-        if code != 0 or _content(place) != wanted:
-            flaws["other_bytes"] = f"in the end: {code}, {sorted(_content(place))}, {told}"
+            code, told = run(words, root / "temporary", None)
+        if code != 0 or content(place) != wanted:
+            flaws["other_bytes"] = f"in the end: {code}, {sorted(content(place))}, {told}"
         for flaw, why in flaws.items():
             counts[flaw] += 1
             LOGGER.warning("%s: %s after %.3f s: %s: %.300s", name, sent.name, after_s, flaw, why)
@@ -201,62 +220,11 @@ def _grows(paths: list[str]) -> bool:
     return all(Path(path).name in ("manifest.json", "README.md") for path in paths)
 
 
-def _content(folder: Path) -> dict[str, str]:
-    """The hash of every file, by its path."""
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files
-    }
-
-
-def _run(
-    words: list[str], temporary: Path, disturbed: tuple[signal.Signals, float] | None
-) -> tuple[int, str]:
-    """Run a command in a forked process; its exit code (below 0 for a signal) and its messages."""
-    temporary.mkdir(parents=True, exist_ok=True)
-    told = temporary.with_name("told")
-    process = multiprocessing.get_context("fork").Process(
-        target=_command, args=(words, temporary, told)
-    )
-    process.start()
-    assert process.pid is not None
-    if disturbed is not None:
-        sent, after_s = disturbed
-        process.join(after_s)
-        with contextlib.suppress(ProcessLookupError):
-            if process.exitcode is None:
-                os.kill(process.pid, sent)
-    process.join(LONGEST_S)
-    if process.exitcode is None:
-        process.kill()
-        process.join()
-        return 1, f"not ended after {LONGEST_S:g} s"
-    return process.exitcode, told.read_text(errors="replace")[-500:] if told.exists() else ""
-
-
-def _command(words: list[str], temporary: Path, told: Path) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)
-    with told.open("w") as file:
-        os.dup2(file.fileno(), 1)
-        os.dup2(file.fileno(), 2)
-    os.environ["TMPDIR"], tempfile.tempdir = str(temporary), None
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.argv = ["graphrqi", *words]
-    try:
-        runpy.run_module("experiments.cli", run_name="__main__")
-    except SystemExit as ended:
-        os._exit(ended.code if isinstance(ended.code, int) else 1)
-    finally:
-        sys.stdout.flush()
-
-
 BENCH: Final = Bench(
     name="kills",
     summary="Commands killed or stopped at random moments: what is lost, left or different.",
     keys=("command",),
     full=Settings(),
-    quick=Settings(("import", "export", "classify", "report"), kills=4),
+    quick=Settings(("import", "export", "classify", "report"), kills=4, place_kills=4),
     measure=measure,
 )
