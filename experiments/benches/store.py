@@ -104,7 +104,7 @@ def synthetic_catalogue(folder: Path, rows: int) -> None:
         for s, p, n in shards
     }
     folder.mkdir(parents=True, exist_ok=True)
-    write_catalogue(Folder(folder), header_of({"synthetic": True}, {}, files), table)
+    write_catalogue(Folder(folder), header_of({"synthetic": True}, {}, files), [table])
 
 
 def asked(folder: Path) -> dict[str, float]:

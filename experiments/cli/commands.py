@@ -371,8 +371,8 @@ def import_(
     """Make a dataset of recordings in other formats."""
     from experiments.data.exchange import import_recordings
 
-    manifest = import_recordings(source, out, format, net, quiet=quiet, types=types, labels=labels)
-    say(size_of(out, manifest))
+    import_recordings(source, out, format, net, quiet=quiet, types=types, labels=labels)
+    say(size_of(out))
 
 
 @app.command(epilog="example: graphrqi export data --format argoverse2 --out exported")

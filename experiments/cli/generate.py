@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -23,16 +23,15 @@ from experiments.cli.options import (
 )
 from experiments.console.notices import say
 
-if TYPE_CHECKING:
-    from sim.store.schema import Manifest
 
-
-def size_of(out: Path, manifest: Manifest) -> str:
+def size_of(out: Path) -> str:
     """Where a dataset is and how large it is, for the last line of a command."""
+    from sim.store.dataset import open_dataset
     from sim.store.places import place_of
 
-    steps = sum(e.agent_steps for e in manifest.episodes)
-    return f"{place_of(out).url}: {len(manifest.episodes)} episodes, {steps} agent-steps"
+    dataset = open_dataset(out)
+    steps = sum(dataset.totals.column("agent_steps").to_pylist())
+    return f"{place_of(out).url}: {len(dataset)} episodes, {steps} agent-steps"
 
 
 def generate(
@@ -82,7 +81,7 @@ def generate(
     """Make a dataset, or what is missing of it."""
     from experiments.data.array_job.parts import generate_part
     from experiments.data.configuration import read_cluster, read_config
-    from experiments.data.generate import generate as make
+    from experiments.data.generate import generate_shards as make
     from experiments.data.shards.plan import read_part
     from experiments.data.worlds.episode import read_worlds_config
     from scenarios.command import read_options
@@ -106,7 +105,8 @@ def generate(
         count = generate_part(chosen, out, chosen_part, jobs, quiet)
         say(f"{place_of(out).url}: part {chosen_part}, {count} episodes; see graphrqi merge")
         return
-    say(size_of(out, make(chosen, out, jobs, quiet, scheduler)))
+    make(chosen, out, jobs, quiet, scheduler)
+    say(size_of(out))
 
 
 def merge(
@@ -116,7 +116,8 @@ def merge(
     """Check that no part of a dataset is missing, and complete it."""
     from experiments.data.array_job.parts import merge as join
 
-    say(size_of(dataset, join(dataset, quiet)))
+    join(dataset, quiet)
+    say(size_of(dataset))
 
 
 def upgrade(
@@ -126,4 +127,5 @@ def upgrade(
     """Rewrite a dataset that has a folder per episode as shards."""
     from experiments.data.shards.upgrade import upgrade as rewrite
 
-    say(size_of(out, rewrite(dataset, out)))
+    rewrite(dataset, out)
+    say(size_of(out))

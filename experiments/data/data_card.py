@@ -138,16 +138,12 @@ def data_card(dataset: Dataset) -> str:
     Raises:
         InputError: if an episode's agents cannot be read.
     """
-    catalogue = dataset.catalogue
     summed = (*BEHAVIORS, *KINDS, "agent_steps")
-    sums = catalogue.group_by("scenario").aggregate([(str(word), "sum") for word in summed])
-    counts = {
-        row["scenario"]: {word: row[f"{word}_sum"] for word in summed} for row in sums.to_pylist()
-    }
-    by_split = catalogue.group_by(["scenario", "split"]).aggregate([([], "count_all")])
-    episodes = Counter(
-        {(row["scenario"], row["split"]): row["count_all"] for row in by_split.to_pylist()}
-    )
+    counts: dict[str, Counter[str]] = {}
+    episodes = Counter[tuple[str, str]]()
+    for row in dataset.totals.to_pylist():
+        episodes[row["scenario"], row["split"]] = row["episodes"]
+        counts.setdefault(row["scenario"], Counter()).update({w: row[w] for w in summed})
     configuration = json.dumps(dataset.header.configuration, indent=2, sort_keys=True)
     splits: tuple[Split, ...] = ("train", "validation", "test")
     names = dataset.scenarios

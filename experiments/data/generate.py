@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,7 +47,7 @@ from sim.store.entries import EPISODES
 from sim.store.lock import LOCK, sole_writer
 from sim.store.places import Folder, Place, is_remote, place_of
 from sim.store.schema import TABLES, EpisodeEntry, EpisodeMeta, FileEntry, Manifest
-from sim.store.sealing import Sealer, Shard, shards_in, whole_shards
+from sim.store.sealing import Sealer, Shard, manifest_of, shards_in, whole_shards
 
 PLAN: Final = "plan.json"
 """What the parts of a dataset have in common, for `merge`; removed by it."""
@@ -90,7 +90,7 @@ def check_unfinished(
         for name in place.files():
             if name.partition("/")[0] not in (_OURS | {DATA_CARD, CROISSANT}):
                 raise InputError(f"{place.url}: found {name} in it, expected an empty folder")
-    sealed = (entry for shard in shards_in(place) for entry in shard.entries)
+    sealed = (entry for shard in shards_in(place) for entry in shard.read())
     for entry in itertools.chain(unlisted_episodes(folder), sealed):
         if not planned(entry):
             raise InputError(
@@ -143,7 +143,7 @@ def stoppable(folder: Path, wanted: int, out: Path | None = None) -> Iterator[No
         remove_partial(folder / "episodes")
         place = place_of(out or folder)
         there = sum(1 for _ in (folder / "episodes").glob("*/episode.json"))
-        there += sum(len(shard.entries) for shard in shards_in(place))
+        there += sum(shard.count for shard in shards_in(place))
         raise Interrupted(
             f"stopped: {there} of {wanted} episodes are in {place.url}; "
             "run the same command again to go on"
@@ -178,6 +178,7 @@ class Generation:
         quiet: whether to show no progress.
         failed: what could not be made, in words.
         waiting: finished episodes that wait in an object store.
+        sound: whether the roads that were looked at are unaltered, by checksum.
     """
 
     config: AnyConfig
@@ -188,6 +189,7 @@ class Generation:
     quiet: bool = True
     failed: list[str] = field(default_factory=list)
     waiting: dict[tuple[str, int], EpisodeEntry] = field(default_factory=dict)
+    sound: dict[str, bool] = field(default_factory=dict)
 
     @property
     def worlds(self) -> bool:
@@ -199,33 +201,34 @@ class Generation:
         """What puts episodes into shards."""
         return Sealer(place_of(self.out), self.folder)
 
-    def known(self, shards: Sequence[Shard]) -> dict[tuple[str, int], EpisodeEntry]:
+    def known(self, shards: Iterable[Shard]) -> dict[tuple[str, int], EpisodeEntry]:
         """The planned episodes that are in whole shards, but one of each damaged road's."""
         place, found = place_of(self.out), {}
-        sound: dict[str, bool] = {}
         belongs = belongs_to(self.config)
-        for entry in (entry for shard in shards for entry in shard.entries if belongs(entry)):
-            if entry.road is not None and entry.road not in sound:
-                sound[entry.road] = road_is_sound(place, entry.road)
-                if not sound[entry.road]:
+        for entry in (entry for shard in shards for entry in shard.read() if belongs(entry)):
+            if entry.road is not None and entry.road not in self.sound:
+                self.sound[entry.road] = road_is_sound(place, entry.road)
+                if not self.sound[entry.road]:
                     continue  # made again, with its road
             found[key_of(entry, self.worlds)] = entry
         return found
 
-    def run(self, todo: Sequence[Share], shards: Sequence[Shard]) -> list[Shard]:
+    def run(self, todo: Iterable[Share], wanted: int, shards: Sequence[Shard]) -> list[Shard]:
         """Make what is missing of some blocks, and seal those that are made as a whole.
 
         Args:
-            todo: what to make.
+            todo: what to make. Only the episodes of one block are in memory at a time.
+            wanted: how many episodes that is.
             shards: those that are there, whole.
 
         Returns:
             The shards of the blocks that were made as a whole.
         """
-        known, sealed = self.known(shards), list[Shard]()
-        count = sum(len(share.tasks) for share in todo)
-        with Progress("generating episodes", count, self.quiet) as shown:
+        sealed = list[Shard]()
+        with Progress("generating episodes", wanted, self.quiet) as shown:
             for share in todo:
+                of_block = [shard for shard in shards if shard.block == share.block]
+                known = self.known(of_block)
                 keys = {key_of(task, self.worlds) for task in share.tasks}
                 there = [entry for key, entry in known.items() if key in keys]
                 for entry in there:
@@ -234,7 +237,7 @@ class Generation:
                 missing = [t for t in share.tasks if key_of(t, self.worlds) not in done]
                 made = self._make(missing, shown)
                 if share.whole:
-                    sealed += self.sealer.seal([*there, *made], shards)
+                    sealed += self.sealer.seal([*there, *made], of_block)
                     self.sealer.remove_waiting([entry.id for entry in made])
         return sealed
 
@@ -292,6 +295,19 @@ def generate(
         OSError: if something cannot be written.
         Interrupted: if the user stopped it.
     """
+    generate_shards(config, out, jobs, quiet, cluster, whole_or_not)
+    return manifest_of(place_of(out))
+
+
+def generate_shards(
+    config: AnyConfig,
+    out: Path,
+    jobs: int | None = None,
+    quiet: bool = False,
+    cluster: str | None = None,
+    whole_or_not: bool = False,
+) -> None:
+    """As `generate`, for any number of episodes: those of one block are in memory at a time."""
     jobs = checked_jobs(jobs)
     config.check()
     if cluster is not None and is_remote(out):
@@ -307,22 +323,20 @@ def generate(
         clear_partial(folder)
         run = Generation(config, out, folder, jobs, cluster, quiet)
         there = whole_shards(place, listed_files(place))
-        sealed = run.run(list(shares(config, None)), there)
+        sealed = run.run(shares(config, None), wanted, there)
         if run.failed and whole_or_not:
             raise run.failure(wanted)
-        manifest = complete(run, sealed)
+        complete(run, sealed)
         write_data_card(out, edited)
         remove_temporary()
     if run.failed:
         raise run.failure(wanted)
-    return manifest
 
 
-def complete(run: Generation, sealed: Sequence[Shard], sealer: Sealer | None = None) -> Manifest:
+def complete(run: Generation, sealed: Sequence[Shard], sealer: Sealer | None = None) -> None:
     """Write the catalogue of a dataset whose blocks are all sealed."""
-    manifest = (sealer or run.sealer).complete(configuration_of(run.config), sealed)
+    (sealer or run.sealer).complete(configuration_of(run.config), sealed)
     run.sealer.place.remove(PLAN)
-    return manifest
 
 
 def clear_partial(folder: Path) -> None:

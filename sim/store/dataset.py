@@ -26,7 +26,13 @@ from sim.scenario import AgentSpec
 from sim.store.atomic import temporary_folder
 from sim.store.catalogue import checksum, read_manifest, road_name, tables_of
 from sim.store.decode import read_tables
-from sim.store.entries import Catalogue, catalogue_table, open_catalogue, rows_where
+from sim.store.entries import (
+    Catalogue,
+    catalogue_table,
+    open_catalogue,
+    rows_where,
+    totals_of,
+)
 from sim.store.places import Folder, Place, arrow_filesystem, full_name, place_of
 from sim.store.schema import (
     CATALOGUE,
@@ -119,6 +125,13 @@ class Dataset:
             return self._catalogue.table
         return catalogue_table(with_counts(self._place, e) for e in self._catalogue.episodes)
 
+    @cached_property
+    def totals(self) -> pa.Table:
+        """Sums by scenario and split, as `sim.store.entries.Catalogue.totals` has them."""
+        if isinstance(self._catalogue, Catalogue):
+            return self._catalogue.totals
+        return totals_of(self.catalogue)
+
     def __len__(self) -> int:
         """How many episodes there are."""
         catalogue = self._catalogue
@@ -210,7 +223,7 @@ class Dataset:
         """Names of the scenarios that have episodes, sorted."""
         if isinstance(self._catalogue, Manifest):
             return tuple(sorted({e.scenario for e in self._catalogue.episodes}))
-        return tuple(sorted(pc.unique(self.catalogue.column("scenario")).to_pylist()))
+        return tuple(sorted(set(self.totals.column("scenario").to_pylist())))
 
     def _counts(self) -> tuple[dict[str, int], int, int]:
         """Episodes by split, agents, and agent-steps."""
@@ -218,12 +231,11 @@ class Dataset:
             entries = self._catalogue.episodes
             splits = Counter(str(e.split) for e in entries)
             return splits, sum(e.agents for e in entries), sum(e.agent_steps for e in entries)
-        table = self.catalogue
-        found = pc.value_counts(table.column("split")).to_pylist()
-        agents, steps = (
-            int(pc.sum(table.column(name)).as_py() or 0) for name in ("agents", "agent_steps")
-        )
-        return {one["values"]: one["counts"] for one in found}, agents, steps
+        splits = Counter[str]()
+        for row in self.totals.to_pylist():
+            splits[row["split"]] += row["episodes"]
+        agents, steps = (sum(self.totals.column(n).to_pylist()) for n in ("agents", "agent_steps"))
+        return splits, agents, steps
 
     def __repr__(self) -> str:
         """Counts of episodes by split, of scenarios, agents and agent-steps, and the size."""

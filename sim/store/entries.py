@@ -23,8 +23,15 @@ from behaviors.labels import BEHAVIORS
 from sim.frames import KINDS
 from sim.invalid_fields import first_wrong_field
 from sim.store.encode import parquet_options
-from sim.store.parquet import Footer, check_budget, opened, read_footer, read_packed
-from sim.store.places import Place
+from sim.store.parquet import (
+    Footer,
+    check_budget,
+    opened,
+    opened_group,
+    read_footer,
+    read_packed,
+)
+from sim.store.places import Folder, Place, whole_file_at
 from sim.store.schema import (
     CATALOGUE,
     SCHEMA_VERSION,
@@ -96,24 +103,35 @@ def as_json(value: object) -> str:
     return json.dumps(value, sort_keys=True, allow_nan=False)
 
 
-def write_catalogue(place: Place, header: Header, table: pa.Table) -> None:
+def write_catalogue(place: Place, header: Header, tables: Iterable[pa.Table]) -> None:
     """Write the catalogue of a dataset, which completes it.
 
     Args:
         place: the dataset.
         header: what concerns all of it.
-        table: its rows, sorted.
+        tables: its rows, sorted, in pieces; a row group's worth of them is in memory at a time.
 
     Raises:
         OSError: if it cannot be written; an older one is then still there, whole.
     """
-    sink = pa.BufferOutputStream()
     options = parquet_options(CATALOGUE)
     options["use_dictionary"] = list(_WORDS)
-    with pq.ParquetWriter(sink, CATALOGUE, write_page_checksum=True, **options) as writer:
-        writer.write_table(table.combine_chunks(), row_group_size=_GROUP_ROWS)
+    waiting, written = CATALOGUE.empty_table(), 0
+    if isinstance(place, Folder):
+        place.path.mkdir(parents=True, exist_ok=True)
+    with (
+        whole_file_at(place.path / EPISODES) as partial,
+        pq.ParquetWriter(partial, CATALOGUE, write_page_checksum=True, **options) as writer,
+    ):
+        for table in tables:
+            waiting = pa.concat_tables([waiting, table])
+            while len(waiting) >= _GROUP_ROWS:
+                writer.write_table(waiting.slice(0, _GROUP_ROWS).combine_chunks())
+                waiting = waiting.slice(_GROUP_ROWS)
+                written += 1
+        if len(waiting) or not written:
+            writer.write_table(waiting.combine_chunks())
         writer.add_key_value_metadata({METADATA_KEY.decode(): as_json(header.model_dump())})
-    place.write(EPISODES, sink.getvalue().to_pybytes())
 
 
 def metadata_of(path: Path, footer: Footer, model: type[M]) -> M:
@@ -155,6 +173,7 @@ class Catalogue:
         check_version(self._path, said.schema_version, SCHEMA_VERSION)
         self.header = metadata_of(self._path, footer, Header)
         self.count = footer.rows
+        self._footer = footer
 
     @cached_property
     def table(self) -> pa.Table:
@@ -184,6 +203,29 @@ class Catalogue:
             packed = read_packed(source, list(_WORDS), None)
             return packed.unify_dictionaries().combine_chunks()
 
+    @cached_property
+    def totals(self) -> pa.Table:
+        """Sums over the episodes of each scenario and split; one row group is read at a time.
+
+        Returns:
+            The columns ``scenario``, ``split``, ``episodes``, and sums of ``agents``,
+            ``agent_steps`` and of every behaviour and kind that was drawn.
+
+        Raises:
+            InputError: if the file is broken.
+        """
+        summed = ["agents", "agent_steps", *map(str, _DRAWN)]
+        found = []
+        for number in range(len(self._footer.groups)):
+            with opened_group(
+                self._footer, number, lambda begin, end: self._place.read(EPISODES, begin, end)
+            ) as (layout, parquet):
+                names = ["scenario", "split", *summed]
+                check_budget(self._path, layout, names, MAX_EPISODES)
+                found.append(totals_of(parquet.read_row_group(number, names, use_threads=False)))
+        whole = pa.concat_tables(found) if found else totals_of(CATALOGUE.empty_table())
+        return _summed(whole, ["episodes", *summed])
+
     def entries(self, table: pa.Table | None = None) -> tuple[EpisodeEntry, ...]:
         """Rows as entries.
 
@@ -200,6 +242,22 @@ class Catalogue:
     def manifest(self) -> Manifest:
         """Everything, as objects."""
         return Manifest(**dict(self.header), episodes=self.entries())
+
+
+def totals_of(rows: pa.Table) -> pa.Table:
+    """As `Catalogue.totals`, of some rows of a catalogue."""
+    summed = ["agents", "agent_steps", *map(str, _DRAWN)]
+    ones = pa.array(np.ones(len(rows), dtype=np.int64))
+    table = rows.select(["scenario", "split", *summed]).append_column("episodes", ones)
+    words = [table.column(name).cast(pa.string()) for name in ("scenario", "split")]
+    table = table.set_column(0, "scenario", words[0]).set_column(1, "split", words[1])
+    return _summed(table, ["episodes", *summed])
+
+
+def _summed(table: pa.Table, names: list[str]) -> pa.Table:
+    keys = ["scenario", "split"]
+    sums = table.group_by(keys, use_threads=False).aggregate([(name, "sum") for name in names])
+    return sums.select([*keys, *(f"{name}_sum" for name in names)]).rename_columns([*keys, *names])
 
 
 def rows_where(

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pydantic import BaseModel, ConfigDict, JsonValue
+from pydantic import JsonValue
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
@@ -31,6 +31,7 @@ from sim.store.catalogue import MANIFEST, is_unaltered, road_is_sound, road_name
 from sim.store.decode import STEPS, Tables
 from sim.store.encode import parquet_options
 from sim.store.entries import (
+    EPISODES,
     METADATA_KEY,
     as_json,
     catalogue_table,
@@ -55,44 +56,12 @@ from sim.store.schema import (
     shard_schema,
     table_schema,
 )
-from sim.store.shards import open_footer, shard_path
+from sim.store.shards import Sealed, Shard, in_order, open_footer, shard_of, shard_path
 
 _FILES: Final = cast("tuple[FileName, ...]", EPISODE_FILES)
 _SHARD: Final = re.compile(
     rf"^({'|'.join(TABLES)})/scenario=[^/]+/split=[a-z]+/\d{{6,}}-\d{{6,}}(-\d+)?\.parquet$"
 )
-
-
-class Sealed(BaseModel):
-    """What a shard's table of agents says of the shard.
-
-    Attributes:
-        entries: its episodes, in order.
-        files: size and checksum of its other tables, by path.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-    entries: tuple[EpisodeEntry, ...]
-    files: dict[str, FileEntry]
-
-
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """A shard that is there.
-
-    Attributes:
-        entries: its episodes, in order.
-        files: size and checksum of each of its tables, by path.
-    """
-
-    entries: tuple[EpisodeEntry, ...]
-    files: dict[str, FileEntry]
-
-    @property
-    def name(self) -> str:
-        """Path of its table of agents."""
-        return shard_path("agents.parquet", self.entries[0])
 
 
 # --- planning -----------------------------------------------------------------------------------
@@ -207,7 +176,7 @@ class Sealer:
         for planned in planned_shards(origins.values()):
             name = shard_path("agents.parquet", planned[0])
             found = known.get(name)
-            same = found is not None and found.entries == tuple(planned)
+            same = found is not None and found.read() == tuple(planned)
             shards.append(found if found and same else self._write(planned, origins))
         return shards
 
@@ -233,31 +202,29 @@ class Sealer:
                 path = shard_path(name, planned[0])
                 self.place.put(scratch / name, path)
                 files[path] = file
-        return Shard(tuple(planned), files)
+        return shard_of(self.place, planned, files)
 
     def complete(
         self,
         configuration: Mapping[str, JsonValue],
         shards: Sequence[Shard],
-    ) -> Manifest:
+    ) -> None:
         """Write the catalogue of a dataset, and remove what is no longer needed beside it.
 
         Args:
             configuration: what the dataset was generated or imported with.
-            shards: all of them.
+            shards: all of them. Only the episodes of one block are in memory at a time.
 
         Raises:
             InputError: if a road is missing.
             OSError: if the catalogue cannot be written; an older one is then still there, whole.
         """
         files = {path: file for shard in shards for path, file in shard.files.items()}
-        entries = sorted_entries(entry for shard in shards for entry in shard.entries)
-        roads = {entry.road for entry in entries if entry.road is not None}
+        roads = {road for shard in shards for road in shard.roads}
         self._publish_roads(roads)
         header = header_of(configuration, road_sizes(self.place, roads), files)
-        write_catalogue(self.place, header, catalogue_table(entries))
-        self._tidy(header.files, {entry.id for entry in entries})
-        return Manifest(**dict(header), episodes=tuple(entries))
+        write_catalogue(self.place, header, map(catalogue_table, in_order(shards)))
+        self._tidy(header.files, shards)
 
     def _publish_roads(self, roads: Collection[str]) -> None:
         """Move the roads that are made elsewhere to the dataset."""
@@ -269,23 +236,36 @@ class Sealer:
                 if waiting.size(name) is not None:
                     self.place.write(name, waiting.read(name))
 
-    def _tidy(self, files: Collection[str], identities: Collection[str]) -> None:
+    def _tidy(self, files: Collection[str], shards: Sequence[Shard]) -> None:
         """Remove shards that the catalogue does not list, and episodes that are in a shard now."""
         for table in TABLES:
             for name in list(self.place.files(table)):
                 if name not in files and _SHARD.match(name):
                     self.place.remove(name)
-        self.remove_waiting(identities)
+        there = self._waiting_ids()
+        for entries in in_order(shards) if there else ():
+            self.remove_waiting([entry.id for entry in entries if entry.id in there])
         if self.place.size(MANIFEST) is not None:
             self.place.remove(MANIFEST)
 
+    def _waiting_ids(self) -> set[str]:
+        """Ids of the episodes that wait, here or in the object store."""
+        found = {path.name for path in (self.staging / "episodes").glob("*")}
+        if self._waits_in_store:
+            found |= {name.split("/")[1] for name in self._origin.files("episodes")}
+        return found
+
+    @property
+    def _waits_in_store(self) -> bool:
+        return isinstance(self.waiting, Store) and self.waiting.url == self.place.url
+
     def remove_waiting(self, identities: Collection[str]) -> None:
         """Remove the folders of episodes that are in a shard now."""
-        if isinstance(self.waiting, Store) and self.waiting.url == self.place.url:
+        if self._waits_in_store and identities:
             wanted = set(identities)
-            for name in list(self.waiting.files("episodes")):
+            for name in list(self._origin.files("episodes")):
                 if name.split("/")[1] in wanted:
-                    self.waiting.remove(name)
+                    self._origin.remove(name)
         home = self.staging / "episodes"
         for identity in identities:
             shutil.rmtree(home / identity, ignore_errors=True)
@@ -367,7 +347,7 @@ def shards_in(place: Place, blocks: Collection[int] | None = None) -> Iterator[S
             own = FileEntry(sha256=file_checksum(place, name), size=size or 0)
         except (InputError, FileNotFoundError):
             continue
-        yield Shard(sealed.entries, {**sealed.files, name: own})
+        yield shard_of(place, sealed.entries, {**sealed.files, name: own})
 
 
 def is_whole(place: Place, shard: Shard, hashed: bool = True) -> bool:
@@ -378,7 +358,8 @@ def is_whole(place: Place, shard: Shard, hashed: bool = True) -> bool:
         shard: which.
         hashed: whether to read and compare everything; otherwise sizes are.
     """
-    expected = {shard_path(name, shard.entries[0]) for name in _FILES}
+    rest = shard.name.partition("/")[2]
+    expected = {f"{table}/{rest}" for table in TABLES}
     return expected == set(shard.files) and all(
         is_unaltered(place, path, file, hashed) for path, file in shard.files.items()
     )
@@ -422,9 +403,9 @@ def entries_in(place: Place) -> dict[str, EpisodeEntry]:
     """
     catalogue = open_catalogue(place)
     shards = whole_shards(place, None if catalogue is None else catalogue.header.files)
-    roads = {entry.road for shard in shards for entry in shard.entries if entry.road is not None}
+    roads = {road for shard in shards for road in shard.roads}
     unsound = {road for road in roads if not road_is_sound(place, road)}
-    return {e.id: e for shard in shards for e in shard.entries if e.road not in unsound}
+    return {e.id: e for shard in shards for e in shard.read() if e.road not in unsound}
 
 
 def write_manifest(
@@ -452,7 +433,16 @@ def write_manifest(
     sealer = Sealer(place, folder)
     everything = list(entries)
     shards = sealer.seal(everything, whole_shards(place, None))
-    return sealer.complete(configuration, shards)
+    sealer.complete(configuration, shards)
+    return manifest_of(place)
+
+
+def manifest_of(place: Place) -> Manifest:
+    """What the catalogue of a dataset says, an object for each episode."""
+    catalogue = open_catalogue(place)
+    if catalogue is None:
+        raise InputError(f"{place.url}: found no {EPISODES}, expected one")
+    return catalogue.manifest
 
 
 def road_sizes(place: Place, roads: Collection[str]) -> dict[str, int]:

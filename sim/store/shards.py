@@ -6,7 +6,7 @@ read once as a whole and the last ones are kept. Every page's checksum is compar
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,9 +16,11 @@ from urllib.parse import quote
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import BaseModel, ConfigDict
 
 from behaviors.errors import InputError
 from sim.store.decode import check_columns
+from sim.store.entries import metadata_of, sorted_entries
 from sim.store.parquet import (
     MAX_TEXT_BYTES,
     Footer,
@@ -31,8 +33,10 @@ from sim.store.parquet import (
 )
 from sim.store.places import Folder, Place, place_of
 from sim.store.schema import (
+    BLOCK_EPISODES,
     MAX_CELLS,
     EpisodeEntry,
+    FileEntry,
     FileName,
     shard_schema,
 )
@@ -79,6 +83,85 @@ def shard_file(name: FileName, scenario: str, split: str, shard: str) -> str:
             f"{MAX_PART_CHARACTERS}: {scenario:.40}..."
         )
     return f"{name.removesuffix('.parquet')}/{folder}/split={split}/{shard}.parquet"
+
+
+class Sealed(BaseModel):
+    """What a shard's table of agents says of the shard.
+
+    Attributes:
+        entries: its episodes, in order.
+        files: size and checksum of its other tables, by path.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    entries: tuple[EpisodeEntry, ...]
+    files: dict[str, FileEntry]
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """A shard that is there. Its episodes stay on the disk: thousands of shards fit in memory.
+
+    Attributes:
+        place: the dataset.
+        name: path of its table of agents.
+        files: size and checksum of each of its tables, by path.
+        scenario: of all its episodes.
+        count: how many episodes it holds.
+        engines: of its episodes.
+        roads: checksums of its episodes' roads.
+    """
+
+    place: Place
+    name: str
+    files: dict[str, FileEntry]
+    scenario: str
+    count: int
+    engines: frozenset[str]
+    roads: frozenset[str]
+
+    @property
+    def block(self) -> int:
+        """Number of the block of indices that it belongs to."""
+        return int(self.name.rpartition("/")[2].partition("-")[0]) // BLOCK_EPISODES
+
+    def read(self) -> tuple[EpisodeEntry, ...]:
+        """Its episodes, in order.
+
+        Raises:
+            InputError: if its table of agents is broken.
+        """
+        footer = open_footer(self.place, self.name)
+        return metadata_of(self.place.path / self.name, footer, Sealed).entries
+
+
+def shard_of(place: Place, entries: Sequence[EpisodeEntry], files: dict[str, FileEntry]) -> Shard:
+    """A shard by what it holds."""
+    return Shard(
+        place=place,
+        name=shard_path("agents.parquet", entries[0]),
+        files=files,
+        scenario=entries[0].scenario,
+        count=len(entries),
+        engines=frozenset(entry.engine for entry in entries),
+        roads=frozenset(entry.road for entry in entries if entry.road is not None),
+    )
+
+
+def in_order(shards: Iterable[Shard]) -> Iterator[list[EpisodeEntry]]:
+    """All episodes in the order of catalogues, those of one block and engine at a time."""
+    blocks: dict[str, dict[int, list[Shard]]] = {}
+    for shard in shards:
+        blocks.setdefault(shard.scenario, {}).setdefault(shard.block, []).append(shard)
+    for _, by_block in sorted(blocks.items()):
+        engines = {name for some in by_block.values() for shard in some for name in shard.engines}
+        for engine in sorted(engines):
+            for _, some in sorted(by_block.items()):
+                found = (
+                    entry for shard in some if engine in shard.engines for entry in shard.read()
+                )
+                yield sorted_entries(entry for entry in found if entry.engine == engine)
 
 
 @dataclass(frozen=True, slots=True)

@@ -309,7 +309,7 @@ def test_what_was_made_with_other_versions_is_not_repaired(made: Path, tmp_path:
     made_with = {**dataset.header.configuration["made_with"], "libsumo": "0.1"}  # type: ignore[dict-item]
     configuration = {**dataset.header.configuration, "made_with": made_with}
     header = dataset.header.model_copy(update={"configuration": configuration})
-    write_catalogue(place_of(folder), header, dataset.catalogue.cast(CATALOGUE))
+    write_catalogue(place_of(folder), header, [dataset.catalogue.cast(CATALOGUE)])
     with pytest.raises(InputError, match=r"was made with .*'libsumo': '0.1'.*install those"):
         verify_dataset(folder, mend=True, quiet=True)
 

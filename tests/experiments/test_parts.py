@@ -13,6 +13,7 @@ import pytest
 import experiments.data.generate
 import experiments.data.shards.plan
 import sim.store.sealing
+import sim.store.shards
 from behaviors import BEHAVIORS, InputError
 from experiments.data.array_job.parts import generate_part, merge
 from experiments.data.configuration import GenerateConfig
@@ -48,7 +49,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (sim.store.sealing, experiments.data.shards.plan):
+    for module in (sim.store.sealing, sim.store.shards, experiments.data.shards.plan):
         monkeypatch.setattr(module, "BLOCK_EPISODES", 2)
 
 

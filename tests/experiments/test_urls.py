@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -100,6 +103,33 @@ def test_episodes_roads_and_tables_are_read(stored: Path, made: Path) -> None:
     steps = dataset.scan("steps", split="test")
     assert steps.to_table().equals(here.scan("steps", split="test").to_table())
     assert {entry.split for entry in dataset.episodes(split="test")} == {"test"}
+
+
+HUB = """
+import sys, warnings
+warnings.simplefilter("error")
+import datasets
+shards = f"{sys.argv[1]}/steps/*/split=test/*.parquet"
+steps = datasets.load_dataset("parquet", data_files={"test": shards}, cache_dir=sys.argv[2])
+streamed = datasets.load_dataset("parquet", data_files={"test": shards}, streaming=True)
+first = next(iter(streamed["test"]))
+print(steps["test"].num_rows, first == steps["test"][0], sorted(first))
+"""
+
+
+def test_the_hub_library_reads_a_bucket(stored: Path, tmp_path: Path) -> None:
+    """In a process of its own, where every warning is an error."""
+    pytest.importorskip("datasets")
+    steps = open_dataset(str(stored)).scan("steps", split="test")
+    rows = steps.count_rows()
+    run = subprocess.run(
+        [sys.executable, "-c", HUB, url_of(stored), str(tmp_path / "cache")],
+        env={**os.environ, "HF_HOME": str(tmp_path / "home")},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr[-3000:]
+    columns = sorted(set(steps.schema.names) - {"scenario", "split"})
+    assert run.stdout.split("\n")[-2] == f"{rows} True {columns}"
 
 
 def test_datasets_are_trained_on_classified_and_exported(stored: Path, tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_what_cannot_be_made_again_is_not_taken_away(folder: Path) -> None:
     dataset = open_dataset(folder)
     configuration = {**dataset.header.configuration, "flow": "nan"}
     header = dataset.header.model_copy(update={"configuration": configuration})
-    write_catalogue(place_of(folder), header, dataset.catalogue.cast(CATALOGUE))
+    write_catalogue(place_of(folder), header, [dataset.catalogue.cast(CATALOGUE)])
     before = content(folder)
     with pytest.raises(InputError, match="flow: found 'nan'"):
         verify_dataset(folder, mend=True, jobs=1, quiet=True)

@@ -209,10 +209,16 @@ def test_a_catalogue_of_many_row_groups_is_grouped(
 ) -> None:
     monkeypatch.setattr(entries, "_GROUP_ROWS", 2)
     dataset = open_dataset(made)
+    there = dataset.episodes()
+    pieces = [there[:1], there[1:4], there[4:]]
     entries.write_catalogue(
-        Folder(tmp_path), dataset.header, entries.catalogue_table(dataset.episodes())
+        Folder(tmp_path), dataset.header, map(entries.catalogue_table, [[], *pieces])
     )
     again: Dataset = open_dataset(tmp_path)
     counts = again.catalogue.group_by("scenario").aggregate([("timid", "sum")]).to_pylist()
     assert counts == [{"scenario": "a/b c", "timid_sum": EPISODES}]
     assert again.manifest == dataset.manifest
+    assert again.totals.equals(dataset.totals)
+    assert again.totals.column("episodes").to_pylist() == [
+        len(dataset.episodes(split=split)) for split in again.totals.column("split").to_pylist()
+    ]

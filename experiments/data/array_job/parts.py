@@ -40,7 +40,7 @@ from sim.store.catalogue import ENTRY, altered_files, canonical, unlisted_episod
 from sim.store.lock import one_of_several_writers, sole_writer
 from sim.store.places import Folder, Place, Store, place_of
 from sim.store.schema import EpisodeEntry, Manifest
-from sim.store.sealing import Sealer, whole_shards
+from sim.store.sealing import Sealer, manifest_of, whole_shards
 
 MISSING_NAMED: Final = 12
 """Most parts with missing episodes that an error names (our choice: they fit a line or two)."""
@@ -119,7 +119,7 @@ def generate_part(
             for entry in _waiting(place)
             if isinstance(place, Store)
         }
-        run.run(todo, there)
+        run.run(todo, wanted, there)
         _send_waiting(folder, place)
     if run.failed:
         raise run.failure(wanted)
@@ -209,9 +209,9 @@ def merge(out: Path, quiet: bool = False) -> Manifest:
         for share in shares(config, None):
             entries = [known[key_of(task, run.worlds)] for task in share.tasks]
             sealed += sealer.seal(entries, shards)
-        manifest = complete(run, sealed, sealer)
+        complete(run, sealed, sealer)
         write_data_card(out, edited)
-    return manifest
+    return manifest_of(place)
 
 
 def _check_complete(

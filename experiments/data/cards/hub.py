@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from typing import Final, get_args
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
@@ -53,7 +52,7 @@ def card_head(dataset: Dataset) -> str:
     """
     if dataset.header.schema_version == 1:
         return ""
-    rows = int(pc.sum(dataset.catalogue.column("agent_steps")).as_py() or 0)
+    rows = sum(dataset.totals.column("agent_steps").to_pylist())
     size = next((word for most, word in _SIZES if rows < most), "n>1B")
     lines = [
         *HEAD.splitlines(),

@@ -11,7 +11,7 @@ from sim.store.dataset import open_dataset
 from sim.store.lock import new_folder
 from sim.store.places import place_of
 from sim.store.schema import SCHEMA_VERSION, Manifest
-from sim.store.sealing import Sealer
+from sim.store.sealing import Sealer, manifest_of
 
 
 def upgrade(old: Path, out: Path) -> Manifest:
@@ -39,6 +39,6 @@ def upgrade(old: Path, out: Path) -> Manifest:
     with staged(out) as folder, new_folder(folder):
         sealer = Sealer(target, folder, place_of(old))
         shards = sealer.seal(dataset.manifest.episodes)
-        manifest = sealer.complete(dataset.header.configuration, shards)
+        sealer.complete(dataset.header.configuration, shards)
         write_data_card(out)
-    return manifest
+    return manifest_of(target)
