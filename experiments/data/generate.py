@@ -47,7 +47,8 @@ from sim.store.entries import EPISODES
 from sim.store.lock import LOCK, sole_writer
 from sim.store.places import Folder, Place, is_remote, place_of
 from sim.store.schema import TABLES, EpisodeEntry, EpisodeMeta, FileEntry, Manifest
-from sim.store.sealing import Sealer, Shard, manifest_of, shards_in, whole_shards
+from sim.store.sealing import Sealer, manifest_of, shards_in, whole_shards
+from sim.store.shards import Shard
 
 PLAN: Final = "plan.json"
 """What the parts of a dataset have in common, for `merge`; removed by it."""

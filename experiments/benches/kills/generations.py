@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import hashlib
+import importlib
 import logging
 import os
 import random
@@ -122,9 +123,7 @@ class _Trial:
         """Start the server, and make the dataset undisturbed."""
         given = {"XDG_CACHE_HOME": str(self._cache)}
         if self._server is not None:
-            import s3fs
-
-            assert s3fs  # imported before runs are forked
+            importlib.import_module("s3fs")  # before runs are forked
             given |= environment(self._server.port)
             self._server.start()
         before = {name: os.environ.get(name) for name in given}
