@@ -1,4 +1,4 @@
-"""The same straight road with cars on highway-env's own road and on the roads of this package."""
+"""The same traffic on highway-env's own roads and on the roads of this package."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import sample_profile
+from sim.highway.ego import highway_route
 from sim.highway.fast_road import FastRoad
 from sim.highway.network import HighwayNetwork, LaneInfo
 from sim.highway.traffic import TrafficRoad
@@ -62,4 +64,23 @@ def straight_traffic(road: str, cars: int, seed: int) -> Any:
                 stretches=(("0", "1"),),
             )
         made.vehicles.append(vehicle)
+    return made
+
+
+def stock_copy(road: TrafficRoad) -> RegulatedRoad:
+    """highway-env's road for junctions, with its own drivers in the places of a road's vehicles.
+
+    Its drivers know neither signals nor pedestrians: they slow down for those who are about to
+    cross their way.
+    """
+    made = RegulatedRoad(road.network_info.net, np_random=np.random.RandomState(0))
+    for vehicle in road.vehicles:
+        lane = vehicle.lane_index
+        copy = IDMVehicle(made, vehicle.position.copy(), vehicle.heading, vehicle.speed)
+        copy.lane_index = copy.target_lane_index = lane
+        copy.lane = made.network.get_lane(lane)
+        if lane[:2] in vehicle.stretches:
+            at = vehicle.stretches.index(lane[:2])
+            copy.route = highway_route(lane, vehicle.stretches[at:])
+        made.vehicles.append(copy)
     return made

@@ -178,7 +178,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
             self.road, geometry.position(at_m, 0.0), geometry.heading_at(at_m), speed
         )
         ego.agent, ego.kind, ego.behavior = id, AgentKind.CAR, None
-        ego.stretches, ego.route = route, _highway_route(lane, route)
+        ego.stretches, ego.route = route, highway_route(lane, route)
         self.road.vehicles.append(ego)
         self.vehicle = ego
 
@@ -195,7 +195,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         raise NotImplementedError
 
 
-def _highway_route(
+def highway_route(
     lane: LaneIndex, stretches: tuple[tuple[str, str], ...]
 ) -> list[tuple[str, str, int | None]]:
     """A route over stretches in the form of highway-env's vehicles."""

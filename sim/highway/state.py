@@ -92,40 +92,80 @@ class Located(NamedTuple):
     on: NDArray[np.bool_]
 
 
+class _Pieces(NamedTuple):
+    """The centre lines of K lanes in pieces, and who counts as on each lane.
+
+    Attributes:
+        start: (P, 2) m.
+        direction: (P, 2).
+        size: (P,) m.
+        begin: (P,) distance along the lane, m.
+        first: (K,) first piece of each lane.
+        last: (K,) last piece of each lane.
+        connector: (K,) whether it crosses a junction.
+        margin: (K,) how far aside a vehicle is still on it, m.
+        length: (K,) m.
+        behind: (K,) how far before its beginning a vehicle is on it, m.
+    """
+
+    start: FloatArray
+    direction: FloatArray
+    size: FloatArray
+    begin: FloatArray
+    first: IntArray
+    last: IntArray
+    connector: NDArray[np.bool_]
+    margin: FloatArray
+    length: FloatArray
+    behind: FloatArray
+
+
 @compiled
 def _locate(
-    xy: FloatArray,
-    heading: FloatArray,
-    start: FloatArray,
-    direction: FloatArray,
-    size: FloatArray,
-    begin: FloatArray,
-    first: IntArray,
-    last: IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Each vehicle on each lane: distance along, distance to the right, cosine of the heading."""
-    n, lanes = len(xy), len(first)
-    s, lateral, facing = np.empty((n, lanes)), np.empty((n, lanes)), np.empty((n, lanes))
+    xy: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, pieces: _Pieces
+) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Each vehicle on each lane: distance along, to the right, speed along, and whether it is on.
+
+    Args:
+        xy: (n, 2) m.
+        heading: (n,) rad.
+        speed: (n,) m/s.
+        length: (n,) m.
+        pieces: of the lanes.
+    """
+    start, direction, size, begin = pieces.start, pieces.direction, pieces.size, pieces.begin
+    n, lanes = len(xy), len(pieces.first)
+    s, lateral, moving = np.empty((n, lanes)), np.empty((n, lanes)), np.empty((n, lanes))
+    on = np.empty((n, lanes), dtype=np.bool_)
     for i in range(n):
         cos, sin = math.cos(heading[i]), math.sin(heading[i])
         for k in range(lanes):
-            best = np.inf
-            for g in range(first[k], last[k] + 1):
+            best, facing = np.inf, 0.0
+            first, last = pieces.first[k], pieces.last[k]
+            for g in range(first, last + 1):
                 dx, dy = xy[i, 0] - start[g, 0], xy[i, 1] - start[g, 1]
                 along = dx * direction[g, 0] + dy * direction[g, 1]
                 across = dy * direction[g, 0] - dx * direction[g, 1]
                 clipped = along
-                if along < 0.0 and g > first[k]:
+                if along < 0.0 and g > first:
                     clipped = 0.0
-                elif along > size[g] and g < last[k]:
+                elif along > size[g] and g < last:
                     clipped = size[g]
                 distance = math.hypot(across, along - clipped)
                 if distance < best:
                     best = distance
                     s[i, k] = begin[g] + clipped
                     lateral[i, k] = distance if across >= 0.0 else -distance
-                    facing[i, k] = cos * direction[g, 0] + sin * direction[g, 1]
-    return s, lateral, facing
+                    facing = cos * direction[g, 0] + sin * direction[g, 1]
+            moving[i, k] = speed[i] * facing
+            aligned = facing if pieces.connector[k] else abs(facing)
+            on[i, k] = (
+                best <= pieces.margin[k]
+                and aligned > ALIGNED
+                and s[i, k] >= -pieces.behind[k]
+                and s[i, k] <= pieces.length[k] + length[i] / 2
+            )
+    return s, lateral, moving, on
 
 
 class RoadState(Road):  # type: ignore[misc]
@@ -177,20 +217,20 @@ class RoadState(Road):  # type: ignore[misc]
             begin += (np.cumsum(length) - length).tolist()
             size += length.tolist()
             last.append(len(size) - 1)
-        self._pieces = (
-            np.array(start),
-            np.array(direction),
-            np.array(size),
-            np.array(begin),
-            np.array(first),
-            np.array(last),
-        )
         connector = np.array([self.network_info.info[i].connector for i in self._index])
-        self._connector = connector
         width = np.array([lane.width for lane in lanes])
-        self._margin = width / 2 + np.where(connector, PATH_MARGIN_M, STRETCH_MARGIN_M)
-        self._lane_lengths = np.array([lane.length for lane in lanes])
-        self._behind = np.where(connector, 0.0, BEHIND_M)
+        self._pieces = _Pieces(
+            start=np.array(start),
+            direction=np.array(direction),
+            size=np.array(size),
+            begin=np.array(begin),
+            first=np.array(first),
+            last=np.array(last),
+            connector=connector,
+            margin=width / 2 + np.where(connector, PATH_MARGIN_M, STRETCH_MARGIN_M),
+            length=np.array([lane.length for lane in lanes]),
+            behind=np.where(connector, 0.0, BEHIND_M),
+        )
 
     def _strips(self) -> list[list[tuple[float, float]]]:
         """For each crossing, where lanes run over it: middle and half width, m along it."""
@@ -264,12 +304,7 @@ class RoadState(Road):  # type: ignore[misc]
         heading = np.array([v.heading for v in self._located], dtype=np.float64)
         self.lengths = np.array([v.LENGTH for v in self._located], dtype=np.float64)
         speed = np.array([v.speed for v in self._located], dtype=np.float64)
-        s, lateral, facing = _locate(xy, heading, *self._pieces)
-        along = speed[:, None] * facing
-        on = np.abs(lateral) <= self._margin[None]
-        on &= np.where(self._connector[None], facing, np.abs(facing)) > ALIGNED
-        on &= s >= -self._behind[None]
-        on &= s <= self._lane_lengths[None] + self.lengths[:, None] / 2
+        s, lateral, along, on = _locate(xy, heading, speed, self.lengths, self._pieces)
         self.located = Located(xy, heading, speed, s, lateral, along, on)
         self._sorted: dict[LaneIndex, tuple[list[float], list[int]]] = {}
 

@@ -83,6 +83,7 @@ class TrafficRoad(RoadState):
         """Take away those that have arrived, and those that crashed long ago."""
         stuck = record_wrong_way(self) if self.network_info.wrong_side else []
         staying = []
+        at_end = None if self._compiled is None else self._compiled.at_end
         for vehicle in self.vehicles:
             if not isinstance(vehicle, ProfileVehicle):
                 staying.append(vehicle)
@@ -90,7 +91,7 @@ class TrafficRoad(RoadState):
                 self.add_event(EventKind.REMOVAL, vehicle.agent, rule="stuck on the wrong side")
             elif self.time_s - vehicle.crashed_at > CLEAR_AFTER_S:
                 self.add_event(EventKind.REMOVAL, vehicle.agent, rule="crashed")
-            elif not self._arrived(vehicle):
+            elif (at_end is not None and id(vehicle) not in at_end) or not self._arrived(vehicle):
                 staying.append(vehicle)
         self.vehicles = staying
         walking = []

@@ -509,8 +509,8 @@ def test_configure_refuses_what_is_no_mapping_in_one_line(name, config):
 def test_a_key_of_the_other_environment_is_unknown():
     with pytest.raises(InputError, match="unknown configuration key 'goal'"):
         gymnasium.make("graphrqi/StraightRoad-v0", config={"goal": "left"})
-    with pytest.raises(InputError, match="unknown configuration key 'compiled'"):
-        gymnasium.make("graphrqi/FourWayIntersection-v0", config={"compiled": True})
+    with pytest.raises(InputError, match="unknown configuration key 'goal'"):
+        gymnasium.make("graphrqi/Roundabout-v0", config={"goal": "left"})
 
 
 def test_actions_are_ignored_while_the_keyboard_steers():

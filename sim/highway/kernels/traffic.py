@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections import Counter
 from typing import Any, Final, TypeAlias
 
@@ -98,12 +99,10 @@ class Fleet:
 
     def holds(self, vehicles: list[Vehicle]) -> bool:
         """Whether these are still the same vehicles with the same profiles and ways."""
-        same = len(self.vehicles) == len(vehicles) and all(map(_is, self.vehicles, vehicles))
-        return same and all(map(_is, self.facts, _facts(vehicles)))
-
-
-def _is(a: object, b: object) -> bool:
-    return a is b
+        same = len(self.vehicles) == len(vehicles) and all(
+            map(operator.is_, self.vehicles, vehicles)
+        )
+        return same and all(map(operator.is_, self.facts, _facts(vehicles)))
 
 
 def _facts(vehicles: list[Vehicle]) -> list[Any]:
@@ -123,7 +122,7 @@ class CompiledTraffic:
         self.road = road
         self.tables = LaneTables(road.network_info)
         self._fleet = Fleet(self.tables, [])
-        self.at_end: list[ProfileVehicle] = []
+        self.at_end: set[int] = set()  # ids of objects that may have come to the end of their lane
         self._met = [
             tuple(("met", strip.crossing) for strip in road.network_info.info[key].strips)
             for key in self.tables.keys
@@ -438,4 +437,5 @@ class CompiledTraffic:
         moves = np.array(changing, dtype=np.bool_) | (s > lanes.length[lane])
         for i in np.flatnonzero(moves).tolist():
             drivers[i].on_state_update()
-        self.at_end = [drivers[i] for i in np.flatnonzero(moves | (s + half >= lanes.length[lane]))]
+        ends = moves | (s + half >= lanes.length[lane])
+        self.at_end = {id(drivers[i]) for i in np.flatnonzero(ends).tolist()}

@@ -11,12 +11,16 @@ from typing import Final, TypeAlias
 
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
 
-from sim.geometry import separation
+from sim.compiled import compiled
+from sim.geometry import Outlines
 from sim.highway.fast_road import outlines_of
 from sim.highway.rules.junctions import right_of_way_rank
 from sim.highway.state import RoadState
 from sim.highway.walkers import Walker
+
+FloatArray = NDArray[np.float64]
 
 CUT_IN_S: Final = 3.0
 """A vehicle that is hit from behind this soon after its lane change caused the collision, s."""
@@ -33,18 +37,43 @@ def touching_pairs(road: RoadState) -> list[Pair]:
     n = len(road.vehicles)
     if n == 0:
         return []
-    xy = np.array([one.position for one in everyone])
     radius = np.array([one.diagonal for one in everyone]) / 2
-    across = xy[:n, None] - xy[None]
-    near = across[..., 0] ** 2 + across[..., 1] ** 2 <= (radius[:n, None] + radius[None]) ** 2
-    near &= np.arange(n)[:, None] < np.arange(len(everyone))[None]
-    one, other = np.nonzero(near)
-    if not one.size:
-        return []
-    outlines = outlines_of(everyone)
-    hit = separation(outlines.rows(one), outlines.rows(other)) < 0.0
-    pairs = zip(one[hit].tolist(), other[hit].tolist(), strict=True)
+    pairs = np.argwhere(_touching(outlines_of(everyone), radius, n)).tolist()
     return [(everyone[i], everyone[j]) for i, j in pairs]
+
+
+@compiled
+def _touching(outlines: Outlines, radius: FloatArray, vehicles: int) -> NDArray[np.bool_]:
+    """Whose outlines overlap; see `sim.geometry.separation`.
+
+    Args:
+        outlines: of the vehicles, then of the pedestrians; n in all.
+        radius: (n,) half the diagonal, m.
+        vehicles: how many are vehicles.
+
+    Returns:
+        (vehicles, n) only above the diagonal.
+    """
+    centre, forward, half = outlines.centre, outlines.forward, outlines.half
+    found = np.zeros((vehicles, len(radius)), dtype=np.bool_)
+    for i in range(vehicles):
+        for j in range(i + 1, len(radius)):
+            dx, dy = centre[i, 0] - centre[j, 0], centre[i, 1] - centre[j, 1]
+            reach = radius[i] + radius[j]
+            if not dx * dx + dy * dy <= reach * reach:
+                continue
+            apart = False
+            for one in (i, j):  # the axes of both rectangles
+                ahead, aside = forward[one, 0], forward[one, 1]
+                for x, y in ((ahead, aside), (-aside, ahead)):
+                    reach = 0.0
+                    for each in (i, j):
+                        fx, fy = forward[each, 0], forward[each, 1]
+                        reach += abs(fx * x + fy * y) * half[each, 0]
+                        reach += abs(-fy * x + fx * y) * half[each, 1]
+                    apart = apart or abs(dx * x + dy * y) - reach >= 0.0
+            found[i, j] = not apart
+    return found
 
 
 def find_cause(road: RoadState, a: Vehicle, b: Vehicle | Walker) -> tuple[*Pair, str]:
