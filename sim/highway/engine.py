@@ -14,13 +14,11 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import PEDESTRIAN, Frame
+from sim.frames import Frame
 from sim.highway.demand import Demand
 from sim.highway.network import HighwayNetwork, build_network
 from sim.highway.state import RoadState, agent_of
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import ProfileVehicle
-from sim.highway.walkers import Walker
 from sim.road import Road
 from sim.scenario import AgentSpec, CarFollowing, Scenario
 
@@ -117,6 +115,5 @@ def read_frame(road: RoadState) -> Frame:
 
 
 def _kind_code(one: object) -> int:
-    if isinstance(one, Walker):
-        return PEDESTRIAN
-    return one.kind.code if isinstance(one, ProfileVehicle) else 0
+    kind = getattr(one, "kind", None)
+    return 0 if kind is None else int(kind.code)

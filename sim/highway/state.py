@@ -151,7 +151,10 @@ def _locate(
                     clipped = 0.0
                 elif along > size[g] and g < last:
                     clipped = size[g]
-                distance = math.hypot(across, along - clipped)
+                beyond = along - clipped
+                if max(abs(across), abs(beyond)) >= best:
+                    continue  # the distance is no less than either
+                distance = math.hypot(across, beyond) if beyond != 0.0 else abs(across)
                 if distance < best:
                     best = distance
                     s[i, k] = begin[g] + clipped

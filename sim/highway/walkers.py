@@ -6,6 +6,7 @@ when they walk is decided by `sim.highway.rules.crossings`.
 
 from __future__ import annotations
 
+import bisect
 import functools
 import heapq
 import itertools
@@ -18,6 +19,7 @@ from highway_env.vehicle.objects import Landmark
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.frames import AgentKind
 from sim.road import Road
 from sim.scenario import WALK_START_M, AgentSpec
 
@@ -76,14 +78,27 @@ class Footway:
         """How long it is, m."""
         return float(self.at[-1])
 
+    @functools.cached_property
+    def _pieces(self) -> list[tuple[float, float, float, float, float]]:
+        """The beginning of each piece, m, its direction, and its heading, rad."""
+        found = []
+        for begin, end in itertools.pairwise(self.points):
+            x, y = (end - begin) / np.hypot(*(end - begin))
+            found.append((float(begin[0]), float(begin[1]), float(x), float(y), math.atan2(y, x)))
+        return found
+
+    @functools.cached_property
+    def _begins(self) -> list[float]:
+        begins: list[float] = self.at.tolist()
+        return begins
+
     def place(self, s: float, aside: float) -> tuple[FloatArray, float]:
         """Position, m, and heading, rad, at a distance along the way."""
-        i = int(np.clip(np.searchsorted(self.at, s, side="right") - 1, 0, len(self.at) - 2))
-        direction = self.points[i + 1] - self.points[i]
-        direction = direction / np.hypot(*direction)
-        xy = self.points[i] + direction * (s - self.at[i])
-        xy = xy + aside * np.array([-direction[1], direction[0]])
-        return xy, math.atan2(direction[1], direction[0])
+        i = min(max(bisect.bisect_right(self._begins, s) - 1, 0), len(self._begins) - 2)
+        x, y, ahead, beside, heading = self._pieces[i]
+        along = s - self._begins[i]
+        xy = (x + ahead * along + aside * -beside, y + beside * along + aside * ahead)
+        return np.array(xy), heading
 
 
 @functools.lru_cache(maxsize=256)
@@ -225,6 +240,8 @@ class Walker(Landmark):  # type: ignore[misc]
         footway: its way.
         rng_seed: of how far aside it walks.
     """
+
+    kind = AgentKind.PEDESTRIAN
 
     def __init__(self, agent: AgentSpec, footway: Footway, rng_seed: tuple[int, ...]) -> None:
         self.LENGTH, self.WIDTH = agent.length_m, agent.width_m

@@ -56,6 +56,12 @@ Meetings: TypeAlias = dict[int, tuple[WayAhead, frozenset[int]]]
 pedestrians they let go first."""
 
 
+def rows_of(mask: BoolArray) -> list[int]:
+    """The rows at which a mask is true."""
+    rows: list[int] = mask.nonzero()[0].tolist()
+    return rows
+
+
 class Fleet:
     """What does not change from step to step about everybody on the road, one row each.
 
@@ -240,10 +246,10 @@ class CompiledTraffic:
             vehicle.line_before = None if path < 0 else (keys[path], to_line)
             if last >= 0:
                 vehicle.last_path = keys[last]
-        for i in np.flatnonzero(found.left).tolist():
+        for i in rows_of(found.left):
             vehicle = self._fleet.vehicles[i]
             vehicle.last_path, vehicle.ran_red = None, False
-        for i in np.flatnonzero(found.crossed).tolist():
+        for i in rows_of(found.crossed):
             vehicle = self._fleet.vehicles[i]
             record_violation(self.road, vehicle, keys[found.path[i]])
             who.ran_red[i] = getattr(vehicle, "ran_red", False)
@@ -255,7 +261,7 @@ class CompiledTraffic:
         at_line &= (found.to_line < RANGE_M) & (found.to_line > -ENTERED_M)
         signs = at_line & lanes.must_stop[path]
         held |= found.stops
-        for i in np.flatnonzero(found.first_at_red | signs).tolist():
+        for i in rows_of(found.first_at_red | signs):
             vehicle, key = self._fleet.vehicles[i], self.tables.keys[path[i]]
             if found.first_at_red[i] and runs_red(vehicle, key):
                 held[i] = False
@@ -269,7 +275,7 @@ class CompiledTraffic:
         road = self.road
         meetings: Meetings = {}
         obeys = who.known & ~self.tables.lanes.wrong[who.lane]
-        for i in np.flatnonzero(found.people | (found.passed & obeys)).tolist():
+        for i in rows_of(found.people | (found.passed & obeys)):
             vehicle = self._fleet.vehicles[i]
             if found.people[i]:
                 way, commands = way_ahead(road, vehicle), DriverCommands()
@@ -309,7 +315,7 @@ class CompiledTraffic:
             for _, driver in self._fleet.drivers:
                 if driver.wrong_way or driver.clock >= driver.schedule.wrong_way_at:
                     driver.commands.forced_lane = wrong_way_lane(road, driver)
-        for i in np.flatnonzero(astray).tolist():
+        for i in rows_of(astray):
             driver = self._fleet.vehicles[i]
             if driver.commands.forced_lane is None:
                 driver.commands.forced_lane = lane_to_get_over_to(road, way_ahead(road, driver))
@@ -322,7 +328,7 @@ class CompiledTraffic:
         lanes = self.tables.lanes
         if drivers.may_change.any():
             choose_lanes(drivers, lanes, places, DEFAULT_PARAMETERS, choice, cut_in)
-            for i in np.flatnonzero(cut_in).tolist():
+            for i in rows_of(cut_in):
                 fleet.vehicles[i].schedule_cut_in()
         stopping = np.zeros(n, dtype=np.bool_)
         for i, driver in fleet.drivers:
@@ -402,7 +408,7 @@ class CompiledTraffic:
         accel = np.array([v.action["acceleration"] for v in drivers], dtype=np.float64)
         crashed = np.array([v.crashed for v in drivers], dtype=np.bool_)
         most = float(ProfileVehicle.MAX_SPEED)
-        for i in np.flatnonzero(crashed | (speed > most)).tolist():
+        for i in rows_of(crashed | (speed > most)):
             drivers[i].clip_actions()
             action = drivers[i].action
             steering[i], accel[i] = action["steering"], action["acceleration"]
@@ -435,7 +441,7 @@ class CompiledTraffic:
         s = places_on_lanes(self.tables, xy, lane)[:, 0]
         changing = [v.target_lane_index != v.lane_index for v in drivers]
         moves = np.array(changing, dtype=np.bool_) | (s > lanes.length[lane])
-        for i in np.flatnonzero(moves).tolist():
+        for i in rows_of(moves):
             drivers[i].on_state_update()
         ends = moves | (s + half >= lanes.length[lane])
-        self.at_end = {id(drivers[i]) for i in np.flatnonzero(ends).tolist()}
+        self.at_end = {id(drivers[i]) for i in rows_of(ends)}
