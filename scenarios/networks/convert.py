@@ -9,6 +9,7 @@ from.
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Callable
 from functools import partial
@@ -17,7 +18,9 @@ from typing import Final
 
 from behaviors.errors import InputError
 from scenarios.networks.build import NET, cache_folder, find_program, run_program
+from sim.road import Road
 from sim.road.files import read_road_file
+from sim.road.net import read_road
 from sim.store.atomic import temporary_folder
 from sim.xml_tree import DECLARED, read_bytes
 
@@ -53,11 +56,16 @@ OPTIONS: Final[dict[str, tuple[str, ...]]] = {
     "opendrive": (
         *_COMMON, "--opendrive.curve-resolution", "2", "--junctions.limit-turn-speed", "5.5",
     ),
+    "sumo": ("--no-warnings", "true", "--no-internal-links", "false"),
     "lanes": (*_COMMON, "--junctions.limit-turn-speed", "5.5", "--geometry.remove", "false"),
 }  # fmt: skip
 """netconvert's options for each kind of map (after SUMO's own guide for OpenStreetMap): signals
 where the map has them, with fixed programmes; nobody turns round; turns are as slow as in our
 nets."""
+
+MOST_GAP_M: Final = 1.0
+"""Lanes that a way joins without a path are at most this far apart, m (our choice: less than a
+vehicle moves in a step)."""
 
 _READ_BY_NETCONVERT: Final[dict[str, tuple[str, str]]] = {
     "openstreetmap": ("--osm-files", "map.osm"),
@@ -141,12 +149,39 @@ def drivable_net(path: Path) -> Path:
     content = _content(path)
     kind = _kind_of(path, content)
     if kind == "sumo":
-        return path
+        return _with_junction_paths(path, content)
     if kind in _READ_BY_NETCONVERT:
         what, make = [kind, *OPTIONS[kind]], partial(_imported, path, content, kind)
     else:
-        what, make = [kind, *OPTIONS["lanes"]], partial(_from_lanes, path)
+        what, make = [kind, "oncoming lanes apart", *OPTIONS["lanes"]], partial(_from_lanes, path)
     return kept_net(what, content, make)
+
+
+def _with_junction_paths(path: Path, content: bytes) -> Path:
+    """A SUMO net as it is; one without paths over its junctions with paths, if netconvert is there.
+
+    Without paths, vehicles would jump over the junctions.
+    """
+    if b'function="internal"' in content or not _jumps(read_road(path)):
+        return path
+    try:
+        find_program("netconvert")
+    except InputError:
+        return path
+
+    def make(net: Path) -> None:
+        _convert(path, {"map.net.xml": content}, ["-s", "map.net.xml", *OPTIONS["sumo"]], net)
+
+    return kept_net(["sumo", *OPTIONS["sumo"]], content, make)
+
+
+def _jumps(road: Road) -> bool:
+    """Whether any way leads over a gap between lanes without a path."""
+    ends = {lane.id: lane.centerline for lane in road.lanes}
+    return any(
+        not link.via and math.dist(ends[link.from_lane][-1], ends[link.to_lane][0]) > MOST_GAP_M
+        for link in road.connections
+    )
 
 
 def kept_net(what: list[str], content: bytes, make: Callable[[Path], None]) -> Path:

@@ -6,12 +6,14 @@ meet in one node; netconvert works out there who has to let whom go first.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
 from scenarios.networks.geometry import LIMIT_MPS, connections, document
@@ -25,6 +27,19 @@ LEAST_LENGTH_M: Final = 0.5
 
 LEAST_WIDTH_M: Final = 1.0
 """netconvert gets no narrower lane, m (our choice: a motorcycle's)."""
+
+ONCOMING_M: Final = 2.4
+"""Lanes of opposite directions are at least this far apart, m (our choice: two cars pass)."""
+
+BESIDE_M: Final = 1.1
+"""They are at least half a lane's width and this far apart, m: in highway-env, who is up to 1 m
+beside a lane is on it."""
+
+OPPOSED: Final = -0.8
+"""Cosine of the angle between two directions below which they are opposite: 143 degrees."""
+
+SAMPLE_M: Final = 1.0
+"""Lanes are compared at points this far apart, m."""
 
 MEET_M: Final = 1.0
 """Ends of edges this near to each other meet in one node, m (our choice: netconvert refuses nodes
@@ -69,8 +84,8 @@ def plain_files(road: Road) -> dict[str, str]:
             edges.setdefault(lane.edge, []).append(lane)
     if not edges:
         raise InputError(f"road {road.name!r:.60}: found no lane for cars, expected at least one")
-    for lanes in edges.values():
-        lanes.sort(key=lambda lane: lane.index)
+    for edge, lanes in _kept_apart(edges).items():
+        edges[edge] = sorted(lanes, key=lambda lane: lane.index)
     place = {lane.id: (lane.edge, i) for lanes in edges.values() for i, lane in enumerate(lanes)}
     links = [
         (*place[link.from_lane], *place[link.to_lane], link.signal >= 0)
@@ -98,6 +113,46 @@ def plain_files(road: Road) -> dict[str, str]:
         "map.edg.xml": document("edges", edge_rows),
         "map.con.xml": connections(ways),
     }
+
+
+def _kept_apart(edges: dict[str, list[Lane]]) -> dict[str, list[Lane]]:
+    """The lanes of each edge; those too near to an oncoming lane are moved to their right.
+
+    Maps draw narrow streets so, and drivers there would stand face to face for ever.
+    """
+    every = [lane for lanes in edges.values() for lane in lanes]
+    dense = np.concatenate([_sampled(lane.centerline) for lane in every])
+    tree = cKDTree(dense[:, :2])
+    lines: dict[str, np.ndarray] = {}
+    for lane in every:
+        step = np.gradient(lane.centerline, axis=0)
+        along = step / np.maximum(np.hypot(*step.T), 1e-9)[:, None]
+        left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        line = lane.centerline.copy()
+        least_m = max(ONCOMING_M, lane.width_m / 2 + BESIDE_M)
+        for k, others in enumerate(tree.query_ball_point(line, least_m)):
+            beside = dense[others]
+            beside = beside[beside[:, 2:] @ along[k] < OPPOSED]
+            if len(beside):
+                across = np.abs((beside[:, :2] - line[k]) @ left[k]).min()
+                line[k] -= max(least_m - across, 0.0) / 2 * left[k]
+        lines[lane.id] = line
+    return {
+        edge: [dataclasses.replace(lane, centerline=lines[lane.id]) for lane in lanes]
+        for edge, lanes in edges.items()
+    }
+
+
+def _sampled(line: np.ndarray) -> np.ndarray:
+    """(k, 4) points of a line at most `SAMPLE_M` apart, and the direction at each."""
+    parts = []
+    for a, b in itertools.pairwise(line):
+        size = math.dist(a, b)
+        if size > 0:
+            share = np.linspace(0.0, 1.0, math.ceil(size / SAMPLE_M) + 1)[:, None]
+            along = np.broadcast_to((b - a) / size, (len(share), 2))
+            parts.append(np.hstack([a + share * (b - a), along]))
+    return np.concatenate([np.zeros((0, 4)), *parts])
 
 
 def _without(links: list[_Link], loops: set[str]) -> list[_Link]:

@@ -104,24 +104,30 @@ def _of_lane(lane: Lane) -> Iterator[Defect]:
 
 
 def _coinciding_lanes(road: Road) -> Iterator[Defect]:
-    """Lanes for cars that lie on each other."""
+    """Lanes for cars that lie on each other, of one direction or of opposite ones."""
     places: dict[tuple[int, ...], list[Lane]] = {}
     for lane in road.lanes:
         if not lane.cars or lane.walking or lane.internal:
             continue
-        line = lane.centerline
-        points = np.stack([line[0], line[-1]])
-        for other in places.setdefault(tuple(np.round(points).astype(int).ravel()), []):
-            ends = np.stack([other.centerline[0], other.centerline[-1]])
-            if (
-                np.abs(points - ends).max() < SAME_LINE_M
-                and abs(lane.length_m - other.length_m) < SAME_LINE_M
-            ):
-                yield Defect(
-                    "coinciding lanes", f"lane {lane.id}", f"found lane {other.id} on the same line"
-                )
-                break
-        places[tuple(np.round(points).astype(int).ravel())].append(lane)
+        ends = lane.centerline[[0, -1]]
+        for begin, what, said in (
+            (ends, "coinciding lanes", ""),
+            (ends[::-1], "oncoming lane on the same line", " and oncoming"),
+        ):
+            for other in places.get(_rounded(begin), []):
+                if (
+                    np.abs(begin - other.centerline[[0, -1]]).max() < SAME_LINE_M
+                    and abs(lane.length_m - other.length_m) < SAME_LINE_M
+                ):
+                    found = f"found lane {other.id} on the same line{said}"
+                    yield Defect(what, f"lane {lane.id}", found)
+                    break
+        places.setdefault(_rounded(ends), []).append(lane)
+
+
+def _rounded(points: np.ndarray) -> tuple[int, ...]:
+    """Points to the metre."""
+    return tuple(np.round(points).astype(int).ravel().tolist())
 
 
 def _of_connections(road: Road) -> Iterator[Defect]:

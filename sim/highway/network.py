@@ -390,9 +390,9 @@ def _continuations(
     found = {}
     for edge, links in out.items():
         ends = {by_id[link.to_lane].edge for link in links}
-        if len(ends) != 1:
+        (end, *others) = ends
+        if others or edge not in driving or end not in driving:  # or where cars may not drive
             continue
-        (end,) = ends
         begins, goals = [c.from_lane for c in links], [c.to_lane for c in links]
         whole = sorted(begins) == sorted(lane.id for lane in driving[edge]) and sorted(
             goals

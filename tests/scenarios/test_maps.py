@@ -18,6 +18,7 @@ from scenarios.networks.written import straight_net
 from scenarios.own.road import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
+from sim.road.net import read_road
 from sim.scenario import sample_agents
 
 pytestmark = pytest.mark.skipif(
@@ -200,6 +201,53 @@ def test_defects_are_named_with_their_place(name, content, kind, tmp_path):
     path = tmp_path / name
     path.write_text(content)
     assert kind in {one.kind for one in survey(path).defects}
+
+
+def test_oncoming_lanes_on_one_line_are_named_and_passed(tmp_path):
+    lanes = json.loads(argoverse2())["lane_segments"]
+    for number, one in list(lanes.items()):
+        other = int(number) + 10
+        lanes[str(other)] = {
+            **one, "id": other,
+            "left_lane_boundary": one["right_lane_boundary"][::-1],
+            "right_lane_boundary": one["left_lane_boundary"][::-1],
+            "predecessors": [n + 10 for n in one["successors"]],
+            "successors": [n + 10 for n in one["predecessors"]],
+        }  # fmt: skip
+    path = tmp_path / "alley.json"
+    path.write_text(json.dumps({"lane_segments": lanes, "pedestrian_crossings": {}}))
+    assert "oncoming lane on the same line" in {one.kind for one in survey(path).defects}
+    for engine in ("sumo", "highway"):
+        assert everybody_leaves(path, engine)
+
+
+def test_a_net_without_paths_over_junctions_gets_them(tmp_path):
+    net = tmp_path / "gaps.net.xml"
+    options = "--grid --grid.number 2 --grid.attach-length 60 --no-internal-links"
+    command = [find_program("netgenerate"), *options.split(), "-o", str(net)]
+    subprocess.run(command, check=True, capture_output=True)
+    road, made = read_road(net), own_road(net=net).road
+    assert {lane.edge for lane in road.lanes} == {
+        lane.edge for lane in made.lanes if not lane.internal
+    }
+    assert len(made.connections) == len(road.connections)
+    assert all(link.via for link in made.connections)
+    touching = tmp_path / "straight.net.xml"
+    touching.write_text(straight_net(2, 20.0, 300.0))
+    assert own_road(net=touching).road.source == touching
+
+
+def test_ways_onto_edges_that_cars_may_not_use_are_no_part_of_the_road(tmp_path):
+    nodes = "".join(f'<node id="{n}" x="{300 * k}" y="0"/>' for k, n in enumerate("abc"))
+    edges = '<edge id="ab" from="a" to="b"/><edge id="bc" from="b" to="c" allow="bus"/>'
+    (tmp_path / "a.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
+    (tmp_path / "a.edg.xml").write_text(f"<edges>{edges}</edges>")
+    net = tmp_path / "bus.net.xml"
+    files = ["-n", str(tmp_path / "a.nod.xml"), "-e", str(tmp_path / "a.edg.xml")]
+    command = [find_program("netconvert"), *files, "-o", str(net)]
+    subprocess.run(command, check=True, capture_output=True)
+    for engine in ("sumo", "highway"):
+        assert everybody_leaves(net, engine)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 import traceback
 from dataclasses import dataclass, field
@@ -12,18 +13,23 @@ import numpy as np
 
 from behaviors.errors import InputError
 from scenarios.networks.convert import KINDS, kind_of
+from scenarios.own.demand import EdgeGraph
 from scenarios.own.road import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
 from sim.frames import EventKind, Frame
-from sim.scenario import AgentSpec, Scenario, sample_agents
+from sim.scenario import MAX_DURATION_S, AgentSpec, Scenario, sample_agents
 
 DEMAND_S: Final = 30.0
 """The vehicles want to enter within this time, s (our choice: they meet one another)."""
 
 LATEST_S: Final = 1500.0
-"""Who is on the road after this time stays there, s (our choice: the longest ways of maps of some
-kilometres take a third of it)."""
+"""Who is on the road after this time, and after `SLOW` times what the longest way takes at the
+limits, stays there, s (our choice: the ways of maps of some kilometres take a third of it)."""
+
+SLOW: Final = 4.0
+"""So many times as long as at the limits a way may take (our choice: lights, jams, cautious drivers
+and slow vehicles)."""
 
 JUMP_MPS: Final = 80.0
 """Who moves faster than this between two frames has teleported, m/s (our choice: 288 km/h)."""
@@ -107,7 +113,11 @@ def ride(path: Path, engine: str, vehicles: int, seed: int) -> Trip:
     trip = Trip(path.name, _kind(path), engine)
     try:
         scenario = own_road(net=path, flow=vehicles * 3600.0 / DEMAND_S, duration_s=LATEST_S)
-        agents = _first(scenario, vehicles, seed)
+        agents = sample_agents(scenario, seed)[:vehicles]
+        travel_s = EdgeGraph(scenario.road).travel_s
+        longest_s = max((sum(travel_s[e] for e in a.route) for a in agents), default=0.0)
+        latest_s = min(max(LATEST_S, SLOW * longest_s + DEMAND_S), MAX_DURATION_S)
+        scenario = dataclasses.replace(scenario, duration_s=latest_s)
         trip.vehicles = len(agents)
         _drive(trip, scenario, agents, seed)
     except InputError as error:
@@ -127,11 +137,6 @@ def _kind(path: Path) -> str:
 
 def _last_lines() -> str:
     return " | ".join(traceback.format_exc().strip().splitlines()[-3:])
-
-
-def _first(scenario: Scenario, vehicles: int, seed: int) -> tuple[AgentSpec, ...]:
-    """The first agents of a scenario: so many, drawn as the scenario draws them."""
-    return sample_agents(scenario, seed)[:vehicles]
 
 
 def _drive(trip: Trip, scenario: Scenario, agents: tuple[AgentSpec, ...], seed: int) -> None:
