@@ -215,6 +215,15 @@ def test_agents_that_come_back_and_roads_that_are_not_known(tmp_path):
     assert root.find("RoadNetwork/LogicFile") is None
 
 
+def test_an_episode_without_anybody_is_written(tmp_path):
+    scenario = SCENARIOS["straight_road"](duration_s=1.0, flow=0, pedestrians_per_h=0)
+    tracks = Tracks.from_frames(get_engine("highway")(scenario, (), 0))
+    _, written = get_writer("openscenario")(tmp_path, "none", tracks, scenario.road)
+    root = ET.parse(written).getroot()
+    assert root.find("Storyboard/StopTrigger") is not None
+    assert not list(root.iter("ScenarioObject"))
+
+
 def test_without_the_library_one_line_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "scenariogeneration", None)
     with pytest.raises(InputError, match=r"pip install graphrqi\[asam\]"):

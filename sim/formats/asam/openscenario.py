@@ -110,11 +110,12 @@ def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | 
         act.add_maneuver_group(group)
     if road is not None and len(tracks.signals) == len(road.signals):
         _add_signals(tracks, road, init, act)
-    story = xosc.Story("recorded")
-    story.add_act(act)
     end_s = float(tracks.time_s[-1]) if len(tracks.time_s) else 0.0
     board = xosc.StoryBoard(init, _at(end_s, "end", stops=True))
-    board.add_story(story)
+    if act.maneuvergroup:  # an episode may be empty
+        story = xosc.Story("recorded")
+        story.add_act(act)
+        board.add_story(story)
     made = xosc.Scenario(
         name, "GraphRQI", xosc.ParameterDeclarations(), entities, board,
         xosc.RoadNetwork(roadfile=road_file), xosc.Catalog(), osc_minor_version=2,
