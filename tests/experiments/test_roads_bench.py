@@ -60,9 +60,11 @@ def test_a_road_lane_by_lane_is_read_back_with_its_ways(write, name, tmp_path):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="needs netconvert")
-def test_vehicles_turn_sharp_corners_that_an_openstreetmap_way_has(tmp_path: Path):
+def test_vehicles_turn_sharp_corners_and_pass_over_each_other_on_bridges(tmp_path: Path):
     from experiments.benches.roads.odd_maps import write_odd_maps
 
-    (path,) = [one for one in write_odd_maps(tmp_path) if one.name == "motorway_junction.osm"]
-    trip = ride(path, "highway", 20, 0)
+    maps = {path.name: path for path in write_odd_maps(tmp_path)}
+    trip = ride(maps["motorway_junction.osm"], "highway", 20, 0)
     assert (trip.stayed, trip.teleports, trip.crashed) == ((), 0, "")
+    bridge = ride(maps["bridge_over_street.osm"], "highway", 20, 0)
+    assert (bridge.entered, bridge.stayed, bridge.collisions) == (20, (), 0)

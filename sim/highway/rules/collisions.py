@@ -28,6 +28,13 @@ CUT_IN_S: Final = 3.0
 SAME_WAY: Final = 0.5
 """Cosine of the angle between two headings above which they count as the same way: 60 degrees."""
 
+CROSSWISE: Final = 0.5
+"""Sine of the angle between two headings above which the ways cross: 30 degrees."""
+
+FROM_JUNCTION_M: Final = 15.0
+"""Ways that cross this far from the ends of both do not meet in a junction, m (our choice: more
+than the longest vehicle)."""
+
 Pair: TypeAlias = tuple[Vehicle, Vehicle | Walker]
 
 
@@ -39,7 +46,29 @@ def touching_pairs(road: RoadState) -> list[Pair]:
         return []
     radius = np.array([one.diagonal for one in everyone]) / 2
     pairs = np.argwhere(_touching(outlines_of(everyone), radius, n)).tolist()
-    return [(everyone[i], everyone[j]) for i, j in pairs]
+    return [
+        (everyone[i], everyone[j])
+        for i, j in pairs
+        if not _on_two_levels(road, everyone[i], everyone[j])
+    ]
+
+
+def _on_two_levels(road: RoadState, one: Vehicle, other: Vehicle | Walker) -> bool:
+    """Whether one of two vehicles passes over the other on a bridge.
+
+    Roads have no heights; but lanes meet at junctions only, so where two of them cross far from
+    the ends of both, one lies above the other.
+    """
+    if isinstance(other, Walker) or one.lane_index[:2] == other.lane_index[:2]:
+        return False
+    if abs(math.sin(one.heading - other.heading)) < CROSSWISE:
+        return False
+    for vehicle in (one, other):
+        info = road.network_info.info.get(vehicle.lane_index)
+        s = vehicle.lane.local_coordinates(vehicle.position)[0]
+        if info is None or info.connector or min(s, vehicle.lane.length - s) < FROM_JUNCTION_M:
+            return False
+    return True
 
 
 @compiled
