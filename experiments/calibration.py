@@ -114,6 +114,7 @@ def _card(calibrated: Calibrated) -> dict[str, Any]:
         "populations": {
             str(law): {
                 "log_likelihood": float(fitted.evidence.sum()),
+                "counts": fitted.counts,
                 **{
                     name: {
                         "median": float(np.exp(fitted.mean[k])),

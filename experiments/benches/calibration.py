@@ -3,7 +3,9 @@
 ``simulated``: drivers of each law are simulated by code of this module alone, half of them with
 autocorrelated noise on the acceleration and noise on every place; `coverage` is the share of 90 %
 intervals that hold the true number, ``known`` the share of drivers of whom it is told, and
-``drivers_per_s`` counts them by processor time.
+``drivers_per_s`` counts them by processor time. ``unknown_width`` and ``unknown_shift`` compare the
+posteriors of numbers that are said to be unknown with the population; ``counts`` is the power with
+which likelihoods counted.
 
 ``recorded``: of every driver in ``--data``, the first half of its longest stretch behind one
 leader is calibrated, and the second is driven behind the recorded leader. The errors of the gap are
@@ -40,10 +42,11 @@ from graphrqi.calibrate.driving_on import (
     pooled_driver,
 )
 from graphrqi.calibrate.laws import Law
-from graphrqi.calibrate.posterior import calibrate
+from graphrqi.calibrate.posterior import Calibration, calibrate, drawn_again
 from graphrqi.calibrate.recorded import recorded_drivers
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 LITERATURE: Final = np.log([33.3, 1.6, 2.0, 0.73, 1.67])
 """IDM's first numbers, in the order of ``NUMBERS`` (Treiber, Hennecke, Helbing 2000, table I)."""
@@ -56,6 +59,9 @@ NOISE_MPS2, CORRELATION_S, NOISE_M = 0.19, 1.3, 0.1
 """Noise of every second driver: on its acceleration (Zhang and Sun 2024), and on places."""
 
 STEP_S: Final = 0.1
+
+MOST_UNKNOWN: Final = 40
+"""Drivers whose unknown numbers are looked at by a longer run (our choice: a tenth of a minute)."""
 
 LEAST_HALF_S: Final = 5.0
 """Shorter second halves are not scored, s (our choice: they hardly leave the start)."""
@@ -107,7 +113,8 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
         for one, shaken in zip(truth, noisy, strict=True)
     ]
     begun = time.process_time()
-    told = calibrate(law, drives).summary()
+    fitted = calibrate(law, drives)
+    told = fitted.summary()
     spent_s = time.process_time() - begun
     inside = (told.low <= truth) & (truth <= told.high)
     keys: dict[str, Any] = {
@@ -115,7 +122,9 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
         "numbers": "",
     }  # fmt: skip
     yield tidy_row(keys, "drivers_per_s", len(drives) / max(spent_s, 1e-9), None, None, len(drives))
+    yield tidy_row(keys, "counts", fitted.counts, None, None, len(drives))
     for k, number in enumerate(NUMBERS):
+        yield from _unknown_rows({**keys, "number": number}, fitted, drives, ~told.known[:, k], k)
         for noise, who in (("", noisy | True), ("noisy", noisy), ("exact", ~noisy)):
             if who.any():
                 named = {**keys, "number": number, "noise": noise}
@@ -125,6 +134,25 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
                 yield tidy_row(
                     named, "known", float(told.known[who, k].mean()), None, None, int(who.sum())
                 )
+
+
+def _unknown_rows(
+    keys: dict[str, Any], fitted: Calibration, drives: Sequence[Drive], unknown: BoolArray, k: int
+) -> Iterator[Row]:
+    """Whether a number's posterior is the population's where it is said to be unknown.
+
+    By a longer run of draws: their spread over the population's, and how far their mean lies from
+    the population's, in its spreads.
+    """
+    who = np.flatnonzero(unknown)[:MOST_UNKNOWN]
+    if not who.size:
+        return
+    logs = drawn_again(fitted, [drives[i] for i in who])[:, :, k]
+    width = logs.std(axis=1) / fitted.spread[k]
+    shift = (logs.mean(axis=1) - fitted.mean[k]) / fitted.spread[k]
+    for name, values in (("unknown_width", width), ("unknown_shift", shift)):
+        share = bootstrap(ratio, np.stack([values, np.ones(who.size)], axis=1))
+        yield tidy_row(keys, name, *share, int(who.size))
 
 
 def _simulated_drive(

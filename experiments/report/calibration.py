@@ -46,6 +46,7 @@ def calibration_page(calibrated: Calibrated) -> str:
         name=calibrated.source,
         law=str(law),
         drivers=len(calibrated.drivers),
+        counts=calibrated.laws[law].counts,
         told=[calibrated.law_told(law) for law in (Law.IDM, Law.KRAUSS)],
         marginals=[_marginal(population, number) for number in NUMBERS],
         numbers=[

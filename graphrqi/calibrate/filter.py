@@ -20,16 +20,16 @@ from typing import Any, Final
 import numpy as np
 
 from graphrqi.calibrate.kernels import HARDEST_MPS2, LEAST_GAP_M
-from sim.compiled import compiled
+from sim.compiled import reordered
 
-LANES: Final = 16
+LANES: Final = 32
 """Filters that run side by side; the number of drivers is a multiple."""
 
-LEAST_RESIDUAL_MPS2: Final = 0.02
+LEAST_RESIDUAL_MPS2: Final = 0.015
 """The residual acceleration's standard deviation is no smaller, m/s2 (our choice: smoothing, and
 the unknown step and order of a simulator's own motion, leave about as much)."""
 
-LEADER_ERROR_MPS, LEADER_ERROR_S = 0.01, 1.4
+LEADER_ERROR_MPS, LEADER_ERROR_S = 0.006, 1.7
 """Error of the leader's smoothed speed: for exact places, m/s, and the time that divides the error
 of noisy ones, s (found for stretches of `drives.LEAST_HALF_S` to `drives.MOST_HALF_S`). Krauss's
 driver takes its speed from its leader's, so this adds to its residual there."""
@@ -41,7 +41,7 @@ ROWS: Final = 32
 """Rows of the working array: a row for each quantity of a filter, a column for each filter."""
 
 
-@compiled
+@reordered
 def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, h: Any, out: Any) -> None:
     """Log-likelihoods of a drive, by the filter's innovations.
 
@@ -54,8 +54,8 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, h: Any, out:
         logs: (K, D) logarithms of numbers, columns as ``laws.FIELDS``; K is a multiple of `LANES`.
         blur_m: standard deviation of an error that is added to those of all places, m.
         drive: (5, T) observed place, m, standard deviation of its error, m (0: not observed),
-            speed, m/s, used at the start of each stretch only, rear of the leader, m (infinite:
-            none), and the leader's speed, m/s.
+            speed, m/s, used at the start of each stretch only, rear of the leader, m (1e9 or
+            more: none), and the leader's speed, m/s; all finite.
         begins: (B + 1,) where in ``drive`` each stretch begins, and T.
         h: time between rows, s.
         out: (K,) takes them.

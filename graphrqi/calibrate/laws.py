@@ -51,7 +51,7 @@ PRIOR_MEDIAN: Final[dict[str, float]] = {
     "residual_mps2": 0.15,
     "correlation_s": 1.3,
     "relaxation_s": 0.1,
-    "imperfection": 0.05,
+    "imperfection": 0.01,
 }
 """The median driver before anything is seen (Treiber and Kesting 2013, Traffic Flow Dynamics, table
 11.2, and fits to highD by Zhang and Sun 2024, Transportation Research Part C; noise and relaxation
@@ -66,7 +66,7 @@ PRIOR_SPREAD: Final[dict[str, float]] = {
     "residual_mps2": 1.0,
     "correlation_s": 0.4,
     "relaxation_s": 1.0,
-    "imperfection": 1.2,
+    "imperfection": 1.5,
 }
 """Spread of the logarithms between drivers before anything is seen (fits of single drivers: .3 to
 .6; the others our choice: next to none up to all that SUMO allows)."""
@@ -80,7 +80,7 @@ PLACE_SPREAD: Final[dict[str, float]] = {
     "residual_mps2": 1.0,
     "correlation_s": 0.4,
     "relaxation_s": 1.0,
-    "imperfection": 1.0,
+    "imperfection": 2.0,
 }
 """Spread of the logarithms of places' medians around `PRIOR_MEDIAN`. Published fits of IDM lie at
 17 to 33 m/s, 1.1 to 1.8 s, 2 to 3.7 m, 0.7 to 2 m/s2 and 1.7 to 3 m/s2 (Treiber, Hennecke, Helbing

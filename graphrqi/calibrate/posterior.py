@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -55,6 +56,21 @@ MOST_FIRST: Final = 250
 """The population is sought among so many drivers at most, evenly chosen: a standard error of 6 %
 of a spread."""
 
+PART_S: Final = 10.0
+"""Length of the parts of a drive that are compared, s (our choice: what a driver does in one is
+over in the next)."""
+
+STEP: Final = 0.3
+"""Step of the differences by which slopes and curvature are found, in a driver's spreads (our
+choice: short enough for a parabola, long enough for kinks)."""
+
+REACHED: Final = 2.5
+"""What drivers that are simulated by a law reach: curvature over the variance of slopes, in the
+median driver (found: 2.5 to 8; more than 1 because the filter allows for errors of smoothing)."""
+
+HOLDS, LEAST_COUNTS = 0.8, 0.05
+"""From this share of it on a law is taken to hold, and what is left at least (our choice)."""
+
 LEAST_NARROWING: Final = 0.9
 """A number is known if its interval is narrower than so many times the population's, or ..."""
 
@@ -71,6 +87,7 @@ class Calibration:
         law: the law.
         mean: (D,) the population's mean logarithms, columns as ``laws.FIELDS[law]``.
         covariance: (D, D) its covariance.
+        counts: power with which likelihoods counted, see `agreement`.
         logs: (N, M, D) draws of each driver, all alike.
         evidence: (N,) log-likelihood of each driver's drive under the population.
     """
@@ -78,6 +95,7 @@ class Calibration:
     law: Law
     mean: FloatArray
     covariance: FloatArray
+    counts: float
     logs: FloatArray
     evidence: FloatArray
 
@@ -95,7 +113,10 @@ class Calibration:
         known = (spread < LEAST_NARROWING * all_spread) | (
             np.abs(centre - all_mean) > LEAST_SHIFT * all_spread
         )
-        ends = np.quantile(logs, (0.05, 0.95), axis=1)
+        outside = (0.05 * (POINTS + 1) - 1.0) / (
+            POINTS - 1
+        )  # the truth is one more draw of as many
+        ends = np.quantile(logs, (outside, 1.0 - outside), axis=1)
         reach = norm.ppf(0.95) * all_spread
         return Summary(
             mean=np.where(known, np.exp(logs).mean(axis=1), np.exp(all_mean + 0.5 * all_spread**2)),
@@ -150,13 +171,32 @@ def calibrate(
     mean, covariance = prior(law)
     some = list(drives)[:: -(-len(drives) // MOST_FIRST)]
     drawn: FloatArray | None = None
-    for _ in range(ROUNDS):
-        drawn, _ = _draw_all(law, some, mean, covariance, drawn, on_driver)
+    counts = 1.0
+    for turn in range(ROUNDS):
+        drawn, _ = _draw_all(law, some, mean, covariance, drawn, counts, on_driver)
+        if turn == 0:
+            counts = agreement(law, some, drawn)
         at, around = mean, covariance
-        mean, covariance = _population(law, drawn, at, around)
+        mean, covariance = _population(law, drawn, at, around, counts)
         drawn = _thinned(drawn, _weights(drawn, mean, covariance, at, around))
-    logs, evidence = _draw_all(law, drives, mean, covariance, None, on_driver, final=True)
-    return Calibration(law, mean, covariance, logs, evidence)
+    logs, evidence = _draw_all(
+        law, drives, mean, covariance, None, counts, on_driver, POINTS, SWEEPS
+    )
+    return Calibration(law, mean, covariance, counts, logs, evidence)
+
+
+def drawn_again(
+    fitted: Calibration, drives: Sequence[Drive], points: int = 4 * POINTS
+) -> FloatArray:
+    """(N, M, D) draws of drivers under a fitted population, by a longer run than `calibrate`'s.
+
+    Args:
+        fitted: whose population.
+        drives: of the drivers.
+        points: draws that move together, a multiple of ``filter.LANES``.
+    """
+    given = fitted.law, drives, fitted.mean, fitted.covariance, None, fitted.counts, _nothing
+    return _draw_all(*given, points, 4 * SWEEPS)[0]
 
 
 def visits(drivers: int) -> int:
@@ -174,7 +214,8 @@ def _log_normal(points: FloatArray, mean: FloatArray, covariance: FloatArray) ->
 
 def _draw_all(
     law: Law, drives: Sequence[Drive], mean: FloatArray, covariance: FloatArray,
-    starts: FloatArray | None, on_driver: Callable[[], None], final: bool = False,
+    starts: FloatArray | None, counts: float, on_driver: Callable[[], None],
+    points: int = FIRST_POINTS, sweeps: int = FIRST_SWEEPS,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """(N, M, D) draws of every driver, and (N,) log-likelihoods of the drives.
 
@@ -182,8 +223,7 @@ def _draw_all(
     """
     from graphrqi.calibrate.sampling import sample
 
-    size, points = mean.size, POINTS if final else FIRST_POINTS
-    sweeps = SWEEPS if final else FIRST_SWEEPS
+    size = mean.size
     precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     uniform = qmc.Sobol(size, seed=1).random(points).clip(1e-4, 1.0 - 1e-4)
     spread = norm.ppf(uniform) @ np.linalg.cholesky(covariance).T
@@ -193,12 +233,66 @@ def _draw_all(
     for i, drive in enumerate(drives):
         start, blur_m = (everybody, BLUR_M) if starts is None else (starts[i], 0.0)
         rng = np.random.default_rng((i, points))
+        rows = np.minimum(drive.rows, 1e9)  # leaders that are none
         logs[i], evidence[i] = sample(
-            law.code, start, blur_m, 1.0, mean, precision, MOVES, sweeps, rng, drive.rows,
+            law.code, start, blur_m, counts, mean, precision, MOVES, sweeps, rng, rows,
             drive.begins, drive.step_s,
         )  # fmt: skip
         on_driver()
     return logs, evidence
+
+
+def agreement(law: Law, drives: Sequence[Drive], logs: FloatArray) -> float:
+    """How much less than it seems drives tell, because their parts disagree.
+
+    Where a law holds, the slopes of the likelihood in different parts of a drive vary as its
+    curvature says. Where it does not, or drivers change their minds, they vary by more, and the
+    likelihood is to count with the power that makes up for it (as in Ribatet, Cooley, Davison 2012,
+    Bayesian inference from composite likelihoods, Statistica Sinica 22, 813).
+
+    Args:
+        law: the law.
+        drives: of N drivers.
+        logs: (N, M, D) draws of each.
+
+    Returns:
+        1 from `HOLDS` on, less where parts disagree more.
+    """
+    from graphrqi.calibrate.filter import LANES, tell
+
+    size = len(NUMBERS)
+    shares = []
+    for one, drive in zip(logs, drives, strict=True):
+        centre, spread = one.mean(axis=0), one.std(axis=0)
+        around = np.tile(centre, (LANES, 1))
+        for d in range(size):
+            around[2 * d + 1, d] += STEP * spread[d]
+            around[2 * d + 2, d] -= STEP * spread[d]
+        found = []
+        for part in _parts(drive):
+            out = np.empty(LANES)
+            rows = np.minimum(part.rows, 1e9)
+            tell(law.code, around, 0.0, rows, part.begins, part.step_s, out)
+            found.append(out[: 2 * size + 1])
+        if len(found) > 1:
+            told = np.stack(found)
+            up, down = told[:, 1::2], told[:, 2::2]
+            slopes = float(np.var(0.5 * (up - down), axis=0, ddof=1).sum() * len(told))
+            curved = float((2.0 * told[:, :1] - up - down).sum())
+            shares.append(curved / max(slopes, 1e-12))
+    share = float(np.median(shares)) / REACHED if shares else 1.0
+    return 1.0 if share > HOLDS else max(share, LEAST_COUNTS)
+
+
+def _parts(drive: Drive) -> list[Drive]:
+    """Parts of about `PART_S` of a drive."""
+    found = []
+    for first, last in pairwise(drive.begins.tolist()):
+        watched = first + np.flatnonzero(drive.rows[1, first:last] > 0.0)
+        every = max(2, round(PART_S / (drive.step_s * float(np.diff(watched).mean()))))
+        edges = watched[::every].tolist()
+        found += [drive.part(here, there + 1) for here, there in pairwise(edges)]
+    return found
 
 
 def _weights(
@@ -221,9 +315,13 @@ def _thinned(logs: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _population(
-    law: Law, logs: FloatArray, drawn_mean: FloatArray, drawn_covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+    law: Law, logs: FloatArray, drawn_mean: FloatArray, drawn_covariance: FloatArray,
+    counts: float,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The most likely population given the drivers' draws, which were drawn under another one.
+
+    A law's own error is the same for all drivers, so against the prior a driver counts with the
+    same power as its likelihood does.
 
     Size and correlation time of the residual stay as the prior has them: they form a ridge along
     which the draws' noise would carry both away, and what is simulated exactly would make the
@@ -232,16 +330,16 @@ def _population(
     fixed = [FIELDS[law].index(name) for name in NUISANCES[:2]]
     first_mean, first_covariance = prior(law)
     places = np.diag(place_spread(law) ** -2.0)
-    n = len(logs)
+    n, heard = len(logs), counts * len(logs)
     mean, covariance = drawn_mean, drawn_covariance
     for _ in range(STEPS):
         weight = _weights(logs, mean, covariance, drawn_mean, drawn_covariance)
         centre = np.einsum("nm,nmd->d", weight, logs) / n
-        told = min(n, MOST_DRIVERS) * np.linalg.inv(covariance)
+        told = min(heard, MOST_DRIVERS) * np.linalg.inv(covariance)
         mean = np.linalg.solve(told + places, told @ centre + places @ first_mean)
         away = logs - mean
         scatter = np.einsum("nm,nmd,nme->de", weight, away, away, optimize=True)
-        covariance = (scatter + PRIOR_DRIVERS * first_covariance) / (n + PRIOR_DRIVERS)
+        covariance = (counts * scatter + PRIOR_DRIVERS * first_covariance) / (heard + PRIOR_DRIVERS)
         mean[fixed] = first_mean[fixed]
         covariance[fixed], covariance[:, fixed] = 0.0, 0.0
         covariance[np.ix_(fixed, fixed)] = first_covariance[np.ix_(fixed, fixed)]

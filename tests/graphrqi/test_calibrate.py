@@ -156,7 +156,7 @@ def test_what_nothing_is_known_of_is_drawn_from_the_population() -> None:
     covariance[1, 2] = covariance[2, 1] = -0.5 * np.sqrt(covariance[1, 1] * covariance[2, 2])
     rng = np.random.default_rng(0)
     start = rng.multivariate_normal(mean, covariance, 128)
-    rows = np.array([[0.0, 0.2], [0.1, 0.0], [2.0, 2.0], [np.inf] * 2, [0.0] * 2])
+    rows = np.array([[0.0, 0.2], [0.1, 0.0], [2.0, 2.0], [1e9] * 2, [0.0] * 2])
     drawn, evidence = sample(
         Law.KRAUSS.code, start, 3.0, 1.0, mean, np.linalg.inv(covariance), 4, 80, rng, rows,
         np.array([0, 2]), 0.1,
