@@ -20,7 +20,7 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.highway.lanes import corners, make_lane
+from sim.highway.lanes import NearLanesNetwork, corners, make_lane
 from sim.road import Connection, Lane, Road
 from sim.road.lane_graph import LaneGraph
 
@@ -228,7 +228,7 @@ def build_network(road: Road) -> HighwayNetwork:
         (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
         key=lambda c: -by_id[c.from_lane].index,
     )
-    net = RoadNetwork()
+    net = NearLanesNetwork()
     follows = _without_rings(_continuations(driving, connections, by_id))
     placed = _add_stretches(net, driving, connections, follows, by_id)
     joins = [

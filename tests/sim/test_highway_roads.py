@@ -171,6 +171,17 @@ def test_cars_side_by_side_are_decided_by_the_stock_search():
         assert found == Road.neighbour_vehicles(road, road.vehicles[1], ("0", "1", 0))
 
 
+@pytest.mark.parametrize("name", ["four_way_intersection", "two_way_road", "roundabout"])
+def test_the_closest_lane_is_the_one_that_the_stock_search_finds(name):
+    net = network(name).net
+    centre = np.concatenate([lane.position(0.0, 0.0)[None] for lane in net.lanes_list()])
+    rng = np.random.default_rng(0)
+    for place in rng.uniform(centre.min(axis=0) - 30, centre.max(axis=0) + 30, (60, 2)):
+        heading = float(rng.uniform(-np.pi, np.pi))
+        found = net.get_closest_lane_index(place, heading)
+        assert found == RoadNetwork.get_closest_lane_index(net, place, heading)
+
+
 # The compiled step ---------------------------------------------------------------------------
 
 
