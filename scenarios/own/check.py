@@ -33,6 +33,10 @@ APART_M: Final = 15.0
 """The ends of lanes that a way joins without a path between them are at most this far apart, m (our
 choice: a large junction)."""
 
+LONGEST_RED_S: Final = 300.0
+"""Signals that let nobody go for longer than this are named, s (our choice: twice the longest usual
+round)."""
+
 SAME_LINE_M: Final = 0.3
 """Lanes of one length whose ends are this near to each other lie on each other, m (our choice)."""
 
@@ -151,16 +155,23 @@ def _of_connections(road: Road) -> Iterator[Defect]:
 
 
 def _of_signals(road: Road) -> Iterator[Defect]:
-    """Signal groups that never let anybody go."""
+    """Signal groups that never let anybody go, or keep everybody waiting for very long."""
     lets_go = {Signal.GREEN.code, Signal.OFF.code}
     for plan in road.signal_plans:
         for k, group in enumerate(plan.groups):
-            if not any(
-                state[k] in lets_go and duration > 0
-                for state, duration in zip(plan.states, plan.duration_s, strict=True)
-            ):
-                name = road.signal_groups[group]
-                yield Defect("dead signal", f"signals {name}", "found no green, expected some")
+            place = f"signals {road.signal_groups[group]}"
+            goes = [state[k] in lets_go for state in plan.states]
+            phases = list(zip(goes, plan.duration_s, strict=True))
+            if not any(go and duration > 0 for go, duration in phases):
+                yield Defect("dead signal", place, "found no green, expected some")
+                continue
+            longest_s = waited_s = 0.0
+            for go, duration in phases * 2:  # a wait may go on into the next round
+                waited_s = 0.0 if go and duration > 0 else waited_s + duration
+                longest_s = max(longest_s, waited_s)
+            if longest_s > LONGEST_RED_S:
+                found = f"found no green for {longest_s:g} s, expected at most {LONGEST_RED_S:g}"
+                yield Defect("slow signal", place, found)
 
 
 def _of_reach(road: Road) -> Iterator[Defect]:

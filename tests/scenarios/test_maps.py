@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import subprocess
@@ -14,7 +15,9 @@ from behaviors import InputError
 from experiments.cli.commands import app
 from scenarios.networks.build import find_program
 from scenarios.networks.convert import kind_of
+from scenarios.networks.grid import grid_net
 from scenarios.networks.written import straight_net
+from scenarios.own.check import defects_of
 from scenarios.own.road import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
@@ -201,6 +204,16 @@ def test_defects_are_named_with_their_place(name, content, kind, tmp_path):
     path = tmp_path / name
     path.write_text(content)
     assert kind in {one.kind for one in survey(path).defects}
+
+
+def test_signals_that_keep_everybody_waiting_are_named():
+    road = read_road(grid_net(3))
+    assert not any(one.kind == "slow signal" for one in defects_of(road))
+    first, *others = road.signal_plans
+    slow = dataclasses.replace(first, duration_s=tuple(400.0 for _ in first.duration_s))
+    found = defects_of(dataclasses.replace(road, signal_plans=(slow, *others)))
+    named = {one.place for one in found if one.kind == "slow signal"}
+    assert named == {f"signals {road.signal_groups[group]}" for group in first.groups}
 
 
 def test_oncoming_lanes_on_one_line_are_named_and_passed(tmp_path):
