@@ -14,6 +14,7 @@ Commands are run in forked processes that have everything imported: needs Linux.
 from __future__ import annotations
 
 import importlib
+import json
 import logging
 import random
 import shutil
@@ -21,7 +22,7 @@ import signal
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -31,6 +32,7 @@ from experiments.benches.contract import Bench, option
 from experiments.benches.kills import generations
 from experiments.benches.kills.forked import content, run
 from experiments.rows import Row, tidy_row
+from sim.store.atomic import write_whole
 
 LOGGER = logging.getLogger(__name__)
 
@@ -80,6 +82,10 @@ UNFINISHED: Final = (".partial-", ".lock")
 """How the names begin of what only a run in progress may have."""
 
 
+FLAWS: Final = ("half_written", "left_behind", "other_bytes", "wrong_code")
+"""What may be wrong with what a disturbed command leaves."""
+
+
 @dataclass(frozen=True, slots=True)
 class Settings:
     """Which commands are disturbed, and how often."""
@@ -91,16 +97,32 @@ class Settings:
         generations.PLACES, "Where generations are killed; s3 needs the extra dev; empty for none."
     )
     place_kills: int = option(1000, "SIGKILLs of runs, workers and server in each place.")
+    progress: str = option("", "Keep the counts here; the same command then goes on.", "FILE")
+
+
+@dataclass(frozen=True)
+class _Undisturbed:
+    """A command that nobody disturbs: its words, how long it takes, and what it leaves."""
+
+    name: str
+    words: list[str]
+    lasted_s: float
+    wanted: dict[str, str]
 
 
 def measure(settings: Settings) -> Iterator[list[Row]]:
     """How many runs were disturbed, and how many of them lost, left or changed something.
 
+    The commands are disturbed in turn, so that a run which is stopped has told of all of them.
+
     Yields:
-        The rows of each command: disturbed (those that the signal reached before their end),
+        The rows of all commands: disturbed (those that the signal reached before their end),
         half_written, left_behind, other_bytes and wrong_code. Then those of the generations in each
         place, after every dataset: killed_runs, killed_workers, killed_servers, datasets (that came
         through), and of these other_bytes and left_behind; wrong_code of the runs.
+
+    Raises:
+        InputError: if there is no such place, or the progress is another run's.
     """
     for place in settings.places:
         if place not in generations.PLACES:
@@ -108,31 +130,56 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
             raise InputError(f"places: found {place!r}, expected {expected}")
     for module in MODULES:
         importlib.import_module(module)
+    share = -(-settings.kills // max(1, len(settings.commands)))
+    kept = Path(settings.progress) if settings.progress else None
+    work = f"{settings.seed}:{','.join(settings.commands)}"
+    begun, counts = _begun(kept, work, settings.commands)
     with tempfile.TemporaryDirectory(prefix="graphrqi-kills-") as scratch:
         root = Path(scratch)
         needed = {word for name in settings.commands for word in COMMANDS[name]}
         _prepare(root / "given", "{given}/data" in needed)
-        share = -(-settings.kills // max(1, len(settings.commands)))
-        for name in settings.commands:
-            counts = _disturb(name, root, share, random.Random(f"{name}:{settings.seed}"))
+        commands = [_undisturbed(name, root) for name in settings.commands]
+        for number in range(begun, share):
+            for command in commands:
+                counts[command.name] += _disturb(command, root, number, settings.seed)
+            if kept is not None:
+                told = {"work": work, "signals": number + 1, "counts": counts}
+                write_whole(kept, json.dumps(told, indent=1).encode())
+        if settings.commands:
             yield [
-                tidy_row({"command": name}, metric, float(counts[metric]), None, None, share)
-                for metric in (
-                    "disturbed", "half_written", "left_behind", "other_bytes", "wrong_code"
-                )
+                tidy_row({"command": name}, metric, float(counts[name][metric]), None, None,
+                         max(begun, share))
+                for name in settings.commands
+                for metric in ("disturbed", *FLAWS)
             ]  # fmt: skip
         for place in settings.places:
-            counts = Counter[str]()
-            for counts in generations.disturb(
+            killed = Counter[str]()
+            for killed in generations.disturb(
                 place, root / place, settings.place_kills, settings.seed
             ):
-                LOGGER.info("%s: %s", place, dict(counts))
-            kills = sum(counts[metric] for metric in generations.METRICS[:3])
+                LOGGER.info("%s: %s", place, dict(killed))
+            kills = sum(killed[metric] for metric in generations.METRICS[:3])
             key = {"command": f"generate on {place}"}
             yield [
-                tidy_row(key, metric, float(counts[metric]), None, None, kills)
+                tidy_row(key, metric, float(killed[metric]), None, None, kills)
                 for metric in generations.METRICS
             ]
+
+
+def _begun(
+    kept: Path | None, work: str, commands: Sequence[str]
+) -> tuple[int, dict[str, Counter[str]]]:
+    """How many signals each command has had in earlier runs, and what came of them."""
+    if kept is None or not kept.exists():
+        return 0, {name: Counter() for name in commands}
+    try:
+        told = json.loads(kept.read_text())
+        found = {name: Counter(told["counts"][name]) for name in commands}
+        if told["work"] == work:
+            return int(told["signals"]), found
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{kept}: found no progress of a run ({error})") from None
+    raise InputError(f"{kept}: found progress of {told['work']!r:.200}, expected of {work!r}")
 
 
 def _prepare(given: Path, dataset: bool) -> None:
@@ -150,41 +197,46 @@ def _prepare(given: Path, dataset: bool) -> None:
     shutil.rmtree(given / "scratch", ignore_errors=True)
 
 
-def _disturb(name: str, root: Path, kills: int, choose: random.Random) -> Counter[str]:
-    counts: Counter[str] = Counter()
+def _fresh(name: str, place: Path) -> None:
+    """The folder that a command writes into, as it is before."""
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    if name == "report":
+        (place / "rows.json").write_text(ROWS)
+
+
+def _undisturbed(name: str, root: Path) -> _Undisturbed:
     place = root / "out"
     words = [word.format(out=place, given=root / "given") for word in COMMANDS[name]]
-
-    def fresh() -> None:
-        shutil.rmtree(place, ignore_errors=True)
-        place.mkdir()
-        if name == "report":
-            (place / "rows.json").write_text(ROWS)
-
     for _ in range(2):  # the second time nothing is compiled any more
-        fresh()
+        _fresh(name, place)
         began = time.monotonic()
         code, told = run(words, root / "temporary", None)
         lasted_s = time.monotonic() - began
     if code != 0:
         raise RuntimeError(f"{name}: ended with {code} when nobody disturbed it: {told}")
-    wanted = content(place)
-    for number in range(kills):
-        fresh()
-        shutil.rmtree(root / "temporary", ignore_errors=True)
-        sent = SIGNALS[number % len(SIGNALS)]
-        after_s = choose.uniform(0.0, LATEST * lasted_s)
-        code, told = run(words, root / "temporary", (sent, after_s))
-        found = content(place)
-        counts["disturbed"] += code != 0
-        flaws = _flaws(sent, code, found, wanted, root / "temporary")
-        if code != 0:
-            code, told = run(words, root / "temporary", None)
-        if code != 0 or content(place) != wanted:
-            flaws["other_bytes"] = f"in the end: {code}, {sorted(content(place))}, {told}"
-        for flaw, why in flaws.items():
-            counts[flaw] += 1
-            LOGGER.warning("%s: %s after %.3f s: %s: %.300s", name, sent.name, after_s, flaw, why)
+    return _Undisturbed(name, words, lasted_s, content(place))
+
+
+def _disturb(command: _Undisturbed, root: Path, number: int, seed: int) -> Counter[str]:
+    """Send a command one signal, run it again, and count what is wrong."""
+    name, place, counts = command.name, root / "out", Counter[str]()
+    _fresh(name, place)
+    shutil.rmtree(root / "temporary", ignore_errors=True)
+    sent = SIGNALS[number % len(SIGNALS)]
+    choose = random.Random(f"{name}:{seed}:{number}")
+    after_s = choose.uniform(0.0, LATEST * command.lasted_s)
+    code, told = run(command.words, root / "temporary", (sent, after_s))
+    found = content(place)
+    counts["disturbed"] += code != 0
+    flaws = _flaws(sent, code, found, command.wanted, root / "temporary")
+    if code != 0:
+        code, told = run(command.words, root / "temporary", None)
+    if code != 0 or content(place) != command.wanted:
+        flaws["other_bytes"] = f"in the end: {code}, {sorted(content(place))}, {told}"
+    for flaw, why in flaws.items():
+        counts[flaw] += 1
+        LOGGER.warning("%s: %s after %.3f s: %s: %.300s", name, sent.name, after_s, flaw, why)
     return counts
 
 
