@@ -4,13 +4,28 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import Final, TypeVar
 
 T = TypeVar("T")
 
+LONGEST: Final = 6000
+"""Most characters of a message (our choice: a path, which may have 4096, and what was found)."""
+
 
 class InputError(ValueError):
-    """Bad input: one line that names the field or file, what was found and what was expected."""
+    """Bad input: one line that names the field or file, what was found and what was expected.
+
+    What was found may be a value of any length: the middle of a long message is left out.
+
+    Examples:
+        >>> len(str(InputError("mix: found " + 10**6 * "="))) < LONGEST
+        True
+    """
+
+    def __init__(self, message: str = "") -> None:
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST // 2]} ... {message[-LONGEST // 3 :]}"
+        super().__init__(message)
 
 
 def lookup(registry: Mapping[str, T], name: str, what: str) -> T:

@@ -92,7 +92,7 @@ def test_what_ends_a_worker_is_told_and_the_rest_goes_on(monkeypatch: pytest.Mon
         return "read", ""
 
     monkeypatch.setattr(worker, "check", check)
-    found = list(worker.try_all([("x", n) for n in range(7)], limit_gb=1.0, limit_s=1.0))
+    found = list(worker.try_all([("x", n) for n in range(7)], limit_gb=1.0, limit_s=0.4))
     assert [one.number for one in found] == list(range(7))
     assert [one.state for one in found] == [
         "read", "abort", "read", "slow", "read", "crash", "read"

@@ -176,6 +176,7 @@ def _answered(path: Path) -> Any:
 
 def document_samples() -> dict[str, Sample]:
     """A valid input of each family."""
+    from behaviors.populations.files import POPULATIONS, read_population
     from experiments.data.configuration import read_cluster, read_config
     from experiments.replay.beliefs import read_beliefs
     from experiments.replay.forecasts import read_forecasts
@@ -202,6 +203,8 @@ def document_samples() -> dict[str, Sample]:
         "rows": ("rows.json", ROWS, read_source, altered.document, altered.other_rows),
         "study": ("study.toml", STUDY, study, altered.settings, altered.other_settings),
         "scenario": ("s.toml", SCENARIO, scenario, altered.settings, altered.other_settings),
+        "population": ("p.toml", POPULATIONS["us101"].read_bytes(), read_population,
+                       altered.settings, altered.other_population),
         "sheet": ("a1.xlsx", _sheet(), read_sheet, altered.sheet_rows, altered.other_sheet),
         "driver-labels": ("labels.csv", csv_text("name,behavior,style", DRIVERS),
                           read_driver_labels, altered.csv_rows, altered.other_count),

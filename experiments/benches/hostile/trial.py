@@ -9,7 +9,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
-from behaviors.errors import InputError
+from behaviors.errors import LONGEST, InputError
 from experiments.benches.hostile import grammars
 from experiments.benches.hostile.calls import CALLS
 from experiments.benches.hostile.mutations import altered
@@ -32,8 +32,8 @@ TWO_SIDED: Final = (*(f"{name}-grown" for name in grammars.FILES if name != "arg
 """Families whose oracle knows all rules: what it reads, a reader must read. Of the others a reader
 may be stricter: it also checks ranges, references and limits of what is well formed."""
 
-LONGEST_MESSAGE: Final = 1000
-"""Most characters of a message that are not the path's (our choice: it is to be one line)."""
+LONGEST_MESSAGE: Final = LONGEST
+"""Most characters of a message: it is to be one line."""
 
 
 @cache
@@ -95,7 +95,7 @@ def _tried(read: Callable[[], object], folder: Path) -> tuple[str, str, object]:
         return "crash", f"{type(error).__name__}: {error}", None
     if "\n" in why:
         return "disagree", f"a message of several lines: {why!r}", None
-    if len(why.replace(str(folder), "")) > LONGEST_MESSAGE:
+    if len(why) > LONGEST_MESSAGE:
         return "disagree", f"a message of {len(why)} characters: {why}", None
     return "refused", why, None
 

@@ -26,6 +26,9 @@ from experiments.benches.hostile.trial import FAILURES, check, families
 WORKER_INPUTS: Final = 5000
 """Inputs after which a worker is replaced (our choice: what leaks then shows as its peak)."""
 
+WAITS: Final = 4.0
+"""An input that waits is given up after so many times its limit (our choice)."""
+
 PEAK: Final = Path("/proc/self/clear_refs")
 """Linux forgets the peak of a process's memory when 5 is written here."""
 
@@ -61,7 +64,9 @@ def try_all(inputs: Iterable[tuple[str, int]], limit_gb: float, limit_s: float) 
         inputs: families and numbers.
         limit_gb: memory that one input may take, GB; a worker can have twice as much address space
             beyond what it starts with, since libraries set space aside that they never use.
-        limit_s: longest time for one input, s.
+        limit_s: longest time for one input, s: of the processor, where the system tells a
+            process's (Linux), so that a busy machine makes no input slow; at most `WAITS` times
+            as long by the clock.
 
     Yields:
         One for each input, in their order.
@@ -82,10 +87,13 @@ def _try_all(
         worker.start()
         tell.close()
         done, state = 0, "stopped"
-        began = time.monotonic()
+        began, spent = time.monotonic(), 0.0
         try:
             while done < len(part):
                 if not told.poll(limit_s):
+                    waited = time.monotonic() - began
+                    if waited < WAITS * limit_s and _cpu_s(worker.pid) - spent < limit_s:
+                        continue
                     state = "slow"
                     break
                 try:
@@ -93,7 +101,7 @@ def _try_all(
                 except EOFError:
                     state = "abort"
                     break
-                done, began = done + 1, time.monotonic()
+                done, began, spent = done + 1, time.monotonic(), _cpu_s(worker.pid)
         finally:  # also when whoever asks is stopped: a worker that nobody hears would wait
             if done < len(part) and state != "abort":
                 worker.kill()
@@ -126,6 +134,15 @@ def _work(
         tell.send_bytes(json.dumps(trial.__dict__).encode())
     tell.close()
     os._exit(0)  # the parent's clean-up is not ours
+
+
+def _cpu_s(process: int | None) -> float:
+    """Time of the processor that a process has had, s; infinite where the system does not say."""
+    try:
+        told = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError):
+        return float("inf")
 
 
 def _peak_gb() -> float:

@@ -258,6 +258,23 @@ def other_settings(read: Any, theirs: dict[str, Any]) -> str | None:
     return None
 
 
+def other_population(read: Any, theirs: dict[str, Any]) -> str | None:
+    """Which number of a population is not in its file."""
+    told = set(map(float, _numbers(theirs)))
+    for name in ("median", "log_spread"):
+        for mine in getattr(read, name).ravel().tolist():
+            if not any(abs(mine - other) <= NEAR * max(1.0, abs(other)) for other in told):
+                return f"{name}: {mine}, which the file does not have"
+    return None
+
+
+def _numbers(part: Any) -> list[float]:
+    if isinstance(part, dict | list):
+        inner = part.values() if isinstance(part, dict) else part
+        return [number for one in inner for number in _numbers(one)]
+    return [part] if isinstance(part, int | float) and not isinstance(part, bool) else []
+
+
 def _same(one: Any, other: Any) -> bool:
     """Whether two values are one; tuples are lists, and whole numbers may be real."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
