@@ -113,9 +113,8 @@ def answers(folder: Path) -> Named:
     for form in ("sumo-fcd", "argoverse1", "argoverse2", "scenarionet"):
         command("export", data, "--format", form, "--out", folder / form)
         yield f"export/{form}", of_folder(folder / form)
-        if form != "scenarionet":
-            command("import", folder / form, "--format", form, "--out", folder / f"{form}-in")
-            yield f"import/{form}", of_folder(folder / f"{form}-in")
+        command("import", folder / form, "--format", form, "--out", folder / f"{form}-in")
+        yield f"import/{form}", of_folder(folder / f"{form}-in")
     command("predict", folder / "argoverse1-in", "--json", folder / "rows.json", "--quiet",
             "--horizon-s", "3")  # fmt: skip
     yield "predict/no-map", of_rows(folder / "rows.json")

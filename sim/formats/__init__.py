@@ -188,9 +188,11 @@ FORMATS: Final[Registry[Format]] = Registry(
         ),
         "scenarionet": Format(
             ("*.pkl",),
-            re.compile(rb"(?!)"),
-            writer="sim.formats.scenarionet:write",
-            index="sim.formats.scenarionet:Index",
+            re.compile(rb"(?s)^\x80[\x02-\x05].*(?:tracks|metadata|version|map_features)"),
+            "sim.formats.scenarionet.reader:read",
+            "sim.formats.scenarionet.writer:write",
+            index="sim.formats.scenarionet.writer:Index",
+            beside=("dataset_summary.pkl", "dataset_mapping.pkl"),
         ),
         "openscenario": Format(
             ("*.xosc",),

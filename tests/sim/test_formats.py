@@ -6,6 +6,7 @@ import dataclasses
 import gzip
 import math
 import os
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from experiments.benches.hostile.scenes import (
     KITTI_CALIB,
     KITTI_LABELS,
     KITTI_OXTS,
+    scenarionet_scene,
     waymo_record,
 )
 from scenarios import SCENARIOS
@@ -120,6 +122,7 @@ SAMPLES: dict[str, tuple[str, bytes]] = {
     "commonroad": ("scene.xml", COMMONROAD.encode()),
     "kitti": ("label_02/0000.txt", KITTI_LABELS.encode()),
     "womd": ("a.tfrecord", waymo_record()),
+    "scenarionet": ("sd_turn.pkl", pickle.dumps(scenarionet_scene(), protocol=4)),
     "traf": ("TRAF_gt.txt", TRAF.encode()),
     "argo": ("argo1_tracks.csv", ARGO.encode()),
     "pairs": ("pairs.csv", PAIRS.encode()),
@@ -364,7 +367,7 @@ def test_the_order_of_rows_does_not_matter(tmp_path: Path, name: str) -> None:
     assert same(read(path, name), expected)
 
 
-TEXTS = [n for n in READABLE if n not in ("argoverse2", "womd")]
+TEXTS = [n for n in READABLE if n not in ("argoverse2", "womd", "scenarionet")]
 
 
 def refused(path: Path, name: str, *told: str) -> None:
@@ -588,7 +591,7 @@ def test_the_official_argoverse2_package_takes_what_is_written(tmp_path: Path) -
 
 
 def test_scenarionet_is_a_plain_dictionary(tmp_path: Path) -> None:
-    from sim.formats.scenarionet import description
+    from sim.formats.scenarionet.writer import description
 
     told = description("episode", episode(), SCENARIOS["straight_road"]().road)
     agent = told["tracks"]["2"]
@@ -603,8 +606,9 @@ def test_scenarionet_is_a_plain_dictionary(tmp_path: Path) -> None:
     }
     (path,) = get_writer("scenarionet")(tmp_path, "episode", episode(), None)
     assert path.name == "sd_graphrqi_episode.pkl"
-    with pytest.raises(InputError, match="found no reader"):
-        get_reader("scenarionet")
+    back = read(path, "scenarionet")
+    assert back.behavior is not None
+    assert back.behavior.tolist() == episode().behavior.tolist()
 
 
 def test_episodes_too_short_or_at_another_rate_are_refused(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def alter(name: str, data: bytes, choose: random.Random) -> bytes:
         return _of_archive(data, choose)
     if name.endswith(".parquet") and choose.random() < 0.5:
         return _of_table(data, choose)
-    if name.endswith((".parquet", ".safetensors", ".tfrecord")):
+    if name.endswith((".parquet", ".safetensors", ".tfrecord", ".pkl")):
         return _of_bytes(data, choose)
     return _of_text(data, choose)
 

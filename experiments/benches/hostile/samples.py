@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import pickle
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -129,6 +130,8 @@ def _recording_samples() -> dict[str, Sample]:
         "commonroad": ("scene.xml", {"scene.xml": scenes.COMMONROAD.encode()}),
         "kitti": ("label_02/0000.txt", kitti),
         "womd": ("a.tfrecord", {"a.tfrecord": scenes.waymo_record()}),
+        "scenarionet": ("sd_turn.pkl", {
+            "sd_turn.pkl": pickle.dumps(scenes.scenarionet_scene(), protocol=4)}),
     }  # fmt: skip
 
     def sample(key: str, file: str, files: dict[str, bytes]) -> Sample:

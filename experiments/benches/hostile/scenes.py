@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
+from sim.frames import FloatArray
+
 
 def _xy(x: float, y: float) -> str:
     return f"<point><x>{x}</x><y>{y}</y></point>"
@@ -106,3 +112,58 @@ def waymo_record() -> bytes:
     from sim.formats.waymo.tfrecord import write_record
 
     return write_record(waymo_message())
+
+
+def scenarionet_scene() -> dict[str, Any]:
+    """A scenario as ScenarioNet's converters write one: a turn, a walker, a cone and a light."""
+    steps = 5
+    zeros = np.zeros(steps, dtype=np.float32)
+
+    def track(kind: str, x: FloatArray, speed: float, size: tuple[float, float]) -> dict[str, Any]:
+        flat = x.astype(np.float32)
+        return {
+            "type": kind,
+            "state": {
+                "position": np.stack([flat, zeros, zeros], axis=1),
+                "velocity": np.stack([zeros + np.float32(speed), zeros], axis=1),
+                "heading": zeros,
+                "length": zeros + np.float32(size[0]),
+                "width": zeros[:, None] + np.float32(size[1]),
+                "valid": np.arange(steps) != 1,
+            },
+            "metadata": {"type": kind, "object_id": kind.lower()},
+        }
+
+    line = np.stack([np.linspace(0.0, 20.0, 11), np.zeros(11)], axis=1)
+    lanes = {
+        str(name): {
+            "type": "LANE_SURFACE_STREET", "polyline": line + offset, "speed_limit_mph": 25.0,
+            "entry_lanes": before, "exit_lanes": after, "width": np.zeros(2),
+            "left_neighbor": [{"feature_id": beside}] if beside else [], "right_neighbor": [],
+        }
+        for name, offset, before, after, beside in (
+            (7, (0.0, 0.0), [], [9], 8), (8, (0.0, 3.25), [], [], None),
+            (9, (20.0, 0.0), [7], [], None),
+        )
+    }  # fmt: skip
+    moves = np.linspace(0.0, 4.0, steps)
+    return {
+        "id": "turn", "version": "0.1", "length": steps,
+        "metadata": {"ts": np.arange(steps, dtype=np.float32) / np.float32(10.0), "sdc_id": "car"},
+        "tracks": {
+            "car": track("VEHICLE", moves, 10.0, (4.5, 1.75)),
+            "walker": track("PEDESTRIAN", moves / 10.0, 1.0, (0.5, 0.5)),
+            "cone": track("TRAFFIC_CONE", 0.0 * moves, 0.0, (0.25, 0.25)),
+        },
+        "map_features": {
+            **lanes,
+            "55": {"type": "CROSSWALK",
+                   "polygon": np.array([[18.0, -2.0], [20.0, -2.0], [20.0, 5.0], [18.0, 5.0]])},
+            "56": {"type": "ROAD_LINE_SOLID_SINGLE_WHITE", "polyline": line},
+        },
+        "dynamic_map_states": {
+            "7": {"type": "TRAFFIC_LIGHT", "lane": 7, "stop_point": np.zeros(3),
+                  "state": {"object_state": ["LANE_STATE_STOP", "LANE_STATE_STOP", None,
+                                             "TRAFFIC_LIGHT_GREEN", "LANE_STATE_CAUTION"]}},
+        },
+    }  # fmt: skip

@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,13 +23,13 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.formats.common.driving_scene import STATES, DrivingScene, check_counts, recording_of
 from sim.formats.common.packed import stem
-from sim.formats.common.recording import Recording, Rows, assemble, kind_codes
+from sim.formats.common.recording import Recording
 from sim.formats.waymo.messages import scenario_class
 from sim.formats.waymo.tfrecord import MAX_RECORD_BYTES, read_records
-from sim.frames import AgentKind, Signal
-from sim.road.maps.waymo import WaymoLane, waymo_road, with_neighbours
-from sim.track_rows import MAX_CELLS
+from sim.frames import AgentKind
+from sim.road.maps.waymo import WaymoLane, with_neighbours
 from sim.written_numbers import real, whole
 from sim.xml_tree import read_bytes
 
@@ -49,13 +48,6 @@ WORDS: Final = {
 }
 """The same in words; of ``TYPE_VEHICLE`` and its like, the end."""
 
-STATES: Final = (
-    Signal.OFF, Signal.RED, Signal.YELLOW, Signal.GREEN, Signal.RED, Signal.YELLOW, Signal.GREEN,
-    Signal.RED, Signal.YELLOW,
-)  # fmt: skip
-"""What lights show, by the format's number: unknown; stop, caution and go as arrows, then as discs;
-flashing stop and caution."""
-
 STATE_WORDS: Final = (
     "unknown", "arrow_stop", "arrow_caution", "arrow_go", "stop", "caution", "go",
     "flashing_stop", "flashing_caution",
@@ -64,34 +56,6 @@ STATE_WORDS: Final = (
 
 LANE_WORDS: Final = {"type_undefined": 0, "type_freeway": 1, "type_surface_street": 2}
 """Types of lanes in words; ``type_bike_lane`` is 3."""
-
-MAX_OBJECTS: Final = 10_000
-"""Most objects of a scenario (our choice; scenarios have some 100)."""
-
-MAX_STEPS: Final = 10_000
-"""Most steps of a scenario (our choice; scenarios have 91, or 198)."""
-
-ROWS: Final = ("x", "y", "heading", "speed", "length", "width")
-
-
-@dataclass
-class _Scene:
-    """A scenario, gathered from any form of it."""
-
-    path: Path
-    name: str
-    time_s: FloatArray
-    names: list[str]
-    kinds: list[AgentKind]
-    steps: list[list[int]]
-    """Of each agent, the steps at which it is seen."""
-    values: list[list[tuple[float, ...]]]
-    """Of each agent and step: x, y, heading, speed, length and width."""
-    lanes: list[WaymoLane]
-    crosswalks: dict[str, FloatArray]
-    lights: list[dict[int, int]]
-    """What the lights show at each step: number of the state by lane."""
-    left_out: int = 0
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -108,7 +72,7 @@ def read(path: Path) -> Iterator[Recording]:
     """
     name = path.name.lower().removesuffix(".gz")
     if name.endswith(".json"):
-        yield _recording(_from_json(path))
+        yield recording_of(_from_json(path))
         return
     message = scenario_class()
     for number, record in enumerate(read_records(path), 1):
@@ -119,72 +83,16 @@ def read(path: Path) -> Iterator[Recording]:
             raise InputError(
                 f"{path}: record {number}: {reason}, expected a Waymo scenario"
             ) from None
-        yield _recording(_from_message(path, scenario, number))
-
-
-def _recording(scene: _Scene) -> Recording:
-    path = scene.path
-    if len(scene.names) * scene.time_s.size > MAX_CELLS:
-        raise InputError(f"{path}: found more than {MAX_CELLS} objects times steps")
-    if not (np.diff(scene.time_s) > 0).all() or not (np.abs(scene.time_s) < 1e9).all():
-        raise InputError(f"{path}: timestamps_seconds: found times that do not increase")
-    seen = [i for i, steps in enumerate(scene.steps) if steps]
-    counts = [len(scene.steps[i]) for i in seen]
-    step = np.array([s for i in seen for s in scene.steps[i]], dtype=np.int64)
-    table = np.array([row for i in seen for row in scene.values[i]], dtype=np.float64)
-    table = table.reshape(-1, len(ROWS))
-    sizes = np.array(
-        [np.median([row[4:] for row in scene.values[i]], axis=0) for i in seen]
-    ).reshape(-1, 2)
-    names = [scene.names[i] for i in seen]
-    if len(set(names)) != len(names):
-        raise InputError(f"{path}: tracks: found an id twice, expected each once")
-    lights = sorted({lane for shown in scene.lights for lane in shown})
-    tracks = assemble(
-        path,
-        Rows(
-            agent=np.repeat(np.arange(len(seen)), counts),
-            names=tuple(names),
-            time_s=scene.time_s[step] - scene.time_s[0] if step.size else np.empty(0),
-            x=table[:, 0],
-            y=table[:, 1],
-            heading=table[:, 2],
-            speed=table[:, 3],
-            length=sizes[:, 0],
-            width=sizes[:, 1],
-            kind=kind_codes([scene.kinds[i] for i in seen]),
-            empty_s=tuple((scene.time_s - scene.time_s[0]).tolist()),
-        ),
-    )
-    road = waymo_road(path, scene.name, scene.lanes, scene.crosswalks, lights)
-    notes = ["vehicles are taken for cars, whatever they are"]
-    if scene.left_out:
-        notes.append(f"left out, because they are not road-agents: {scene.left_out} objects")
-    if road is not None:
-        tracks = tracks.changed(signals=_signals(scene, lights))
-        notes.append("widths of lanes are told from neighbours, or assumed to be 3.5 m")
-        if road.knows.unknown:
-            notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
-    return Recording(scene.name, tracks, tuple(notes), road)
-
-
-def _signals(scene: _Scene, lights: Sequence[int]) -> NDArray[np.int8]:
-    """(lights, T) codes of what they show; off where a light was not seen."""
-    group = {lane: i for i, lane in enumerate(lights)}
-    codes = np.full((len(lights), scene.time_s.size), Signal.OFF.code, dtype=np.int8)
-    for t, shown in enumerate(scene.lights[: scene.time_s.size]):
-        for lane, state in shown.items():
-            codes[group[lane], t] = STATES[state].code
-    return codes
+        yield recording_of(_from_message(path, scenario, number))
 
 
 # --- messages -----------------------------------------------------------------------------------
 
 
-def _from_message(path: Path, scenario: Any, number: int) -> _Scene:
+def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
     where = f"{path}: record {number}"
-    _check_counts(where, len(scenario.tracks), len(scenario.timestamps_seconds))
-    scene = _Scene(
+    check_counts(where, len(scenario.tracks), len(scenario.timestamps_seconds))
+    scene = DrivingScene(
         path,
         scenario.scenario_id.decode("utf-8", "replace")[:100] or f"{stem(path)}-{number}",
         np.array(scenario.timestamps_seconds, dtype=np.float64),
@@ -242,20 +150,10 @@ def _from_message(path: Path, scenario: Any, number: int) -> _Scene:
     return scene
 
 
-def _check_counts(where: str, objects: int, steps: int) -> None:
-    if objects > MAX_OBJECTS or steps > MAX_STEPS:
-        raise InputError(
-            f"{where}: found {objects} objects and {steps} steps, expected at most {MAX_OBJECTS} "
-            f"and {MAX_STEPS}"
-        )
-    if steps == 0:
-        raise InputError(f"{where}: found no timestamps, expected a Waymo scenario")
-
-
 # --- JSON ---------------------------------------------------------------------------------------
 
 
-def _from_json(path: Path) -> _Scene:
+def _from_json(path: Path) -> DrivingScene:
     data = read_bytes(path, MAX_RECORD_BYTES)
     try:
         found = json.loads(data)
@@ -292,12 +190,12 @@ def _field(part: Mapping[str, Any], name: str, default: Any = None) -> Any:
     return part.get(head + "".join(word.capitalize() for word in rest), default)
 
 
-def _from_protobuf_json(path: Path, found: Mapping[str, Any]) -> _Scene:
+def _from_protobuf_json(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     times = [_real(t) for t in _field(found, "timestamps_seconds", [])]
     tracks = _field(found, "tracks", [])
-    _check_counts(str(path), len(tracks), len(times))
+    check_counts(str(path), len(tracks), len(times))
     name = str(_field(found, "scenario_id", stem(path)))[:100]
-    scene = _Scene(path, name, np.array(times), [], [], [], [], [], {}, [])
+    scene = DrivingScene(path, name, np.array(times), [], [], [], [], [], {}, [])
     for track in tracks:
         kind = _kind(_field(track, "object_type", 0))
         states = _field(track, "states", [])
@@ -381,13 +279,13 @@ def _light(word: Any) -> int:
     return _whole(word) if 0 <= _whole(word) < len(STATES) else 0
 
 
-def _from_nocturne(path: Path, found: Mapping[str, Any]) -> _Scene:
+def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     objects = found["objects"]
     steps = max((len(one["position"]) for one in objects), default=0)
-    _check_counts(str(path), len(objects), steps)
+    check_counts(str(path), len(objects), steps)
     name = str(found.get("scenario_id") or found.get("name") or stem(path))[:100]
     times = np.arange(steps, dtype=np.float64) * PERIOD_S
-    scene = _Scene(path, name.removesuffix(".json"), times, [], [], [], [], [], {}, [])
+    scene = DrivingScene(path, name.removesuffix(".json"), times, [], [], [], [], [], {}, [])
     headings, courses = list[float](), list[float]()
     for index, one in enumerate(objects):
         kind = _kind(one["type"])
@@ -430,7 +328,7 @@ def _in_degrees(heading: FloatArray, course: FloatArray) -> bool:
     return bool(as_degrees > as_radians)
 
 
-def _nocturne_map(scene: _Scene, found: Mapping[str, Any]) -> None:
+def _nocturne_map(scene: DrivingScene, found: Mapping[str, Any]) -> None:
     """The lanes and lights of such a JSON: of lanes it has lines only."""
     for index, road in enumerate(found.get("roads") or []):
         if road["type"] == "lane":

@@ -65,6 +65,7 @@ class WaymoLane:
         left: id of the lane beside it on the left, of its direction; None without one.
         right: likewise on the right.
         stops: whether a stop sign controls it.
+        width_m: m; NaN where the map does not say it.
     """
 
     id: int
@@ -77,6 +78,7 @@ class WaymoLane:
     left: int | None = None
     right: int | None = None
     stops: bool = False
+    width_m: float = math.nan
 
 
 def waymo_road(
@@ -186,7 +188,9 @@ def _following(lanes: Mapping[int, WaymoLane]) -> dict[int, tuple[int, ...]]:
 
 
 def _width(lane: WaymoLane, lanes: Mapping[int, WaymoLane]) -> float:
-    """The distance to a neighbour's line, or the usual width, m."""
+    """What the map says, the distance to a neighbour's line, or the usual width, m."""
+    if math.isfinite(lane.width_m):
+        return lane.width_m
     for beside in (lane.left, lane.right):
         other = lanes.get(beside) if beside is not None else None
         if other is None:

@@ -9,11 +9,14 @@ from __future__ import annotations
 import csv
 import io
 import math
+import pickle
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from experiments.benches.hostile.grammars import TABLES
 from experiments.benches.hostile.oracles import grown
@@ -200,14 +203,52 @@ def _names(recordings: Iterable[Any]) -> Seen:
     return Counter({("", 0.0): len({re.sub(r"-part\d+$", "", one.name) for one in recordings})})
 
 
+class _Anything:
+    """What stands for objects that are not plain data; it takes every call."""
+
+    def __new__(cls, *given: Any, **named: Any) -> _Anything:
+        return super().__new__(cls)
+
+    def __setstate__(self, state: Any) -> None:
+        pass
+
+
+PLAIN: Final = ("_reconstruct", "scalar", "_frombuffer", "ndarray", "dtype")
+"""Names of numpy without which its arrays and numbers are not built."""
+
+
+class _Unpickler(pickle.Unpickler):
+    """Python's own machine, to which no other name is told."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module.split(".")[0] == "numpy" and name in PLAIN:
+            return super().find_class(module, name)
+        return _Anything
+
+
+def _scenarionet(path: Path) -> Seen:
+    """How many rows there are: steps at which a road-agent is valid."""
+    try:
+        found = _Unpickler(io.BytesIO(content(path))).load()
+        rows = 0
+        for track in found["tracks"].values():
+            if track["type"] in ("VEHICLE", "PEDESTRIAN", "CYCLIST"):
+                rows += int(np.count_nonzero(track["state"]["valid"]))
+    except Refused:
+        raise
+    except Exception as error:  # a machine that runs anything fails in any way
+        raise Refused(type(error).__name__) from None
+    return Counter({("", 0.0): rows})
+
+
 SEEN: Final[dict[str, Callable[[Path], Seen]]] = {
     "ngsim": _ngsim, "argo": _argo, "pairs": _pairs, "kitti": _kitti, "commonroad": _commonroad,
-    "womd": _womd,
+    "womd": _womd, "scenarionet": _scenarionet,
 }  # fmt: skip
 """What a format's file tells."""
 
 MINE: Final[dict[str, Callable[[Iterable[Any]], Seen]]] = {
     "ngsim": _speeds, "argo": _when, "pairs": _rows, "kitti": _when, "commonroad": _when,
-    "womd": _names,
+    "womd": _names, "scenarionet": _rows,
 }  # fmt: skip
 """The same of what was read."""

@@ -1,0 +1,275 @@
+"""Reads ScenarioNet's dictionaries, which MetaDrive and the converters around it write.
+
+They are pickles, of which only plain data are taken (`plain_pickle`); nothing in them is run.
+Positions and sizes are in metres, headings in radians; where ``ts`` is missing, a step is 0.1 s.
+
+References:
+    Li et al. (2023), ScenarioNet, NeurIPS Datasets and Benchmarks; MetaDrive's
+    ``ScenarioDescription`` and ``MetaDriveType``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from sim.formats.common.driving_scene import (
+    MAX_STEPS,
+    STATES,
+    DrivingScene,
+    check_counts,
+    recording_of,
+)
+from sim.formats.common.packed import stem
+from sim.formats.common.recording import Recording
+from sim.formats.scenarionet.plain_pickle import NotPlainError, loads
+from sim.frames import AgentKind, Signal
+from sim.road.maps.lanelets import MAX_POINTS
+from sim.road.maps.waymo import MPS_PER_MPH, WaymoLane, with_neighbours
+from sim.xml_tree import read_bytes
+
+FloatArray = NDArray[np.float64]
+
+MAX_BYTES: Final = 2**28
+"""Largest file that is read (our choice: 256 MiB; scenarios have some megabytes)."""
+
+PERIOD_S: Final = 0.1
+"""Time between two steps where the file does not say it, s (ScenarioNet's own rate)."""
+
+KINDS: Final = {
+    "VEHICLE": AgentKind.CAR,
+    "PEDESTRIAN": AgentKind.PEDESTRIAN,
+    "CYCLIST": AgentKind.BICYCLE,
+}
+"""Types of objects that are road-agents; cones, barriers and the like are left out."""
+
+LANES: Final = {
+    "LANE_UNKNOWN": 0, "LANE_FREEWAY": 1, "LANE_SURFACE_STREET": 2, "LANE_BIKE_LANE": 3,
+    "LANE_SURFACE_UNSTRUCTURE": 2,
+}  # fmt: skip
+"""Types of lanes, by Waymo's numbers; an unstructured one is a way across a junction."""
+
+LIGHTS: Final = (
+    ("RED", Signal.RED), ("STOP", Signal.RED), ("YELLOW", Signal.YELLOW),
+    ("CAUTION", Signal.YELLOW), ("GREEN", Signal.GREEN), ("GO", Signal.GREEN),
+)  # fmt: skip
+"""What a light shows, by the end of its word; it is off where none fits."""
+
+BEHAVIOR_CODES: Final = {behavior.value: code for code, behavior in enumerate(BEHAVIORS)}
+
+
+def read(path: Path) -> Iterator[Recording]:
+    """Read the scenario of a file.
+
+    Args:
+        path: ``sd_*.pkl``.
+
+    Yields:
+        The recording, with its road.
+
+    Raises:
+        InputError: if the file is broken, or holds something else; the message names the field.
+    """
+    data = read_bytes(path, MAX_BYTES)
+    try:
+        found = loads(data)
+    except NotPlainError as error:
+        raise InputError(f"{path}: {error}, expected ScenarioNet's plain data") from None
+    except (MemoryError, RecursionError):
+        raise InputError(f"{path}: found a broken pickle, expected ScenarioNet's data") from None
+    if not isinstance(found, Mapping) or "tracks" not in found:
+        raise InputError(f"{path}: found no tracks, expected a dictionary of ScenarioNet")
+    try:
+        yield recording_of(_scene(path, found))
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        if isinstance(error, InputError) and str(path) in str(error):
+            raise
+        reason = f"{type(error).__name__} {' '.join(str(error).split())[:120]}"
+        raise InputError(f"{path}: expected ScenarioNet's data, found others: {reason}") from None
+
+
+def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
+    tracks = _dictionary(found["tracks"])
+    metadata = _dictionary(found.get("metadata", {}))
+    steps = found.get("length")
+    if steps is None:
+        steps = max((len(_dictionary(t["state"])["position"]) for t in tracks.values()), default=0)
+    steps = int(steps)
+    check_counts(str(path), len(tracks), steps)
+    times = metadata.get("ts", metadata.get("timestep"))
+    time_s = np.arange(steps) * PERIOD_S if times is None else _numbers(times, 1)
+    if time_s.shape != (steps,):
+        raise InputError(f"{path}: ts: found {time_s.size} times, expected {steps}")
+    if time_s.dtype == np.float32:
+        # Single precision tells a step of .1 s to a ten-millionth only, and late times worse.
+        time_s = np.round(time_s.astype(np.float64), 4)
+    name = _word(found.get("id")) or _word(metadata.get("scenario_id")) or stem(path)
+    scene = DrivingScene(
+        path, name, time_s.astype(np.float64), [], [], [], [], [], {}, [{} for _ in range(steps)]
+    )
+    for label, track in tracks.items():
+        kind = KINDS.get(_word(_dictionary(track)["type"]))
+        if kind is None:
+            scene.left_out += 1
+            continue
+        _add_agent(scene, _word(label), kind, track)
+    if all(code < 0 for code in scene.behavior):
+        scene.behavior = []
+    numbers = _add_map(scene, _dictionary(found.get("map_features", {})))
+    _add_lights(scene, _dictionary(found.get("dynamic_map_states", {})), numbers)
+    return scene
+
+
+def _add_agent(scene: DrivingScene, name: str, kind: AgentKind, track: Mapping[str, Any]) -> None:
+    """Take in where an agent was."""
+    state, steps = _dictionary(track["state"]), scene.time_s.size
+    valid = _numbers(state["valid"], 1).astype(bool)
+    place, velocity = _numbers(state["position"], 2), _numbers(state["velocity"], 2)
+    heading = _numbers(state["heading"], 1)
+    columns = [place[:, 0], place[:, 1], heading, np.hypot(velocity[:, 0], velocity[:, 1])]
+    columns += [_side(state[side], steps) for side in ("length", "width")]
+    if any(column.shape != (steps,) for column in (valid, *columns)):
+        raise InputError(f"{scene.path}: tracks: {name}: found states that are not {steps}")
+    seen = np.flatnonzero(valid)
+    scene.names.append(name)
+    scene.kinds.append(kind)
+    scene.steps.append(seen.tolist())
+    table = np.stack(columns, axis=1)[seen].astype(np.float64)
+    scene.values.append([tuple(row) for row in table.tolist()])
+    behavior = _dictionary(track.get("metadata", {})).get("behavior")
+    scene.behavior.append(BEHAVIOR_CODES.get(_word(behavior), -1))
+
+
+def _side(values: Any, steps: int) -> FloatArray:
+    """A length or width of each step; some converters write one for all, or a column."""
+    found = np.asarray(values, dtype=np.float64)
+    if found.ndim == 2 and found.shape[1] == 1:
+        found = found[:, 0]
+    return np.full(steps, float(found)) if found.ndim == 0 else found
+
+
+def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]:
+    """Take in lanes and crosswalks; gives the number of each lane by its name."""
+    lanes = {
+        _word(name): feature for name, feature in features.items()
+        if _word(_dictionary(feature)["type"]) in LANES
+    }  # fmt: skip
+    numbers = {name: number for number, name in enumerate(lanes)}
+    if all(name.isascii() and name.isdecimal() and len(name) < 16 for name in numbers):
+        numbers = {name: int(name) for name in numbers}
+    for name, feature in lanes.items():
+        kind = _word(feature["type"])
+        beside = [_first(feature, f"{side}_neighbor", numbers) for side in ("left", "right")]
+        scene.lanes.append(
+            WaymoLane(
+                id=numbers[name],
+                line=_points(feature["polyline"]),
+                limit_mph=_limit_mph(feature),
+                type=LANES[kind],
+                interpolating=kind == "LANE_SURFACE_UNSTRUCTURE"
+                or bool(feature.get("interpolating", False)),
+                before=_known(feature.get("entry_lanes"), numbers),
+                after=_known(feature.get("exit_lanes"), numbers),
+                left=beside[0],
+                right=beside[1],
+                width_m=_width(scene.path, feature),
+            )
+        )
+    for name, feature in features.items():
+        if _word(feature["type"]) == "CROSSWALK" and "polygon" in feature:
+            scene.crosswalks[_word(name)] = _points(feature["polygon"])
+    scene.lanes = with_neighbours(scene.lanes)
+    return numbers
+
+
+def _width(path: Path, feature: Mapping[str, Any]) -> float:
+    """The lane's width, which ours says and converters mostly give at every point, m."""
+    width = feature.get("width")
+    if width is None or np.ndim(width) != 0:
+        return math.nan
+    if not 0.0 < float(width) <= 100.0:
+        raise InputError(f"{path}: map_features: found a width of {float(width):g} m")
+    return float(width)
+
+
+def _limit_mph(feature: Mapping[str, Any]) -> float:
+    """The limit, miles per hour; NaN where it is unknown (converters write none or 0)."""
+    if feature.get("speed_limit_mph"):
+        return float(feature["speed_limit_mph"])
+    limit = feature.get("speed_limit_kmh")
+    return float(limit) / 3.6 / MPS_PER_MPH if limit else math.nan
+
+
+def _known(names: Any, numbers: Mapping[str, int]) -> tuple[int, ...]:
+    """Numbers of the lanes that are named and there, at most 16."""
+    plain = () if names is None or isinstance(names, str) else tuple(names)[:16]
+    return tuple(numbers[_word(name)] for name in plain if _word(name) in numbers)
+
+
+def _first(feature: Mapping[str, Any], key: str, numbers: Mapping[str, int]) -> int | None:
+    """The first neighbour: a name, or Waymo's record of one."""
+    beside = feature.get(key) or ()
+    one = beside[0] if isinstance(beside, Sequence) and len(beside) else None
+    if isinstance(one, Mapping):
+        one = one.get("feature_id")
+    return numbers.get(_word(one))
+
+
+def _add_lights(scene: DrivingScene, states: Mapping[Any, Any], numbers: Mapping[str, int]) -> None:
+    """Take in what the lights of known lanes show."""
+    by_signal = {signal: STATES.index(signal) for _, signal in LIGHTS}
+    for name, light in states.items():
+        lane = numbers.get(_word(_dictionary(light).get("lane", name)))
+        if lane is None:
+            continue
+        state = light["state"]
+        words = _dictionary(state)["object_state"] if isinstance(state, Mapping) else state
+        for step, word in enumerate(list(words)[:MAX_STEPS][: scene.time_s.size]):
+            shown = (signal for end, signal in LIGHTS if _word(word).upper().endswith(end))
+            scene.lights[step][lane] = by_signal.get(next(shown, Signal.OFF), 0)
+
+
+def _word(value: Any) -> str:
+    """A name, which may be a number; "" for anything else, whose text might be endless."""
+    return str(value)[:100] if isinstance(value, str | int) else ""
+
+
+def _dictionary(value: Any) -> Mapping[Any, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"found {type(value).__name__}, expected a dictionary")
+    return value
+
+
+def _numbers(values: Any, sides: int) -> NDArray[Any]:
+    """An array of numbers with so many sides; lists hold numbers, or lists of these."""
+    if isinstance(values, list | tuple):
+        _check_list(values, sides)
+    found = np.asarray(values)
+    if found.dtype.kind not in "biuf" or found.ndim != sides:
+        raise ValueError(f"found {found.dtype} values of shape {found.shape}")
+    return found
+
+
+def _points(values: Any) -> FloatArray:
+    """(P, 2) points, m; heights go."""
+    found = _numbers(values, 2) if len(values) else np.empty((0, 2))
+    return np.asarray(found[:, :2], dtype=np.float64)
+
+
+def _check_list(values: Sequence[Any], sides: int) -> None:
+    """Refuse lists that would become huge arrays: a pickle may name one list many times."""
+    inner = sum(len(one) if isinstance(one, list | tuple | np.ndarray) else 1 for one in values)
+    if len(values) > MAX_POINTS or inner > 4 * MAX_POINTS:
+        raise ValueError(f"found a list of {inner} values")
+    for one in values:
+        if isinstance(one, list | tuple) and (
+            sides == 1 or any(isinstance(value, list | tuple | np.ndarray) for value in one)
+        ):
+            raise ValueError("found lists in lists")
