@@ -178,11 +178,11 @@ class Store:
         except FileNotFoundError:
             raise FileNotFoundError(2, "No such file", self._called(name)) from None
         except PermissionError as error:
-            raise PermissionError(13, f"{error:.200}", self._called(name)) from None
+            raise PermissionError(13, f"{error!s:.200}", self._called(name)) from None
         except InputError:
             raise
         except Exception as error:  # stores' clients have their own errors, of no common class
-            raise OSError(5, f"{error:.200}".replace("\n", " "), self._called(name)) from error
+            raise OSError(5, f"{error!s:.200}".replace("\n", " "), self._called(name)) from error
 
     def _called(self, name: str) -> str:
         return f"{self._url}/{name}" if name else self._url

@@ -222,6 +222,15 @@ def test_urls_of_nothing(bucket: str, url: str, message: str) -> None:
         open_dataset(Path(url))
 
 
+def test_an_error_of_a_stores_client_is_one_of_the_system() -> None:
+    def refuse() -> None:
+        raise EOFError("nobody\nlistens")
+
+    with pytest.raises(OSError, match="nobody listens") as found:
+        place_of("memory://here/data")._tried(refuse, "a")  # type: ignore[attr-defined]
+    assert found.value.filename == "memory://here/data/a"
+
+
 def test_a_cluster_needs_a_shared_folder(bucket: str) -> None:
     with pytest.raises(InputError, match="expected a folder on a disk that every worker sees"):
         generate(CONFIG, Path(f"{bucket}/no"), quiet=True, cluster="tcp://127.0.0.1:1")
