@@ -29,8 +29,10 @@ def start_worker(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(PARENT_CHECK_S)
-        remove_temporary(own=True)
-        os._exit(1)
+        try:
+            remove_temporary(own=True)
+        finally:
+            os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()
 

@@ -167,7 +167,7 @@ class Store:
     @property
     def filesystem(self) -> AbstractFileSystem:
         """fsspec's, made once per process."""
-        return _filesystem(self._url.partition("://")[0])
+        return _filesystem(self._url.partition("://")[0], os.getpid())
 
     def _full(self, name: str) -> str:
         return f"{self._root}/{name}" if name else self._root
@@ -249,7 +249,8 @@ def _without_protocol(url: str) -> str:
 
 
 @cache
-def _filesystem(protocol: str) -> AbstractFileSystem:
+def _filesystem(protocol: str, process: int) -> AbstractFileSystem:
+    """The client of a protocol in a process: a forked one cannot use that of its parent."""
     try:
         import fsspec
     except ImportError:

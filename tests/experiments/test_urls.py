@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import shutil
 import subprocess
@@ -250,3 +251,17 @@ def test_commands_say_urls_as_they_were_given(stored: Path, capsys) -> None:
     assert ended("train", str(stored), "--method", "majority", "--out", url, "--quiet") == 2
     assert f"{url}: found a URL, expected a path of this machine" in capsys.readouterr().err
     assert not Path("s3:").exists()
+
+
+def test_a_forked_process_reads_what_its_parent_wrote(bucket: str) -> None:
+    place = place_of(f"{bucket}/forked")
+    place.write("a", b"one")
+    assert place.size("a") == 3
+
+    def read() -> None:
+        os._exit(0 if place.size("a") == 3 else 1)
+
+    child = multiprocessing.get_context("fork").Process(target=read)
+    child.start()
+    child.join(60)
+    assert child.exitcode == 0

@@ -27,9 +27,6 @@ from sim.store.atomic import PARTIAL_PREFIX, write_whole
 
 BUCKET: Final = "datasets"
 
-_MODULES: Final = ("moto.moto_server.werkzeug_app", "moto.s3.urls", "moto.s3control.urls",
-                   "moto.moto_api._internal.urls", "werkzeug.serving", "werkzeug.test")  # fmt: skip
-
 HOST: Final = "127.0.0.1"
 
 PORTS: Final = range(20_000, 30_000)
@@ -48,7 +45,7 @@ def environment(port: int) -> dict[str, str]:
 
 
 class ObjectServer:
-    """A server in a forked process, with one bucket.
+    """A server in a process of its own, with one bucket.
 
     Attributes:
         port: where it listens, on the loopback address only; the same when it is started again.
@@ -64,8 +61,7 @@ class ObjectServer:
             InputError: if moto is not installed.
         """
         try:
-            for module in _MODULES:  # there before the server is forked, so that it starts at once
-                importlib.import_module(module)
+            importlib.import_module("moto.moto_server.werkzeug_app")
         except ImportError:
             raise InputError("moto: found no such package: pip install 'graphrqi[dev]'") from None
         self._kept = kept
@@ -75,8 +71,9 @@ class ObjectServer:
 
     def start(self) -> None:
         """Start it; it answers when this returns."""
-        fork = multiprocessing.get_context("fork")
-        self._process = fork.Process(target=_serve, args=(self.port, self._kept), daemon=True)
+        # Not forked: moto keeps its objects in the process, and a fork would begin with them.
+        spawn = multiprocessing.get_context("spawn")
+        self._process = spawn.Process(target=_serve, args=(self.port, self._kept), daemon=True)
         self._process.start()
         begin = time.monotonic()
         while time.monotonic() - begin < LONGEST_START_S:
