@@ -15,6 +15,11 @@ from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Final
 
+from loky.backend.context import set_start_method
+
+STOPPING: Final = (signal.SIGINT, signal.SIGTERM)
+"""Signals that a command is stopped with."""
+
 LONGEST_S: Final = 600.0
 """Longest time for a command (our choice: they take seconds, minutes while kernels compile)."""
 
@@ -49,7 +54,11 @@ def start(words: list[str], temporary: Path) -> ForkProcess:
     process = multiprocessing.get_context("fork").Process(
         target=_command, args=(words, temporary, told)
     )
-    process.start()
+    signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)  # until the child has handlers of its own
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     return process
 
 
@@ -74,13 +83,12 @@ def content(folder: Path) -> dict[str, str]:
 
 
 def _command(words: list[str], temporary: Path, told: Path) -> None:
-    from loky.backend.context import set_start_method
-
     os.setsid()
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     warnings.filterwarnings("ignore", message="`fork` start method")
     set_start_method("fork", force=True)  # workers have everything imported, too
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)
     with told.open("w") as file:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
@@ -91,5 +99,8 @@ def _command(words: list[str], temporary: Path, told: Path) -> None:
         runpy.run_module("experiments.cli", run_name="__main__")
     except SystemExit as exited:
         os._exit(exited.code if isinstance(exited.code, int) else 1)
+    except KeyboardInterrupt:  # before the command looks after it: Python ends itself like this
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
     finally:
         sys.stdout.flush()
