@@ -140,6 +140,7 @@ def stoppable(folder: Path, wanted: int, out: Path | None = None) -> Iterator[No
     try:
         yield
     except KeyboardInterrupt:
+        remove_temporary()  # of workers that were ended in the middle of an episode
         remove_partial(folder)
         remove_partial(folder / "episodes")
         place = place_of(out or folder)

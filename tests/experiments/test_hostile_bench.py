@@ -102,9 +102,10 @@ def test_what_ends_a_worker_is_told_and_the_rest_goes_on(monkeypatch: pytest.Mon
 def test_rows_count_every_input() -> None:
     (rows,) = bench.measure(bench.Settings(inputs=20, families=("traf", "study")))
     counts = {(row["family"], row["metric"]): row["value"] for row in rows}
-    for family in ("traf", "study"):
-        assert sum(counts[family, state] for state in trial.STATES) == 10
-        assert counts[family, "peak_gb"] > 0
+    tried = {f: sum(counts[f, state] for state in trial.STATES) for f in ("traf", "study")}
+    before = len(bench.FAILED_BEFORE["study"])
+    assert tried == {"traf": 10 - before // 2, "study": 10 + before // 2}
+    assert counts["traf", "peak_gb"] > 0
     with pytest.raises(InputError, match="--families: found 'trafd', expected some of"):
         list(bench.measure(bench.Settings(families=("trafd",))))
     with pytest.raises(InputError, match="--only: found 'traf', expected FAMILY:NUMBER"):

@@ -89,7 +89,11 @@ def net_lanes(path: Path) -> Lanes:
         except (ImportError, SyntaxError, ValueError) as error:
             raise Refused(str(error)) from None
     found: Lanes = {}
-    for lane in root.iterfind(".//edge/lane"):
+    lanes = (
+        lane for edge in root.iter("edge") if edge.get("function", "") in ("", "internal")
+        for lane in edge.iterfind("lane")
+    )  # fmt: skip
+    for lane in lanes:  # those of crossings and walking areas are none
         points = [one.split(",") for one in lane.get("shape", "").split()]
         if len(points) > 1:
             ends = [finite(one) for point in (points[0], points[-1]) for one in point[:2]]
@@ -281,6 +285,8 @@ def _same(one: Any, other: Any) -> bool:
         return all(key in one and _same(one[key], value) for key, value in other.items())
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
         return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, float) and isinstance(other, int) and not isinstance(other, bool):
+        return one == float(other)
     return bool(one == other)
 
 

@@ -101,6 +101,8 @@ def read_table(table: Table, data: bytes) -> Rows:
         moment, x, y = table.place(values)
         if (agent, moment) in found:
             raise Refused("twice")
+        if max(abs(x), abs(y)) > LARGEST:
+            raise Refused("too large")
         found[agent, moment] = (x, y)
     if not found:
         raise Refused("no rows")

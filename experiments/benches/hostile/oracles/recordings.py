@@ -111,6 +111,9 @@ def _rows(recordings: Iterable[Any]) -> Seen:
 # --- one reader per format ----------------------------------------------------------------------
 
 
+csv.field_size_limit(2**31 - 1)
+
+
 def _table(path: Path, header: list[str] | None = None) -> list[dict[str, str]]:
     try:
         text = content(path).decode("utf-8-sig", "surrogateescape")
@@ -128,8 +131,8 @@ def _table(path: Path, header: list[str] | None = None) -> list[dict[str, str]]:
 def _ngsim(path: Path) -> Seen:
     """Speeds in m/s, from feet."""
     if path.suffix == ".txt":
-        lines = [line.split() for line in content(path).decode("latin-1").splitlines()]
-        speeds = [line[11] for line in lines if len(line) > 11]
+        lines = [line.split() for line in content(path).split(b"\n")]
+        speeds = [line[11].decode("latin-1") for line in lines if len(line) > 11]
     else:
         speeds = [row.get("v_vel", "") for row in _table(path)]
     return Counter(("", round(finite(one) * 0.3048, 4)) for one in speeds)
@@ -154,7 +157,7 @@ def _kitti(path: Path) -> Seen:
     for line in content(path).split(b"\n"):
         fields = line.split()
         if fields and fields[2] not in (b"DontCare", b"Misc"):
-            for one in fields[11:17]:
+            for one in fields[13:17]:
                 finite(one.decode("latin-1"))
             found[fields[1].decode(), round(0.1 * whole(fields[0].decode("latin-1")), 3)] += 1
     poses = content(path.parent.parent / "oxts" / path.name).split(b"\n")
