@@ -17,12 +17,15 @@ from typer.exceptions import TyperException
 STOPPED: Final = 130
 """Exit code of a program that Ctrl-C stopped: 128 plus the signal's number, as in shells."""
 
-ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
-"""Other signals that stop a program as Ctrl-C does: what it was writing is cleared away."""
+ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that stop a program, Ctrl-C's first: what it was writing is cleared away."""
 
 
 class Interrupted(Exception):
     """The user stopped a run; the message says how to go on."""
+
+
+STOPPED_WORDS: Final = "stopped: run the same command again to go on"
 
 
 @contextmanager
@@ -42,8 +45,12 @@ def exit_on_user_error() -> Iterator[None]:
             yield
     except (Interrupted, KeyboardInterrupt) as stop:
         code = 128 + received[0] if received else STOPPED
-        _end(str(stop) or "stopped: run the same command again to go on", code)
-    except (TyperException, ValueError, OSError) as error:
+        _end(str(stop) or STOPPED_WORDS, code)
+    except Exception as error:
+        if received:  # what a signal broke: an import in native code turns it into other errors
+            _end(STOPPED_WORDS, 128 + received[0])
+        if not isinstance(error, TyperException | ValueError | OSError):
+            raise
         reason = _reason(error)
         if reason is None:
             raise
@@ -61,16 +68,16 @@ def _stopping(received: list[int]) -> Iterator[None]:
         raise KeyboardInterrupt
 
     in_main = threading.current_thread() is threading.main_thread()
-    handled = [
-        one for one in ENDING if in_main and signal.getsignal(one) is signal.SIG_DFL
-    ]  # under nohup SIGHUP is ignored
+    usual = (signal.SIG_DFL, signal.default_int_handler)  # under nohup SIGHUP is ignored
+    before = {one: signal.getsignal(one) for one in ENDING}
+    handled = [one for one in ENDING if in_main and before[one] in usual]
     for one in handled:
         signal.signal(one, stop)
     try:
         yield
     finally:
         for one in handled:
-            signal.signal(one, signal.SIG_DFL)
+            signal.signal(one, before[one])
 
 
 def _end(message: str, code: int) -> NoReturn:

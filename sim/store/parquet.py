@@ -472,6 +472,8 @@ def read_packed(source: pa.NativeFile, texts: Sequence[str], columns: list[str] 
     file = pq.ParquetFile(source, read_dictionary=list(texts), page_checksum_verification=True)
     table = file.read(columns=columns, use_threads=False)
     table.validate(full=True)
+    if missing := sorted({*(columns or ())} - {*table.column_names}):  # told otherwise before
+        raise pa.ArrowInvalid(f"found no column {missing[0]}")
     return table
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -30,6 +31,26 @@ def test_what_users_do_ends_in_one_line(
         raise error
     assert ended.value.code == code
     assert capsys.readouterr().err == line
+
+
+def _imported(stop: signal.Signals) -> None:
+    """As pandas does when a signal comes while it is being imported."""
+    try:
+        signal.raise_signal(stop)
+    except KeyboardInterrupt:
+        raise AttributeError("partially initialized module") from None
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_what_a_signal_broke_is_a_stop(
+    stop: signal.Signals, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(stop)
+    with pytest.raises(SystemExit) as ended, exit_on_user_error():
+        _imported(stop)
+    assert signal.getsignal(stop) is before
+    assert ended.value.code == 128 + stop
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize("error", [ValueError("a bug"), OSError("no reason"), KeyError("x")])

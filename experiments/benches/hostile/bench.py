@@ -53,6 +53,8 @@ FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "ngsim-text": (2001227,),
     "kitti": (32, 2000202),
     "argo": (2000890,),
+    "argoverse2-grown": (3000285,),
+    "pairs": (2002139,),
     "net": (16, 64, 66, 800213, 800370),
     "net-small": (800119, 800183, 2000302),
     "run": (800199,),

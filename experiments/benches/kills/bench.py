@@ -230,6 +230,8 @@ def _disturb(command: _Undisturbed, root: Path, number: int, seed: int) -> Count
     found = content(place)
     counts["disturbed"] += code != 0
     flaws = _flaws(sent, code, found, command.wanted, root / "temporary")
+    if "wrong_code" in flaws:
+        flaws["wrong_code"] += f": {told[-200:]}"
     if code != 0:
         code, told = run(command.words, root / "temporary", None)
     if code != 0 or content(place) != command.wanted:
