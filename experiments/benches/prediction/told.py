@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Final
 
@@ -115,16 +116,13 @@ def what_is_left(places: Sequence[RecordedPlace], model: Model) -> Left | None:
     first = 0
     for one in places:
         stops = recorded_instants(one.tracks, every_s)
-        doings = Doings.of(one.tracks) if stops else None
-        stream, pushed = BehaviorStream(model), 0
-        frames = one.tracks.frames()
+        if not stops:
+            continue
+        doings, stream, frames = Doings.of(one.tracks), BehaviorStream(model), one.tracks.frames()
         late = max(1, round(SPAN_S / one.tracks.step_s))
-        for stop in stops:
-            for frame in frames:
+        for before, stop in pairwise([0, *stops]):
+            for frame in islice(frames, stop - before):
                 stream.push(frame)
-                pushed += 1
-                if pushed == stop:
-                    break
             history = history_of(one.tracks, stop)
             truth = happened(one.tracks, history, stop)
             rows = np.flatnonzero(moving(history) & np.isfinite(truth).all(axis=(1, 2)))
@@ -134,13 +132,10 @@ def what_is_left(places: Sequence[RecordedPlace], model: Model) -> Left | None:
             away = truth[rows] - told.best[rows][:, _AT]
             ahead = np.stack([np.cos(history.heading[rows, -1]), np.sin(history.heading[rows, -1])])
             posterior = stream.posterior()
-            at = np.searchsorted(posterior.ids, history.ids[rows])
-            there = np.isin(history.ids[rows], posterior.ids)
-            beliefs = np.full((rows.size, len(BEHAVIORS)), np.nan)
-            beliefs[there] = posterior.probability[at[there]]
+            beliefs = posterior.of(history.ids[rows])
+            beliefs[~np.isin(history.ids[rows], posterior.ids)] = np.nan
             who = np.searchsorted(one.tracks.ids, history.ids[rows])
             begun = one.tracks.valid[who].argmax(axis=1)
-            assert doings is not None
             numbers = [
                 doings.measures(row, start, stop - late)
                 for row, start in zip(who.tolist(), begun.tolist(), strict=True)

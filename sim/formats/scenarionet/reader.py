@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.formats.common.driving_scene import (
-    MAX_STEPS,
     STATES,
     DrivingScene,
     check_counts,
@@ -104,16 +103,15 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     steps = int(steps)
     check_counts(str(path), len(tracks), steps)
     times = metadata.get("ts", metadata.get("timestep"))
-    time_s = np.arange(steps) * PERIOD_S if times is None else _numbers(times, 1)
-    if time_s.shape != (steps,):
-        raise InputError(f"{path}: ts: found {time_s.size} times, expected {steps}")
-    if time_s.dtype == np.float32:
+    stated = np.arange(steps) * PERIOD_S if times is None else _numbers(times, 1)
+    if stated.shape != (steps,):
+        raise InputError(f"{path}: ts: found {stated.size} times, expected {steps}")
+    time_s: FloatArray = stated.astype(np.float64)
+    if stated.dtype == np.float32:
         # Single precision tells a step of .1 s to a ten-millionth only, and late times worse.
-        time_s = np.round(time_s.astype(np.float64), 4)
+        time_s = np.round(time_s, 4)
     name = _word(found.get("id")) or _word(metadata.get("scenario_id")) or stem(path)
-    scene = DrivingScene(
-        path, name, time_s.astype(np.float64), [], [], [], [], [], {}, [{} for _ in range(steps)]
-    )
+    scene = DrivingScene(path, name, time_s, [], [], [], [], [], {}, [{} for _ in range(steps)])
     for label, track in tracks.items():
         kind = KINDS.get(_word(_dictionary(track)["type"]))
         if kind is None:
@@ -231,7 +229,7 @@ def _add_lights(scene: DrivingScene, states: Mapping[Any, Any], numbers: Mapping
             continue
         state = light["state"]
         words = _dictionary(state)["object_state"] if isinstance(state, Mapping) else state
-        for step, word in enumerate(list(words)[:MAX_STEPS][: scene.time_s.size]):
+        for step, word in enumerate(list(words)[: scene.time_s.size]):
             shown = (signal for end, signal in LIGHTS if _word(word).upper().endswith(end))
             scene.lights[step][lane] = by_signal.get(next(shown, Signal.OFF), 0)
 

@@ -185,13 +185,20 @@ def other_lanes(road: Any, theirs: Lanes) -> str | None:
     return None
 
 
+def _other_twice(defects: Any, root: ET.Element, kind: str) -> str | None:
+    """Whether the survey counts other elements of a kind whose ids are there twice."""
+    names = Counter(str(element.get("id")) for element in root.iter(kind))
+    twice = sum(count > 1 for count in names.values())
+    if sum(one.kind == f"{kind} twice" for one in defects) != twice:
+        return f"{twice} {kind}s are there twice"
+    return None
+
+
 def other_opendrive(read: Any, root: ET.Element) -> str | None:
     """What a survey of an OpenDRIVE file says that the file does not."""
     knows, defects = read
-    names = Counter(str(road.get("id")) for road in root.iter("road"))
-    twice = sum(count > 1 for count in names.values())
-    if sum(one.kind == "road twice" for one in defects) != twice:
-        return f"{twice} roads are there twice"
+    if said := _other_twice(defects, root, "road"):
+        return said
     if knows.signals != any(True for _ in root.iter("signal")):
         return "signals"
     return None
@@ -200,10 +207,8 @@ def other_opendrive(read: Any, root: ET.Element) -> str | None:
 def other_openstreetmap(read: Any, root: ET.Element) -> str | None:
     """What a survey of an OpenStreetMap file says that the file does not."""
     knows, defects = read
-    names = Counter(str(node.get("id")) for node in root.iter("node"))
-    twice = sum(count > 1 for count in names.values())
-    if sum(one.kind == "node twice" for one in defects) != twice:
-        return f"{twice} nodes are there twice"
+    if said := _other_twice(defects, root, "node"):
+        return said
     lights = any(_tags(node).get("highway") == "traffic_signals" for node in root.iter("node"))
     return "signals" if knows.signals and not lights else None
 
