@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
 
-from behaviors.errors import InputError
 from experiments.benches.hostile.trial import FAILURES
 from experiments.benches.hostile.worker import Trial
+from experiments.benches.progress import read_progress
 from sim.store.atomic import write_whole
 
 EVERY_S: Final = 30.0
@@ -66,20 +66,16 @@ class Progress:
         Raises:
             InputError: if the file is of another run.
         """
-        if path is None or not path.exists():
-            return cls(work, path=path)
-        try:
-            told = json.loads(path.read_text())
-            found = cls(
+        found = read_progress(
+            path,
+            work,
+            lambda told: cls(
                 told["work"], int(told["done"]), float(told["spent_s"]),
                 {name: Family(**one) for name, one in told["families"].items()},
                 [(f, n, state, why) for f, n, state, why in told["failures"]], path,
-            )  # fmt: skip
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise InputError(f"{path}: found no progress of a run ({error})") from None
-        if found.work != work:
-            raise InputError(f"{path}: found progress of {found.work!r}, expected of {work!r}")
-        return found
+            ),
+        )  # fmt: skip
+        return cls(work, path=path) if found is None else found
 
     def add(self, trial: Trial) -> None:
         """Count one input; the file is written now and then."""

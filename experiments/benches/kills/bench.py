@@ -31,6 +31,7 @@ from behaviors.errors import InputError
 from experiments.benches.contract import Bench, option
 from experiments.benches.kills import generations
 from experiments.benches.kills.forked import content, run
+from experiments.benches.progress import read_progress
 from experiments.rows import Row, tidy_row
 from sim.store.atomic import write_whole
 
@@ -170,16 +171,14 @@ def _begun(
     kept: Path | None, work: str, commands: Sequence[str]
 ) -> tuple[int, dict[str, Counter[str]]]:
     """How many signals each command has had in earlier runs, and what came of them."""
-    if kept is None or not kept.exists():
-        return 0, {name: Counter() for name in commands}
-    try:
-        told = json.loads(kept.read_text())
-        found = {name: Counter(told["counts"][name]) for name in commands}
-        if told["work"] == work:
-            return int(told["signals"]), found
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{kept}: found no progress of a run ({error})") from None
-    raise InputError(f"{kept}: found progress of {told['work']!r:.200}, expected of {work!r}")
+    found = read_progress(
+        kept,
+        work,
+        lambda told: (
+            int(told["signals"]), {name: Counter[str](told["counts"][name]) for name in commands},
+        ),
+    )  # fmt: skip
+    return (0, {name: Counter() for name in commands}) if found is None else found
 
 
 def _prepare(given: Path, dataset: bool) -> None:
