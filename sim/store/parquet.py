@@ -324,10 +324,15 @@ def opened_group(
         layout = Layout(group[3], tuple(columns))
         parts = [(first, data), (footer.begin, footer.content)]
         with pa.PythonFile(_Parts(footer.size, parts), mode="r") as source:
-            yield (
-                layout,
-                pq.ParquetFile(source, metadata=footer.arrow, page_checksum_verification=True),
+            # Reading ahead would give Python's memory to Arrow's threads; one that frees it while
+            # the interpreter ends aborts the process.
+            opened_file = pq.ParquetFile(
+                source,
+                metadata=footer.arrow,
+                page_checksum_verification=True,
+                pre_buffer=False,
             )
+            yield layout, opened_file
     except (InputError, FileNotFoundError):
         raise
     except (ThriftError, TypeError, KeyError, IndexError, AttributeError) as error:

@@ -144,3 +144,33 @@ def test_texts_told_by_those_before_them_are_refused() -> None:
 def test_broken_structures_are_one_error(broken: bytes) -> None:
     with pytest.raises(ThriftError):
         read_struct(broken, 0, len(broken))
+
+
+THREADS_SCRIPT = """
+import os
+import sys
+from pathlib import Path
+from sim.store.parquet import opened_group, read_footer
+
+path = Path(sys.argv[1])
+data = path.read_bytes()
+read = lambda begin, end: data[begin:end]
+footer = read_footer(path, len(data), read)
+footer.arrow
+before = len(os.listdir("/proc/self/task"))
+for number in range(len(footer.groups)):
+    with opened_group(footer, number, read) as (_, file):
+        assert file.read_row_group(number, use_threads=False).num_rows
+print(before, len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts threads in /proc")
+def test_row_groups_are_read_by_the_thread_that_asks(tmp_path: Path) -> None:
+    """A thread of Arrow's that frees Python's memory while the interpreter ends aborts it."""
+    path = tmp_path / "t.parquet"
+    path.write_bytes(content(small(5000), row_group_size=1500))
+    command = [sys.executable, "-c", THREADS_SCRIPT, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    before, after = done.stdout.split()
+    assert before == after
