@@ -326,13 +326,8 @@ def opened_group(
         with pa.PythonFile(_Parts(footer.size, parts), mode="r") as source:
             # Reading ahead would give Python's memory to Arrow's threads; one that frees it while
             # the interpreter ends aborts the process.
-            opened_file = pq.ParquetFile(
-                source,
-                metadata=footer.arrow,
-                page_checksum_verification=True,
-                pre_buffer=False,
-            )
-            yield layout, opened_file
+            options = {"page_checksum_verification": True, "pre_buffer": False}
+            yield layout, pq.ParquetFile(source, metadata=footer.arrow, **options)
     except (InputError, FileNotFoundError):
         raise
     except (ThriftError, TypeError, KeyError, IndexError, AttributeError) as error:
