@@ -82,9 +82,10 @@ def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
         (array([2, 5, 7, 9]), array([1, 2, 3]))
     """
     rows = np.searchsorted(known, ids)
-    if known.size and np.array_equal(known[np.minimum(rows, known.size - 1)], ids):
+    new = np.append(known, -1)[rows] != ids if known.size else np.ones(ids.size, dtype=bool)
+    if not new.any():
         return known, rows
-    merged = np.union1d(known, ids)
+    merged = np.sort(np.concatenate((known, ids[new])), kind="stable")
     return merged, np.searchsorted(merged, ids)
 
 

@@ -68,12 +68,16 @@ class Observer(Protocol):
 class RunningSums:
     """Sums over time for each driver, kept while it is present and ``FORGET_S`` longer.
 
+    A driver's sums stay in one row of a larger array while others come and go, because in a city
+    somebody does at every moment.
+
     Args:
         width: columns of the sums.
     """
 
     def __init__(self, width: int) -> None:
         self._ids: IntArray = np.empty(0, dtype=np.int64)
+        self._row: IntArray = np.empty(0, dtype=np.int64)
         self._sums: FloatArray = np.zeros((0, width))
         self._seconds: FloatArray = np.zeros(0)
         self._seen_s: FloatArray = np.zeros(0)
@@ -93,41 +97,49 @@ class RunningSums:
         """
         step_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
-        merged, rows = merge(self._ids[self._seen_s >= time_s - FORGET_S], ids)
+        merged, at = merge(self._ids[self._seen_s >= time_s - FORGET_S], ids)
         fresh = self._keep(merged, time_s)
-        self._seconds[rows] += np.where(fresh[rows], 0.0, step_s)
-        self._seen_s[rows] = time_s
-        return self._sums, rows, step_s
+        self._seconds[at] += np.where(fresh[at], 0.0, step_s)
+        self._seen_s[at] = time_s
+        return self._sums, self._row[at], step_s
 
     def _keep(self, merged: IntArray, time_s: float) -> BoolArray:
-        """Resize the sums to exactly these agents and return which of them are new."""
+        """Forget all but these agents, give the new ones a row, and return which are new."""
+        fresh = np.zeros(merged.size, dtype=bool)
         if np.array_equal(merged, self._ids):
-            return np.zeros(merged.size, dtype=bool)
-        sums = np.zeros((merged.size, self._sums.shape[1]))
-        seconds = np.zeros(merged.size)
-        seen = np.full(merged.size, time_s)
+            return fresh
         into, source = align(self._ids, merged)
-        sums[into], seconds[into] = self._sums[source], self._seconds[source]
-        seen[into] = self._seen_s[source]
-        fresh = np.ones(merged.size, dtype=bool)
+        fresh[:] = True
         fresh[into] = False
-        self._ids, self._sums, self._seconds, self._seen_s = merged, sums, seconds, seen
+        row, seconds, seen = np.empty_like(merged), np.zeros(merged.size), np.empty(merged.size)
+        row[into], seconds[into] = self._row[source], self._seconds[source]
+        seen[into], seen[fresh] = self._seen_s[source], time_s
+        if not merged.size <= len(self._sums) <= 4 * merged.size:
+            sums = np.zeros((2 * merged.size, self._sums.shape[1]))
+            sums[: into.size], row[into] = self._sums[row[into]], np.arange(into.size)
+            self._sums = sums
+        free = np.ones(len(self._sums), dtype=bool)
+        free[row[into]] = False
+        row[fresh] = np.flatnonzero(free)[: merged.size - into.size]
+        self._sums[row[fresh]] = 0.0
+        self._ids, self._row, self._seconds, self._seen_s = merged, row, seconds, seen
         return fresh
 
     def observation(self) -> Observation:
         """A copy of the sums of the drivers present at the last moment."""
         here = self._seen_s == (np.inf if self._time_s is None else self._time_s)
         ids = self._ids[here]
-        return Observation(ids, self._seconds[here], self._sums[here], np.zeros((ids.size, 0)))
+        sums = self._sums[self._row[here]]
+        return Observation(ids, self._seconds[here], sums, np.zeros((ids.size, 0)))
 
     def remembered(self) -> Observation:
         """A copy of the sums of all drivers that are kept, those that are absent included."""
         none = np.zeros((self._ids.size, 0))
-        return Observation(self._ids, self._seconds.copy(), self._sums.copy(), none)
+        return Observation(self._ids, self._seconds.copy(), self._sums[self._row], none)
 
     def of(self, ids: IntArray) -> FloatArray:
         """(n, S) sums of the given drivers, ascending; zero for those without any."""
         out = np.zeros((ids.size, self._sums.shape[1]))
         into, source = align(self._ids, ids)
-        out[into] = self._sums[source]
+        out[into] = self._sums[self._row[source]]
         return out

@@ -22,7 +22,8 @@ class FrameBuffer:
     """Keeps the last frames; memory does not grow with time.
 
     Tables of agents by times are twice as wide as needed. A frame is written into the next column;
-    only when the right end is reached do the kept columns move back to the left.
+    only when the right end is reached do the kept columns move back to the left. They have more
+    rows than agents, too: who appears takes the next one, and nobody else moves.
 
     Args:
         steps: how many frames to keep.
@@ -34,6 +35,7 @@ class FrameBuffer:
         self._steps, self._end, self._count = steps, 0, 0
         self._last: Frame | None = None
         self._ids = np.empty(0, dtype=np.int64)
+        self._row = np.empty(0, dtype=np.int64)  # of each id in the tables
         self._xy = np.empty((0, 2 * steps, 2))  # NaN where unseen, like the next two
         self._heading = np.empty((0, 2 * steps))
         self._speed = np.empty((0, 2 * steps))
@@ -56,12 +58,14 @@ class FrameBuffer:
             self._signals = np.empty((frame.signals.size, 2 * self._steps), dtype=np.int8)
         if self._end == 2 * self._steps:
             self._move_back()
-        row = np.searchsorted(self._ids, frame.ids)
-        inside = np.minimum(row, self._ids.size - 1)
-        if not self._ids.size or (self._ids[inside] != frame.ids).any():
-            self._add(frame.ids)
-            row = np.searchsorted(self._ids, frame.ids)
-        column = self._end
+        at = np.searchsorted(self._ids, frame.ids)
+        new = np.ones(at.size, dtype=bool)
+        if self._ids.size:
+            new = self._ids[np.minimum(at, self._ids.size - 1)] != frame.ids
+        if new.any():
+            self._add(frame.ids[new])
+            at = np.searchsorted(self._ids, frame.ids)
+        row, column = self._row[at], self._end
         for table, unseen, seen in (
             (self._xy, np.nan, frame.xy),
             (self._heading, np.nan, frame.heading),
@@ -108,27 +112,32 @@ class FrameBuffer:
     def _move_back(self) -> None:
         """Move the kept columns to the left end, and drop agents that are in none of them."""
         kept = slice(self._end - self._steps + 1, self._end)
-        some = self._valid[:, kept].any(axis=1)
+        some = self._valid[self._row, kept].any(axis=1)
+        self._ids, self._row = self._ids[some], self._row[some]
         for name in _TABLES:
-            old = getattr(self, name)[some]
+            old = getattr(self, name)[self._row]
             old[:, : self._steps - 1] = old[:, kept].copy()
             setattr(self, name, old)
-        self._ids, self._fixed = self._ids[some], self._fixed[some]
+        self._fixed = self._fixed[self._row]
+        self._row = np.arange(self._ids.size)
         for values in (self._time_s, self._signals):
             values[..., : self._steps - 1] = values[..., kept].copy()
         self._end = self._steps - 1
 
     def _add(self, ids: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
-        """Make rows for agents not seen before."""
-        every = np.union1d(self._ids, ids)
-        row = np.searchsorted(every, self._ids)
-        for name in (*_TABLES, "_fixed"):
-            old = getattr(self, name)
-            unseen = np.nan if old.dtype == np.float64 else False
-            new = np.full((every.size, *old.shape[1:]), unseen, dtype=old.dtype)
-            new[row] = old
-            setattr(self, name, new)
-        self._ids = every
+        """Give agents that were not seen before the next rows."""
+        taken, needed = self._ids.size, self._ids.size + ids.size
+        if needed > len(self._fixed):
+            for name in (*_TABLES, "_fixed"):
+                old = getattr(self, name)
+                unseen = np.nan if old.dtype == np.float64 else False
+                new = np.full((2 * needed, *old.shape[1:]), unseen, dtype=old.dtype)
+                new[:taken] = old[:taken]
+                setattr(self, name, new)
+        every = np.concatenate((self._ids, ids))
+        order = np.argsort(every, kind="stable")
+        self._ids = every[order]
+        self._row = np.concatenate((self._row, np.arange(taken, needed)))[order]
 
     def __len__(self) -> int:
         """How many frames are kept now."""
@@ -148,8 +157,9 @@ class FrameBuffer:
     def tracks(self) -> Tracks:
         """Tracks of the agents that are present now; the last column is the present."""
         kept = slice(self._end - self._count, self._end)
-        row = np.flatnonzero(self._valid[:, self._end - 1]) if self._count else np.empty(0, int)
-        ids, fixed = self._ids[row], self._fixed[row]
+        here = self._valid[self._row, self._end - 1] if self._count else np.empty(0, dtype=bool)
+        row, ids = self._row[here], self._ids[here]
+        fixed = self._fixed[row]
         return Tracks(
             ids=ids,
             names=tuple(map(str, ids.tolist())),
