@@ -307,7 +307,8 @@ class SceneMonitor:
         if fast.any():
             self._speed.add(float(np.median(travelled[fast])) / passed_s)
         if moving.any():
-            self._pace.add(float(np.median(np.log(travelled[moving] / stated[moving]))))
+            ratio = np.maximum(travelled[moving] / stated[moving], np.finfo(np.float64).tiny)
+            self._pace.add(float(np.median(np.log(ratio))))
 
     def _look(self, rows: IntArray, xy: FloatArray, heading: FloatArray, sides: FloatArray) -> None:
         """Count the vehicles that overlap another."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from typing import Any, Final
 
@@ -20,6 +21,9 @@ _BOUNDS: Final = {
     "less_than": ("lt", "less than"),
 }
 """pydantic's types of error for numbers out of bounds: the bound's name, and how it is said."""
+
+_ALTERNATIVE: Final = re.compile(r"str|float|int|bool|(dict|list|tuple)\[.*\]")
+"""What pydantic puts into the place of a field that may be of several types."""
 
 
 def first_wrong_field(error: ValidationError, known: Iterable[str] = ()) -> str:
@@ -48,9 +52,20 @@ def first_wrong_field(error: ValidationError, known: Iterable[str] = ()) -> str:
         "episode: found an unknown key, did you mean 'episodes'?"
         >>> wrong()
         'episodes: found none, expected one'
+        >>> class Mixed(BaseModel):
+        ...     model_config = ConfigDict(strict=True)
+        ...     mix: str | dict[str, float]
+        >>> try:
+        ...     Mixed(mix={"timid": "1"})
+        ... except ValidationError as error:
+        ...     first_wrong_field(error)
+        "mix.timid: found '1', expected a valid number"
     """
-    first = error.errors(include_url=False)[0]
-    where = ".".join(str(part) for part in first["loc"])[:200]
+    told = error.errors(include_url=False)
+    same = [one for one in told if one["loc"][:1] == told[0]["loc"][:1]]
+    first = max(same, key=lambda one: len(one["loc"]))  # of alternatives, the one that came nearest
+    places = [str(part) for part in first["loc"]]
+    where = ".".join(part for part in places if not _ALTERNATIVE.fullmatch(part))[:200]
     said = _said(dict(first), list(known))
     return f"{where}: {said}" if where else said
 

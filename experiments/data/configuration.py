@@ -41,19 +41,19 @@ class GenerateConfig(BaseModel):
             ``blocks``; None for their own.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    scenarios: Annotated[tuple[str, ...], Field(min_length=1)]
-    episodes: Annotated[int, Field(ge=1, le=10**6, strict=True)]
-    seed: Annotated[int, Field(ge=0, strict=True)] = 0
+    scenarios: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
+    episodes: Annotated[int, Field(ge=1, le=10**6)]
+    seed: Annotated[int, Field(ge=0)] = 0
     engine: str = "sumo"
     flow: str | float | None = None
     mix: str | dict[str, float] | None = None
-    spread: Annotated[float, Field(strict=True)] | None = None
+    spread: float | None = None
     population: Annotated[dict[str, Any], BeforeValidator(_population_table)] | None = None
-    duration_s: Annotated[float, Field(strict=True)] | None = None
-    step_s: Annotated[float, Field(strict=True)] | None = None
-    limits_mps: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
+    duration_s: float | None = None
+    step_s: float | None = None
+    limits_mps: Annotated[tuple[float, ...], Field(min_length=1, strict=False)] | None = None
     routes: str | None = None
     scenario_options: dict[str, bool | int | float | str] | None = None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from pydantic import JsonValue
 
@@ -32,8 +32,8 @@ from sim.formats.common.windows import NoWindowError
 from sim.store.atomic import temporary_folder, write_whole
 from sim.store.catalogue import checksum, is_dataset
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.lock import new_folder
-from sim.store.places import is_remote, place_of
+from sim.store.lock import LOCK, new_folder
+from sim.store.places import Folder, is_remote, local_path, place_of
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
 from sim.store.sealing import write_manifest
 from sim.store.writing import made_with, write_recording
@@ -57,9 +57,13 @@ def import_recordings(
 ) -> Manifest:
     """Make a dataset of recordings, their numbers kept to the last digit.
 
+    Where ``out`` already holds what the same import made, it stays as it is: so a command that was
+    stopped at its very end can be run again. To know, the recordings are imported into a temporary
+    folder and every file is compared.
+
     Args:
         source: a file, or a folder with files of one or several formats.
-        out: folder of the dataset, new or empty.
+        out: folder of the dataset: new, empty, or with the same import.
         name: a key of ``sim.formats.FORMATS``, whose files alone are read; None to read every
             format that is recognised from the content. Files that look like recordings and are
             not read are named on stderr and in the manifest.
@@ -77,13 +81,12 @@ def import_recordings(
 
     Raises:
         InputError: if a file is broken or of no known format, ``net`` is of another place, or
-            ``out`` is not empty.
+            ``out`` holds anything else.
         OSError: if something cannot be written.
     """
     if is_remote(source):
         with fetched(source) as copy:
             return import_recordings(copy, out, name, net, split, quiet, types, labels)
-    check_empty(place_of(out))
     names = [name] if name else formats_in(source)
     for key in names:
         get_reader(key)
@@ -103,6 +106,9 @@ def import_recordings(
             " or ".join(names),
             configuration["left_out"],
         )
+    if _imported_before(out, configuration):
+        return _same_import(source, out, name, net, split, quiet, types, labels)
+    check_empty(place_of(out))
     entries: list[EpisodeEntry] = []
     with (
         staged(out) as folder,
@@ -141,6 +147,45 @@ def import_recordings(
             given.check()
         manifest = write_manifest(folder, configuration, entries, out)
         write_data_card(out)
+    return manifest
+
+
+def _imported_before(out: Path, configuration: dict[str, str]) -> bool:
+    """Whether a place holds a whole dataset that recordings of the same names were made into."""
+    if not is_dataset(out) or (not is_remote(out) and (local_path(out) / LOCK).exists()):
+        return False
+    try:
+        return open_dataset(out).header.configuration == configuration
+    except InputError:  # a broken one is no empty folder, which is said elsewhere
+        return False
+
+
+def _same_import(source: Path, out: Path, *options: Any) -> Manifest:
+    """Import again into a temporary folder, and say that the dataset is there already.
+
+    Args:
+        source: as in `import_recordings`.
+        out: the dataset that is there.
+        *options: the other arguments of `import_recordings`, in their order.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InputError: if a file of the dataset is missing or other than the import makes it.
+    """
+    place = place_of(out)
+    with temporary_folder("import") as scratch:
+        folder = scratch / (place.path.name or "data")
+        manifest = import_recordings(source, folder, *options)
+        made = Folder(folder)
+        for file in made.files():
+            if place.size(file) != made.size(file) or place.read(file) != made.read(file):
+                raise InputError(
+                    f"{place.url}: found another dataset there ({file} differs), expected a new or "
+                    "empty folder"
+                )
+    LOGGER.info("%s: this import is there already; nothing was written", place.url)
     return manifest
 
 

@@ -12,7 +12,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from graphrqi.classify.checks import part_of, saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import NEVER, softmax
 from graphrqi.classify.standardisation import Standardisation
+
+MOST_ROWS: Final = 20_000
+"""Rows that are answered at once (our choice: the arrays between the layers then take 60 MB)."""
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
@@ -75,6 +78,10 @@ class Averaged:
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
+        parts = range(0, max(1, len(features)), MOST_ROWS)
+        return np.concatenate([self._posterior(features[at : at + MOST_ROWS]) for at in parts])
+
+    def _posterior(self, features: FloatArray) -> FloatArray:
         values = _single(self._inputs.apply(features))
         for number, (weight, bias) in enumerate(self._layers):
             values = (np.maximum(values, 0.0) if number else values) @ weight + bias

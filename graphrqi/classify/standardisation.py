@@ -43,7 +43,9 @@ class Standardisation:
 
     def apply(self, features: FloatArray) -> FloatArray:
         """(n, F) standardised and clipped vectors."""
-        return np.clip((features - self.mean) / self.scale, -CLIP, CLIP)
+        values = np.asarray(features - self.mean)
+        values /= self.scale  # in place: crowds have arrays of 100 MB
+        return np.clip(values, -CLIP, CLIP, out=values)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What to save."""

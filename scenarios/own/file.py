@@ -34,9 +34,11 @@ _Shares = str | dict[str, float]
 class Flow(BaseModel):
     """The demand along one route: a table ``[[flows]]`` of a scenario's file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
+    )
 
-    route: Annotated[tuple[str, ...], Field(min_length=1)]
+    route: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
     """Edges from first to last, each joined to the next."""
 
     per_hour: _Rate

@@ -65,6 +65,9 @@ MAX_FRAMES: Final = 10**6
 MAX_LINE: Final = 4096
 """Longest line, bytes (our choice; a pose has some 500)."""
 
+LONGEST_ID: Final = 20
+"""Most digits of an agent's id (our choice; real ones have up to three)."""
+
 EGO_SIZE_M: Final = (4.77, 1.82)
 """Length and width of the recording car, a Volkswagen Passat B6."""
 
@@ -191,9 +194,14 @@ def _labels(path: Path) -> _Labels:
             continue
         if word not in TYPES:
             raise InputError(f"{where}: found {word[:40]!r}, expected one of {', '.join(TYPES)}")
-        if not fields[0].isdigit() or len(fields[0]) > 6 or not fields[1].isdigit():
-            raise InputError(f"{where}: found {fields[0][:40]!r}, expected a frame and an id")
-        name = fields[1].decode("ascii")[:20]
+        for field, what, longest in ((fields[0], "frame", 6), (fields[1], "id", LONGEST_ID)):
+            if not field.isdigit() or len(field) > longest:
+                found = field[:40].decode("ascii", "replace")
+                raise InputError(
+                    f"{where}: found {found!r}, expected a{'n' * (what == 'id')} {what}, at most "
+                    f"{longest} digits"
+                )
+        name = fields[1].decode("ascii")
         if name not in index:
             index[name] = len(index)
             kinds.append(TYPES[word])

@@ -14,6 +14,7 @@ from experiments.data.exchange import as_dataset, export_dataset, import_recordi
 from experiments.data.generate import generate
 from sim.formats import FORMATS
 from sim.store.dataset import open_dataset
+from tests.experiments.shared import content
 
 ARGO = "frame,id,x,y\n" + "".join(
     f"{t},{i},{t * (1 + i)},{4 * i}\n" for t in range(60) for i in (0, 1)
@@ -64,8 +65,33 @@ def test_two_recordings_of_the_same_agents_are_two_episodes(tmp_path: Path) -> N
     assert [entry.split for entry in manifest.episodes] == ["train", "validation"]
     card = (tmp_path / "data" / "README.md").read_text()
     assert "cars of 4.5 m are assumed" in card
-    with pytest.raises(InputError, match="expected a new or empty folder"):
-        import_recordings(tmp_path / "in", tmp_path / "data", "argo", quiet=True)
+
+
+def test_the_same_import_again_finds_it_there_and_another_is_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A command that was stopped after its last file is run again."""
+    recording, data = tmp_path / "argo1_tracks.csv", tmp_path / "data"
+    recording.write_text(ARGO)
+    first = import_recordings(recording, data, "argo", quiet=True)
+    before = content(data)
+    with caplog.at_level("INFO"):
+        again = import_recordings(recording, data, "argo", quiet=True)
+    assert again == first
+    assert content(data) == before
+    assert caplog.messages[-1] == f"{data}: this import is there already; nothing was written"
+    recording.write_text(ARGO.replace("59,1,118", "59,1,119"))
+    with pytest.raises(InputError, match=r"found another dataset there .*new or empty folder"):
+        import_recordings(recording, data, "argo", quiet=True)
+    (data / "README.md").unlink()
+    recording.write_text(ARGO)
+    with pytest.raises(InputError, match=r"README.md differs"):
+        import_recordings(recording, data, "argo", quiet=True)
+    assert content(data) == {name: b for name, b in before.items() if name != "README.md"}
+    other = tmp_path / "argo2_tracks.csv"
+    other.write_text(ARGO)
+    with pytest.raises(InputError, match="found something there, expected a new or empty folder"):
+        import_recordings(other, data, "argo", quiet=True)
 
 
 def test_a_net_gives_the_road(generated: Path, tmp_path: Path) -> None:

@@ -144,8 +144,10 @@ def test_datasets_are_trained_on_classified_and_exported(stored: Path, tmp_path:
     out = stored.parent / "imported"
     import_recordings(stored.parent / "fcd", out, "sumo-fcd", quiet=True)
     assert len(open_dataset(out).episodes()) == 3
+    again = import_recordings(stored.parent / "fcd", out, "sumo-fcd", quiet=True)
+    assert again == open_dataset(out).manifest  # it is there already
     with pytest.raises(InputError, match="expected a new or empty folder"):
-        import_recordings(stored.parent / "fcd", out, "sumo-fcd", quiet=True)
+        import_recordings(stored.parent / "fcd", out, "sumo-fcd", split="test", quiet=True)
 
 
 def test_verify_finds_and_repairs(bucket: str, stored: Path, made: Path) -> None:
