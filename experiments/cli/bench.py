@@ -24,7 +24,10 @@ Json = Annotated[
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")]
 Plot = Annotated[
-    Path | None, typer.Option("--plot", dir_okay=False, metavar="FILE", help="Draw the rows.")
+    Path | None,
+    typer.Option(
+        "--plot", dir_okay=False, metavar="FILE", help="Draw the rows: .pdf, .png or .svg."
+    ),
 ]
 
 
@@ -90,6 +93,10 @@ def bench_command(bench: Bench[Any]) -> Any:
         annotations["plot"] = Plot
 
     def command(quick: bool, json: Path | None, **given: Any) -> None:
+        if given.get("plot") is not None:
+            from experiments.figure_files import check_figure_file
+
+            check_figure_file(given["plot"], "--plot")
         plot = None if bench.plot is None else given.pop("plot")
         settings = bench.quick if quick else bench.full
         chosen = {

@@ -299,7 +299,9 @@ def replay(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(dir_okay=False, metavar="FILE.png", help="Draw one moment of it too."),
+        typer.Option(
+            dir_okay=False, metavar="FILE", help="Draw one moment of it too: .png, .pdf or .svg."
+        ),
     ] = None,
     begin_s: Annotated[
         float | None, typer.Option("--begin-s", help="When page, film or picture begin, s.")
@@ -342,6 +344,14 @@ def report(
             "[default: beside the rows or in the run; comparison.html].",
         ),
     ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            file_okay=False,
+            metavar="FOLDER",
+            help="Write the page's charts here, too, as PDF; of several runs, into a folder each.",
+        ),
+    ] = None,
     jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:
@@ -350,7 +360,8 @@ def report(
 
     several = len(runs) > 1
     for run in runs:
-        say(str(write_report(run, jobs, quiet, None if several else out)))
+        own = figures / run.stem if several and figures is not None else figures
+        say(str(write_report(run, jobs, quiet, None if several else out, own)))
     if several:
         say(str(write_comparison(runs, out or Path("comparison.html"))))
 

@@ -59,7 +59,9 @@ def what_if(
     picture: Annotated[
         Path | None,
         typer.Option(
-            dir_okay=False, metavar="FILE.png", help="Draw the paths over the factual ones too."
+            dir_okay=False,
+            metavar="FILE",
+            help="Draw the paths over the factual ones too: .png, .pdf or .svg.",
         ),
     ] = None,
     json: Json = None,
@@ -71,7 +73,8 @@ def what_if(
     from experiments.console.tables import show_table
     from experiments.data.configuration import read_config
     from experiments.data.what_if import WhatIf, make_what_if
-    from experiments.replay.paths import check_picture, write_paths
+    from experiments.figure_files import check_figure_file
+    from experiments.replay.pictures.paths import write_paths
     from experiments.scoring.what_if import outcomes
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
@@ -89,7 +92,7 @@ def what_if(
         actions=tuple(lookup(actions, word, "action") for word in action or ()),
     )  # fmt: skip
     if picture is not None:
-        check_picture(picture)
+        check_figure_file(picture, "--picture")
     make_what_if(config, out, quiet)
     dataset = open_dataset(out)
     show_table(outcomes(dataset), json)

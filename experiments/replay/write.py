@@ -11,10 +11,11 @@ from behaviors.errors import InputError, lookup
 from behaviors.populations import read_population
 from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
+from experiments.figure_files import check_figure_file
 from experiments.replay.page import MODES, default_mode, write_page
-from experiments.replay.picture import write_picture
+from experiments.replay.pictures.painter import write_picture
+from experiments.replay.pictures.video import check_video, write_video
 from experiments.replay.scene import chosen_entry, gather
-from experiments.replay.video import check_video, write_video
 from graphrqi.predict import get_predictor
 from sim.store.dataset import open_dataset
 
@@ -40,7 +41,7 @@ class ReplayOptions:
             episode, and a picture shows the fullest moment.
         end_s: when a film ends, s; None for the end.
         video: also film it into this file, .mp4 or .gif.
-        picture: also draw it into this file, .png.
+        picture: also draw it into this file, .png, .pdf or .svg.
     """
 
     episode: str | None = None
@@ -90,8 +91,8 @@ def write_replay(
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     if o.video is not None:
         check_video(o.video)
-    if o.picture is not None and o.picture.suffix.lower() != ".png":
-        raise InputError(f"--picture: found {o.picture.name!r}, expected a name that ends in .png")
+    if o.picture is not None:
+        check_figure_file(o.picture, "--picture")
     with as_dataset(source, o.format, o.net) as folder:
         dataset = open_dataset(folder)
         entry, many = chosen_entry(dataset, o.episode), len(dataset.manifest.episodes)

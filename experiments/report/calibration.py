@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from markupsafe import Markup
 
 from behaviors.labels import BEHAVIORS
 from behaviors.populations import NUMBERS, Population
 from behaviors.profiles import PROFILES
-from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.charts import Axis, Chart, Line, Point
 from experiments.report.templates import rendered
 from experiments.scoring.calibration import Calibrated
 from graphrqi.calibrate.driving_on import driven_places, errors_of, longest_led
@@ -63,7 +62,7 @@ def calibration_page(calibrated: Calibrated) -> str:
     )  # fmt: skip
 
 
-def _marginal(population: Population, number: str) -> Markup:
+def _marginal(population: Population, number: str) -> Chart:
     """A number's density over the population, and where the six profiles' medians lie."""
     k = NUMBERS.index(number)
     centre, spread = np.log(population.median[k]), max(float(population.log_spread[k]), 1e-3)
@@ -78,10 +77,10 @@ def _marginal(population: Population, number: str) -> Markup:
         for behavior in BEHAVIORS:
             at = float(getattr(PROFILES[behavior], number))
             lines.append(Line(str(behavior), (Point(at, 0.0), Point(at, 0.5))))
-    return line_chart(WORDS[number], Axis(WORDS[number]), Axis("density over its largest"), lines)
+    return Chart(WORDS[number], Axis(WORDS[number]), Axis("density over its largest"), tuple(lines))
 
 
-def _drives(calibrated: Calibrated, law: Law) -> list[tuple[str, float, Markup]]:
+def _drives(calibrated: Calibrated, law: Law) -> list[tuple[str, float, Chart]]:
     """The best and worst fitted drives: words, error of the gap, m, and a chart."""
     fitted = calibrated.laws[law]
     logs = fitted.logs.mean(axis=1)
@@ -110,5 +109,5 @@ def _drives(calibrated: Calibrated, law: Law) -> list[tuple[str, float, Markup]]
         ]  # fmt: skip
         which = "best" if place < half else "worst"
         title = f"{which} fitted: {driver.name} of {calibrated.recording[i]}"
-        shown.append((title, error, line_chart(title, Axis("time, s"), Axis("gap, m"), lines)))
+        shown.append((title, error, Chart(title, Axis("time, s"), Axis("gap, m"), tuple(lines))))
     return shown

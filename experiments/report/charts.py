@@ -1,11 +1,13 @@
-"""Line charts as SVG in a page: drawn by matplotlib, in the page's colours, light or dark."""
+"""Line charts: SVG in a page, in the page's colours, light or dark; figures for papers.
+
+Matplotlib draws both.
+"""
 
 from __future__ import annotations
 
 import io
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,9 +15,11 @@ from markupsafe import Markup
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import Behavior
+from experiments.figure_files import figure_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis as DrawnAxis
+    from matplotlib.figure import Figure
 
 WIDTH_IN, HEIGHT_IN, LEGEND_LINE_IN = 5.0, 3.1, 0.21
 """Size of a chart without its legend, and the height of a line of the legend, inches."""
@@ -26,17 +30,36 @@ Tol (2021, SRON technical note EPS/TN/09-002), for all common colour blindness t
 
 _DASHES: Final = ("-", "--", ":")
 
-_INK, _MUTED, _RULE = "#010101", "#020202", "#030303"
-_PAGE_COLORS: Final = {_INK: "currentColor", _MUTED: "var(--muted)", _RULE: "var(--line)"}
-"""What matplotlib draws in the colour on the left takes the page's on the right."""
 
-SVG_STYLE: Final[dict[Any, Any]] = {
-    "svg.fonttype": "none", "font.family": "DejaVu Sans", "font.size": 9, "text.color": _INK,
-    "text.parse_math": False, "axes.labelcolor": _INK, "axes.edgecolor": _MUTED,
-    "xtick.color": _MUTED, "ytick.color": _MUTED, "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK, "grid.color": _RULE, "axes.axisbelow": True,
+@dataclass(frozen=True, slots=True)
+class Inks:
+    """Colours of a chart's words, of its axes, and of its grid."""
+
+    word: str
+    axis: str
+    rule: str
+
+    def style(self) -> dict[Any, Any]:
+        """How matplotlib draws with them."""
+        return {
+            "svg.fonttype": "none", "font.family": "DejaVu Sans", "font.size": 9,
+            "text.color": self.word, "text.parse_math": False, "axes.labelcolor": self.word,
+            "axes.edgecolor": self.axis, "xtick.color": self.axis, "ytick.color": self.axis,
+            "xtick.labelcolor": self.word, "ytick.labelcolor": self.word, "grid.color": self.rule,
+            "axes.axisbelow": True,
+        }  # fmt: skip
+
+
+PAGE: Final = Inks("#010101", "#020202", "#030303")
+"""Of a page: `inlined` puts the page's own colours in their place, light or dark."""
+
+PAPER: Final = Inks("#000000", "#55606E", "#D9DDE2")
+"""Of a figure in a file."""
+
+_PAGE_COLORS: Final = {
+    PAGE.word: "currentColor", PAGE.axis: "var(--muted)", PAGE.rule: "var(--line)"
 }  # fmt: skip
-"""How matplotlib draws what `inlined` puts into a page."""
+"""What matplotlib draws in the colour on the left takes the page's on the right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,35 +123,64 @@ def color_of(name: str, number: int) -> str:
         return _CYCLE[number % len(_CYCLE)]
 
 
-def line_chart(title: str, x: Axis, y: Axis, lines: Sequence[Line]) -> Markup:
-    """Draw lines with their intervals as bands.
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """Lines with their intervals as bands.
 
-    Args:
+    Attributes:
         title: what the chart shows, for the caption and for those who hear it.
         x: across.
         y: up.
         lines: what to draw; those without a point that can be drawn are left out.
-
-    Returns:
-        A figure with an SVG, empty if there is nothing to draw; text in it is escaped.
     """
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
 
-    drawn = [
-        (line, points)
-        for line in lines
-        if (points := [p for p in line.points if x.fits(p.x) and y.fits(p.y)])
-    ]
-    if not drawn:
-        return Markup("")
-    with rc_context({"svg.hashsalt": title, **SVG_STYLE}):
+    title: str
+    x: Axis
+    y: Axis
+    lines: tuple[Line, ...]
+
+    def _drawn(self) -> list[tuple[Line, list[Point]]]:
+        return [
+            (line, points)
+            for line in self.lines
+            if (points := [p for p in line.points if self.x.fits(p.x) and self.y.fits(p.y)])
+        ]
+
+    def __bool__(self) -> bool:
+        """Whether there is something to draw."""
+        return bool(self._drawn())
+
+    def __html__(self) -> Markup:
+        """A figure with an SVG, empty if there is nothing to draw; text in it is escaped."""
+        from matplotlib import rc_context
+
+        if not self:
+            return Markup("")
+        out = io.StringIO()
+        with rc_context({"svg.hashsalt": self.title, **PAGE.style()}):
+            figure = self._figure(PAGE)
+            figure.savefig(out, format="svg", transparent=True, metadata={"Date": None})
+        return Markup('<figure class="chart"><figcaption>{}</figcaption>{}</figure>').format(
+            self.title, inlined(out.getvalue(), self.title)
+        )
+
+    def pdf(self) -> bytes:
+        """The chart as a PDF without a title, as a paper's captions say what figures show."""
+        from matplotlib import rc_context
+
+        with rc_context(PAPER.style()):
+            return figure_bytes(self._figure(PAPER), ".pdf")
+
+    def _figure(self, inks: Inks) -> Figure:
+        from matplotlib.figure import Figure
+
+        x, y, drawn = self.x, self.y, self._drawn()
         legend_in = LEGEND_LINE_IN * -(-len(drawn) // 2)
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN + legend_in), layout="constrained")
         axes = figure.add_subplot()
         for number, (line, points) in enumerate(drawn):
             dash = "--" if line.thin else _DASHES[number // len(_CYCLE) % len(_DASHES)]
-            color = _MUTED if line.thin else line.color or color_of(line.name, number)
+            color = inks.axis if line.thin else line.color or color_of(line.name, number)
             axes.plot(
                 [p.x for p in points], [p.y for p in points], dash, color=color, label=line.name,
                 linewidth=1.0 if line.thin else 1.8, markersize=4, clip_on=False,
@@ -154,11 +206,7 @@ def line_chart(title: str, x: Axis, y: Axis, lines: Sequence[Line]) -> Markup:
         axes.grid(visible=True, axis="y", linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         figure.legend(loc="outside lower left", ncols=2, frameon=False, handlelength=2.2)
-        out = io.StringIO()
-        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None})
-    return Markup('<figure class="chart"><figcaption>{}</figcaption>{}</figure>').format(
-        title, inlined(out.getvalue(), title)
-    )
+        return figure
 
 
 def _label_logarithms(axis: DrawnAxis) -> None:

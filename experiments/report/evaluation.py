@@ -6,10 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from markupsafe import Markup
-
 from behaviors.labels import BEHAVIORS
-from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.charts import Axis, Chart, Line, Point
 from experiments.report.tables import grouped, number_or_none
 from experiments.rows import Row
 
@@ -73,7 +71,7 @@ def confusions(rows: Iterable[Row]) -> list[Confusion]:
     return found
 
 
-def reliability_charts(rows: Iterable[Row]) -> list[Markup]:
+def reliability_charts(rows: Iterable[Row]) -> list[Chart]:
     """How often answers of each confidence are right, for each model, scenario and split."""
     charts = []
     even = Line("as often as claimed", (Point(0.0, 0.0), Point(1.0, 1.0)), thin=True)
@@ -88,5 +86,5 @@ def reliability_charts(rows: Iterable[Row]) -> list[Markup]:
             line = Line("answers", tuple(sorted(points, key=lambda p: p.x)))
             sure, right = Axis("confidence", high=1.0), Axis("share right", high=1.05)
             said = f"{title}: how often answers of each confidence are right"
-            charts.append(line_chart(said, sure, right, [line, even]))
+            charts.append(Chart(said, sure, right, (line, even)))
     return charts

@@ -13,7 +13,6 @@ from typing import Final
 from urllib.parse import urlencode
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from behaviors.labelling import characteristic_traits
@@ -21,9 +20,9 @@ from behaviors.labels import BEHAVIORS, TRAITS, Style
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.replay.page import write_page
-from experiments.replay.picture import Painter, png_bytes
+from experiments.replay.pictures.painter import Painter, png_bytes
 from experiments.replay.scene import ReplayScene, gather
-from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.charts import Axis, Chart, Line, Point
 from experiments.report.tables import Cell, Table
 from experiments.scoring.metrics import balanced_accuracy, bootstrap, confusion, reliability
 from sim.frames import FloatArray, IntArray
@@ -101,7 +100,7 @@ class ScenarioExcerpt:
 
     scenario: str
     basis: str
-    charts: tuple[Markup, ...]
+    charts: tuple[Chart, ...]
     traits: Table | None
     cases: tuple[WorstCase, ...]
     pictures: tuple[str, str]
@@ -294,7 +293,7 @@ def _address(png: bytes) -> str:
 def _early_chart(
     scenario: str, episode: IntArray, seconds: FloatArray, truth: NDArray[np.int8],
     probability: FloatArray,
-) -> Markup:  # fmt: skip
+) -> Chart:  # fmt: skip
     """Balanced accuracy against length of observation, with 95 % intervals over episodes."""
     points = []
     for after in SECONDS:
@@ -308,19 +307,19 @@ def _early_chart(
     chance = Line(
         "chance", tuple(Point(p.x, 1 / len(BEHAVIORS)) for p in points), "#8C8C8C", thin=True
     )
-    return line_chart(
+    return Chart(
         f"{scenario}: how early", Axis("observed, s"),
         Axis("balanced accuracy", low=0.0, high=1.0),
-        [Line("this run's model", tuple(points)), chance] if points else [],
+        (Line("this run's model", tuple(points)), chance) if points else (),
     )  # fmt: skip
 
 
 def _reliability_chart(
     scenario: str, episode: IntArray, truth: NDArray[np.int8], probability: FloatArray
-) -> Markup:
+) -> Chart | None:
     """Share of right answers against confidence."""
     if not truth.size:
-        return Markup("")
+        return None
     answers, sure, right = reliability(truth, probability, episode).sum(axis=0).T
     points = tuple(
         Point(float(s / n), float(r / n))
@@ -328,10 +327,10 @@ def _reliability_chart(
         if n >= 10
     )
     ideal = Line("as sure as right", (Point(0.0, 0.0), Point(1.0, 1.0)), "#8C8C8C", thin=True)
-    return line_chart(
+    return Chart(
         f"{scenario}: how sure, how right", Axis("confidence", low=0.0, high=1.0),
         Axis("share that is right", low=0.0, high=1.0),
-        [Line("this run's model", points), ideal] if points else [],
+        (Line("this run's model", points), ideal) if points else (),
     )  # fmt: skip
 
 

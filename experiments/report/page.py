@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +13,7 @@ from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.replay.ramp import ramp_color
+from experiments.report.charts import Chart
 from experiments.report.evaluation import confusion_of, confusions
 from experiments.report.excerpts import take_excerpts
 from experiments.report.run_file import Metrics
@@ -33,9 +37,16 @@ OURS: Final = b"GraphRQI"
 HEAD_BYTES: Final = 2000
 """How much of a page is looked at to tell whether it was written here."""
 
+MOST_LETTERS: Final = 100
+"""Of the name of a chart's file, without its number and ending."""
+
 
 def write_report(
-    path: Path, jobs: int | None = None, quiet: bool = True, out: Path | None = None
+    path: Path,
+    jobs: int | None = None,
+    quiet: bool = True,
+    out: Path | None = None,
+    figures: Path | None = None,
 ) -> Path:
     """Write the page of a run, or of a file of rows.
 
@@ -44,6 +55,7 @@ def write_report(
         jobs: processes for looking at a run's episodes; None for one per core.
         quiet: whether to show no progress.
         out: the page; None for ``report.html`` in the folder, or beside the file by its name.
+        figures: a folder for the page's charts, each a PDF by its title, too; None for none.
 
     Returns:
         The page. It loads nothing; a run's worst cases link to the replays beside it.
@@ -74,8 +86,9 @@ def write_report(
         ],
         "evaluation": confusions(source.rows.get("evaluation", ())),
     }
+    shown = sections(source.rows)
     _write(
-        out, "page.html", source=source, run=run, sections=sections(source.rows),
+        out, "page.html", source=source, run=run, sections=shown,
         behavior_colors=[*((COLORS[b], b.value) for b in BEHAVIORS), (UNKNOWN_COLOR, "not known")],
         ramp_colors=[
             (ramp_color(0.0), "none"), (ramp_color(0.5), "a quarter"),
@@ -88,7 +101,22 @@ def write_report(
             if bench not in source.rows
         ],
     )  # fmt: skip
+    if figures is not None:
+        _write_figures(
+            figures, [*chain(*(part.charts for part in shown), *(one.charts for one in excerpts))]
+        )
     return out
+
+
+def _write_figures(folder: Path, charts: Sequence[Chart]) -> None:
+    """Write charts by their titles; where two have the same, the later ones are numbered."""
+    folder.mkdir(parents=True, exist_ok=True)
+    many: Counter[str] = Counter()
+    for chart in charts:
+        name = re.sub(r"[^a-z0-9]+", "-", chart.title.lower()).strip("-")[:MOST_LETTERS]
+        many[name] += 1
+        number = "" if many[name] == 1 else f"-{many[name]}"
+        write_whole(folder / f"{name}{number}.pdf", chart.pdf())
 
 
 def write_comparison(paths: Sequence[Path], out: Path) -> Path:

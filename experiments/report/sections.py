@@ -6,10 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from markupsafe import Markup
-
 from behaviors.labels import BEHAVIORS
-from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.charts import Axis, Chart, Line, Point
 from experiments.report.evaluation import DRAWN, reliability_charts
 from experiments.report.tables import Table, grouped, name_of, number_or_none, pivot, words
 from experiments.rows import Row
@@ -150,7 +148,7 @@ class Section:
     made_by: str
     tables: tuple[Table, ...]
     more: tuple[Table, ...]
-    charts: tuple[Markup, ...]
+    charts: tuple[Chart, ...]
 
 
 def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
@@ -219,7 +217,7 @@ def is_first(row: Row) -> bool:
     )
 
 
-def _charts(bench: str, rows: Sequence[Row]) -> list[Markup]:
+def _charts(bench: str, rows: Sequence[Row]) -> list[Chart]:
     if bench == "prediction":
         return _prediction_charts(rows)
     if bench == "classification":
@@ -250,7 +248,7 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def _prediction_charts(rows: Sequence[Row]) -> list[Markup]:
+def _prediction_charts(rows: Sequence[Row]) -> list[Chart]:
     """Charts of error against horizon: of each predictor, and of one for each behaviour."""
     charts = []
     errors = [r for r in rows if r["metric"] == "ade_m"]
@@ -259,14 +257,14 @@ def _prediction_charts(rows: Sequence[Row]) -> list[Markup]:
     for (scenario,), here in grouped(errors, ["scenario"]).items():
         everyone = grouped([r for r in here if r["behavior"] == "all"], ["predictor"])
         lines = [line_of(name, part, "horizon_s") for (name,), part in everyone.items()]
-        charts.append(line_chart(f"{scenario}: error against horizon", x, y, lines))
+        charts.append(Chart(f"{scenario}: error against horizon", x, y, tuple(lines)))
         shown = shown_predictor(here)
         each = grouped([r for r in here if r["predictor"] == shown], ["behavior"])
         lines = [
             line_of(str(b), each[(str(b),)], "horizon_s") for b in BEHAVIORS if (str(b),) in each
         ]
         title = f"{scenario}: error of {shown} against horizon, by true behaviour"
-        charts.append(line_chart(title, x, y, lines))
+        charts.append(Chart(title, x, y, tuple(lines)))
     return charts
 
 
@@ -276,7 +274,7 @@ def shown_predictor(rows: Sequence[Row]) -> str:
     return OURS if OURS in names else names[-1]
 
 
-def _early_charts(rows: Sequence[Row]) -> list[Markup]:
+def _early_charts(rows: Sequence[Row]) -> list[Chart]:
     """Charts of balanced accuracy against the time for which a driver was observed."""
     charts = []
     wanted = [
@@ -292,12 +290,12 @@ def _early_charts(rows: Sequence[Row]) -> list[Markup]:
         ]
         title = f"{scenario}: {name_of('balanced_accuracy')} against seconds observed"
         charts.append(
-            line_chart(title, Axis("observed, s"), Axis("balanced accuracy", low=0.0), lines)
+            Chart(title, Axis("observed, s"), Axis("balanced accuracy", low=0.0), tuple(lines))
         )
     return charts
 
 
-def _loop_charts(rows: Sequence[Row]) -> list[Markup]:
+def _loop_charts(rows: Sequence[Row]) -> list[Chart]:
     """Charts of the cost of a frame against the numbers of vehicles and lanes, and real time."""
     wanted = [
         r for r in rows
@@ -315,11 +313,11 @@ def _loop_charts(rows: Sequence[Row]) -> list[Markup]:
             other = "lanes" if kept == "lanes" else "vehicles"
             title = f"Cost of a frame against {label}: {fixed} {other}"
             x, y = Axis(label, log=True), Axis("CPU per frame, ms", log=True)
-            charts.append(line_chart(title, x, y, lines))
+            charts.append(Chart(title, x, y, tuple(lines)))
     return charts
 
 
-def _runtime_charts(rows: Sequence[Row]) -> list[Markup]:
+def _runtime_charts(rows: Sequence[Row]) -> list[Chart]:
     """Charts of CPU time against the number of vehicles, on logarithmic axes."""
     charts = []
     wanted = [r for r in rows if r["metric"] == "cpu_ms" and r.get("d") is not None]
@@ -327,6 +325,6 @@ def _runtime_charts(rows: Sequence[Row]) -> list[Markup]:
         lines = [line_of(name, part, "d") for (name,), part in grouped(here, ["solver"]).items()]
         title = f"CPU time per step against vehicles: {end} eigenpairs, {graph}, {kind} graph"
         charts.append(
-            line_chart(title, Axis("vehicles d", log=True), Axis("CPU, ms", log=True), lines)
+            Chart(title, Axis("vehicles d", log=True), Axis("CPU, ms", log=True), tuple(lines))
         )
     return charts

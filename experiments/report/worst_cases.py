@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from experiments.report.charts import SVG_STYLE, inlined
+from experiments.report.charts import PAGE, inlined
 from experiments.report.templates import rendered
 from sim.frames import FloatArray
 
@@ -102,7 +102,7 @@ def _picture(case: Case) -> Markup:
     low, high = about.min(axis=0), about.max(axis=0)
     middle, half = (low + high) / 2.0, float((high - low).max()) / 2.0 + MARGIN_M
     title = _words(case)
-    with rc_context({"svg.hashsalt": title, **SVG_STYLE}):
+    with rc_context({"svg.hashsalt": title, **PAGE.style()}):
         figure = Figure(figsize=(4.2, 4.2), layout="constrained")
         axes = figure.add_subplot()
         for lane in case.lanes:

@@ -93,6 +93,18 @@ def test_settings_are_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert names == {"numbers", "who", "often", "quick", "json"}
 
 
+def test_a_plot_without_a_format_is_refused_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("spectrum", "prediction", "classification"):
+        with pytest.raises(SystemExit) as ended:
+            main(["bench", name, "--plot", "rows.jpg"])
+        assert ended.value.code == 2
+        said = "--plot: found 'rows.jpg', expected a name that ends in .pdf, .png or .svg"
+        assert said in capsys.readouterr().err
+
+
 def test_rows_are_kept_after_every_part() -> None:
     counts: list[int] = []
     rows = ECHO.run(on_rows=lambda rows: counts.append(len(rows)))

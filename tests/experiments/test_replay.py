@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.patches import Polygon
 from PIL import Image
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR, rgb
@@ -23,17 +24,17 @@ from experiments.replay.graph_history import graph_history
 from experiments.replay.numbers import KnownNumbers
 from experiments.replay.packing import differences
 from experiments.replay.page import write_page
-from experiments.replay.picture import (
+from experiments.replay.pictures.painter import (
+    BODY,
     FINE,
     SCALE_PX,
     Painter,
-    lay_out,
-    round_below,
     write_picture,
 )
+from experiments.replay.pictures.panels import lay_out, round_below
+from experiments.replay.pictures.video import write_video
 from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.shown import shown_events, with_drawn_sizes
-from experiments.replay.video import write_video
 from experiments.replay.write import ReplayOptions, write_replay
 from experiments.scoring.classification import LABELS
 from experiments.scoring.prediction_file import predictions_file, predictions_table
@@ -285,6 +286,33 @@ def test_the_picture_has_everyone_in_their_colour(scene, mode, tmp_path):
             assert (np.abs(patch - wanted).max(axis=1) < 30).mean() > 0.6
             found += 1
     assert found >= 7
+
+
+@pytest.mark.parametrize("mode", ["true", "predicted", "confidence", "speed", "w"])
+def test_a_picture_for_a_paper_is_sharp_at_any_size(scene, mode, tmp_path):
+    for name in ("p", "again"):
+        for ending in ("pdf", "svg"):
+            write_picture(scene, tmp_path / f"{name}.{ending}", mode, 8.0)
+    pdf, svg = ((tmp_path / f"p.{ending}").read_bytes() for ending in ("pdf", "svg"))
+    assert pdf == (tmp_path / "again.pdf").read_bytes()
+    assert svg == (tmp_path / "again.svg").read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert b"/Subtype /Image" not in pdf
+    assert b"<image" not in svg
+    painter = Painter(scene, mode)
+    bodies = [
+        patch for patch in painter.draw_vectors(8.0).axes[0].patches
+        if isinstance(patch, Polygon) and len(patch.get_xy()) == len(BODY) + 1
+    ]  # fmt: skip
+    step = int(np.searchsorted(scene.tracks.time_s, 8.0 - 1e-6))
+    there = np.flatnonzero(scene.tracks.valid[:, step])
+    assert len(bodies) == len(there) * len(painter.panels)
+    drawn = np.array([patch.get_xy()[:-1].mean(axis=0) for patch in bodies])
+    middle = BODY.mean(axis=0)
+    assert middle == pytest.approx([0.0, 0.0], abs=0.03)
+    for panel, places in zip(painter.panels, np.split(drawn, len(painter.panels)), strict=True):
+        wanted = panel.pixels(scene.tracks.xy[there, step])
+        assert places == pytest.approx(wanted, abs=0.5 * panel.scale)
 
 
 def test_a_long_road_is_folded_and_one_that_goes_north_is_turned():

@@ -7,17 +7,20 @@ import re
 
 import numpy as np
 import pytest
+from markupsafe import escape
+from matplotlib import rcParams
 from pydantic import ValidationError
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, TRAITS
 from experiments.report import write_comparison, write_report
-from experiments.report.charts import Axis, Line, Point, line_chart
+from experiments.report.charts import Axis, Chart, Line, Point
 from experiments.report.excerpts import _trait_table
 from experiments.report.run_file import RunFile
 from experiments.report.sections import LAYOUTS
 from experiments.report.source import read_source
 from experiments.report.tables import pivot
+from tests.experiments.shared import content
 
 HOSTILE = '</td><script>document.title = "x"</script>'
 
@@ -122,7 +125,7 @@ def test_strings_from_files_stay_text(study):
 
 def test_a_logarithmic_axis_puts_powers_of_ten_evenly():
     line = Line("one", tuple(Point(10.0**k, 10.0**k) for k in range(1, 4)))
-    chart = line_chart("t", Axis("x", log=True), Axis("y", log=True), [line])
+    chart = escape(Chart("t", Axis("x", log=True), Axis("y", log=True), (line,)))
     markers = re.findall(r'<use [^>]*x="([\d.]+)"[^>]*fill: #4477aa', chart)
     first, second, third = (float(x) for x in markers[:3])  # the fourth is the legend's
     assert second - first == pytest.approx(third - second, abs=0.01)
@@ -131,17 +134,33 @@ def test_a_logarithmic_axis_puts_powers_of_ten_evenly():
 
 def test_marks_at_the_edge_of_a_chart_are_whole():
     line = Line("kalman", (Point(1.0, 0.1), Point(5.0, 1.0)))
-    chart = line_chart("errors", Axis("horizon, s", high=5.0), Axis("ADE, m", high=1.0), [line])
+    chart = escape(Chart("errors", Axis("horizon, s", high=5.0), Axis("ADE, m", high=1.0), (line,)))
     assert "<use" in chart
     assert re.findall(r"<g clip-path", chart) == []
 
 
 def test_a_chart_is_the_same_whenever_it_is_drawn():
     line = Line("one", (Point(1.0, 2.0, 1.5, 2.5), Point(2.0, 1.0, 0.5, 1.5)))
-    assert line_chart("t", Axis("x"), Axis("y"), [line]) == line_chart(
-        "t", Axis("x"), Axis("y"), [line]
-    )
-    assert line_chart("t", Axis("x", log=True), Axis("y"), [Line("none", (Point(0.0, 1.0),))]) == ""
+    charts = [Chart("t", Axis("x"), Axis("y"), (line,)) for _ in range(2)]
+    assert escape(charts[0]) == escape(charts[1])
+    assert charts[0].pdf() == charts[1].pdf()
+    nothing = Chart("t", Axis("x", log=True), Axis("y"), (Line("none", (Point(0.0, 1.0),)),))
+    assert not nothing
+    assert escape(nothing) == ""
+
+
+def test_a_pages_charts_are_figures_for_a_paper_too(study, tmp_path, monkeypatch):
+    monkeypatch.setitem(rcParams, "pdf.compression", 0)
+    page = write_report(study, figures=tmp_path / "figures").read_text()
+    found = {path.name: path.read_bytes() for path in (tmp_path / "figures").iterdir()}
+    assert len(found) == page.count('<figure class="chart">') == 4
+    told = found["straight-road-error-against-horizon.pdf"]
+    assert told.startswith(b"%PDF")
+    assert b"/Subtype /Image" not in told
+    kept = {"a.pdf": b"mine"}
+    (tmp_path / "figures" / "a.pdf").write_bytes(kept["a.pdf"])
+    write_report(study, figures=tmp_path / "figures")
+    assert content(tmp_path / "figures") == found | kept
 
 
 def test_the_best_of_a_column_is_marked_but_never_the_majority():

@@ -17,6 +17,7 @@ from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
 from experiments.data.what_if import WhatIf, branch_of, change_of, make_what_if
 from experiments.replay.ghosts import find_ghosts, ghosts_of
+from experiments.replay.pictures.paths import write_paths
 from experiments.scoring.what_if import (
     branches_of,
     delays,
@@ -172,6 +173,10 @@ def test_the_command_draws_and_its_dataset_replays(
     assert ended.value.code == 0
     assert content(folder) == content(made)
     assert Path("paths.png").read_bytes().startswith(b"\x89PNG")
+    write_paths(open_dataset(folder), Path("paths.pdf"))
+    assert Path("paths.pdf").read_bytes().startswith(b"%PDF")
+    with pytest.raises(InputError, match=r"found 'paths\.jpg', expected a name that ends in \.pdf"):
+        write_paths(open_dataset(folder), Path("paths.jpg"))
     assert Path("table.json").stat().st_size > 100
 
 

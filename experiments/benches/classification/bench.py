@@ -38,6 +38,7 @@ from experiments.benches.real_data import DATA_VARIABLE
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.data.worlds.episode import WorldsConfig
+from experiments.figure_files import write_figure
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS, Model
@@ -352,7 +353,7 @@ def plot_classification(rows: Sequence[Row], path: Path) -> None:
     for axis in (left, right):
         if axis.get_legend_handles_labels()[0]:
             axis.legend(fontsize="x-small")
-    figure.savefig(path)
+    write_figure(figure, path)
 
 
 BENCH: Final = Bench(

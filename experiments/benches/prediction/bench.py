@@ -122,7 +122,9 @@ class Settings:
     repeats: int = 40
     jobs: int | None = option(None, "Processes [default: one per core].")
     plot: Path | None = option(
-        None, "Draw a driver predicted to let somebody cross, and one not.", "FILE"
+        None,
+        "Draw a driver predicted to let somebody cross, and one not: .pdf, .png or .svg.",
+        "FILE",
     )
 
 

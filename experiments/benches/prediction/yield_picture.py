@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from experiments.figure_files import write_figure
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene.scene import Scene
 from sim.frames import PEDESTRIAN, FloatArray
-from sim.store.atomic import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,8 +117,7 @@ def draw_cases(cases: Sequence[YieldCase], path: Path) -> None:
         axis.set_title(f"chance of yielding {case.chance:.0%}; {did}")
         axis.set_xlabel("x, m")
         axis.legend(loc="lower left", fontsize="small")
-    with whole_file(path) as partial:
-        figure.savefig(partial, format=path.suffix.lstrip(".") or "png", dpi=130)
+    write_figure(figure, path, dpi=130)
 
 
 def _draw_pose(

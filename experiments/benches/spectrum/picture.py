@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from experiments.benches.spectrum.rows import Row
+from experiments.figure_files import write_figure
 
 PAPER_SPEED_UP: Final = 2.0
 """What the paper's abstract claims over the best previous method."""
@@ -132,4 +133,4 @@ def plot_spectrum(rows: Sequence[Row], path: Path) -> None:
         fontsize=9,
     )
     figure.suptitle("Eigenvalue algorithms on traffic graphs (crosses: pairs were missed)")
-    figure.savefig(path, dpi=110)
+    write_figure(figure, path)

@@ -6,16 +6,25 @@ The image is drawn at twice its size and then reduced, which smooths edges.
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import matplotlib as mpl
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from matplotlib.figure import Figure
+from PIL import Image
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS
+from experiments.figure_files import write_figure
+from experiments.replay.pictures.panels import (
+    FOOT_PX,
+    HEAD_PX,
+    Panel,
+    lay_out,
+    round_below,
+    shown_extent,
+)
+from experiments.replay.pictures.sheets import Pen, Pixels, Vectors, letters
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import ReplayScene
 from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
@@ -24,12 +33,6 @@ from sim.store.atomic import write_whole
 
 FINE: Final = 2
 """By what factor the image is drawn larger before it is reduced."""
-
-LONG: Final = 4.0
-"""A scene whose sides have a larger ratio is turned until it lies, and folded into rows."""
-
-HEAD_PX, FOOT_PX, GAP_PX = 44, 46, 8
-"""Height of the title, height of the legend, distance between rows, pixels."""
 
 INK, MUTED, PAPER = "#18202B", "#55606E", "#FFFFFF"
 GROUND, PAVING, ASPHALT, PAINT, MIDDLE = "#ECEEEA", "#DCDCD6", "#C6CBD2", "#FFFFFF", "#8A6D1D"
@@ -57,103 +60,6 @@ EVENT_S: Final = 1.5
 
 SCALE_PX: Final = 110
 """Longest bar of a scale, pixels (our choice)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """A part of the picture that shows a part of the world.
-
-    Attributes:
-        box: left, top, right and bottom, pixels.
-        scale: pixels per metre.
-        matrix: (2, 3) from x, y, 1 to pixels.
-    """
-
-    box: tuple[float, float, float, float]
-    scale: float
-    matrix: FloatArray
-
-    def pixels(self, xy: FloatArray) -> FloatArray:
-        """Pixels of places (..., 2)."""
-        return np.asarray(xy @ self.matrix[:, :2].T + self.matrix[:, 2])
-
-
-def lay_out(
-    extent: tuple[float, float, float, float],
-    width: int,
-    height: int,
-    head: int = HEAD_PX,
-    foot: int = FOOT_PX,
-) -> list[Panel]:
-    """Divide a picture into panels that show an extent as large as possible.
-
-    A long road is cut into rows, one panel each; anything else has one panel.
-
-    Args:
-        extent: x0, y0, x1, y1 of what is shown, in the scene's unit.
-        width: width of the picture, pixels.
-        height: height of the picture, pixels.
-        head: height left free above the panels, pixels.
-        foot: height left free below the panels, pixels.
-
-    Returns:
-        The panels, from top to bottom.
-
-    Examples:
-        >>> [len(lay_out((0, 0, size, 12), 1280, 720)) for size in (12, 800)]
-        [1, 6]
-    """
-    x0, y0, x1, y1 = extent
-    turned = y1 - y0 > LONG * (x1 - x0)
-    u0, v0, u1, v1 = (y0, -x1, y1, -x0) if turned else (x0, y0, x1, y1)
-    axes = np.array([[0.0, 1.0], [1.0, 0.0]]) if turned else np.array([[1.0, 0.0], [0.0, -1.0]])
-    tall = height - head - foot
-    many = range(1, 11) if u1 - u0 > LONG * (v1 - v0) else range(1, 2)
-    sizes = {
-        n: min(width / ((u1 - u0) / n), (tall - GAP_PX * (n - 1)) / n / (v1 - v0)) for n in many
-    }
-    rows = max(sizes, key=lambda n: (round(sizes[n], 6), -n))
-    scale, each, length = sizes[rows], (tall - GAP_PX * (rows - 1)) / rows, (u1 - u0) / rows
-    panels = []
-    for row in range(rows):
-        top = head + row * (each + GAP_PX)
-        u, v = u0 + (row + 0.5) * length, 0.5 * (v0 + v1)
-        shift = np.array([[width / 2 - u * scale], [top + each / 2 + v * scale]])
-        matrix = np.concatenate([scale * axes, shift], axis=1)
-        panels.append(Panel((0.0, top, float(width), top + each), scale, matrix))
-    return panels
-
-
-def round_below(length: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not above a length.
-
-    Examples:
-        >>> [round_below(length) for length in (0.3, 7.0, 10.0, 49.0)]
-        [0.2, 5.0, 10.0, 20.0]
-    """
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(n * power for n in (1, 2, 5) if n * power <= length))
-
-
-def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
-    """x0, y0, x1, y1 of what a picture shows: the road; of a junction, where its traffic is."""
-    places = scene.tracks.as_rows().xy
-    if scene.road is None:
-        low, high = places.min(axis=0), places.max(axis=0)
-        margin = max(0.03 * float((high - low).max()), 1.0)
-    else:
-        x0, y0, x1, y1 = scene.road.bounds
-        low, high, margin = np.array([x0, y0]), np.array([x1, y1]), 7.0
-        sides = np.sort(high - low)
-        if sides[1] <= LONG * sides[0]:
-            near, far = np.quantile(places, [0.2, 0.8], axis=0)
-            half = max(45.0, float((far - near).max()) / 2)
-            middle = (near + far) / 2
-            low, high = np.maximum(low, middle - half), np.minimum(high, middle + half)
-    return (
-        float(low[0] - margin), float(low[1] - margin),
-        float(high[0] + margin), float(high[1] + margin),
-    )  # fmt: skip
 
 
 class Painter:
@@ -185,35 +91,43 @@ class Painter:
         speeds = scene.tracks.as_rows().speed
         self.fastest = max(1.0, float(np.quantile(speeds, 0.995)))
         self._shapes = None if scene.road is None else road_shapes(scene.road)
-        self._background = self._draw_background()
+        self._background = Image.new("RGB", (self.width, self.height), PAPER)
+        self._draw_background(Pixels(self._background))
 
     def draw(self, time_s: float) -> Image.Image:
         """Draw the scene as it is at a time, s."""
         image = self._background.copy()
+        self._draw_moment(Pixels(image), time_s)
+        return image.reduce(FINE)
+
+    def draw_vectors(self, time_s: float) -> Figure:
+        """The same as a figure whose lines and letters stay sharp at any size."""
+        sheet = Vectors(self.width, self.height, FINE)
+        self._draw_background(sheet)
+        self._draw_moment(sheet, time_s)
+        return sheet.figure
+
+    def _draw_moment(self, sheet: Pixels | Vectors, time_s: float) -> None:
         rows, xy, heading, speed = self._present(time_s)
         colors = self._colors(rows, speed, time_s)
         for panel in self.panels:
-            part = image.crop(tuple(round(side) for side in panel.box))  # type: ignore[arg-type]
-            pen = ImageDraw.Draw(part)
-            offset = np.array([round(panel.box[0]), round(panel.box[1])])
-            if self._shapes is not None:
-                self._draw_stops(pen, panel, offset, self._shapes, time_s)
-            if self.mode == "w":
-                self._draw_edges(pen, panel, offset, rows, xy, time_s)
-            elif self.mode == "predicted":
-                self._draw_paths(pen, panel, offset, rows, xy, colors, time_s)
-            self._draw_ghosts(pen, panel, offset, time_s)
-            self._draw_agents(pen, panel, offset, rows, xy, heading, colors)
-            self._draw_events(pen, panel, offset, time_s)
-            image.paste(part, (int(offset[0]), int(offset[1])))
+            with sheet.part(panel.box) as (pen, offset):
+                if self._shapes is not None:
+                    self._draw_stops(pen, panel, offset, self._shapes, time_s)
+                if self.mode == "w":
+                    self._draw_edges(pen, panel, offset, rows, xy, time_s)
+                elif self.mode == "predicted":
+                    self._draw_paths(pen, panel, offset, rows, xy, colors, time_s)
+                self._draw_ghosts(pen, panel, offset, time_s)
+                self._draw_agents(pen, panel, offset, rows, xy, heading, colors)
+                self._draw_events(pen, panel, offset, time_s)
         if self.words:
-            clock, font = f"{time_s:.1f} s", _font(15 * FINE)
-            pen = ImageDraw.Draw(image)
+            clock, font = f"{time_s:.1f} s", letters(15 * FINE)
+            pen = sheet.whole()
             pen.text((self.width - 16 * FINE, HEAD_PX * FINE / 2), clock, INK, font, anchor="rm")
             self._draw_scale(pen)
-        return image.reduce(FINE)
 
-    def _draw_scale(self, pen: ImageDraw.ImageDraw) -> None:
+    def _draw_scale(self, pen: Pen) -> None:
         """A bar of a round length in the lowest panel, which says how large things are."""
         panel, unit = self.panels[-1], self.scene.unit
         length = round_below(SCALE_PX * FINE / panel.scale)
@@ -221,24 +135,19 @@ class Painter:
         end = x + length * panel.scale
         pen.line([(x, y - tick), (x, y), (end, y), (end, y - tick)], INK, FINE)
         middle = ((x + end) / 2, y - 4 * FINE)
-        pen.text(middle, f"{length:g} {unit}", INK, _font(12 * FINE), anchor="ms")
+        pen.text(middle, f"{length:g} {unit}", INK, letters(12 * FINE), anchor="ms")
 
-    def _draw_background(self) -> Image.Image:
-        image = Image.new("RGB", (self.width, self.height), PAPER)
+    def _draw_background(self, sheet: Pixels | Vectors) -> None:
         for panel in self.panels:
-            left, top, right, bottom = (round(side) for side in panel.box)
-            part = Image.new("RGB", (right - left, bottom - top), GROUND)
-            pen, offset = ImageDraw.Draw(part), np.array([left, top])
-            if self._shapes is None:
-                self._draw_tracks(pen, panel, offset)
-            else:
-                _draw_road(pen, panel, offset, self._shapes)
-            image.paste(part, (left, top))
+            with sheet.part(panel.box, GROUND) as (pen, offset):
+                if self._shapes is None:
+                    self._draw_tracks(pen, panel, offset)
+                else:
+                    _draw_road(pen, panel, offset, self._shapes)
         if self.words:
-            self._draw_words(ImageDraw.Draw(image))
-        return image
+            self._draw_words(sheet.whole())
 
-    def _draw_tracks(self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray) -> None:
+    def _draw_tracks(self, pen: Pen, panel: Panel, offset: IntArray) -> None:
         rows = self.scene.tracks.as_rows()
         for row in range(self.scene.tracks.ids.size):
             seen = rows.xy[rows.index.rows(row)]
@@ -246,7 +155,7 @@ class Painter:
                 points = panel.pixels(seen) - offset
                 pen.line([tuple(p) for p in points.tolist()], TRACK, FINE)
 
-    def _draw_words(self, pen: ImageDraw.ImageDraw) -> None:
+    def _draw_words(self, pen: Pen) -> None:
         name, middle = self.scene.name, HEAD_PX * FINE / 2
         said = {
             "true": "coloured by true behaviour",
@@ -256,10 +165,10 @@ class Painter:
             "w": "coloured by prominence in the graph, relative to the largest (square root)",
         }[self.mode]
         x = 16.0 * FINE
-        pen.text((x, middle), name, INK, _font(17 * FINE, bold=True), anchor="lm")
-        x += pen.textlength(name, _font(17 * FINE, bold=True)) + 14 * FINE
-        pen.text((x, middle), said, MUTED, _font(13 * FINE), anchor="lm")
-        y, x, font = self.height - FOOT_PX * FINE / 2, 16.0 * FINE, _font(13 * FINE)
+        pen.text((x, middle), name, INK, letters(17 * FINE, bold=True), anchor="lm")
+        x += pen.textlength(name, letters(17 * FINE, bold=True)) + 14 * FINE
+        pen.text((x, middle), said, MUTED, letters(13 * FINE), anchor="lm")
+        y, x, font = self.height - FOOT_PX * FINE / 2, 16.0 * FINE, letters(13 * FINE)
         for color, word in self._legend():
             size = 7 * FINE
             box = (x, y - size, x + 24 * FINE, y + size)
@@ -323,7 +232,7 @@ class Painter:
         return [UNKNOWN_COLOR if (b := told.get(i)) is None else COLORS[b] for i in ids]
 
     def _draw_stops(
-        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, shapes: RoadShapes,
+        self, pen: Pen, panel: Panel, offset: IntArray, shapes: RoadShapes,
         time_s: float,
     ) -> None:  # fmt: skip
         tracks = self.scene.tracks
@@ -340,7 +249,7 @@ class Painter:
                 _draw_lamp(pen, ends, max(3.0 * FINE, 0.7 * panel.scale), state)
 
     def _draw_edges(
-        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
+        self, pen: Pen, panel: Panel, offset: IntArray, rows: IntArray,
         xy: FloatArray, time_s: float,
     ) -> None:  # fmt: skip
         graph = self.scene.graph
@@ -352,7 +261,7 @@ class Painter:
                 pen.line([tuple(place[a].tolist()), tuple(place[b].tolist())], EDGE, 1)
 
     def _draw_paths(
-        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
+        self, pen: Pen, panel: Panel, offset: IntArray, rows: IntArray,
         xy: FloatArray, colors: list[str], time_s: float,
     ) -> None:  # fmt: skip
         """The rest of each agent's most probable future, as it was last predicted."""
@@ -371,7 +280,7 @@ class Painter:
                 pen.line(_points(panel.pixels(way) - offset), color[agent], 2 * FINE, "curve")
 
     def _draw_agents(
-        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, rows: IntArray,
+        self, pen: Pen, panel: Panel, offset: IntArray, rows: IntArray,
         xy: FloatArray, heading: FloatArray, colors: list[str],
     ) -> None:  # fmt: skip
         tracks = self.scene.tracks
@@ -392,9 +301,7 @@ class Painter:
             if np.hypot(*a) > 6 * FINE:
                 pen.polygon(_points(c + GLASS @ np.stack([a, b])), INK)
 
-    def _draw_ghosts(
-        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, time_s: float
-    ) -> None:
+    def _draw_ghosts(self, pen: Pen, panel: Panel, offset: IntArray, time_s: float) -> None:
         """Outlines of where agents were in the factual episode."""
         ghosts, tracks = self.scene.ghosts, self.scene.tracks
         if ghosts is None:
@@ -412,9 +319,7 @@ class Painter:
             outline = panel.pixels(ghosts.xy[i] + BODY @ half) - offset
             pen.polygon(_points(outline), None, MUTED, FINE)
 
-    def _draw_events(
-        self, pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, time_s: float
-    ) -> None:
+    def _draw_events(self, pen: Pen, panel: Panel, offset: IntArray, time_s: float) -> None:
         tracks = self.scene.tracks
         for event in tracks.events:
             since = time_s - event.time_s
@@ -434,11 +339,11 @@ class Painter:
 
 
 def write_picture(scene: ReplayScene, path: Path, mode: str, time_s: float | None = None) -> None:
-    """Write a scene at one time as a PNG.
+    """Write a scene at one time as a PNG, or as a PDF or SVG, in which lines stay sharp.
 
     Args:
         scene: what to draw.
-        path: the file; it appears whole or not at all.
+        path: the file; it appears whole or not at all. Its ending says the format.
         mode: what agents are coloured by, as for `Painter`.
         time_s: the time that is drawn, s; None for the one with most agents.
 
@@ -447,8 +352,11 @@ def write_picture(scene: ReplayScene, path: Path, mode: str, time_s: float | Non
     """
     if time_s is None:
         time_s = float(scene.tracks.time_s[scene.tracks.as_rows().counts().argmax()])
-    image = Painter(scene, mode).draw(time_s)
-    write_whole(path, png_bytes(image))
+    painter = Painter(scene, mode)
+    if path.suffix.lower() == ".png":
+        write_whole(path, png_bytes(painter.draw(time_s)))
+    else:
+        write_figure(painter.draw_vectors(time_s), path)
 
 
 def png_bytes(image: Image.Image) -> bytes:
@@ -458,9 +366,7 @@ def png_bytes(image: Image.Image) -> bytes:
     return out.getvalue()
 
 
-def _draw_road(
-    pen: ImageDraw.ImageDraw, panel: Panel, offset: IntArray, shapes: RoadShapes
-) -> None:
+def _draw_road(pen: Pen, panel: Panel, offset: IntArray, shapes: RoadShapes) -> None:
     for color, polygons in (
         (PAVING, shapes.paving), (ASPHALT, shapes.asphalt), (PAINT, shapes.bars)
     ):  # fmt: skip
@@ -472,7 +378,7 @@ def _draw_road(
         pen.line(_points(panel.pixels(line) - offset), color, thin)
 
 
-def _draw_lamp(pen: ImageDraw.ImageDraw, ends: FloatArray, size: float, state: Signal) -> None:
+def _draw_lamp(pen: Pen, ends: FloatArray, size: float, state: Signal) -> None:
     """Draw a signal's lamp behind its stop line; each colour has a shape of its own."""
     across = (ends[1] - ends[0]) / max(float(np.hypot(*(ends[1] - ends[0]))), 1e-9)
     middle = ends.mean(axis=0) + 1.7 * size * np.array([-across[1], across[0]])
@@ -485,15 +391,3 @@ def _draw_lamp(pen: ImageDraw.ImageDraw, ends: FloatArray, size: float, state: S
 
 def _points(pixels: FloatArray) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in pixels]
-
-
-_fonts: dict[tuple[int, bool], ImageFont.FreeTypeFont] = {}
-
-
-def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """The font that matplotlib brings along, so that every machine draws the same letters."""
-    if (size, bold) not in _fonts:
-        name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-        path = Path(mpl.get_data_path()) / "fonts" / "ttf" / name
-        _fonts[size, bold] = ImageFont.truetype(str(path), size)
-    return _fonts[size, bold]

@@ -11,7 +11,7 @@ from PIL import Image
 
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.replay.picture import Painter
+from experiments.replay.pictures.painter import Painter
 from experiments.replay.scene import ReplayScene
 from sim.store.atomic import whole_file
 

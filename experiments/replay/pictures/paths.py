@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from behaviors.colors import COLORS
-from behaviors.errors import InputError
 from behaviors.labels import Behavior
 from experiments.data.what_if import branch_of, change_of
-from experiments.replay.picture import ASPHALT, INK, MUTED, PAINT, PAVING
+from experiments.figure_files import check_figure_file, write_figure
+from experiments.replay.pictures.painter import ASPHALT, INK, MUTED, PAINT, PAVING
 from experiments.scoring.what_if import INCIDENTS, branches_of, factual_of, new_incidents
 from sim.frames import Event, FloatArray, Tracks
 from sim.road import Road
 from sim.road.shapes import road_shapes
-from sim.store.atomic import write_whole
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
@@ -58,44 +56,28 @@ def separations(factual: Tracks, other: Tracks) -> dict[int, FloatArray]:
 
 
 def write_paths(dataset: Dataset, path: Path) -> None:
-    """Draw every counterfactual episode of a dataset over the factual one, as a PNG.
+    """Draw every counterfactual episode of a dataset over the factual one, as PNG, PDF or SVG.
 
     Args:
         dataset: as ``what-if`` writes it.
         path: the file; it appears whole or not at all.
 
     Raises:
-        InputError: if the name does not end in .png, or the dataset is not one that ``what-if``
-            wrote.
+        InputError: if the name says no format of figures, or the dataset is not one that
+            ``what-if`` wrote.
         OSError: if the file cannot be written.
     """
-    check_picture(path)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    check_figure_file(path, "--picture")
     from matplotlib.figure import Figure
 
     happened = factual_of(dataset)
     branched = branches_of(dataset)
     factual, road = dataset.read(happened).tracks, dataset.road(happened)
     figure = Figure(figsize=(13.0, 3.4 * len(branched)), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(len(branched), 2, squeeze=False, width_ratios=(1.25, 1.0))
     for (plan, course), entry in zip(axes, branched, strict=True):
         _draw(plan, course, entry, factual, dataset.read(entry).tracks, road)
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
-    write_whole(path, out.getvalue())
-
-
-def check_picture(path: Path) -> None:
-    """Refuse a file that is not a PNG by its name, or has no folder.
-
-    Raises:
-        InputError: if so.
-    """
-    if path.suffix.lower() != ".png":
-        raise InputError(f"--picture: found {path.name!r}, expected a name that ends in .png")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: found no folder {path.parent}, expected one")
+    write_figure(figure, path)
 
 
 def _draw(
