@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -38,7 +40,7 @@ def test_killed_generations_end_with_the_same_bytes_and_leave_nothing(
 
 
 def test_other_bytes_and_files_left_are_counted(tmp_path: Path, monkeypatch) -> None:
-    trial = generations._Trial("disk", tmp_path, generations.random.Random(0))
+    trial = generations._Trial("disk", tmp_path, "0", Counter())
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "a").write_text("wanted")
     trial._wanted = trial._content()
@@ -48,6 +50,37 @@ def test_other_bytes_and_files_left_are_counted(tmp_path: Path, monkeypatch) -> 
     monkeypatch.setattr(trial, "_run", lambda: True)
     trial.dataset()
     assert trial.counts == {"datasets": 1, "other_bytes": 1, "left_behind": 1}
+
+
+def test_a_bench_of_kills_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.json"
+    settings = Settings(commands=(), places=("disk",), place_kills=1, progress=str(kept))
+    *_, first = measure(settings)
+    before = kept.read_bytes()
+    *_, again = measure(settings)
+    assert (again, kept.read_bytes()) == (first, before)
+    more = dataclasses.replace(settings, place_kills=int(first[0]["n"]) + 1)
+    *_, later = measure(more)
+    datasets = [next(r["value"] for r in x if r["metric"] == "datasets") for x in (first, later)]
+    assert later[0]["n"] > first[0]["n"]
+    assert datasets[1] > datasets[0]
+
+
+def test_an_object_beside_the_dataset_is_counted(tmp_path: Path, monkeypatch) -> None:
+    trial = generations._Trial("s3", tmp_path, "0", Counter())
+    (tmp_path / "kept" / "data%2Fa").write_text("wanted")
+    trial._wanted = trial._content()
+    (tmp_path / "kept" / "data.partial").write_text("left")
+    monkeypatch.setattr(trial, "_run", lambda: True)
+    monkeypatch.setattr(trial, "_clear", lambda: None)
+    trial.dataset()
+    assert trial.counts == {"datasets": 1, "other_bytes": 1}
+
+
+def test_a_server_that_ends_when_it_is_started_is_not_waited_for(tmp_path, monkeypatch) -> None:
+    (tmp_path / "unreadable").mkdir()  # where it expects an object
+    with pytest.raises(RuntimeError, match="ended when it was started"):
+        ObjectServer(tmp_path).start()
 
 
 def test_a_killed_server_remembers_what_it_had_answered(tmp_path: Path) -> None:
@@ -64,7 +97,7 @@ def test_a_killed_server_remembers_what_it_had_answered(tmp_path: Path) -> None:
         server.start()
         found = store.get_object(Bucket=BUCKET, Key="data/split=test/a")
         assert found["Body"].read() == b"one"
-        assert server.objects("data") == {"split=test/a": b"one"}
+        assert server.objects("data/") == {"split=test/a": b"one"}
     finally:
         server.kill()
 

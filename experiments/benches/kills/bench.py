@@ -134,7 +134,13 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     share = -(-settings.kills // max(1, len(settings.commands)))
     kept = Path(settings.progress) if settings.progress else None
     work = f"{settings.seed}:{','.join(settings.commands)}"
-    begun, counts = _begun(kept, work, settings.commands)
+    begun, counts, places = _begun(kept, work, settings.commands)
+
+    def keep(signals: int) -> None:
+        if kept is not None:
+            told = {"work": work, "signals": signals, "counts": counts, "places": places}
+            write_whole(kept, json.dumps(told, indent=1).encode())
+
     with tempfile.TemporaryDirectory(prefix="graphrqi-kills-") as scratch:
         root = Path(scratch)
         needed = {word for name in settings.commands for word in COMMANDS[name]}
@@ -143,9 +149,7 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         for number in range(begun, share):
             for command in commands:
                 counts[command.name] += _disturb(command, root, number, settings.seed)
-            if kept is not None:
-                told = {"work": work, "signals": number + 1, "counts": counts}
-                write_whole(kept, json.dumps(told, indent=1).encode())
+            keep(number + 1)
         if settings.commands:
             yield [
                 tidy_row({"command": name}, metric, float(counts[name][metric]), None, None,
@@ -154,12 +158,13 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
                 for metric in ("disturbed", *FLAWS)
             ]  # fmt: skip
         for place in settings.places:
-            killed = Counter[str]()
-            for killed in generations.disturb(
-                place, root / place, settings.place_kills, settings.seed
+            killed = places.setdefault(place, Counter())
+            for _ in generations.disturb(
+                place, root / place, settings.place_kills, settings.seed, killed
             ):
                 LOGGER.info("%s: %s", place, dict(killed))
-            kills = sum(killed[metric] for metric in generations.METRICS[:3])
+                keep(max(begun, share))
+            kills = generations.kills(killed)
             key = {"command": f"generate on {place}"}
             yield [
                 tidy_row(key, metric, float(killed[metric]), None, None, kills)
@@ -169,16 +174,18 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
 
 def _begun(
     kept: Path | None, work: str, commands: Sequence[str]
-) -> tuple[int, dict[str, Counter[str]]]:
-    """How many signals each command has had in earlier runs, and what came of them."""
+) -> tuple[int, dict[str, Counter[str]], dict[str, Counter[str]]]:
+    """How many signals each command has had in earlier runs, what came of them, and of places."""
     found = read_progress(
         kept,
         work,
         lambda told: (
-            int(told["signals"]), {name: Counter[str](told["counts"][name]) for name in commands},
+            int(told["signals"]),
+            {name: Counter[str](told["counts"][name]) for name in commands},
+            {place: Counter[str](counts) for place, counts in told.get("places", {}).items()},
         ),
-    )  # fmt: skip
-    return (0, {name: Counter() for name in commands}) if found is None else found
+    )
+    return (0, {name: Counter() for name in commands}, {}) if found is None else found
 
 
 def _prepare(given: Path, dataset: bool) -> None:

@@ -79,6 +79,8 @@ class ObjectServer:
         while time.monotonic() - begin < LONGEST_START_S:
             with suppress(OSError), socket.create_connection((HOST, self.port), 1.0):
                 return
+            if self._process.exitcode is not None:
+                raise RuntimeError(f"the server at {HOST}:{self.port} ended when it was started")
             time.sleep(0.01)
         raise TimeoutError(f"no server at {HOST}:{self.port} after {LONGEST_START_S:g} s")
 
@@ -88,14 +90,13 @@ class ObjectServer:
             self._process.kill()
             self._process.join()
 
-    def objects(self, prefix: str) -> dict[str, bytes]:
-        """What it keeps under a prefix of names, by the rest of the name."""
-        begin = f"{prefix.rstrip('/')}/"
+    def objects(self, below: str = "") -> dict[str, bytes]:
+        """What it keeps whose name begins so, by the rest of the name."""
         names = {unquote(file.name): file for file in self._files()}
         return {
-            name[len(begin) :]: file.read_bytes()
+            name.removeprefix(below): file.read_bytes()
             for name, file in names.items()
-            if name.startswith(begin)
+            if name.startswith(below)
         }
 
     def forget(self) -> None:
