@@ -34,7 +34,12 @@ BENCH = re.compile(r"^graphrqi bench (\S+)(.*)\n", flags=re.MULTILINE)
 SMALL_CLUSTER = {"head:": "127.0.0.1:", "/shared/": "", "--nworkers 16": "--nworkers 2",
                  "--episodes 5000": "--episodes 2 --duration-s 20"}  # fmt: skip
 
-SMALL_DATA = {"--episodes 40 ": "--episodes 1 --duration-s 20 "}
+SMALL_DATA = {
+    "--episodes 40 ": "--episodes 1 --duration-s 20 ",
+    "--episodes 5 --duration-s 60 ": "--episodes 5 --duration-s 20 ",
+    "run straight_road --duration-s 60 ": "run straight_road --duration-s 20 ",
+    "--engine highway --duration-s 60 ": "--engine highway --duration-s 20 ",
+}
 LONGEST_S = 240.0
 
 

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 
 from sim.frames import PEDESTRIAN, Tracks
@@ -306,6 +305,8 @@ def _disc(radius_m: float, step_m: float) -> FloatArray:
 
 def _far_translation(lanes: _Lanes, points: _Points) -> FloatArray | None:
     """The translation at which most positions meet lanes of their direction, if it is alone."""
+    from scipy.signal import fftconvolve  # takes longer to import than most commands need to run
+
     lane_at, point_at = np.median(lanes.xy, axis=0), np.median(points.xy, axis=0)
     low = np.floor((lanes.xy - lane_at).min(axis=0) / CELL_M).astype(np.int64) - 3
     high = np.ceil((lanes.xy - lane_at).max(axis=0) / CELL_M).astype(np.int64) + 3
