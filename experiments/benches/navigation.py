@@ -30,7 +30,7 @@ from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, BehaviorStream
 from sim.episode.buffer import FrameBuffer
-from sim.episode.observables import observe
+from sim.episode.observables import leaders, observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import FloatArray, Frame, IntArray, Tracks
 from sim.road import Road
@@ -135,11 +135,11 @@ def safe_accel(frame: Frame, road: Road, me: int) -> float:
     The emergency brake of every arm: what others are believed to do may be wrong. The safe speed is
     Krauss's.
     """
-    seen = observe(frame, road)
-    leader, speed = int(seen.leader[me]), float(frame.speed[me])
+    every, gaps = leaders(frame, road)
+    leader, speed = int(every[me]), float(frame.speed[me])
     if leader < 0:
         return math.inf
-    room = max(float(seen.gap[me]) - EMERGENCY_GAP_M, 0.0)
+    room = max(float(gaps[me]) - EMERGENCY_GAP_M, 0.0)
     safe = krauss_safe_speed(room, float(frame.speed[leader]), EMERGENCY_S, EMERGENCY_DECEL_MPS2)
     return (safe - speed) / EMERGENCY_S
 

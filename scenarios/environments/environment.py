@@ -220,9 +220,6 @@ class TrafficEnv(EgoEnv):
         if traffic is None:
             traffic = int(self.np_random.integers(2**31))
         agents = self._draw_agents(traffic)
-        network = network_of(self.scenario.road)
-        self.road = TrafficRoad(network, compiled=config["compiled"])
-        self._demand = Demand(self.road, agents, traffic)
         self._agents = {agent.id: agent for agent in agents}
         self._classify = self._classifier()
         self._belief: Belief | None = None
@@ -233,9 +230,10 @@ class TrafficEnv(EgoEnv):
         self._ego_id = max((agent.id for agent in agents), default=-1) + 1
         self.controlled_vehicles = []
         self._dt = 1.0 / config["simulation_frequency"]
-        for _ in range(round(config["warmup_s"] / self._dt)):
-            self._advance()
-        self._enter_ego_vehicle()
+        network = network_of(self.scenario.road)
+        route = tuple(network.stretches(self._ego_route()))
+        lanes = network.lanes_towards(route[0], route[1] if len(route) > 1 else None)
+        self._place_ego_vehicle(*self._warm_up(agents, traffic, lanes), route)
         self.define_spaces()
         self._distance_left = distance_left_m(self.road, self.vehicle)
         self._events = []
@@ -261,23 +259,30 @@ class TrafficEnv(EgoEnv):
             )
         return cast(Callable[[Frame], Belief], classify)
 
-    def _enter_ego_vehicle(self) -> None:
-        """Put the ego vehicle at the beginning of its route, once there is room."""
-        road, network = self.road, self.road.network_info
-        route = tuple(network.stretches(self._ego_route()))
-        lanes = network.lanes_towards(route[0], route[1] if len(route) > 1 else None)
+    def _warm_up(
+        self, agents: tuple[AgentSpec, ...], seed: int, lanes: list[LaneIndex]
+    ) -> tuple[LaneIndex, float, float]:
+        """Let the traffic drive, then until one of some lanes has room for the ego vehicle.
+
+        Returns:
+            That lane, its room, m, and the speed of the next vehicle on it, m/s.
+        """
+        network = network_of(self.scenario.road)
+        self.road = TrafficRoad(network, compiled=self.config["compiled"])
+        self._demand = Demand(self.road, agents, seed)
+        for _ in range(round(self.config["warmup_s"] / self._dt)):
+            self._advance()
         for _ in range(round(LONGEST_WAIT_S / self._dt)):
-            road.locate()
+            self.road.locate()
             lane, room, speed = self._roomiest(lanes)
             if room > ROOM_M:
-                break
+                return lane, room, speed
             self._advance()
-        else:
-            for vehicle in list(road.vehicles):
-                s, _ = road.place(vehicle, lane)
-                if abs(s - BEGIN_M) < 2.0 * ROOM_M and vehicle.lane_index[:2] == lane[:2]:
-                    road.vehicles.remove(vehicle)
-        self._place_ego_vehicle(lane, room, speed, route)
+        for vehicle in list(self.road.vehicles):
+            s, _ = self.road.place(vehicle, lane)
+            if abs(s - BEGIN_M) < 2.0 * ROOM_M and vehicle.lane_index[:2] == lane[:2]:
+                self.road.vehicles.remove(vehicle)
+        return lane, room, speed
 
     def _place_ego_vehicle(
         self, lane: LaneIndex, room: float, speed: float, route: tuple[tuple[str, str], ...]
@@ -338,8 +343,7 @@ class TrafficEnv(EgoEnv):
                 self.action_type.act(action)
             self._advance()
             self.steps += 1
-            self.road.locate()
-            self._note_near()
+            self._watch()
             if frame < frames - 1:
                 self._automatic_rendering()
         self.enable_auto_render = False
@@ -348,6 +352,11 @@ class TrafficEnv(EgoEnv):
         if self.render_mode == "human":
             self.render()
         return self._outcome(parts)
+
+    def _watch(self) -> None:
+        """Look at the frame that has just been simulated."""
+        self.road.locate()
+        self._note_near()
 
     def _note_near(self) -> None:
         """Count those that have come near since the last frame."""

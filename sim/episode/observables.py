@@ -22,7 +22,7 @@ import numpy as np
 
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal
-from sim.road import Road, lane_search
+from sim.road import LanePosition, Road, lane_search
 from sim.road.lane_graph import LaneGraph, project
 
 MIN_SPEED_MPS: Final = 0.1
@@ -116,6 +116,33 @@ def observe(traffic: Frame | TrajectoryRows, road: Road) -> Observables:
     )  # fmt: skip
 
 
+def leaders(frame: Frame, road: Road) -> tuple[IntArray, FloatArray]:
+    """(n,) row of the vehicle ahead of each in a frame, and gap to it, m, as in `Observables`."""
+    n = len(frame)
+    driving, order, begins = frame.kind != PEDESTRIAN, np.arange(n), np.array([0, n])
+    _, view = _perceive(road, frame.xy, frame.heading, frame.length, driving, order, begins)
+    return view.leader, view.gap
+
+
+def _perceive(
+    road: Road,
+    xy: FloatArray,
+    heading: FloatArray,
+    length: FloatArray,
+    driving: BoolArray,
+    by_time: IntArray,
+    begins: IntArray,
+) -> tuple[LanePosition, lane_search.LaneView]:
+    """The lane that each row is on, and what it sees on its way; arguments as of `_observe`."""
+    xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
+    place = project(road, xy, heading)
+    view = lane_search.perceive(
+        xy, heading, length, driving, place.lane, place.s, place.offset, by_time, begins,
+        lane_search.LaneArrays.of(LaneGraph.of(road)),
+    )  # fmt: skip
+    return place, view
+
+
 def crossing_people(
     road: Road, instant: IntArray, xy: FloatArray, instants: int
 ) -> tuple[BoolArray, BoolArray]:
@@ -170,12 +197,7 @@ def _observe(
     """
     graph = LaneGraph.of(road)
     m = speed.size
-    xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
-    place = project(road, xy, heading)
-    view = lane_search.perceive(
-        xy, heading, length, ~walking, place.lane, place.s, place.offset, by_time, begins,
-        lane_search.LaneArrays.of(graph),
-    )  # fmt: skip
+    place, view = _perceive(road, xy, heading, length, ~walking, by_time, begins)
     on_road, leader, gap = view.lane >= 0, view.leader, view.gap
     has = leader >= 0
     closing = np.zeros(m)

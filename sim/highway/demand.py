@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -66,6 +67,13 @@ class Demand:
                 self._stretches[agent.route] = tuple(road.network_info.stretches(agent.route))
             way = self._stretches[agent.route]
             self._queues.setdefault((way[0], *way[1:2]), deque()).append(agent)
+
+    def copied(self, road: RoadState) -> Demand:
+        """The agents still to come, to a copy of the road."""
+        made = copy.copy(self)
+        made.road, made._walking = road, self._walking.copy()
+        made._queues = {way: queue.copy() for way, queue in self._queues.items()}
+        return made
 
     def enter(self) -> None:
         """Let in the agents whose time has come and who have room, in order of departure."""

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import Frame
+from sim.frames import Event, Frame
 from sim.highway.demand import Demand
 from sim.highway.network import HighwayNetwork, build_network
 from sim.highway.state import RoadState, agent_of
@@ -91,10 +91,12 @@ def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[F
         yield read_frame(road)
 
 
-def read_frame(road: RoadState) -> Frame:
-    """Everybody on the road now, and the events since the last reading.
+def read_frame(road: RoadState, events: tuple[Event, ...] | None = None) -> Frame:
+    """Everybody on the road now; highway-env has y to the right of x, frames have it to the left.
 
-    highway-env has y to the right of x; frames have it to the left.
+    Args:
+        road: to read.
+        events: what happened; by default the events since they were last taken.
     """
     everyone = sorted([*road.vehicles, *road.walkers], key=agent_of)
     n = len(everyone)
@@ -110,7 +112,7 @@ def read_frame(road: RoadState) -> Frame:
         width=np.array([one.WIDTH for one in everyone], dtype=np.float64),
         kind=np.array([_kind_code(one) for one in everyone], dtype=np.int8),
         signals=road.signals.copy(),
-        events=road.take_events(),
+        events=road.take_events() if events is None else events,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Final
 
@@ -32,8 +33,22 @@ class TrafficRoad(RoadState):
 
     def __init__(self, network: HighwayNetwork, *, compiled: bool = False) -> None:
         super().__init__(network)
-        self._touching: set[tuple[int, int]] = set()
+        self._touching: set[Pair] = set()
         self._compiled = CompiledTraffic(self) if compiled else None
+
+    def copied(self) -> TrafficRoad:
+        """Everybody as they are now, on the same lanes; neither road changes with the other."""
+        network = self.network_info
+        fixed: list[object] = [network, network.net, self._pieces, *network.lanes.values()]
+        if self._compiled is not None:
+            fixed.append(self._compiled.tables)
+        for vehicle in self.vehicles:
+            if isinstance(vehicle, ProfileVehicle):
+                fixed += [vehicle.driver, vehicle.parameters]
+        fixed += [walker.footway for walker in self.walkers]
+        made = copy.deepcopy(self, {id(one): one for one in fixed})
+        made.locate()
+        return made
 
     def act(self) -> None:
         """Let everybody decide."""
@@ -64,9 +79,9 @@ class TrafficRoad(RoadState):
         """Record collisions of those that touch and did not touch before."""
         pairs = touching_pairs(self)
         for pair in pairs:
-            if (id(pair[0]), id(pair[1])) not in self._touching:
+            if pair not in self._touching:
                 self._crash(pair)
-        self._touching = {(id(a), id(b)) for a, b in pairs}
+        self._touching = set(pairs)
 
     def _crash(self, pair: Pair) -> None:
         cause, victim, rule = find_cause(self, *pair)

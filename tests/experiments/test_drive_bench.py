@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +30,56 @@ PAGE = Path(__file__).parents[2] / "docs" / "what-if.md"
 SHORT = {"flow": "light", "duration_s": 3.0, "warmup_s": 2.0}
 
 
+def drive_one(scenario: str, crowd: str, policy: str, seed: int, config) -> dict[str, float]:
+    (figures,) = drive(scenario, crowd, (policy,), seed, config).figures
+    return figures
+
+
 @pytest.mark.parametrize("scenario", ROADS)
 def test_every_scenario_can_be_driven_in(scenario: str) -> None:
-    assert drive(scenario, MIXED, "idm-mobil", 1, SHORT)["minutes"] > 0.0
+    assert drive_one(scenario, MIXED, "idm-mobil", 1, SHORT)["minutes"] > 0.0
+
+
+@pytest.mark.parametrize("scenario", ["four_way_intersection", "motorway_ramps"])
+def test_policies_that_begin_together_drive_as_each_does_alone(scenario: str) -> None:
+    together = drive(scenario, MIXED, tuple(POLICIES), 1, SHORT).figures
+    assert together == [drive_one(scenario, MIXED, policy, 1, SHORT) for policy in POLICIES]
+
+
+ASKS_A_CLASSIFIER = """
+class Counting:
+    def __init__(self):
+        self.frames = 0
+
+    def __call__(self, frame):
+        self.frames += 1
+        return self
+
+    def of(self, ids):
+        import numpy as np
+        return np.full((ids.size, 6), 1 / 6)
+
+
+counting = Counting()
+
+
+def make(env):
+    return lambda observation: 1 if observation["agents"].shape == (15, 16) else None
+
+
+make.config = {"observation": "posterior", "classifier": counting}
+"""
+
+
+def test_a_classifier_of_ones_own_sees_the_traffic_before_too(tmp_path, monkeypatch) -> None:
+    (tmp_path / "classifying_policy_of_this_test.py").write_text(ASKS_A_CLASSIFIER)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    policies = ("do-nothing", "classifying_policy_of_this_test:make")
+    idle, asking = drive("straight_road", MIXED, policies, 1, SHORT).figures
+    module = import_module("classifying_policy_of_this_test")
+    assert asking == idle
+    assert module.counting.frames >= 10 * (SHORT["duration_s"] + SHORT["warmup_s"])
 
 
 def test_no_scenario_is_left_out() -> None:
@@ -62,8 +110,8 @@ def test_the_recorded_crowd_is_drawn_from_a_population(monkeypatch) -> None:
         return lambda observation: 1
 
     monkeypatch.setitem(POLICIES, "watching", (watching, {}))
-    drive("straight_road", "recorded", "watching", 4, SHORT)
-    drive("straight_road", MIXED, "watching", 4, SHORT)
+    drive_one("straight_road", "recorded", "watching", 4, SHORT)
+    drive_one("straight_road", MIXED, "watching", 4, SHORT)
     (recorded, plain), scenario = [tuple(e._agents.values()) for e in seen], seen[1].scenario
     assert plain == sample_agents(scenario, 4)
     assert recorded == sample_agents(scenario, 4, read_population(CROWDS["recorded"].population))
@@ -71,8 +119,8 @@ def test_the_recorded_crowd_is_drawn_from_a_population(monkeypatch) -> None:
 
 @pytest.mark.parametrize("policy", POLICIES)
 def test_our_policies_drive_and_the_same_seed_is_the_same_episode(policy: str) -> None:
-    found = drive("four_way_intersection", MIXED, policy, 1, SHORT)
-    assert found == drive("four_way_intersection", MIXED, policy, 1, SHORT)
+    found = drive_one("four_way_intersection", MIXED, policy, 1, SHORT)
+    assert found == drive_one("four_way_intersection", MIXED, policy, 1, SHORT)
     assert set(found) == set(METRICS)
     assert 0.0 <= found["score"] <= 1.0
     assert found["minutes"] == pytest.approx(0.05)
@@ -80,7 +128,7 @@ def test_our_policies_drive_and_the_same_seed_is_the_same_episode(policy: str) -
 
 def test_doing_nothing_behind_a_queue_ends_in_a_collision() -> None:
     config = {"flow": "medium", "duration_s": 60.0, "warmup_s": 20.0}
-    found = drive("straight_road", MIXED, "do-nothing", 1, config)
+    found = drive_one("straight_road", MIXED, "do-nothing", 1, config)
     assert found["collisions_caused"] == found["collisions"] == 1.0
     assert found["score"] == 0.0
     assert found["minutes"] < 1.0
@@ -117,8 +165,8 @@ def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_a_policy_of_ones_own_drives(own_policy: str) -> None:
-    mine = drive("straight_road", MIXED, f"{own_policy}:make", 2, SHORT)
-    idle = drive("straight_road", MIXED, "do-nothing", 2, SHORT)
+    mine = drive_one("straight_road", MIXED, f"{own_policy}:make", 2, SHORT)
+    idle = drive_one("straight_road", MIXED, "do-nothing", 2, SHORT)
     assert mine == idle  # one of three speeds: nothing is the second
 
 
@@ -167,6 +215,11 @@ def test_a_stopped_test_goes_on_from_its_folder(
         out=str(tmp_path / "kept"),
     )  # fmt: skip
     first = [row for part in measure(settings) for row in part]
+    speed = {row["metric"]: row["value"] for row in first if row["crowd"] == "all"}
+    minutes = [r["value"] for r in first if r["metric"] == "minutes" and r["scenario"] == "all"]
+    assert speed["driven_minutes"] == pytest.approx(sum(minutes))
+    per_hour = 7200.0 / speed["core_s_per_minute"]
+    assert speed["minutes_per_hour_on_two_cores"] == pytest.approx(per_hour)
     files = sorted((tmp_path / "kept").rglob("*.json"))
     assert len(files) == 2 * 2 * 2
     files[0].unlink()
@@ -175,17 +228,25 @@ def test_a_stopped_test_goes_on_from_its_folder(
 
     def counting(*arguments):
         driven.append(arguments)
-        return drive_once(*arguments)
+        return drive_one(*arguments)
 
     from experiments.benches.drive import episode
 
-    drive_once = episode._drive
+    drive_one = episode._drive
     monkeypatch.setattr(episode, "_drive", counting)
-    assert [row for part in measure(settings) for row in part] == first
+    again = [row for part in measure(settings) for row in part]
+    assert _without_speed(again) == _without_speed(first)
     assert len(driven) == 2
+    assert [row for part in measure(settings) for row in part] == _without_speed(first)
     other = dataclasses.replace(settings, flow="light")
     list(measure(other))
     assert len(driven) == 2 + 8  # figures of another configuration are not taken
+
+
+def _without_speed(rows):
+    """The rows but for what driving took, which differs every time."""
+    speeds = ("driven_minutes", "core_s_per_minute", "minutes_per_hour_on_two_cores")
+    return [row for row in rows if row["metric"] not in speeds]
 
 
 def test_ranks_and_swaps() -> None:

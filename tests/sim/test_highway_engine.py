@@ -13,7 +13,7 @@ from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
-from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
+from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Frame, Tracks
 from sim.highway.demand import Demand
 from sim.highway.engine import network_of, read_frame, run
 from sim.highway.rules.commands import give_commands
@@ -431,3 +431,37 @@ def test_who_finds_no_room_waits_and_enters_later():
         road.act()
         road.step(0.1)
     assert len(read_frame(road)) == 9
+
+
+@pytest.mark.parametrize(
+    ("name", "compiled"), [*((name, True) for name in SCENARIOS), ("four_way_intersection", False)]
+)
+def test_a_copied_road_drives_on_alike_and_apart(name: str, compiled: bool) -> None:
+    mix = {"reckless": 0.5, "threatening": 0.5}
+    scenario = SCENARIOS[name](flow="dense", mix=mix, duration_s=40.0)
+    road = TrafficRoad(network_of(scenario.road), compiled=compiled)
+    demand = Demand(road, sample_agents(scenario, 1), 1)
+    drive_on(road, demand, 25.0)
+    copied = road.copied()
+    copied_demand = demand.copied(copied)
+    first = drive_on(copied, copied_demand, 6.0)
+    then = drive_on(road, demand, 6.0)
+    assert len(then[-1].ids) > 3
+    for one, other in zip(first, then, strict=True):
+        for field in dataclasses.fields(one):
+            a, b = getattr(one, field.name), getattr(other, field.name)
+            assert np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b, field.name
+    assert not {id(v) for v in road.vehicles} & {id(v) for v in copied.vehicles}
+    lanes = {id(lane) for lane in road.network_info.lanes.values()}
+    assert {id(v.lane) for v in copied.vehicles} <= lanes
+
+
+def drive_on(road: TrafficRoad, demand: Demand, seconds: float) -> list[Frame]:
+    """The next frames of a road."""
+    frames = []
+    for _ in range(round(seconds / 0.1)):
+        demand.enter()
+        road.act()
+        road.step(0.1)
+        frames.append(read_frame(road))
+    return frames

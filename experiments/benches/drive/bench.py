@@ -67,7 +67,9 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
 
     Yields:
         Rows of each scenario: means per episode of the `METRICS` for every crowd and policy; then
-        those over all scenarios, and `experiments.benches.drive.ranking.ranking_rows`.
+        those over all scenarios, `experiments.benches.drive.ranking.ranking_rows`, and, unless
+        all figures were kept from before, what driving took: ``driven_minutes`` of all policies,
+        ``core_s_per_minute``, and what that makes ``minutes_per_hour_on_two_cores``.
 
     Raises:
         InputError: if a scenario, crowd or policy is not known.
@@ -85,13 +87,17 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     seeds = range(settings.first_seed, settings.first_seed + settings.seeds)
     shape = (settings.seeds, len(settings.crowds), len(policies), len(METRICS))
     tables: list[FloatArray] = []
+    minutes = core_s = 0.0
     for scenario in settings.scenarios:
         arguments = [
-            (scenario, crowd, policy, seed, config, settings.out or None)
-            for seed in seeds for crowd in settings.crowds for policy in policies
+            (scenario, crowd, policies, seed, config, settings.out or None)
+            for seed in seeds for crowd in settings.crowds
         ]  # fmt: skip
         found = list(in_parallel(drive, arguments, settings.jobs))
-        table = np.array([[one[m] for m in METRICS] for one in found]).reshape(shape)
+        minutes += sum(cell.minutes for cell in found)
+        core_s += sum(cell.core_s for cell in found)
+        figures = [[one[m] for m in METRICS] for cell in found for one in cell.figures]
+        table = np.array(figures).reshape(shape)
         tables.append(table)
         yield _rows(scenario, settings.crowds, policies, table)
     everything = np.concatenate(tables)
@@ -102,7 +108,22 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     yield [
         *_rows("all", settings.crowds, policies, everything),
         *ranking_rows(scores, policies, HOMOGENEOUS, MIXED),
+        *_speed_rows(minutes, core_s),
     ]
+
+
+def _speed_rows(minutes: float, core_s: float) -> list[Row]:
+    """What driving so many minutes took; nothing where none were driven."""
+    if minutes == 0.0:
+        return []
+    each_s = core_s / minutes
+    speeds = {
+        "driven_minutes": minutes,
+        "core_s_per_minute": each_s,
+        "minutes_per_hour_on_two_cores": 2 * 3600.0 / each_s,
+    }
+    keys: dict[str, Cell] = {"scenario": "all", "crowd": "all", "policy": "all"}
+    return [tidy_row(keys, metric, value, None, None, 1) for metric, value in speeds.items()]
 
 
 def _rows(

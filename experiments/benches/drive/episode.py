@@ -1,19 +1,23 @@
-"""One episode of the licence test: a policy drives in a scenario among a crowd, and is measured."""
+"""Episodes of the licence test: policies drive in a scenario among a crowd, and are measured.
+
+All policies begin at the same moment of the same traffic, which is driven until then only once.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from behaviors.populations import read_population
 from experiments.benches.drive.crowds import CROWDS, Crowd
-from experiments.benches.drive.policies import get_policy
+from experiments.benches.drive.policies import BLIND, get_policy
 from scenarios.environments.environment import TrafficEnv
 from scenarios.environments.four_way_intersection import FourWayIntersectionEnv
 from scenarios.environments.roads import (
@@ -30,8 +34,11 @@ from scenarios.environments.straight_road import StraightRoadEnv
 from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
 from sim.frames import EventKind, FloatArray, Frame, Tracks
-from sim.highway.ego import distance_left_m, is_off_road
+from sim.highway.demand import Demand
+from sim.highway.ego import Observation, distance_left_m, is_off_road
 from sim.highway.engine import read_frame
+from sim.highway.network import LaneIndex
+from sim.highway.traffic import TrafficRoad
 from sim.scenario import AgentSpec
 from sim.store.atomic import write_whole
 
@@ -74,15 +81,46 @@ ROADS: Final[dict[str, type[TrafficEnv]]] = {
 """The environment of each scenario."""
 
 
+OWN: Final = ("action", "policy_frequency", "observation", "observed")
+"""What a policy may change in the configuration and still begin from the traffic of the others."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """The traffic at the moment at which the ego vehicle enters.
+
+    Attributes:
+        config: of the environment, but for `OWN`.
+        road: with everybody on it.
+        demand: those still to come.
+        room: the lane that the ego vehicle enters, its room, m, and the next one's speed, m/s.
+        frames: everything until then.
+    """
+
+    config: dict[str, Any]
+    road: TrafficRoad
+    demand: Demand
+    room: tuple[LaneIndex, float, float]
+    frames: tuple[Frame, ...]
+
+
 def _among(base: type[TrafficEnv], crowd: Crowd) -> type[TrafficEnv]:
-    """The environment whose other drivers are a crowd, and which keeps every frame."""
+    """The environment whose other drivers are a crowd, and which keeps every frame.
+
+    Its first episode drives the traffic until the ego vehicle enters; all others of the same
+    configuration go on from a copy.
+    """
 
     class Among(base):  # type: ignore[misc, valid-type]
         """The environment with a crowd."""
 
+        start: ClassVar[_Start | None] = None
+        looks: bool = True
         on_frame: Callable[[Frame], object] | None = None
         frames: list[Frame]
         truth: Mapping[int, int]
+        road: TrafficRoad
+        _demand: Demand
 
         def _draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
             agents = tuple(crowd.changed(agent) for agent in super()._draw_agents(seed))
@@ -95,11 +133,39 @@ def _among(base: type[TrafficEnv], crowd: Crowd) -> type[TrafficEnv]:
             """Agent id of the vehicle that is driven."""
             return int(self._ego_id)
 
+        def _warm_up(
+            self, agents: tuple[AgentSpec, ...], seed: int, lanes: list[LaneIndex]
+        ) -> tuple[LaneIndex, float, float]:
+            room: tuple[LaneIndex, float, float]
+            start, same = type(self).start, {**self.config, "traffic": seed}
+            for key in OWN:
+                same.pop(key)
+            if self._classify is not None or start is None or start.config != same:
+                room = super()._warm_up(agents, seed, lanes)
+                if self._classify is None:  # else it has to see the traffic itself
+                    road = self.road.copied()
+                    demand = self._demand.copied(road)
+                    type(self).start = _Start(same, road, demand, room, tuple(self.frames))
+                return room
+            self.road = start.road.copied()
+            self._demand = start.demand.copied(self.road)
+            for frame in start.frames:
+                self._show(frame)
+            return start.room
+
         def _advance(self) -> None:
             known = len(self._events)
             super()._advance()
-            frame = read_frame(self.road)
-            frame = dataclasses.replace(frame, events=tuple(self._events[known:]))
+            self._show(read_frame(self.road, tuple(self._events[known:])))
+
+        def _watch(self) -> None:
+            """Do nothing: near misses are counted afterwards, in what was driven."""
+
+        def _observe(self) -> Observation:
+            return super()._observe() if self.looks else {}
+
+        def _show(self, frame: Frame) -> None:
+            """Keep a frame, and show it to the policy."""
             self.frames.append(frame)
             if self.on_frame is not None:
                 self.on_frame(frame)
@@ -107,42 +173,64 @@ def _among(base: type[TrafficEnv], crowd: Crowd) -> type[TrafficEnv]:
     return Among
 
 
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What became of the policies in one scenario, crowd and seed.
+
+    Attributes:
+        figures: the `METRICS` of each policy, in their order.
+        minutes: how many of the policies' minutes were driven just now, not kept from before.
+        core_s: processor time since this process's last episodes, or since it began: all that it
+            took to drive these, with starting and compiling.
+    """
+
+    figures: list[dict[str, float]]
+    minutes: float
+    core_s: float
+
+
+_spent_s = [0.0]  # of this process's processor time, when its last episodes ended
+
+
 def drive(
-    scenario: str, crowd: str, policy: str, seed: int, config: Mapping[str, Any],
+    scenario: str, crowd: str, policies: Sequence[str], seed: int, config: Mapping[str, Any],
     kept: str | None = None,
-) -> dict[str, float]:  # fmt: skip
-    """Drive one episode, unless its figures are kept already.
+) -> Driven:  # fmt: skip
+    """Drive one episode with each policy, unless its figures are kept already.
 
     Args:
         scenario: a key of `ROADS`.
         crowd: a key of `CROWDS`.
-        policy: as in `get_policy`.
+        policies: as in `get_policy`.
         seed: of the traffic.
         config: of the environment.
         kept: folder with the figures of episodes that were driven before; None for none.
 
-    Returns:
-        The `METRICS`.
-
     Raises:
-        InputError: if the policy or a part of the configuration is not usable.
+        InputError: if a policy or a part of the configuration is not usable.
     """
-    path, of = None, dict(config)
+    of = dict(config)
     population = CROWDS[crowd].population
     if population is not None:  # another file of that name is another crowd
         of["population"] = read_population(population).sha256
-    if kept is not None:
-        name = policy.replace(":", "--").replace("/", "--")
-        path = Path(kept) / scenario / crowd / name / f"{seed}.json"
-        found = _kept(path, of)
-        if found is not None:
-            return found
-    figures = _drive(scenario, crowd, policy, seed, config)
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        content = {"config": of, "figures": figures}
-        write_whole(path, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
-    return figures
+    made = _among(ROADS[scenario], CROWDS[crowd])
+    every, minutes = [], 0.0
+    for policy in policies:
+        path = None
+        if kept is not None:
+            name = policy.replace(":", "--").replace("/", "--")
+            path = Path(kept) / scenario / crowd / name / f"{seed}.json"
+        figures = None if path is None else _kept(path, of)
+        if figures is None:
+            figures = _drive(made, CROWDS[crowd], policy, seed, config)
+            minutes += figures["minutes"]
+            if path is not None:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                content = {"config": of, "figures": figures}
+                write_whole(path, json.dumps(content, indent=1, sort_keys=True).encode() + b"\n")
+        every.append(figures)
+    before, _spent_s[0] = _spent_s[0], time.process_time()
+    return Driven(every, minutes, _spent_s[0] - before)
 
 
 def _kept(path: Path, config: Mapping[str, Any]) -> dict[str, float] | None:
@@ -157,13 +245,12 @@ def _kept(path: Path, config: Mapping[str, Any]) -> dict[str, float] | None:
 
 
 def _drive(
-    scenario: str, crowd: str, policy: str, seed: int, config: Mapping[str, Any]
+    made: type[TrafficEnv], crowd: Crowd, policy: str, seed: int, config: Mapping[str, Any]
 ) -> dict[str, float]:
     make, changes = get_policy(policy)
-    others = CROWDS[crowd]
-    drawn = {"seed": seed, "mix": others.mix, "population": others.population}
-    settings = {**drawn, **config, **changes}
-    env: Any = _among(ROADS[scenario], others)(config=settings)
+    drawn = {"seed": seed, "mix": crowd.mix, "population": crowd.population}
+    env: Any = made(config={**drawn, **config, **changes})
+    env.looks = policy not in BLIND
     act = make(env)
     observation, _ = env.reset(seed=seed)
     begun = len(env.frames)

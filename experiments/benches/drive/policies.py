@@ -79,6 +79,9 @@ POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {
 
 ALIASES: Final = {"planner": "planner-told"}
 
+BLIND: Final = frozenset({*POLICIES, *ALIASES})
+"""The policies that look at no observation; the planner sees the frames."""
+
 
 def get_policy(name: str) -> tuple[Callable[..., Act], dict[str, Any]]:
     """A policy and its environment's configuration.
