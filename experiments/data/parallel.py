@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
-from sim.store.atomic import remove_temporary
+from sim.store.atomic import end_without_temporary
 
 T = TypeVar("T")
 
@@ -29,10 +29,7 @@ def start_worker(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(PARENT_CHECK_S)
-        try:
-            remove_temporary(own=True)
-        finally:
-            os._exit(1)
+        end_without_temporary(1)
 
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()
 

@@ -12,12 +12,14 @@ import platform
 import re
 import shutil
 import tempfile
+import threading
+import time
 import uuid
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 from behaviors.errors import InputError
 
@@ -38,8 +40,23 @@ _ORPHAN: Final = re.compile(
 _SCRATCH: Final = re.compile(rf"graphrqi-[a-z]+-{_HERE}-(\d+)-[0-9a-f]{{8}}")
 """Names of temporary folders; see `temporary_folder`."""
 
+LONGEST_REMOVAL_S: Final = 2.0
+"""Within which time a process that ends removes its temporary folders, s (our choice: it takes
+milliseconds)."""
+
 _looked_after: set[Path] = set()
 _temporary: set[Path] = set()
+_making = threading.Lock()
+
+
+def _begin_fork() -> None:
+    """Another thread may have held the lock, and is not here to give it back."""
+    global _making
+    _making = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_begin_fork)
 
 
 def refuse_url(path: Path) -> None:
@@ -204,8 +221,9 @@ def temporary_folder(purpose: str) -> Iterator[Path]:
         remove_temporary()
     own = f"{_HERE}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     folder = home / f"graphrqi-{purpose}-{own}"
-    folder.mkdir(mode=0o700)
-    _temporary.add(folder)
+    with _making:
+        folder.mkdir(mode=0o700)
+        _temporary.add(folder)
     try:
         yield folder
     finally:
@@ -213,17 +231,32 @@ def temporary_folder(purpose: str) -> Iterator[Path]:
         _temporary.discard(folder)
 
 
-def remove_temporary(own: bool = False) -> None:
-    """Remove the temporary folders of processes that were killed.
+def remove_temporary() -> None:
+    """Remove the temporary folders of processes that were killed."""
+    _remove_orphans(Path(tempfile.gettempdir()), _SCRATCH)
+
+
+def end_without_temporary(code: int) -> NoReturn:
+    """End this process at once, from any thread, and leave none of its temporary folders.
+
+    Other threads may be writing into them; whatever a folder still gets goes with it.
 
     Args:
-        own: whether to remove those of this process, too, which is about to end at once.
+        code: exit code.
     """
-    _remove_orphans(Path(tempfile.gettempdir()), _SCRATCH)
-    for folder in list(_temporary) if own else ():
-        match = _SCRATCH.fullmatch(folder.name)
-        if match is not None and int(match[1]) == os.getpid():  # not those of whom it was forked
-            shutil.rmtree(folder, ignore_errors=True)
+    try:
+        _making.acquire()  # for good: no other thread makes a folder any more
+        remove_temporary()
+        end = time.monotonic() + LONGEST_REMOVAL_S
+        for folder in list(_temporary):
+            match = _SCRATCH.fullmatch(folder.name)
+            own = (
+                match is not None and int(match[1]) == os.getpid()
+            )  # not that of whom it is a fork
+            while own and folder.exists() and time.monotonic() < end:
+                shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os._exit(code)
 
 
 def _move_folder(partial: Path, path: Path) -> None:

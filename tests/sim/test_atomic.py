@@ -122,6 +122,54 @@ def test_temporary_folders_of_killed_processes_go_with_the_next_one(
         assert not left.exists()
         remove_temporary()
         assert mine.exists()
-        remove_temporary(own=True)
-        assert not mine.exists()
     assert [path.name for path in tmp_path.iterdir()] == ["graphrqi-sumo-of-another-kind"]
+
+
+def test_a_process_that_ends_leaves_no_temporary_folder_whatever_its_threads_do(
+    tmp_path: Path,
+) -> None:
+    script = """
+import threading, time
+from sim.store.atomic import end_without_temporary, temporary_folder
+
+def make():
+    while True:
+        try:
+            with temporary_folder("sumo") as folder:
+                for number in range(20):
+                    (folder / str(number)).write_text("half")
+        except OSError:
+            pass
+
+for _ in range(4):
+    threading.Thread(target=make, daemon=True).start()
+time.sleep(0.05)
+end_without_temporary(7)
+"""
+    for _ in range(5):
+        command = [sys.executable, "-c", script]
+        run = subprocess.run(command, env={**os.environ, "TMPDIR": str(tmp_path)}, check=False)
+        assert run.returncode == 7
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_fork_can_make_temporary_folders_while_a_thread_makes_some() -> None:
+    script = """
+import os, threading
+from sim.store.atomic import temporary_folder
+
+def make():
+    while True:
+        with temporary_folder("a"):
+            pass
+
+with temporary_folder("first"):  # Python looks once where temporary files go
+    threading.Thread(target=make, daemon=True).start()
+for _ in range(50):
+    child = os.fork()
+    if child == 0:
+        with temporary_folder("b"):
+            os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
