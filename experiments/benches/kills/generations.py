@@ -15,7 +15,6 @@ import gc
 import hashlib
 import importlib
 import logging
-import math
 import os
 import random
 import shutil
@@ -124,7 +123,7 @@ class _Trial:
         self._server = ObjectServer(root / "kept") if place == "s3" else None
         self._out = root / "data" if self._server is None else Path(f"s3://{BUCKET}/data")
         self._wanted: dict[str, str] = {}
-        self._lasts_s = math.inf
+        self._lasts_s = 0.0
         self._runs: list[int] = []
         self._kills = 0
         self._environment = contextlib.ExitStack()
@@ -139,14 +138,13 @@ class _Trial:
         before = {name: os.environ.get(name) for name in given}
         os.environ.update(given)
         self._environment.callback(_restore, before)
-        for _ in range(2):  # a moment in which the machine is busy would leave most runs alone
-            began = time.monotonic()
-            code, told = forked.run(self._words(), self._temporary)
-            self._lasts_s = min(self._lasts_s, time.monotonic() - began)
-            if code:
-                raise RuntimeError(f"generate ended with {code} when nobody disturbed it: {told}")
-            self._wanted = self._content()
-            self._clear()
+        began = time.monotonic()
+        code, told = forked.run(self._words(), self._temporary)
+        self._lasts_s = time.monotonic() - began
+        if code:
+            raise RuntimeError(f"generate ended with {code} when nobody disturbed it: {told}")
+        self._wanted = self._content()
+        self._clear()
 
     def stop(self) -> None:
         """End the server."""
@@ -173,6 +171,7 @@ class _Trial:
 
     def _run(self) -> bool:
         """One run; whether it came through."""
+        begun, kills = time.monotonic(), self._kills
         process = forked.start(self._words(), self._temporary)
         assert process.pid is not None
         self._runs.append(process.pid)
@@ -185,6 +184,9 @@ class _Trial:
             others = ["worker", "worker"] + ["server"] * (self._server is not None)
             self._kill(self._choose.choice(["run", "run", *others]), process.pid)
         code, told = forked.ended(process, self._temporary)
+        took_s = time.monotonic() - begun
+        if self._kills == kills and (kills == 0 or took_s > self._lasts_s):
+            self._lasts_s = took_s  # the machine has become quicker or slower
         if code not in EXPECTED:
             self._flaw("wrong_code", f"{code}: {told}")
         return code == 0
@@ -242,10 +244,8 @@ class _Trial:
         self._runs, self._kills = [], 0
         for folder in (self._root / "data", self._temporary):
             shutil.rmtree(folder, ignore_errors=True)
-        if self._server is not None and self._content():
-            self._server.kill()
-            self._server.forget()
-            self._server.start()
+        if self._server is not None:
+            self._server.clear()
 
     def _flaw(self, kind: str, why: str) -> None:
         self.counts[kind] += 1

@@ -10,6 +10,7 @@ References:
 
 from __future__ import annotations
 
+import http.client
 import importlib
 import multiprocessing
 import random
@@ -71,9 +72,10 @@ class ObjectServer:
 
     def start(self) -> None:
         """Start it; it answers when this returns."""
-        # Not forked: moto keeps its objects in the process, and a fork would begin with them.
-        spawn = multiprocessing.get_context("spawn")
-        self._process = spawn.Process(target=_serve, args=(self.port, self._kept), daemon=True)
+        # Forked from a process that only imports: moto's objects are kept in the one that serves.
+        clean = multiprocessing.get_context("forkserver")
+        clean.set_forkserver_preload([__name__, "moto.moto_server.werkzeug_app", "moto.s3.models"])
+        self._process = clean.Process(target=_serve, args=(self.port, self._kept), daemon=True)
         self._process.start()
         begin = time.monotonic()
         while time.monotonic() - begin < LONGEST_START_S:
@@ -99,10 +101,13 @@ class ObjectServer:
             if name.startswith(below)
         }
 
-    def forget(self) -> None:
-        """Remove all objects; only for a server that is not running."""
-        for file in self._files():
-            file.unlink()
+    def clear(self) -> None:
+        """Remove all objects."""
+        for name in self.objects():
+            asked = http.client.HTTPConnection(HOST, self.port)
+            asked.request("DELETE", f"/{BUCKET}/{quote(name)}")
+            asked.getresponse().read()
+            asked.close()
 
     def _files(self) -> list[Path]:
         return [p for p in self._kept.iterdir() if not p.name.startswith(PARTIAL_PREFIX)]
