@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -25,3 +28,26 @@ def content(folder: Path) -> dict[str, bytes]:
 def in_this_process(make, folder, tasks, jobs, shown):
     """As `make_in_processes`, without the seconds that starting workers takes."""
     return [make(folder, task) for task in tasks], []
+
+
+@contextmanager
+def object_store(bucket: str) -> Iterator[None]:
+    """An S3 server on the loopback address with one bucket, which the environment names."""
+    pytest.importorskip("moto", reason="pip install 'graphrqi[dev]'")
+    s3fs = pytest.importorskip("s3fs", reason="pip install 'graphrqi[store]'")
+    from moto.server import ThreadedMotoServer
+
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+        patched.setenv("AWS_ACCESS_KEY_ID", "testing")
+        patched.setenv("AWS_SECRET_ACCESS_KEY", "testing")
+        patched.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        try:
+            s3fs.S3FileSystem(skip_instance_cache=True).mkdir(bucket)
+            yield
+        finally:
+            server.stop()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import os
 import pickle
+import re
 import subprocess
 import sys
 import warnings
@@ -30,6 +31,7 @@ from experiments.data.exchange import export_dataset
 from experiments.data.generate import generate
 from experiments.data.verify import find_flaws
 from sim.store.dataset import open_dataset
+from tests.experiments.shared import object_store
 
 
 @pytest.fixture(autouse=True)
@@ -232,6 +234,53 @@ def test_descriptions_of_equal_datasets_are_equal_and_edited_ones_stay(tmp_path,
     assert "croissant.json: kept, since it was edited" in caplog.text
     assert (one / "README.md").read_bytes() != (two / "README.md").read_bytes()
     assert find_flaws(open_dataset(one)) == []
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "data.md"
+
+
+def examples(heading: str) -> str:
+    """The Python of one part of the page about data, after which warnings are errors."""
+    parts = re.split(r"^(##+ .*)$", PAGE.read_text(), flags=re.MULTILINE)
+    part = parts[parts.index(heading) + 1]
+    blocks = re.findall(r"^```python\n(.*?)^```$", part, flags=re.MULTILINE | re.DOTALL)
+    return "\n".join(["import warnings", 'warnings.simplefilter("error")', *blocks])
+
+
+def shown(script: str, folder: Path) -> str:
+    """What a script prints that runs in a folder, in a process of its own."""
+    home = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": str(folder / "home")}
+    run = subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, **home}, cwd=folder,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (run.returncode, "warn" in run.stderr.lower()) == (0, False), run.stderr[-3000:]
+    return run.stdout
+
+
+def test_the_page_opens_a_folder_with_every_tool(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "data").symlink_to(data)
+    script = examples("## Opening it with other tools")
+    assert all(tool in script for tool in ("duckdb.sql", "pl.scan_parquet", "pd.read_parquet",
+                                           "load_dataset", "num_workers=2"))  # fmt: skip
+    steps = open_dataset(data).scan("steps", split="test").count_rows()
+    told = shown(script, tmp_path)
+    assert f"num_rows: {steps}" in told
+    assert "torch.Size([32, " in told
+
+
+def test_the_page_opens_an_object_store_with_every_tool(data: Path, tmp_path: Path) -> None:
+    import s3fs
+
+    dataset = open_dataset(data)
+    with object_store("bucket"):
+        s3fs.S3FileSystem(skip_instance_cache=True).put(f"{data}/", "bucket/data", recursive=True)
+        told = shown(examples("### From an object store"), tmp_path)
+    for split in ("train", "test"):
+        assert str(dataset.scan("steps", split=split).count_rows()) in told
+    for scenario in dataset.scenarios:
+        speeds = dataset.scan("steps", split="train", scenario=scenario).to_table()["speed_mps"]
+        assert str(max(speeds.to_pylist()))[:8] in told  # DuckDB shows eight digits
 
 
 def test_duckdb_polars_and_pyarrow_read_the_shards(data: Path) -> None:

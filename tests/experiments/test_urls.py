@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import os
 import shutil
@@ -27,34 +26,17 @@ from experiments.scoring.classification import classify_dataset
 from experiments.training.classifier import train_on
 from sim.store.dataset import open_dataset
 from sim.store.places import Place, place_of, url_of
-from tests.experiments.shared import in_this_process
-
-pytest.importorskip("moto", reason="pip install 'graphrqi[dev]'")
-pytest.importorskip("s3fs", reason="pip install 'graphrqi[store]'")
+from tests.experiments.shared import in_this_process, object_store
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=5, duration_s=12.0)
 
 
 @pytest.fixture(scope="module")
 def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    from moto.server import ThreadedMotoServer
-
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
-        patched.setenv("AWS_ACCESS_KEY_ID", "testing")
-        patched.setenv("AWS_SECRET_ACCESS_KEY", "testing")
-        patched.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    with pytest.MonkeyPatch.context() as patched, object_store("datasets"):
         patched.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patched.setattr(experiments.data.generate, "make_in_processes", in_this_process)
-        import s3fs
-
-        s3fs.S3FileSystem().mkdir("datasets")
         yield "s3://datasets"
-    server.stop()
 
 
 @pytest.fixture(scope="module")
