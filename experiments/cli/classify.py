@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def classify(
     source: Source,
-    out: LabelsFile,
+    out: LabelsFile = None,
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",

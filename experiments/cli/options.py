@@ -103,12 +103,12 @@ Routes = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
 LabelsFile = Annotated[
-    Path,
+    Path | None,
     typer.Option(
         dir_okay=False,
         callback=table_to_write,
         metavar="FILE",
-        help="File for the answers: .parquet or .csv.",
+        help="File for the answers, too: .parquet or .csv.",
     ),
 ]
 GivenLabels = Annotated[

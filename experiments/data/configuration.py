@@ -144,7 +144,7 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     net = fields.pop("net", None)
     if net is not None:
         if fields.get("scenarios"):
-            raise InputError("--net: found a scenario beside it, expected one of them")
+            raise InputError(f"--net: found {net} beside a scenario, expected one of the two")
         fields["scenarios"] = (str(net),)
     try:
         return GenerateConfig.model_validate(fields)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -168,14 +169,18 @@ class Answered:
 
 
 def classify_dataset(
-    source: Path, model: str | Path, out: Path, quiet: bool = False, labels: Path | None = None
+    source: Path,
+    model: str | Path,
+    out: Path | None,
+    quiet: bool = False,
+    labels: Path | None = None,
 ) -> tuple[list[Row], list[Answered]]:
-    """What ``graphrqi classify`` does: write a labels file.
+    """What ``graphrqi classify`` does: answer for every driver, and write a labels file.
 
     Args:
         source: folder of a dataset.
         model: a shipped model's name or a folder.
-        out: the file to write, .parquet or .csv; it appears whole or not at all.
+        out: the file to write, .parquet or .csv; it appears whole or not at all. None for none.
         quiet: whether to show no progress.
         labels: a CSV file with labels of some drivers (`sim.formats.common.label_file`), which
             fill the columns ``truth`` and ``true_style``.
@@ -193,13 +198,14 @@ def classify_dataset(
     found: list[Answered] = []
     with (
         Progress("classifying episodes", len(episodes), quiet) as progress,
-        table_file(out, LABELS) as writer,
+        nullcontext() if out is None else table_file(out, LABELS) as writer,
     ):
         for entry, place in zip(episodes, places_of([dataset]), strict=True):
             episode = dataset.read(entry)
             names = episode.tracks.names
             table = with_truth(label_episode(episode, trained), names, entry, given)
-            writer.write_table(table)
+            if writer is not None:
+                writer.write_table(table)
             last = last_answers(table)
             found.append(Answered(place, names, last))
             head = {"episode": entry.id, "name": entry.name, "split": entry.split}

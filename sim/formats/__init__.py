@@ -325,7 +325,10 @@ def formats_in(path: Path) -> list[str]:
     if not found:
         seen = "an empty folder" if path.is_dir() and not any(path.iterdir()) else "no known format"
         known_names = [name for name, entry in FORMATS.items() if entry.reader is not None]
-        raise InputError(f"{path}: found {seen}, expected one of {', '.join(known_names)}")
+        raise InputError(
+            f"{path}: found {seen}, expected one of {', '.join(known_names)}; "
+            "docs/data.md shows how a table of your own is read"
+        )
     return found
 
 

@@ -86,6 +86,14 @@ def test_classifying_ends_with_totals_per_split(data, tmp_path, capsys) -> None:
         assert 1 / 6 < total["confidence"] <= 1.0
 
 
+def test_classifying_needs_no_file_to_write(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "argo7_tracks.csv").write_text(ARGO)
+    assert call("classify", "argo7_tracks.csv", "-q") == 0
+    assert "drivers by their last answer" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["argo7_tracks.csv"]
+
+
 def test_labels_carry_names_beside_hashes(tmp_path) -> None:
     (tmp_path / "argo7_tracks.csv").write_text(ARGO)
     labels = tmp_path / "labels.parquet"

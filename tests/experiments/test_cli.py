@@ -64,6 +64,10 @@ def test_help_imports_nothing_heavy() -> None:
         (["import", "{tmp}/file", "--out", "{tmp}/x"], "found no known format"),
         (["import", "{tmp}/file", "--format", "ngsmi", "--out", "{tmp}/x"], "did you mean 'ngsim'"),
         (["export", "{tmp}", "--format", "ngsim", "--out", "{tmp}/x"], "found no writer"),
+        (
+            ["run", "straight_road", "--net", "t.net.xml"],
+            "t.net.xml beside the scenario straight_r",
+        ),
         (["classify", "{tmp}/none", "--out", "{tmp}/l"], "none"),
         (["run", "straight_road", "--engine", "sumoo"], "did you mean 'sumo'"),
         (["run", "straight_road", "--mix", "timid=3"], "mix: found shares adding to 3"),
