@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, cast
 
 from behaviors.errors import InputError
 from sim.store.atomic import URL, temporary_folder, whole_file, write_whole
@@ -60,8 +60,13 @@ class Place(Protocol):
             FileNotFoundError: if there is no such file.
         """
 
-    def open(self, name: str) -> IO[bytes]:
-        """A file to read from its beginning."""
+    def pieces(self, name: str) -> Iterator[bytes]:
+        """A file's bytes, `CHUNK_BYTES` at a time.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            OSError: if it cannot be read.
+        """
 
     def files(self, prefix: str = "") -> Iterator[str]:
         """Names of the files below a folder, sorted; unfinished and hidden ones are left out."""
@@ -107,9 +112,11 @@ class Folder:
             file.seek(begin)
             return file.read() if end is None else file.read(max(0, end - begin))
 
-    def open(self, name: str) -> IO[bytes]:
-        """A file to read from its beginning."""
-        return (self._path / name).open("rb")
+    def pieces(self, name: str) -> Iterator[bytes]:
+        """A file's bytes, `CHUNK_BYTES` at a time."""
+        with (self._path / name).open("rb") as file:
+            while piece := file.read(CHUNK_BYTES):
+                yield piece
 
     def files(self, prefix: str = "") -> Iterator[str]:
         """Names of the files below a folder, sorted."""
@@ -211,9 +218,11 @@ class Store:
             ),
         )
 
-    def open(self, name: str) -> IO[bytes]:
-        """A file to read from its beginning."""
-        return cast("IO[bytes]", self._tried(lambda: self.filesystem.open(self._full(name)), name))
+    def pieces(self, name: str) -> Iterator[bytes]:
+        """A file's bytes, `CHUNK_BYTES` at a time."""
+        with self._tried(lambda: self.filesystem.open(self._full(name)), name) as file:
+            while piece := self._tried(lambda: file.read(CHUNK_BYTES), name):
+                yield piece
 
     def files(self, prefix: str = "") -> Iterator[str]:
         """Names of the files below a folder, sorted."""
@@ -328,9 +337,8 @@ def file_checksum(place: Place, name: str) -> str:
         FileNotFoundError: if there is none.
     """
     digest = hashlib.sha256()
-    with place.open(name) as file:
-        while chunk := file.read(CHUNK_BYTES):
-            digest.update(chunk)
+    for piece in place.pieces(name):
+        digest.update(piece)
     return digest.hexdigest()
 
 

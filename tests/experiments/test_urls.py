@@ -7,7 +7,8 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from experiments.data.verify import verify_dataset
 from experiments.scoring.classification import classify_dataset
 from experiments.training.classifier import train_on
 from sim.store.dataset import open_dataset
-from sim.store.places import Place, place_of, url_of
+from sim.store.places import Place, file_checksum, place_of, url_of
 from tests.experiments.shared import in_this_process, object_store
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=5, duration_s=12.0)
@@ -86,6 +87,40 @@ def test_episodes_roads_and_tables_are_read(stored: Path, made: Path) -> None:
     steps = dataset.scan("steps", split="test")
     assert steps.to_table().equals(here.scan("steps", split="test").to_table())
     assert {entry.split for entry in dataset.episodes(split="test")} == {"test"}
+
+
+CALLS: dict[str, Callable[[Place, Path], object]] = {
+    "size": lambda place, _: place.size("one"),
+    "read": lambda place, _: place.read("one"),
+    "files": lambda place, _: list(place.files()),
+    "write": lambda place, _: place.write("two", b"2"),
+    "put": lambda place, file: place.put(file, "three"),
+    "remove": lambda place, _: place.remove("one"),
+    "checksum": lambda place, _: file_checksum(place, "one"),
+}
+
+
+@pytest.mark.parametrize(("call", "answered"), [*((call, 0) for call in CALLS), ("checksum", 1)])
+def test_a_store_that_is_gone_is_an_error_with_a_name(
+    call: str, answered: int, bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from aiobotocore.httpsession import AIOHTTPSession
+    from botocore.exceptions import EndpointConnectionError
+
+    place = place_of(f"{bucket}/gone")
+    place.write("one", b"1")
+    (tmp_path / "file").write_bytes(b"3")
+    send, asked = AIOHTTPSession.send, count()
+
+    async def gone(session, request):
+        if next(asked) >= answered:
+            raise EndpointConnectionError(endpoint_url=request.url, error=OSError("gone"))
+        return await send(session, request)
+
+    monkeypatch.setattr(AIOHTTPSession, "send", gone)
+    with pytest.raises(OSError, match="Could not connect") as found:
+        CALLS[call](place, tmp_path / "file")
+    assert str(found.value.filename).startswith(f"{bucket}/gone")
 
 
 HUB = """

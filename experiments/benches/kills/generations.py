@@ -188,7 +188,7 @@ class _Trial:
         if self._kills == kills and (kills == 0 or took_s > self._lasts_s):
             self._lasts_s = took_s  # the machine has become quicker or slower
         if code not in EXPECTED:
-            self._flaw("wrong_code", f"{code}: {told}")
+            self._flaw("wrong_code", f"{code}: {told[-280:]}")
         return code == 0
 
     def _kill(self, victim: str, run: int) -> None:
