@@ -128,6 +128,8 @@ class Frame:
 
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
+        if not isinstance(self.time_s, (float, int, np.floating, np.integer)):
+            raise InputError(f"Frame.time_s: found {self.time_s!r:.60}, expected seconds")
         n: int | None = None
         for name, dtype, tail in _FRAME_ARRAYS:
             given = array = getattr(self, name)

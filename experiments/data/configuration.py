@@ -41,7 +41,7 @@ class GenerateConfig(BaseModel):
             ``blocks``; None for their own.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     scenarios: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
     episodes: Annotated[int, Field(ge=1, le=10**6)]
@@ -118,7 +118,7 @@ def read_cluster(path: Path | None, given: str | None = None) -> str | None:
     section = _read_toml(path).get("cluster", {})
     if not isinstance(section, dict) or set(section) - {"address"}:
         raise InputError(f"{path}: cluster: found {section!r:.60}, expected an address and no more")
-    address = given or section.get("address")
+    address = section.get("address") if given is None else given
     if address is not None and not isinstance(address, str):
         raise InputError(f"{path}: cluster.address: found {address!r:.60}, expected text")
     return address

@@ -20,7 +20,7 @@ from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray, IntArray, Tracks
-from sim.store.parquet import MAX_TEXT_BYTES, Layout, check_spelled_out, opened
+from sim.store.parquet import MAX_TEXT_BYTES, Layout, check_number, check_spelled_out, opened
 
 EVERY_S: Final = 0.5
 """Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""
@@ -156,6 +156,7 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
     here = np.abs(times[column] - time_s) < 1e-3
     told = np.stack([table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS], axis=1)
+    del table  # of millions of rows there is memory for one copy
     if not np.isfinite(time_s).all():
         raise InputError(f"{path}: found a time_s that is not finite, expected seconds")
     if not np.isfinite(told).all() or (np.abs(told.sum(axis=1) - 1.0) > 1e-3).any():
@@ -176,7 +177,7 @@ def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.T
         what: what the rows are, for messages.
 
     Returns:
-        The rows.
+        The rows, without the column ``episode``.
 
     Raises:
         InputError: if the file is broken, too large, a column is missing or of another type, or no
@@ -185,7 +186,8 @@ def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.T
     with opened(path) as (layout, source):
         texts = _check_columns(path, schema, layout, pq.read_schema(source))
         file = pq.ParquetFile(source, read_dictionary=texts)
-        parts, kept = [schema.empty_table()], 0
+        ours_only = schema.remove(schema.get_field_index("episode"))
+        parts, kept = [ours_only.empty_table()], 0
         for batch in file.iter_batches(BATCH_ROWS, columns=schema.names, use_threads=False):
             part = pa.Table.from_batches([batch])
             part.validate(full=True)
@@ -193,16 +195,17 @@ def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.T
                 if part[name].null_count:
                     raise InputError(f"{path}: found an empty {name}, expected one in every row")
             ours = pc.equal(part["episode"].cast(pa.string()), episode)
-            part = part.select(schema.names).filter(ours)
+            part = part.select(ours_only.names).filter(ours)
             kept += part.num_rows
             if kept > MAX_KEPT:
                 raise InputError(
                     f"{path}: found more than {MAX_KEPT} rows of episode {episode}, expected fewer"
                 )
-            for field in schema:
+            for field in ours_only:
                 check_spelled_out(path, part[field.name], MAX_BATCH_BYTES)
-            parts.append(part.cast(schema))
-        table = pa.concat_tables(parts).combine_chunks()
+            if part.num_rows:
+                parts.append(part.cast(ours_only))
+        table = pa.concat_tables(parts)
     if not table.num_rows:
         raise InputError(f"{path}: found no row of episode {episode}, expected its {what}")
     return table
@@ -215,6 +218,8 @@ def _check_columns(path: Path, schema: pa.Schema, layout: Layout, found: pa.Sche
             raise InputError(
                 f"{path}: found column {name} {found.names.count(name)} times, expected it once"
             )
+        if not pa.types.is_string(schema.field(name).type):
+            check_number(path, found.field(name))
     if layout.rows > MAX_ROWS:
         raise InputError(f"{path}: found {layout.rows} rows, expected at most {MAX_ROWS}")
     columns = [column for column in layout.columns if column.name in schema.names]

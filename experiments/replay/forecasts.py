@@ -159,15 +159,17 @@ def read_forecasts(
     table = episode_rows(path, FORECASTS, episode, "predictions")
     whose = table["predictor"].cast(pa.string())
     name = predictor or whose[0].as_py()
-    table = table.filter(pc.equal(whose, name))
-    if not table.num_rows:
-        names = ", ".join(sorted(set(whose.to_pylist())))
+    ours = pc.equal(whose, name)
+    if not pc.any(ours).as_py():
+        names = ", ".join(sorted(set(whose.unique().to_pylist())))
         raise InputError(f"{path}: found no predictor {name!r}, expected one of {names}")
-    agent = agent_rows(path, table, episode, tracks)
-    time_s, mode, ahead_s, x, y, probability = (
-        table[column].to_numpy().astype(np.float64)
-        for column in ("time_s", "mode", "ahead_s", "x_m", "y_m", "probability")
-    )
+    table = table.drop_columns("predictor")
+    agent = agent_rows(path, table.select(["agent"]).filter(ours), episode, tracks)
+    columns = list[FloatArray]()
+    for column in ("time_s", "mode", "ahead_s", "x_m", "y_m", "probability"):
+        columns.append(np.asarray(table[column].filter(ours).to_numpy(), dtype=np.float64))
+        table = table.drop_columns(column)  # of millions of rows there is memory for one copy
+    time_s, mode, ahead_s, x, y, probability = columns
     if not (np.isfinite(x) & np.isfinite(y) & np.isfinite(time_s) & np.isfinite(ahead_s)).all():
         raise InputError(f"{path}: found a place or time that is not finite, expected numbers")
     if not ((probability >= 0.0) & (probability <= 1.0)).all():
@@ -177,7 +179,9 @@ def read_forecasts(
     if order.size % ahead.size or (ahead_s[order].reshape(-1, ahead.size) != ahead).any():
         raise InputError(f"{path}: found futures with different ahead_s, expected the same in all")
     first = order[:: ahead.size]
-    xy = np.stack([x[order], y[order]], axis=1).reshape(-1, ahead.size, 2)
+    xy = np.empty((order.size, 2))
+    xy[:, 0], xy[:, 1] = x[order], y[order]
+    xy = xy.reshape(-1, ahead.size, 2)
     kept = probability[first] >= LEAST_PROBABILITY
     first, xy = first[kept], xy[kept]
     borders = np.flatnonzero(np.diff(time_s[first])) + 1

@@ -59,13 +59,14 @@ class Solver(Protocol):
         ...
 
 
-def check_arguments(num_pairs: int, end: str, tol: float) -> None:
+def check_arguments(num_pairs: int, end: str, tol: float, previous: object = None) -> None:
     """Refuse arguments no solver can serve.
 
     Args:
         num_pairs: pairs asked for.
         end: end asked for.
         tol: tolerance asked for.
+        previous: what to start from.
 
     Raises:
         InputError: naming the argument.
@@ -78,6 +79,8 @@ def check_arguments(num_pairs: int, end: str, tol: float) -> None:
         raise InputError(f"end: found {end!r}, expected one of {', '.join(ENDS)}")
     if not isinstance(tol, (int, float, np.number)) or not 0.0 < tol < math.inf:
         raise InputError(f"tol: found {tol!r}, expected a positive number")
+    if previous is not None and not isinstance(previous, Spectrum):
+        raise InputError(f"previous: found {previous!r:.60}, expected a Spectrum or None")
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +170,7 @@ def eigensolver(
             tol: float = 1e-8,
             nonzero: bool = False,
         ) -> Spectrum:
-            check_arguments(num_pairs, end, tol)
+            check_arguments(num_pairs, end, tol, previous)
             d = graph.ids.size
             null = null_space(graph) if nonzero else np.zeros((d, 0))
             k = min(num_pairs, d - null.shape[1])

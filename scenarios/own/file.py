@@ -26,8 +26,8 @@ from sim.scenario import RouteFlow, Scenario
 SUFFIX: Final = ".toml"
 """How the names of scenario files end."""
 
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0)]
+_Rate = Annotated[float, Field(ge=0)]
 _Shares = str | dict[str, float]
 
 
@@ -35,8 +35,9 @@ class Flow(BaseModel):
     """The demand along one route: a table ``[[flows]]`` of a scenario's file."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
-    )
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False,
+        use_attribute_docstrings=True,
+    )  # fmt: skip
 
     route: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
     """Edges from first to last, each joined to the next."""
@@ -52,8 +53,9 @@ class ScenarioFile(BaseModel):
     """The keys of a scenario's file; without ``scenario`` and ``net`` there is no road."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
-    )
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False,
+        use_attribute_docstrings=True,
+    )  # fmt: skip
 
     scenario: str | None = None
     """A registered scenario that this one differs from."""

@@ -17,6 +17,10 @@ _TABLES = ("_xy", "_heading", "_speed", "_valid")
 MAX_TIME_S: Final = 1e9
 """Latest time, s (our choice, as of recordings: 30 years; far later ones have no next step)."""
 
+MAX_NUMBER: Final = 1e9
+"""Greatest heading, speed, length and width (our choice, as of recordings); NaN stands for one that
+is not known."""
+
 
 class FrameBuffer:
     """Keeps the last frames; memory does not grow with time.
@@ -108,6 +112,13 @@ class FrameBuffer:
         if not finite.all():
             agent = frame.ids[int(finite.argmin())]
             raise InputError(f"frame.xy: found no finite place of agent {agent}, expected metres")
+        for name in ("heading", "speed", "length", "width"):
+            values = getattr(frame, name)
+            if not np.fmax.reduce(np.abs(values), initial=0.0) <= MAX_NUMBER:
+                agent = frame.ids[int(np.argmax(np.abs(values) > MAX_NUMBER))]
+                raise InputError(
+                    f"frame.{name}: found agent {agent} beyond {MAX_NUMBER:g}, expected less"
+                )
 
     def _move_back(self) -> None:
         """Move the kept columns to the left end, and drop agents that are in none of them."""

@@ -39,7 +39,7 @@ from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
 from sim.road.maps.argoverse2 import read_map, static_map
 from sim.store.atomic import whole_folder
-from sim.store.parquet import Layout, check_budget, opened, read_packed
+from sim.store.parquet import Layout, check_budget, check_number, opened, read_packed
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110
@@ -196,6 +196,8 @@ def _read_columns(
         check_budget(path, layout, (*texts, *numbers), max_rows)
         packed = [name for name in texts if types[name] == "BYTE_ARRAY"]
         table = read_packed(source, packed, [*texts, *numbers])
+        for name in numbers:
+            check_number(path, table.schema.field(name))
         columns = {name: table.column(name).cast(SCHEMA.field(name).type) for name in numbers}
         for name in texts:
             encoded = table.column(name).combine_chunks().dictionary_encode()

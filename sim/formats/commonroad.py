@@ -12,7 +12,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import Final
@@ -36,6 +36,9 @@ from sim.road import Road
 from sim.road.maps.commonroad import ROOT, real, road_of
 from sim.road.maps.lanelets import MAX_COORDINATE_M
 from sim.xml_tree import read_tree, whole_number, without_collection
+
+ONCE: Final = ("role", "type", "shape", "initialState", "trajectory")
+"""Elements of which an obstacle has one at most."""
 
 VERSIONS: Final = ("2017a", "2018a", "2018b", "2020a")
 IN_SECONDS: Final = frozenset({"2017a", "2018a"})
@@ -149,6 +152,7 @@ class _Obstacles:
         self.names[identity] = None
         self.kinds.append(kind)
         self.sizes.append(self._size(element, kind, what))
+        self._each_once([part for part in element if part.tag in ONCE], what)
         initial = element.find("initialState")
         states = element.findall("trajectory/*")
         tags = ("state", RUN) if self.runs.tables else ("state",)
@@ -172,6 +176,13 @@ class _Obstacles:
         if len(self.agent) > MAX_ROWS:
             raise InputError(f"{self.path}: found more than {MAX_ROWS} states")
 
+    def _each_once(self, parts: Iterable[Element], what: str) -> None:
+        """Refuse two elements of one name, of which only one could be read."""
+        names = [part.tag for part in parts]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise InputError(f"{self.path}: {what}: found {twice} twice, expected it once")
+
     def _run(self, element: Element) -> NDArray[np.float64]:
         """(k, 5) the states of a run, each as `_row` has it."""
         table = self.runs.tables[whole_number(self.path, element, "number")]
@@ -181,6 +192,7 @@ class _Obstacles:
 
     def _row(self, state: Element, what: str) -> tuple[float, float, float, float, float]:
         """Time, x, y, heading and speed of a state; NaN for a heading or speed that it lacks."""
+        self._each_once(state, what)
         x = y = time = None
         heading = speed = math.nan
         for part in state:

@@ -130,7 +130,7 @@ def solve(
         >>> solve(closed, 3, previous=first).eigenvalues.round(6).tolist()
         [4.0, 3.996053, 3.996053]
     """
-    check_arguments(num_pairs, end, tol)
+    check_arguments(num_pairs, end, tol, previous)
     d = graph.ids.size
     if d < DENSE_BELOW:
         values, vectors = dense_pairs(graph, null_space(graph) if nonzero else None)
