@@ -13,16 +13,20 @@ LONGEST: Final = 6000
 
 
 class InputError(ValueError):
-    """Bad input: one line that names the field or file, what was found and what was expected.
+    r"""Bad input: one line that names the field or file, what was found and what was expected.
 
-    What was found may be a value of any length: the middle of a long message is left out.
+    What was found may be a value of any length and of several lines: the middle of a long message
+    is left out, and lines are joined.
 
     Examples:
+        >>> str(InputError("action: found [[0.],\n [0.]]"))
+        'action: found [[0.],  [0.]]'
         >>> len(str(InputError("mix: found " + 10**6 * "="))) < LONGEST
         True
     """
 
     def __init__(self, message: str = "") -> None:
+        message = " ".join(message.splitlines())
         if len(message) > LONGEST:
             message = f"{message[: LONGEST // 2]} ... {message[-LONGEST // 3 :]}"
         super().__init__(message)

@@ -98,7 +98,7 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
     expected = " or ".join([*levels, "a number per hour >= 0"])
     try:
         value = math.nan if isinstance(flow, bool) else float(flow)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{field}: found {flow!r:.80}, expected {expected}") from None
     if not math.isfinite(value) or value < 0:
         raise InputError(f"{field}: found {flow!r:.80}, expected {expected}")

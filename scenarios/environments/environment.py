@@ -330,11 +330,13 @@ class TrafficEnv(EgoEnv):
 
         Raises:
             InputError: if the action is not of the action space's shape, not among its numbers or
-                not finite; the environment stays as it was.
+                not finite, or no episode has begun; the environment stays as it was.
         """
+        if not self._begun:
+            raise InputError("step: found no episode, expected reset before the first step")
         config = self.config
         if not config["manual_control"]:
-            self._check_action(action)
+            action = self._checked(action)
         frames = config["simulation_frequency"] // config["policy_frequency"]
         self._events, self._near_misses = [], 0
         before = self._distance_left
@@ -384,12 +386,18 @@ class TrafficEnv(EgoEnv):
         ended, cut = self._is_terminated(), self._is_truncated()
         return self._observe(), float(reward), ended, cut, self._info(parts)
 
-    def _check_action(self, action: object) -> None:
+    def _checked(self, action: object) -> Any:
+        """An action as the action space has it: a whole number, or an array of its shape.
+
+        Raises:
+            InputError: if it is none.
+        """
         space, numbers = self.action_space, np.asarray(action)
         if isinstance(space, spaces.Discrete):
             if numbers.size != 1 or not np.isin(numbers, np.arange(space.n)).all():
                 raise InputError(f"action: found {action!r:.60}, expected 0 to {space.n - 1}")
-        elif isinstance(space, spaces.Box) and (
+            return int(numbers.reshape(())[()])
+        if isinstance(space, spaces.Box) and (
             numbers.dtype.kind not in "biuf"
             or numbers.size != np.prod(space.shape)
             or not np.isfinite(numbers).all()
@@ -397,6 +405,7 @@ class TrafficEnv(EgoEnv):
             raise InputError(
                 f"action: found {action!r:.60}, expected finite numbers of shape {space.shape}"
             )
+        return numbers.reshape(space.shape) if isinstance(space, spaces.Box) else action
 
     def _rewards(self, action: int | NDArray[Any]) -> dict[str, float]:
         return {

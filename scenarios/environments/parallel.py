@@ -182,24 +182,24 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
             InputError: if an action is of an agent that is not there, or not one that the
                 environment for one vehicle takes; nobody has moved.
         """
-        env = self._env
+        env, checked = self._env, dict[str, Any]()
         for name, action in actions.items():
             lookup(self._here, name, "agent")
-            env._check_action(action)
+            checked[name] = env._checked(action)
         frames = env.config["simulation_frequency"] // env.config["policy_frequency"]
         before = {name: ego.distance_left for name, ego in self._here.items()}
         env._events = []
         for name, ego in self._here.items():
             ego.near_misses = 0
-            if name in actions:
+            if name in checked:
                 with self._as(ego):
-                    env.action_type.act(actions[name])
+                    env.action_type.act(checked[name])
         for _ in range(frames):
             self._advance()
         seen, rewards, ended, cut, infos = {}, {}, {}, {}, {}
         for name, ego in self._here.items():
             with self._as(ego):
-                parts = env._judge(actions.get(name, 0), before[name], frames)
+                parts = env._judge(checked.get(name, 0), before[name], frames)
                 outcome = env._outcome(parts)
             seen[name], rewards[name], ended[name], cut[name], infos[name] = outcome
         for name in list(self._here):

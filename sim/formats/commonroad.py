@@ -153,6 +153,9 @@ class _Obstacles:
         self.kinds.append(kind)
         self.sizes.append(self._size(element, kind, what))
         self._each_once([part for part in element if part.tag in ONCE], what)
+        inside = next((part.tag for part in element if part.tag.lower().endswith("obstacle")), None)
+        if inside is not None:
+            raise InputError(f"{self.path}: {what}: found {inside} inside, expected it beside")
         initial = element.find("initialState")
         states = element.findall("trajectory/*")
         tags = ("state", RUN) if self.runs.tables else ("state",)

@@ -98,7 +98,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
                 f"{', '.join(self.metadata['render_modes'])}"
             )
         self.metadata = dict(type(self).metadata)  # type: ignore[misc]
-        self._made = False
+        self._made = self._begun = False
         super().__init__(config, render_mode)  # calls `configure`, `define_spaces` and `reset`
         self._made = True
 
@@ -115,10 +115,14 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
             The first observation, and info.
 
         Raises:
-            InputError: if the options or the configuration are not usable.
+            InputError: if the seed, the options or the configuration are not usable.
         """
         if not self._made:
             return {}, {}
+        if seed is not None:
+            if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+                raise InputError(f"seed: found {seed!r:.60}, expected a whole number of at least 0")
+            seed = int(seed)
         gymnasium.Env.reset(self, seed=seed)
         given = as_mapping("options", options)
         for key in given:
@@ -128,6 +132,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         self.update_metadata()
         self.time, self.steps, self.done = 0.0, 0, False
         self._reset()
+        self._begun = True
         self.define_spaces()
         if self.render_mode == "human":
             self.render()

@@ -165,7 +165,7 @@ class Scene:
 
 def check_horizon(horizon_s: float) -> None:
     """Refuse a horizon that is shorter than a step or longer than `LONGEST_S`."""
-    number = isinstance(horizon_s, (int, float, np.number))
+    number = isinstance(horizon_s, (int, float, np.number)) and not isinstance(horizon_s, bool)
     if not number or not STEP_S <= horizon_s <= LONGEST_S:
         raise InputError(
             f"horizon_s: found {horizon_s!r}, expected seconds from {STEP_S} to {LONGEST_S:g}"
