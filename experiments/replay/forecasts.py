@@ -179,9 +179,9 @@ def read_forecasts(
     if order.size % ahead.size or (ahead_s[order].reshape(-1, ahead.size) != ahead).any():
         raise InputError(f"{path}: found futures with different ahead_s, expected the same in all")
     first = order[:: ahead.size]
-    xy = np.empty((order.size, 2))
-    xy[:, 0], xy[:, 1] = x[order], y[order]
-    xy = xy.reshape(-1, ahead.size, 2)
+    xy = np.empty((first.size, ahead.size, 2))
+    xy[..., 0] = x[order].reshape(-1, ahead.size)
+    xy[..., 1] = y[order].reshape(-1, ahead.size)
     kept = probability[first] >= LEAST_PROBABILITY
     first, xy = first[kept], xy[kept]
     borders = np.flatnonzero(np.diff(time_s[first])) + 1

@@ -29,6 +29,9 @@ FRAME_BYTES: Final = 9
 ARRAY_VERSION: Final = 1
 """How numpy writes the state of an array, by its own count."""
 
+TYPE_VERSIONS: Final = (3, 4)
+"""How numpy writes the state of a type, by its own count."""
+
 PLAIN_KINDS: Final = "biufUS"
 """Kinds of numpy types whose bytes are data: numbers and words."""
 
@@ -234,6 +237,8 @@ class _Machine:
                 raise NotPlainError(f"found arrays of version {state[0]!r:.20}, expected 1")
             built = _array_of(*state[1:5])
         elif isinstance(unfinished, _Type):
+            if state[0] not in TYPE_VERSIONS:
+                raise NotPlainError(f"found types of version {state[0]!r:.20}, expected 3 or 4")
             built = _type_of(unfinished.code, str(state[1]))
         else:
             return  # an opaque object stays what it is

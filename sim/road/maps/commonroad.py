@@ -300,6 +300,9 @@ def _lanelet(
 ) -> tuple[Lanelet, frozenset[str]]:
     """A lanelet, and its types."""
     identity = whole_number(path, element, "id")
+    for side in ("leftBound", "rightBound"):
+        if len(element.findall(side)) > 1:
+            raise InputError(f"{path}: lanelet {identity}: found {side} twice, expected it once")
     left = line_of(path, element.find("leftBound"), f"lanelet {identity} leftBound")
     right = line_of(path, element.find("rightBound"), f"lanelet {identity} rightBound")
     centerline, width_m = between(left, right)

@@ -129,9 +129,10 @@ def commonroad_lanes(path: Path) -> Lanes:
     """The lanelets of a CommonRoad scenario."""
     found: Lanes = {}
     for lane in well_formed(path).iterfind("lanelet"):
-        for point in lane.iter("point"):
-            for axis in ("x", "y"):
-                finite((point.findtext(axis) or "").strip())
+        for side in ("leftBound", "rightBound"):
+            for point in lane.iterfind(f"{side}/point"):
+                for axis in ("x", "y"):
+                    finite((point.findtext(axis) or "").strip())
         found[str(whole(lane.get("id", "")))] = None
     return found
 

@@ -192,12 +192,14 @@ def read_traf(data: bytes) -> Rows:
 
 CHILD: Final = """
 import json, sys, pyarrow.parquet as pq
+def spelt(value):
+    return value.decode() if isinstance(value, bytes) else str(value)
 for line in sys.stdin:
     try:
         path, columns = json.loads(line)
         t = pq.read_table(path, columns=columns, partitioning=None, use_threads=False)
         t.validate(full=True)
-        told = json.dumps({c: t.column(c).to_pylist() for c in t.column_names}, default=str)
+        told = json.dumps({c: t.column(c).to_pylist() for c in t.column_names}, default=spelt)
     except Exception:  # pyarrow refuses by errors of many kinds
         told = "null"
     print(told, flush=True)

@@ -220,8 +220,11 @@ PLAIN: Final = ("_reconstruct", "scalar", "_frombuffer", "ndarray", "dtype")
 """Names of numpy without which its arrays and numbers are not built."""
 
 
-class _Unpickler(pickle.Unpickler):
-    """Python's own machine, to which no other name is told."""
+class _Unpickler(pickle._Unpickler):
+    """Python's own machine, to which no other name is told.
+
+    That in Python: that in C takes memory for all numbers up to the greatest that is remembered.
+    """
 
     def find_class(self, module: str, name: str) -> Any:
         if module.split(".")[0] == "numpy" and name in PLAIN:
