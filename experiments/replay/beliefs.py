@@ -218,7 +218,8 @@ def _check_columns(path: Path, schema: pa.Schema, layout: Layout, found: pa.Sche
             raise InputError(
                 f"{path}: found column {name} {found.names.count(name)} times, expected it once"
             )
-        if not pa.types.is_string(schema.field(name).type):
+        wanted = schema.field(name).type
+        if pa.types.is_integer(wanted) or pa.types.is_floating(wanted):
             check_number(path, found.field(name))
     if layout.rows > MAX_ROWS:
         raise InputError(f"{path}: found {layout.rows} rows, expected at most {MAX_ROWS}")
