@@ -101,8 +101,7 @@ class _Away:
             self._kinds = self._elsewhere.kinds(described)[0]
         self._ids, self._known = one.ids[:0], np.empty((0, len(BEHAVIORS)))
         if self._kinds[HOME] < 1.0:
-            seen = self.observer.measured()
-            features = self.observer.features(seen.seconds, seen.sums, seen.instant)
+            seen, features = self.observer.described()
             self._ids = seen.ids
             self._known = self._elsewhere.answers_among(
                 features, self._kinds, seen, self._asked_s, self._place, self._people

@@ -20,7 +20,8 @@ from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray, IntArray, Tracks
-from sim.store.parquet import MAX_TEXT_BYTES, Layout, check_number, check_spelled_out, opened
+from sim.store.decode import check_number
+from sim.store.parquet import MAX_TEXT_BYTES, Layout, check_spelled_out, opened
 
 EVERY_S: Final = 0.5
 """Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""

@@ -76,7 +76,7 @@ class FrameBuffer:
             (self._speed, np.nan, frame.speed),
             (self._valid, False, True),
         ):
-            table[:, column] = unseen
+            table[: self._ids.size, column] = unseen
             table[row, column] = seen
         self._fixed[row] = np.stack([frame.kind, frame.length, frame.width], axis=1)
         self._time_s[column] = frame.time_s
@@ -138,13 +138,15 @@ class FrameBuffer:
     def _add(self, ids: np.ndarray[tuple[int], np.dtype[np.int64]]) -> None:
         """Give agents that were not seen before the next rows."""
         taken, needed = self._ids.size, self._ids.size + ids.size
-        if needed > len(self._fixed):
-            for name in (*_TABLES, "_fixed"):
-                old = getattr(self, name)
-                unseen = np.nan if old.dtype == np.float64 else False
-                new = np.full((2 * needed, *old.shape[1:]), unseen, dtype=old.dtype)
-                new[:taken] = old[:taken]
-                setattr(self, name, new)
+        for name in (*_TABLES, "_fixed"):
+            table = getattr(self, name)
+            if needed > len(table):
+                old = table
+                table = np.empty((2 * needed, *old.shape[1:]), dtype=old.dtype)
+                table[:taken] = old[:taken]
+                setattr(self, name, table)
+            # Spare rows are not touched: until they are needed, they take no memory.
+            table[taken:needed] = np.nan if table.dtype == np.float64 else False
         every = np.concatenate((self._ids, ids))
         order = np.argsort(every, kind="stable")
         self._ids = every[order]

@@ -39,7 +39,8 @@ from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
 from sim.road.maps.argoverse2 import read_map, static_map
 from sim.store.atomic import whole_folder
-from sim.store.parquet import Layout, check_budget, check_number, opened, read_packed
+from sim.store.decode import check_number
+from sim.store.parquet import Layout, check_budget, opened, read_packed
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110

@@ -159,6 +159,20 @@ def check_columns(path: Path, found: pa.Schema, schemas: Sequence[pa.Schema]) ->
         raise InputError(f"{path}: {_first_difference(found, schemas[0])}")
 
 
+def check_number(path: Path, field: pa.Field) -> None:
+    """Refuse a column of a file that Arrow reads as something else than numbers, such as times.
+
+    Args:
+        path: of the file, for the message.
+        field: name and type of the column.
+
+    Raises:
+        InputError: naming both.
+    """
+    if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+        raise InputError(f"{path}: column {field.name}: found {field.type}, expected numbers")
+
+
 def _first_difference(found: pa.Schema, expected: pa.Schema) -> str:
     """Which column is the first that is not as the schema has it."""
     for field in expected:

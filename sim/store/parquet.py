@@ -477,20 +477,6 @@ def read_packed(source: pa.NativeFile, texts: Sequence[str], columns: list[str] 
     return table
 
 
-def check_number(path: Path, field: pa.Field) -> None:
-    """Refuse a column of a file that Arrow reads as something else than numbers, such as times.
-
-    Args:
-        path: of the file, for the message.
-        field: name and type of the column.
-
-    Raises:
-        InputError: naming both.
-    """
-    if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-        raise InputError(f"{path}: column {field.name}: found {field.type}, expected numbers")
-
-
 def check_spelled_out(path: Path, column: pa.ChunkedArray, max_text_bytes: int) -> None:
     """Refuse texts that would not fit into memory once there is one for every row.
 

@@ -178,6 +178,9 @@ SCENE_NAMES: Final = (
 s; free-flow speed, m/s; drivers at once; shares of them; log(1 + seconds watched, at most
 `LONGEST_S`); and what is usual of ``COMPARED``."""
 
+MOST_AT_ONCE: Final = 10_000
+"""Drivers whose features are computed at once (our choice: their evidence takes 30 MB)."""
+
 LONGEST_S: Final = 60.0
 """Time watched beyond which a scene's numbers hardly change any more, s."""
 
@@ -313,6 +316,20 @@ class RelativeObserver:
             return self._with_evidence(np.empty(0, dtype=np.int64), np.empty(0), self.scene())
         ids, seconds, scene = self._frozen
         return self._with_evidence(ids[:most], seconds[:most], scene)
+
+    def described(self) -> tuple[Observation, FloatArray]:
+        """What `measured` has, without the evidence, and the features that follow from it.
+
+        They are computed for some drivers at a time: a crowd's evidence takes 3 kB for each.
+        """
+        nobody = np.empty(0, dtype=np.int64), np.empty(0), self.scene()
+        ids, seconds, scene = self._frozen or nobody
+        features = np.empty((ids.size, len(RelativeObserver.feature_names)))
+        for at in range(0, ids.size, MOST_AT_ONCE):
+            some = slice(at, at + MOST_AT_ONCE)
+            part = self._with_evidence(ids[some], seconds[some], scene)
+            features[some] = self.features(part.seconds, part.sums, part.instant)
+        return Observation(ids, seconds, np.zeros((ids.size, 0)), np.zeros((ids.size, 0))), features
 
     def _with_evidence(self, ids: IntArray, seconds: FloatArray, scene: FloatArray) -> Observation:
         known = np.nan_to_num(scene, nan=UNKNOWN_SCENE)
