@@ -315,6 +315,19 @@ BENCH: Final = Bench(
     summary="Measure every predictor's errors on unseen episodes.",
     keys=("scenario", "predictor", "horizon_s", "behavior", "split"),
     full=Settings(),
-    quick=Settings(episodes=2, duration_s=40.0),
+    quick=Settings(
+        episodes=2,
+        duration_s=30.0,
+        predictors=(
+            "constant-velocity",
+            "car-following",
+            "mlp",
+            "graphrqi-predict-unlabelled",
+            "graphrqi-predict",
+            "graphrqi-predict-oracle",
+        ),
+        agents=20,
+        repeats=4,
+    ),
     measure=measure,
 )
