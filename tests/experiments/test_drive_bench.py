@@ -22,7 +22,7 @@ from experiments.benches.drive.crowds import (
 )
 from experiments.benches.drive.episode import METRICS, ROADS, drive, score
 from experiments.benches.drive.policies import POLICIES, get_policy
-from experiments.benches.drive.ranking import ranking_rows, ranks, swapped
+from experiments.benches.drive.ranking import mean_row, ranking_rows, ranks, swapped
 from scenarios import SCENARIOS
 from sim.scenario import sample_agents
 
@@ -261,6 +261,18 @@ def test_ranks_and_swaps() -> None:
     assert value[HOMOGENEOUS, "a", "score_minus_diverse"] == pytest.approx(0.5)
     assert value[HOMOGENEOUS, "all", "swapped_pairs"] == 1.0
     assert value[HOMOGENEOUS, "all", "best_differs"] == 1.0
+
+
+def test_intervals_are_over_seeds_not_over_scenarios() -> None:
+    far_apart = np.array([0.1, 0.1, 0.1, 0.9, 0.9, 0.9])  # two scenarios, three seeds each
+    row = mean_row({}, "score", far_apart, scenarios=2)
+    assert row["low"] == pytest.approx(0.5)
+    assert row["high"] == pytest.approx(0.5)
+    seeds_differ = np.array([0.0, 0.1, 0.2, 0.8, 0.9, 1.0])
+    row = mean_row({}, "score", seeds_differ, scenarios=2)
+    assert 0.42 < row["low"] < 0.46
+    assert 0.54 < row["high"] < 0.58
+    assert mean_row({}, "score", np.array([0.1, 0.9]), scenarios=2)["low"] is None
 
 
 def test_the_bench_refuses_unknown_words() -> None:

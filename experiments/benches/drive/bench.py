@@ -106,8 +106,8 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         crowd: everything[:, c, :, score].T for c, crowd in enumerate(settings.crowds)
     }  # fmt: skip
     yield [
-        *_rows("all", settings.crowds, policies, everything),
-        *ranking_rows(scores, policies, HOMOGENEOUS, MIXED),
+        *_rows("all", settings.crowds, policies, everything, len(tables)),
+        *ranking_rows(scores, policies, HOMOGENEOUS, MIXED, len(tables)),
         *_speed_rows(minutes, core_s),
     ]
 
@@ -127,9 +127,13 @@ def _speed_rows(minutes: float, core_s: float) -> list[Row]:
 
 
 def _rows(
-    scenario: str, crowds: Sequence[str], policies: Sequence[str], table: FloatArray
+    scenario: str,
+    crowds: Sequence[str],
+    policies: Sequence[str],
+    table: FloatArray,
+    scenarios: int = 1,
 ) -> list[Row]:
-    """Rows of (episodes, crowds, policies, metrics) figures, with intervals over episodes."""
+    """Rows of (episodes, crowds, policies, metrics) figures, with intervals over seeds."""
     rows: list[Row] = []
     for c, crowd in enumerate(crowds):
         for p, policy in enumerate(policies):
@@ -140,7 +144,7 @@ def _rows(
                     total = float(values.sum())
                     rows.append(tidy_row(keys, metric, total, None, None, values.size))
                 else:
-                    rows.append(mean_row(keys, metric, values))
+                    rows.append(mean_row(keys, metric, values, scenarios))
     return rows
 
 

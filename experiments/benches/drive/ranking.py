@@ -8,14 +8,37 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import bootstrap, ratio
+from experiments.scoring.metrics import RESAMPLES
 from sim.frames import FloatArray
 
 
-def mean_row(keys: Mapping[str, Cell], metric: str, values: FloatArray) -> Row:
-    """The mean of (n,) values with its interval."""
-    found = bootstrap(ratio, np.column_stack([values, np.ones(values.size)]))
-    return tidy_row(keys, metric, *found, values.size)
+def drawn_anew(episodes: int, scenarios: int = 1) -> FloatArray:
+    """(RESAMPLES, episodes) how often each episode is drawn, seeds anew within each scenario.
+
+    The scenarios are those that are there, no sample of others; the seeds are a sample.
+
+    Args:
+        episodes: how many, scenario by scenario, as many of each.
+        scenarios: how many.
+
+    Examples:
+        >>> weight = drawn_anew(6, scenarios=2)
+        >>> weight.shape, set(weight[:, :3].sum(axis=1).tolist())
+        ((2000, 6), {3.0})
+    """
+    seeds = episodes // scenarios
+    rng = np.random.default_rng(0)
+    weight = rng.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=(RESAMPLES, scenarios))
+    return weight.reshape(RESAMPLES, episodes).astype(np.float64)
+
+
+def mean_row(keys: Mapping[str, Cell], metric: str, values: FloatArray, scenarios: int = 1) -> Row:
+    """The mean of (n,) values with its interval; none where each scenario has one seed."""
+    low = high = None
+    if values.size > scenarios:
+        means = drawn_anew(values.size, scenarios) @ values / values.size
+        low, high = (float(end) for end in np.quantile(means, [0.025, 0.975]))
+    return tidy_row(keys, metric, float(values.mean()), low, high, values.size)
 
 
 def ranks(scores: FloatArray) -> FloatArray:
@@ -42,7 +65,11 @@ def swapped(one: FloatArray, other: FloatArray) -> int:
 
 
 def ranking_rows(
-    scores: Mapping[str, FloatArray], policies: Sequence[str], homogeneous: str, diverse: str
+    scores: Mapping[str, FloatArray],
+    policies: Sequence[str],
+    homogeneous: str,
+    diverse: str,
+    scenarios: int = 1,
 ) -> list[Row]:
     """The ranks in every crowd, and what clones make of the ranking.
 
@@ -51,6 +78,7 @@ def ranking_rows(
         policies: their names.
         homogeneous: the crowd of clones.
         diverse: the crowd of all behaviours.
+        scenarios: how many; the episodes are in their order, as many of each.
 
     Returns:
         Of each crowd and policy its ``rank``. Where both crowds are among them, also of each policy
@@ -69,15 +97,18 @@ def ranking_rows(
     clones, mixed = scores[homogeneous], scores[diverse]
     for p, policy in enumerate(policies):
         keys = {"scenario": "all", "crowd": homogeneous, "policy": policy}
-        rows.append(mean_row(keys, "score_minus_diverse", clones[p] - mixed[p]))
+        gain = clones[p] - mixed[p]
+        rows.append(mean_row(keys, "score_minus_diverse", gain, scenarios))
     both: dict[str, Cell] = {"scenario": "all", "crowd": homogeneous, "policy": "all"}
     n = clones.shape[1]
-    drawn = np.random.default_rng(0).integers(n, size=(2000, n))
-    means = [(clones[:, d].mean(axis=1), mixed[:, d].mean(axis=1)) for d in drawn]
+    found = float(swapped(clones.mean(axis=1), mixed.mean(axis=1)))
+    if n == scenarios:
+        return [*rows, tidy_row(both, "swapped_pairs", found, None, None, n)]
+    weight = drawn_anew(n, scenarios)
+    means = list(zip(weight @ clones.T, weight @ mixed.T, strict=True))
     counts = np.array([swapped(one, two) for one, two in means])
-    low, high = np.quantile(counts, [0.025, 0.975])
-    found = swapped(clones.mean(axis=1), mixed.mean(axis=1))
-    rows.append(tidy_row(both, "swapped_pairs", float(found), float(low), float(high), n))
+    low, high = (float(end) for end in np.quantile(counts, [0.025, 0.975]))
+    rows.append(tidy_row(both, "swapped_pairs", found, low, high, n))
     other = float(np.mean([one.argmax() != two.argmax() for one, two in means]))
     rows.append(tidy_row(both, "best_differs", other, None, None, n))
     return rows
