@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from behaviors.labels import BEHAVIORS
@@ -162,6 +162,8 @@ def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
     """
     found = []
     for bench, layout in layouts(rows).items():
+        if bench == "prediction" and len({r.get("split") for r in rows[bench]}) > 1:
+            layout = replace(layout, group=("scenario", "split", "behavior"))
         tables, more = _tables([r for r in rows[bench] if r["metric"] not in DRAWN], layout)
         charts = tuple(chart for chart in _charts(bench, rows[bench]) if chart)
         found.append(
@@ -254,7 +256,9 @@ def _prediction_charts(rows: Sequence[Row]) -> list[Chart]:
     errors = [r for r in rows if r["metric"] == "ade_m"]
     farthest = max((_number(r["horizon_s"]) for r in errors), default=5.0)
     x, y = Axis("horizon, s", high=farthest), Axis("ADE, m")
-    for (scenario,), here in grouped(errors, ["scenario"]).items():
+    keys = ["scenario", "split"] if len({r.get("split") for r in errors}) > 1 else ["scenario"]
+    for values, here in grouped(errors, keys).items():
+        scenario = ", ".join(values)
         everyone = grouped([r for r in here if r["behavior"] == "all"], ["predictor"])
         lines = [line_of(name, part, "horizon_s") for (name,), part in everyone.items()]
         charts.append(Chart(f"{scenario}: error against horizon", x, y, tuple(lines)))

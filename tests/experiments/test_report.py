@@ -17,7 +17,7 @@ from experiments.report import write_comparison, write_report
 from experiments.report.charts import Axis, Chart, Line, Point
 from experiments.report.excerpts import _trait_table
 from experiments.report.run_file import RunFile
-from experiments.report.sections import LAYOUTS
+from experiments.report.sections import LAYOUTS, sections
 from experiments.report.source import read_source
 from experiments.report.tables import pivot
 from tests.experiments.shared import content
@@ -121,6 +121,21 @@ def test_strings_from_files_stay_text(study):
     text = write_report(study / "classification.json").read_text()
     assert "<script" not in text
     assert "&lt;script&gt;" in text
+
+
+def test_predictions_of_several_splits_are_told_apart(tmp_path):
+    rows = [{**row, "split": split} for split in ("unseen", "unseen, no map")
+            for row in rows_of("prediction", 0.0 if split == "unseen" else 0.2)]  # fmt: skip
+    (section,) = sections({"prediction": rows})
+    assert len(section.charts) == 4
+    assert {c.title.split(": ")[0] for c in section.charts} == {
+        "straight_road, unseen", "straight_road, unseen, no map"
+    }  # fmt: skip
+    for chart in section.charts:
+        for line in chart.lines:
+            assert len({p.x for p in line.points}) == len(line.points)
+    titles = [table.title for table in section.tables]
+    assert titles == ["straight_road, unseen, all", "straight_road, unseen, no map, all"]
 
 
 def test_a_logarithmic_axis_puts_powers_of_ten_evenly():
