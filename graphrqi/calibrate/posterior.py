@@ -215,7 +215,7 @@ def visits(drivers: int) -> int:
 
 
 def _some(drivers: int) -> NDArray[np.int64]:
-    """Drivers among whom the population is sought: drawn, since files often list drivers in turns."""
+    """Drivers among whom the population is sought: drawn, as files list drivers in turns."""
     return np.sort(np.random.default_rng(0).permutation(drivers)[:MOST_FIRST])
 
 
