@@ -390,7 +390,9 @@ def scanned(place: Place, table: str, fitting: pa.Table, alone: Any | None) -> A
         ),
         partition_base_dir=full_name(place, table),
     )
-    return found if alone is None else found.filter(pc.field("episode").isin(alone))
+    # A column without rows has no type of its own when it becomes a set.
+    ids = None if alone is None else pa.array(alone.to_pylist(), pa.string())
+    return found if ids is None else found.filter(pc.field("episode").isin(ids))
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterable, Mapping
 from functools import cached_property, reduce
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, Style
 from sim.frames import KINDS
 from sim.invalid_fields import first_wrong_field
 from sim.store.encode import parquet_options
@@ -39,6 +39,7 @@ from sim.store.schema import (
     FileEntry,
     Header,
     Manifest,
+    Split,
 )
 
 M = TypeVar("M", bound=BaseModel)
@@ -271,8 +272,10 @@ def rows_where(
     """The rows of a catalogue that fit; see `sim.store.dataset.Dataset.episodes`.
 
     Raises:
-        InputError: if a filter is no behaviour, or no mix.
+        InputError: if a filter is no behaviour, no split, or no mix.
     """
+    if split is not None and split not in get_args(Split):
+        raise InputError(f"split: found {split!r}, expected one of {', '.join(get_args(Split))}")
     if behavior is not None and behavior not in BEHAVIORS:
         raise InputError(f"behavior: found {behavior!r}, expected one of {', '.join(BEHAVIORS)}")
     wanted = {
@@ -319,7 +322,12 @@ def _mix_words(mix: str | Mapping[str, float]) -> str:
             }
         except ValueError:
             raise InputError(f"mix: found {mix!r}, expected behavior=share,...") from None
-    return as_json({str(name): float(share) for name, share in mix.items()})
+    styles = {str(style): [b for b in BEHAVIORS if b.style is style] for style in Style}
+    shares: dict[str, float] = {}
+    for name, share in mix.items():
+        members = styles.get(str(name), [str(name)])
+        shares |= {str(member): float(share) / len(members) for member in members}
+    return as_json(shares)
 
 
 def _entries(path: Path, table: pa.Table) -> tuple[EpisodeEntry, ...]:

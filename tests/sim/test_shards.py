@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -13,9 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors import InputError
+from scenarios.demand import parse_mix
 from sim.frames import Tracks
 from sim.store import entries
 from sim.store.dataset import Dataset, open_dataset
+from sim.store.entries import rows_where
 from sim.store.places import Folder
 from sim.store.schema import TABLES, EpisodeEntry, EpisodeMeta, split_of
 from sim.store.sealing import planned_shards, write_manifest
@@ -91,11 +94,25 @@ def test_filters_choose_episodes(made: Path) -> None:
     for wrong, message in (
         ({"behavior": "angry"}, "found 'angry', expected one of impatient"),
         ({"mix": "timid"}, "expected behavior=share"),
+        ({"split": "dev"}, "found 'dev', expected one of train, validation, test"),
     ):
         with pytest.raises(InputError, match=message):
             dataset.episodes(**wrong)
     with pytest.raises(InputError, match="expected one of steps, agents"):
         dataset.scan("step")
+    for nothing in ({"mix": "timid=1"}, {"flow": "light"}, {"scenario": "a road", "flow": "dense"}):
+        assert dataset.scan("steps", **nothing).to_table().num_rows == 0
+
+
+def test_a_mix_of_styles_is_found_as_it_was_asked_for(made: Path) -> None:
+    asked = "aggressive=.25, timid=.75"
+    kept = {str(behavior): share for behavior, share in parse_mix(asked).items()}
+    table = open_dataset(made).catalogue
+    column = pa.array([json.dumps(kept, sort_keys=True)] * len(table))
+    table = table.set_column(table.schema.get_field_index("mix"), "mix", column)
+    assert len(rows_where(table, mix=asked)) == EPISODES
+    assert len(rows_where(table, mix={"timid": 0.75, "aggressive": 0.25})) == EPISODES
+    assert len(rows_where(table, mix="aggressive=.75, timid=.25")) == 0
 
 
 @pytest.mark.parametrize("table", TABLES)
