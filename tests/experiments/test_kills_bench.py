@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import random
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from behaviors import InputError
-from experiments.benches.kills import generations
+from experiments.benches.kills import forked, generations
 from experiments.benches.kills.bench import Settings, measure
 from experiments.benches.kills.object_server import BUCKET, ObjectServer, environment
 
@@ -64,6 +65,29 @@ def test_a_bench_of_kills_goes_on_where_it_stopped(tmp_path: Path) -> None:
     datasets = [next(r["value"] for r in x if r["metric"] == "datasets") for x in (first, later)]
     assert later[0]["n"] > first[0]["n"]
     assert datasets[1] > datasets[0]
+
+
+def test_workers_are_killed_while_there_are_some(tmp_path: Path, monkeypatch) -> None:
+    class Worker(random.Random):
+        """First a worker as soon as there is one; then nobody."""
+
+        def choice(self, among):
+            return "worker" if "run" in among else among[0]
+
+        def uniform(self, low, high):
+            if trial.counts["killed_workers"]:
+                return forked.LONGEST_S
+            return 0.0 if high == generations.SOON_S else forked.LONGEST_S
+
+    trial = generations._Trial("disk", tmp_path, "0", Counter())
+    generations._warm(tmp_path / "warm")
+    trial.begin()
+    try:
+        trial._choose = Worker()
+        assert trial._run()
+    finally:
+        trial.stop()
+    assert trial.counts["killed_workers"] == 1
 
 
 def test_an_object_beside_the_dataset_is_counted(tmp_path: Path, monkeypatch) -> None:

@@ -48,6 +48,13 @@ PATIENCE: Final = 0.1
 """By which share of that the time grows with every kill on the way to one dataset (our choice: a
 machine that has become busy would otherwise never let a run come through)."""
 
+LOOK_S: Final = 0.02
+"""How often is looked for workers, s."""
+
+SOON_S: Final = 0.1
+"""Within which time after workers are seen one of them is killed, s (our choice: they make an
+episode in about that time)."""
+
 EXPECTED: Final = (0, 2, -signal.SIGKILL)
 """Exit codes that a killed run, worker or server may lead to: 2 is that of an error told in a line,
 for where the server is gone or a worker dies whenever an episode is tried."""
@@ -175,14 +182,22 @@ class _Trial:
         process = forked.start(self._words(), self._temporary)
         assert process.pid is not None
         self._runs.append(process.pid)
+        others = ["worker", "worker"] + ["server"] * (self._server is not None)
         while True:
             latest_s = LATEST * self._lasts_s * (1.0 + PATIENCE * self._kills)
-            process.join(self._choose.uniform(0.0, latest_s))
+            victim = self._choose.choice(["run", "run", *others])
+            until = time.monotonic() + self._choose.uniform(0.0, latest_s)
+            if victim == "worker":  # they live for a part of the run, or not at all
+                victim = "run"
+                while victim == "run" and process.exitcode is None and time.monotonic() < until:
+                    process.join(LOOK_S)
+                    victim = "worker" if _workers(process.pid) else "run"
+                until = time.monotonic() + self._choose.uniform(0.0, SOON_S) * (victim == "worker")
+            process.join(max(0.0, until - time.monotonic()))
             if process.exitcode is not None:
                 break
             self._kills += 1
-            others = ["worker", "worker"] + ["server"] * (self._server is not None)
-            self._kill(self._choose.choice(["run", "run", *others]), process.pid)
+            self._kill(victim, process.pid)
         code, told = forked.ended(process, self._temporary)
         took_s = time.monotonic() - begun
         if self._kills == kills and (kills == 0 or took_s > self._lasts_s):
