@@ -98,5 +98,8 @@ def _said(first: dict[str, Any], known: list[str]) -> str:
 
 
 def _shown(value: object) -> str:
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python spells no number of more than 4300 digits
+        return "a number of thousands of digits"
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from behaviors.errors import InputError, lookup
 from behaviors.populations.population import Population, population_of
+from behaviors.toml_text import read_toml
 
 FOLDER: Final = Path(__file__).with_name("shipped")
 
@@ -52,7 +52,7 @@ def read_population(source: str | Path | Mapping[str, Any] | Population) -> Popu
             data = file.read(MOST_BYTES + 1)
         if len(data) > MOST_BYTES:
             raise InputError(f"found more than {MOST_BYTES} bytes, expected a population")
-        return population_of(tomllib.loads(data.decode("utf-8")))
+        return population_of(read_toml(data.decode("utf-8")))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected a population's file") from None
     except InputError as error:

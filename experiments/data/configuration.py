@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from behaviors.errors import InputError
 from behaviors.populations import read_population
+from behaviors.toml_text import read_toml
 from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.invalid_fields import first_wrong_field
@@ -97,7 +97,7 @@ def _read_toml(path: Path | None) -> dict[str, object]:
     if path is None:
         return {}
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return read_toml(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
         raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
 

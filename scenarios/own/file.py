@@ -8,7 +8,6 @@ explains them.
 from __future__ import annotations
 
 import functools
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -17,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from behaviors.errors import InputError
 from behaviors.populations import read_population
+from behaviors.toml_text import read_toml
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.road import own_road
@@ -206,11 +206,11 @@ def read_scenario_file(path: Path) -> ScenarioFile:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        return ScenarioFile.model_validate(tomllib.loads(text))
+        return ScenarioFile.model_validate(read_toml(text))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected a scenario's file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: {' '.join(str(error).split())}") from None
     except ValidationError as error:
         wrong = first_wrong_field(error, ScenarioFile.model_fields)
         raise InputError(f"{path}: {wrong}") from None
+    except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
+        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None

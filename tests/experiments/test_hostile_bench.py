@@ -153,3 +153,19 @@ def test_a_disturbed_command_loses_nothing() -> None:
     counts = {row["metric"]: row["value"] for row in rows}
     assert counts.pop("disturbed") <= 6
     assert set(counts.values()) == {0.0}
+
+
+@pytest.mark.parametrize("digits", ["9", "0xf"])
+@pytest.mark.parametrize("key", ["mix", "duration_s", "lanes", "spread", "flow"])
+def test_numbers_of_very_many_digits_are_refused(tmp_path: Path, digits: str, key: str) -> None:
+    for family in ("scenario", "study"):
+        sample = trial.sample_of(family)
+        ((name, data),) = sample.files.items()
+        lines = [line for line in data.split(b"\n") if not line.startswith(key.encode())]
+        lines = lines[: lines.index(b"[mix]")] if b"[mix]" in lines else lines
+        (tmp_path / name).write_bytes(
+            b"\n".join([*lines, f"{key} = {digits + 9000 * digits[-1]}".encode()])
+        )
+        with pytest.raises(InputError) as caught:
+            sample.read(tmp_path)
+        assert len(str(caught.value)) < 600

@@ -108,10 +108,10 @@ def _tags(element: ET.Element) -> dict[str, str]:
 def lanelet_lanes(path: Path) -> Lanes:
     """The lanelets of a Lanelet2 map in local metres."""
     root = well_formed(path)
-    for node in root.iterfind("node"):
-        tags = _tags(node)
-        if "local_x" in tags and "local_y" in tags:
-            finite(tags["local_x"]), finite(tags["local_y"])
+    places = [_tags(node) for node in root.iterfind("node")]
+    if places and {"local_x", "local_y"} <= places[0].keys():  # the first says what all have
+        for tags in places:
+            finite(tags.get("local_x", "")), finite(tags.get("local_y", ""))
     lanelets = (e for e in root.iterfind("relation") if _tags(e).get("type") == "lanelet")
     return {str(whole(one.get("id", ""))): None for one in lanelets}
 
