@@ -75,7 +75,7 @@ def test_the_same_import_again_finds_it_there_and_another_is_refused(
     recording.write_text(ARGO)
     first = import_recordings(recording, data, "argo", quiet=True)
     before = content(data)
-    with caplog.at_level("INFO"):
+    with caplog.at_level("INFO", logger="graphrqi"):
         again = import_recordings(recording, data, "argo", quiet=True)
     assert again == first
     assert content(data) == before
