@@ -67,7 +67,8 @@ def test_a_bench_of_kills_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert datasets[1] > datasets[0]
 
 
-def test_workers_are_killed_while_there_are_some(tmp_path: Path, monkeypatch) -> None:
+@pytest.mark.parametrize("place", ["disk", "s3"])
+def test_workers_are_killed_while_there_are_some(tmp_path: Path, place: str) -> None:
     class Worker(random.Random):
         """First a worker as soon as there is one; then nobody."""
 
@@ -79,7 +80,7 @@ def test_workers_are_killed_while_there_are_some(tmp_path: Path, monkeypatch) ->
                 return forked.LONGEST_S
             return 0.0 if high == generations.SOON_S else forked.LONGEST_S
 
-    trial = generations._Trial("disk", tmp_path, "0", Counter())
+    trial = generations._Trial(place, tmp_path, "0", Counter())
     generations._warm(tmp_path / "warm")
     trial.begin()
     try:
@@ -122,6 +123,9 @@ def test_a_killed_server_remembers_what_it_had_answered(tmp_path: Path) -> None:
         found = store.get_object(Bucket=BUCKET, Key="data/split=test/a")
         assert found["Body"].read() == b"one"
         assert server.objects("data/") == {"split=test/a": b"one"}
+        server.clear()
+        assert not server.objects()
+        assert "Contents" not in store.list_objects_v2(Bucket=BUCKET)
     finally:
         server.kill()
 
