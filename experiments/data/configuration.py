@@ -143,8 +143,11 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     fields.update({name: value for name, value in given.items() if value is not None})
     net = fields.pop("net", None)
     if net is not None:
-        if fields.get("scenarios"):
-            raise InputError(f"--net: found {net} beside a scenario, expected one of the two")
+        if named := fields.get("scenarios"):
+            first = named[0] if isinstance(named, list | tuple) else named
+            raise InputError(
+                f"--net: found {net} beside the scenario {str(first)[:80]}, expected one of the two"
+            )
         fields["scenarios"] = (str(net),)
     try:
         return GenerateConfig.model_validate(fields)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,6 +42,10 @@ def object_store(bucket: str) -> Iterator[None]:
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
+    asked = http.client.HTTPConnection(host, port)  # a server before it leaves its objects
+    asked.request("POST", "/moto-api/reset")
+    asked.getresponse().read()
+    asked.close()
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
         patched.setenv("AWS_ACCESS_KEY_ID", "testing")

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,8 @@ def test_a_killed_or_closed_branch_leaves_the_trunk_alive_and_no_zombie() -> Non
             ["pgrep", "--parent", str(trunk.process_id)], capture_output=True, text=True
         )
         for process in found.stdout.split():
-            os.kill(int(process), signal.SIGKILL)
+            with suppress(ProcessLookupError):  # the closed one has ended by then
+                os.kill(int(process), signal.SIGKILL)
         with pytest.raises(InputError, match="ended before its last frame"):
             list(killed)
         assert len(trunk.advance(6.0)) == 10
