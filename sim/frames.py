@@ -49,6 +49,10 @@ class AgentKind(StrEnum):
 KINDS: Final[tuple[AgentKind, ...]] = tuple(AgentKind)
 """The code order of kinds: code c means ``KINDS[c]``."""
 
+MAX_MAGNITUDE: Final = 1e9
+"""Largest absolute position, time, heading, speed or size of an agent (our choice; beyond any UTM
+coordinate)."""
+
 PEDESTRIAN: Final = KINDS.index(AgentKind.PEDESTRIAN)
 """The code of a pedestrian: the only kind that does not drive."""
 

@@ -151,6 +151,10 @@ class Section:
     charts: tuple[Chart, ...]
 
 
+def _has_splits(rows: Sequence[Row]) -> bool:
+    return len({row.get("split") for row in rows}) > 1
+
+
 def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
     """Make the sections of a page.
 
@@ -162,7 +166,7 @@ def sections(rows: Mapping[str, Sequence[Row]]) -> list[Section]:
     """
     found = []
     for bench, layout in layouts(rows).items():
-        if bench == "prediction" and len({r.get("split") for r in rows[bench]}) > 1:
+        if bench == "prediction" and _has_splits(rows[bench]):
             layout = replace(layout, group=("scenario", "split", "behavior"))
         tables, more = _tables([r for r in rows[bench] if r["metric"] not in DRAWN], layout)
         charts = tuple(chart for chart in _charts(bench, rows[bench]) if chart)
@@ -256,7 +260,7 @@ def _prediction_charts(rows: Sequence[Row]) -> list[Chart]:
     errors = [r for r in rows if r["metric"] == "ade_m"]
     farthest = max((_number(r["horizon_s"]) for r in errors), default=5.0)
     x, y = Axis("horizon, s", high=farthest), Axis("ADE, m")
-    keys = ["scenario", "split"] if len({r.get("split") for r in errors}) > 1 else ["scenario"]
+    keys = ["scenario", "split"] if _has_splits(errors) else ["scenario"]
     for values, here in grouped(errors, keys).items():
         scenario = ", ".join(values)
         everyone = grouped([r for r in here if r["behavior"] == "all"], ["predictor"])

@@ -179,7 +179,7 @@ def calibrate(
         True
     """
     mean, covariance = prior(law)
-    some = [drives[i] for i in _some(len(drives))]
+    some = [drives[i] for i in _first(len(drives))]
     drawn: FloatArray | None = None
     counts = 1.0
     for turn in range(ROUNDS):
@@ -211,10 +211,10 @@ def drawn_again(
 
 def visits(drivers: int) -> int:
     """How often `calibrate` calls ``on_driver`` for so many drivers."""
-    return drivers + ROUNDS * _some(drivers).size
+    return drivers + ROUNDS * _first(drivers).size
 
 
-def _some(drivers: int) -> NDArray[np.int64]:
+def _first(drivers: int) -> NDArray[np.int64]:
     """Drivers among whom the population is sought: drawn, as files list drivers in turns."""
     return np.sort(np.random.default_rng(0).permutation(drivers)[:MOST_FIRST])
 

@@ -12,6 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.sorted_ids import find
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -66,11 +68,8 @@ def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
         >>> align(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([0, 2]), array([1, 2]))
     """
-    if old_ids.size == 0 or new_ids.size == 0:
-        none = np.empty(0, dtype=np.int64)
-        return none, none
-    at = np.minimum(np.searchsorted(old_ids, new_ids), old_ids.size - 1)
-    into = np.flatnonzero(old_ids[at] == new_ids)
+    at, there = find(old_ids, new_ids)
+    into = np.flatnonzero(there)
     return into, at[into]
 
 
@@ -80,12 +79,13 @@ def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
     Examples:
         >>> merge(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([2, 5, 7, 9]), array([1, 2, 3]))
+        >>> merge(np.array([-9]), np.array([-1]))
+        (array([-9, -1]), array([1]))
     """
-    rows = np.searchsorted(known, ids)
-    new = np.append(known, -1)[rows] != ids if known.size else np.ones(ids.size, dtype=bool)
-    if not new.any():
+    rows, there = find(known, ids)
+    if there.all():
         return known, rows
-    merged = np.sort(np.concatenate((known, ids[new])), kind="stable")
+    merged = np.sort(np.concatenate((known, ids[~there])), kind="stable")
     return merged, np.searchsorted(merged, ids)
 
 

@@ -105,11 +105,10 @@ class RunningSums:
 
     def _keep(self, merged: IntArray, time_s: float) -> BoolArray:
         """Forget all but these agents, give the new ones a row, and return which are new."""
-        fresh = np.zeros(merged.size, dtype=bool)
         if np.array_equal(merged, self._ids):
-            return fresh
+            return np.zeros(merged.size, dtype=bool)
         into, source = align(self._ids, merged)
-        fresh[:] = True
+        fresh = np.ones(merged.size, dtype=bool)
         fresh[into] = False
         row, seconds, seen = np.empty_like(merged), np.zeros(merged.size), np.empty(merged.size)
         row[into], seconds[into] = self._row[source], self._seconds[source]

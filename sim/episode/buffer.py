@@ -8,18 +8,15 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import KINDS, SIGNALS, Event, Frame, Tracks
+from behaviors.sorted_ids import find
+from sim.frames import KINDS, MAX_MAGNITUDE, SIGNALS, Event, Frame, Tracks
 
 _TABLES = ("_xy", "_heading", "_speed", "_valid")
 """Names of the tables of agents by times."""
 
 
-MAX_TIME_S: Final = 1e9
+MAX_TIME_S: Final = MAX_MAGNITUDE
 """Latest time, s (our choice, as of recordings: 30 years; far later ones have no next step)."""
-
-MAX_NUMBER: Final = 1e9
-"""Greatest heading, speed, length and width (our choice, as of recordings); NaN stands for one that
-is not known."""
 
 
 class FrameBuffer:
@@ -62,12 +59,9 @@ class FrameBuffer:
             self._signals = np.empty((frame.signals.size, 2 * self._steps), dtype=np.int8)
         if self._end == 2 * self._steps:
             self._move_back()
-        at = np.searchsorted(self._ids, frame.ids)
-        new = np.ones(at.size, dtype=bool)
-        if self._ids.size:
-            new = self._ids[np.minimum(at, self._ids.size - 1)] != frame.ids
-        if new.any():
-            self._add(frame.ids[new])
+        at, known = find(self._ids, frame.ids)
+        if not known.all():
+            self._add(frame.ids[~known])
             at = np.searchsorted(self._ids, frame.ids)
         row, column = self._row[at], self._end
         for table, unseen, seen in (
@@ -114,10 +108,10 @@ class FrameBuffer:
             raise InputError(f"frame.xy: found no finite place of agent {agent}, expected metres")
         for name in ("heading", "speed", "length", "width"):
             values = getattr(frame, name)
-            if not np.fmax.reduce(np.abs(values), initial=0.0) <= MAX_NUMBER:
-                agent = frame.ids[int(np.argmax(np.abs(values) > MAX_NUMBER))]
+            if not np.fmax.reduce(np.abs(values), initial=0.0) <= MAX_MAGNITUDE:
+                agent = frame.ids[int(np.argmax(np.abs(values) > MAX_MAGNITUDE))]
                 raise InputError(
-                    f"frame.{name}: found agent {agent} beyond {MAX_NUMBER:g}, expected less"
+                    f"frame.{name}: found agent {agent} beyond {MAX_MAGNITUDE:g}, expected less"
                 )
 
     def _move_back(self) -> None:

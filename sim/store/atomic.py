@@ -250,9 +250,8 @@ def end_without_temporary(code: int) -> NoReturn:
         end = time.monotonic() + LONGEST_REMOVAL_S
         for folder in list(_temporary):
             match = _SCRATCH.fullmatch(folder.name)
-            own = (
-                match is not None and int(match[1]) == os.getpid()
-            )  # not that of whom it is a fork
+            # A fork's list begins with the folders of the process that it was forked from.
+            own = match is not None and int(match[1]) == os.getpid()
             while own and folder.exists() and time.monotonic() < end:
                 shutil.rmtree(folder, ignore_errors=True)
     finally:

@@ -18,8 +18,7 @@ from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.scene.agent_states import AgentStates, agent_states
 from graphrqi.predict.scene.paths import PathTable
 from graphrqi.predict.scene.stop_constraints import stop_states
-from sim.episode.buffer import MAX_NUMBER
-from sim.frames import KINDS, SIGNALS, Tracks
+from sim.frames import KINDS, MAX_MAGNITUDE, SIGNALS, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
 
@@ -180,7 +179,7 @@ def check_history(history: Tracks) -> None:
 
     Raises:
         InputError: if times or ids do not increase, a code is none, or a number is not finite or
-            beyond `MAX_NUMBER` where an agent was seen.
+            beyond `MAX_MAGNITUDE` where an agent was seen.
     """
     time_s = history.time_s
     if not (np.isfinite(time_s).all() and (np.diff(time_s) > 0.0).all()):
@@ -197,9 +196,9 @@ def check_history(history: Tracks) -> None:
             raise InputError(
                 f"history.{name}: found a number that is not finite where an agent was seen"
             )
-        if not np.abs(seen).max(initial=0.0) <= MAX_NUMBER:
+        if not np.abs(seen).max(initial=0.0) <= MAX_MAGNITUDE:
             raise InputError(
-                f"history.{name}: found a number beyond {MAX_NUMBER:g} where an agent was seen"
+                f"history.{name}: found a number beyond {MAX_MAGNITUDE:g} where an agent was seen"
             )
 
 

@@ -18,7 +18,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Style
 from behaviors.row_index import RowIndex
 from sim.formats.common.label_file import DriverLabel, relabelled
-from sim.frames import AgentKind, Tracks
+from sim.frames import MAX_MAGNITUDE, AgentKind, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
 from sim.track_rows import TrackRows
@@ -37,9 +37,6 @@ MAX_NAMES: Final = 10**6
 MAX_PARTS: Final = 1000
 """Most recordings that one file may hold or be cut into (our choice: NGSIM has up to three at each
 place, INTERACTION hundreds of cases)."""
-
-MAX_MAGNITUDE: Final = 1e9
-"""Largest absolute position, time or speed (our choice; beyond any UTM coordinate)."""
 
 MAX_SIDE: Final = 1000.0
 """Longest agent, m (our choice; longer than any train, and than any box in an image, pixels)."""
