@@ -195,6 +195,7 @@ def spread_on_nodes(
 def summarise(
     sums: FloatArray,
     nodes: FloatArray,
+    limits: FloatArray,
     starts: IntArray,
     levels: FloatArray,
     least: float,
@@ -203,25 +204,32 @@ def summarise(
 ) -> None:
     """Quantiles, mean and evidence of each block.
 
+    A quantile's node is found by counting the nodes below it: a search that stops there would
+    guess wrongly at nearly every stop, and takes twice as long.
+
     Args:
         sums: (n, S) durations on the nodes, s; S may be larger than the number of nodes.
         nodes: (S,) ascending within each block.
+        limits: (S + B,) between which each node's duration is spread: the lowest node of a block,
+            half-way between its neighbours, and the highest.
         starts: (B + 1,) where each block's nodes begin.
-        levels: (Q,) of the quantiles, ascending.
+        levels: (Q,) of the quantiles, above 0 and below 1.
         least: total below which a block counts as unobserved, s.
         unknown: distance of an unobserved block's quantiles and mean below its lowest node.
         out: (n, at least B (Q + 2)) receives block by block the quantiles, the mean, the evidence.
     """
     quantiles = levels.size
+    below = np.empty(nodes.size)
     for i in range(sums.shape[0]):
         column = 0
         for b in range(starts.size - 1):
-            first, end = starts[b], starts[b + 1]
+            first, size = starts[b], starts[b + 1] - starts[b]
             total, moment = 0.0, 0.0
-            for k in range(first, end):
-                weight = max(sums[i, k], 0.0)
+            for k in range(size):
+                weight = max(sums[i, first + k], 0.0)
+                below[k] = total
                 total += weight
-                moment += weight * nodes[k]
+                moment += weight * nodes[first + k]
             out[i, column + quantiles + 1] = math.log1p(10.0 * total)
             if total < least:
                 for q in range(quantiles + 1):
@@ -229,24 +237,14 @@ def summarise(
                 column += quantiles + 2
                 continue
             out[i, column + quantiles] = moment / total
-            q, below = 0, 0.0
-            for k in range(first, end):
-                weight = sums[i, k]
-                if not weight > 0.0 or below + weight < levels[q] * total:
-                    below += max(weight, 0.0)
-                    continue
-                low = nodes[k] if k == first else 0.5 * (nodes[k - 1] + nodes[k])
-                high = nodes[k] if k == end - 1 else 0.5 * (nodes[k] + nodes[k + 1])
-                while q < quantiles and below + weight >= levels[q] * total:
-                    share = (levels[q] * total - below) / weight
-                    out[i, column + q] = low + share * (high - low)
-                    q += 1
-                if q == quantiles:
-                    break
-                below += weight
-            while q < quantiles:  # rounding: the last share of the total
-                out[i, column + q] = nodes[end - 1]
-                q += 1
+            for q in range(quantiles):
+                target = levels[q] * total
+                at = -1
+                for k in range(size):
+                    at += below[k] < target
+                low, high = limits[first + b + at], limits[first + b + at + 1]
+                share = (target - below[at]) / sums[i, first + at]
+                out[i, column + q] = low + share * (high - low)
             column += quantiles + 2
 
 

@@ -70,15 +70,20 @@ def spread(
     """
     from graphrqi.features.kernels import spread_on_nodes
 
-    nodes, starts = _scale(blocks)
+    nodes, _, starts = _scale(blocks)
     spread_on_nodes(values, counts & ~np.isnan(values), nodes, starts, step_s, rows, sums)
 
 
 @cache
-def _scale(blocks: tuple[Block, ...]) -> tuple[FloatArray, IntArray]:
-    """The nodes of all blocks, and where each block's begin (and the last one's end)."""
-    nodes = np.concatenate([np.asarray(b.nodes) for b in blocks])
-    return nodes, np.cumsum([0, *(len(b.nodes) for b in blocks)])
+def _scale(blocks: tuple[Block, ...]) -> tuple[FloatArray, FloatArray, IntArray]:
+    """The nodes of all blocks, their limits (see `summarise`), and where each block's nodes begin.
+
+    The last number of the third array is where the last block's nodes end.
+    """
+    scales = [np.asarray(b.nodes) for b in blocks]
+    limits = [np.concatenate([s[:1], 0.5 * (s[:-1] + s[1:]), s[-1:]]) for s in scales]
+    starts = np.cumsum([0, *(s.size for s in scales)])
+    return np.concatenate(scales), np.concatenate(limits), starts
 
 
 def describe(
@@ -105,10 +110,12 @@ def describe(
     """
     from graphrqi.features.kernels import summarise
 
-    nodes, starts = _scale(blocks)
+    nodes, limits, starts = _scale(blocks)
     if out is None:
         out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))
-    summarise(np.ascontiguousarray(sums), nodes, starts, np.array(LEVELS), LEAST_S, UNKNOWN, out)
+    summarise(
+        np.ascontiguousarray(sums), nodes, limits, starts, np.array(LEVELS), LEAST_S, UNKNOWN, out
+    )
     return out
 
 
