@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,20 @@ from numpy.typing import NDArray
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 V = TypeVar("V", bound=np.generic)
+
+
+class TimeBlock(NamedTuple):
+    """The rows of some consecutive times.
+
+    Attributes:
+        rows: (k,) in order of time, then of agent.
+        first: the first of the t times.
+        begins: (t + 1,) where in ``rows`` those of each time begin, and k.
+    """
+
+    rows: IntArray
+    first: int
+    begins: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,3 +161,32 @@ class RowIndex:
         order = np.argsort(self.step, kind="stable")  # fast: a merge of one sorted run per agent
         counts = np.bincount(self.step, minlength=self.times)
         return order, np.concatenate([[0], np.cumsum(counts)])
+
+    def time_blocks(self, most: int) -> Iterator[TimeBlock]:
+        """All rows, in blocks of consecutive times.
+
+        What looks at one time after the other takes memory for a block only, however long the
+        episode is.
+
+        Args:
+            most: rows of a block; one time is never divided.
+
+        Yields:
+            At least one block.
+
+        Examples:
+            >>> seen = RowIndex.of(np.array([[True, True, True], [True, False, True]]))
+            >>> [block.rows.tolist() for block in seen.time_blocks(3)]
+            [[0, 3, 1], [2, 4]]
+        """
+        rows, begins = self.by_time()
+        first = 0
+        while True:
+            end = int(np.searchsorted(begins, begins[first] + most, side="right")) - 1
+            end = min(max(end, first + 1), self.times)
+            yield TimeBlock(
+                rows[begins[first] : begins[end]], first, begins[first : end + 1] - begins[first]
+            )
+            first = end
+            if first >= self.times:
+                return

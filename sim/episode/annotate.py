@@ -49,6 +49,7 @@ def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> An
     observed = observe(steps, road)
     inputs = detector_inputs(steps, road, observed)
     events = incidents(steps, road, observed, inputs, recorded=recorded)
+    del observed  # a fifth of the memory, which the detectors need
     inputs = with_encounters(steps.ids, inputs, events)
     return Annotations(inputs, events, shown_traits(steps.ids, inputs))
 

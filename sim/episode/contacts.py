@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from sim.episode.rows import TrajectoryRows
-from sim.frames import IntArray
+from sim.frames import PEDESTRIAN, IntArray
 from sim.geometry import Outlines, separation
 
 GRAZE_M: Final = 0.15
@@ -23,6 +23,10 @@ no more accurate)."""
 KEY_ERROR_M: Final = 0.01
 """Pairs are looked for this much farther than circles reach, m: places along x and times are sorted
 as one number, which is rounded."""
+
+
+MOST_ROWS: Final = 200_000
+"""Rows of an episode that are searched at once (our choice: they take some 20 MB)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +64,8 @@ def contacts(steps: TrajectoryRows) -> tuple[Contact, ...]:
         ...     valid=np.ones((2, 3)), signals=np.zeros((0, 3)))))
         (Contact(agents=(0, 1), begin=1, end=2),)
     """
-    first, second = _near(steps)
-    touch = separation(_outlines(steps, first), _outlines(steps, second)) < -GRAZE_M
-    first, second = first[touch], second[touch]
+    pairs = [_touching(steps, rows) for rows, _, _ in steps.row_index.time_blocks(MOST_ROWS)]
+    first, second = (np.concatenate(part) for part in zip(*pairs, strict=True))
     one, two = steps.row_index.agent[first], steps.row_index.agent[second]
     at = steps.row_index.step[first]
     order = np.lexsort((at, two, one))
@@ -78,22 +81,31 @@ def contacts(steps: TrajectoryRows) -> tuple[Contact, ...]:
     return tuple(sorted(found, key=lambda c: (c.begin, c.agents)))
 
 
-def _near(steps: TrajectoryRows) -> tuple[IntArray, IntArray]:
+def _touching(steps: TrajectoryRows, rows: IntArray) -> tuple[IntArray, IntArray]:
+    """(k,) rows of both of each pair among these rows whose outlines overlap at one time."""
+    first, second = _near(steps, rows)
+    touch = separation(_outlines(steps, first), _outlines(steps, second)) < -GRAZE_M
+    return first[touch], second[touch]
+
+
+def _near(steps: TrajectoryRows, rows: IntArray) -> tuple[IntArray, IntArray]:
     """(k,) rows of both of a pair, wherever the circles about their outlines meet.
 
     Rows are sorted along x within bands that are as high as the widest two circles reach, one time
     after the other. So each row is compared with those near it in its own band and in the next,
     however large the crowd and the map are.
     """
-    agent, x, y = steps.row_index.agent, steps.xy[:, 0], steps.xy[:, 1]
-    if not x.size:
+    if not rows.size:
         return np.empty(0, np.int64), np.empty(0, np.int64)
+    agent, step = steps.row_index.agent[rows], steps.row_index.step[rows]
+    x, y = steps.xy[rows].T
+    walking = (steps.kind == PEDESTRIAN)[agent]
     reach = 0.5 * np.hypot(steps.length, steps.width)[agent]
     far = 2.0 * float(reach.max()) + KEY_ERROR_M
     band = np.floor((y - y.min()) / far).astype(np.int64)
     bands = int(band.max()) + 2  # one stays empty between one time and the next
     span = float(np.ptp(x)) + 2.0 * far + 1.0  # bands never meet
-    key = x - x.min() + span * (band + bands * steps.row_index.step)
+    key = x - x.min() + span * (band + bands * (step - step[0]))
     order = np.argsort(key)
     key = key[order]
     found = []
@@ -104,8 +116,8 @@ def _near(steps: TrajectoryRows) -> tuple[IntArray, IntArray]:
         other = np.arange(one.size) - np.repeat(np.cumsum(count) - count, count) + begin[one]
         a, b = order[one], order[other]
         near = np.hypot(x[a] - x[b], y[a] - y[b]) < reach[a] + reach[b]
-        near &= ~(steps.walking[a] & steps.walking[b])
-        found.append((a[near], b[near]))
+        near &= ~(walking[a] & walking[b])
+        found.append((rows[a[near]], rows[b[near]]))
     a, b = (np.concatenate(part) for part in zip(*found, strict=True))
     return np.minimum(a, b), np.maximum(a, b)
 

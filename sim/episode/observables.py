@@ -2,7 +2,7 @@
 
 Who is on which lane, who follows whom and how closely, what limit holds, which signal, stop line
 or crossing lies ahead and whether someone walks there. One function serves a single frame and a
-whole episode: every instant is worked on at once.
+whole episode, of which many instants are worked on at once.
 
 Leaders are looked for along the lane and onward over the junctions. Where a lane goes on in
 several ways the straightest one is followed, because a frame does not say where a driver wants to
@@ -15,8 +15,8 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,6 +31,10 @@ MIN_SPEED_MPS: Final = 0.1
 CROSSING_MARGIN_M: Final = 2.0
 """A pedestrian this close beside a crossing or its end counts as near it (our choice: one stride
 and the width of the kerb)."""
+
+
+MOST_ROWS: Final = 200_000
+"""Rows of an episode that are worked on at once (our choice: they take some 60 MB)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +113,24 @@ def observe(traffic: Frame | TrajectoryRows, road: Road) -> Observables:
             traffic.kind == PEDESTRIAN, traffic.signals[:, None],
             np.zeros(n, np.int64), np.arange(n), np.array([0, n]),
         )  # fmt: skip
-    row_index = traffic.row_index
-    return _observe(
-        road, traffic.xy, traffic.heading, traffic.speed, traffic.length[row_index.agent],
-        traffic.walking, traffic.signals, row_index.step, *row_index.by_time(),
-    )  # fmt: skip
+    row_index, whole = traffic.row_index, dict[str, Any]()
+    for rows, first, begins in row_index.time_blocks(MOST_ROWS):
+        agent, end = row_index.agent[rows], first + begins.size - 1
+        part = _observe(
+            road, traffic.xy[rows], traffic.heading[rows], traffic.speed[rows],
+            traffic.length[agent], (traffic.kind == PEDESTRIAN)[agent],
+            traffic.signals[:, first:end], row_index.step[rows] - first, np.arange(rows.size),
+            begins,
+        )  # fmt: skip
+        for name in (field.name for field in fields(Observables)):
+            values = getattr(part, name)
+            if name in ("leader", "follower"):
+                there = values >= 0
+                values[there] = rows[values[there]]
+            if name not in whole:
+                whole[name] = np.empty(traffic.speed.size, values.dtype)
+            whole[name][rows] = values
+    return Observables(**whole)
 
 
 def leaders(frame: Frame, road: Road) -> tuple[IntArray, FloatArray]:

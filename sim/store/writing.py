@@ -18,9 +18,9 @@ from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
 from behaviors.row_index import RowIndex
-from sim.episode.annotate import Annotations, annotate
+from sim.episode.annotate import annotate
 from sim.episode.rows import TrajectoryRows
-from sim.frames import KINDS, Frame, Tracks
+from sim.frames import KINDS, Event, Frame, Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.scenario import AgentSpec
@@ -131,8 +131,8 @@ def write_episode(
         raise InputError(f"frames: found agent {strangers[0]}, expected one of {len(agents)} given")
     shown: tuple[ShownTrait, ...] = ()
     if road is not None and steps.time_s.size > 2:
-        found = _annotated(steps, ordered, road)
-        steps, shown = dataclasses.replace(steps, events=found.events), found.shown_traits
+        events, shown = _annotated(steps, ordered, road)
+        steps = dataclasses.replace(steps, events=events)
     if since_s is not None:
         steps = _later(steps, since_s)
         present, _ = steps.agents()
@@ -188,8 +188,10 @@ def _later(steps: Steps, since_s: float) -> Steps:
     )
 
 
-def _annotated(steps: Steps, agents: Sequence[AgentSpec], road: Path) -> Annotations:
-    """The annotations of the rounded steps, which are what a reader gets."""
+def _annotated(
+    steps: Steps, agents: Sequence[AgentSpec], road: Path
+) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
+    """Events and shown traits of the rounded steps, which are what a reader gets."""
     every = np.array([a.id for a in agents], dtype=np.int64)
     ids, counts = steps.agents()
     row = np.repeat(np.arange(ids.size), counts)
@@ -208,7 +210,8 @@ def _annotated(steps: Steps, agents: Sequence[AgentSpec], road: Path) -> Annotat
         signals=steps.signals,
         events=steps.events,
     )
-    return annotate(rows, read_road_file(road))
+    found = annotate(rows, read_road_file(road))
+    return found.events, found.shown_traits
 
 
 def write_recording(
