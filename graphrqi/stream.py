@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.graph.traffic_graph import MAX_COORDINATE_M
+from graphrqi.graph.sighting import MAX_COORDINATE_M
 from graphrqi.live_answers import LiveAnswers
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model

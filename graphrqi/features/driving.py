@@ -21,7 +21,7 @@ from graphrqi.features.kinematics import Kinematics, MotionEstimator
 from graphrqi.features.observer import Observation, RunningSums
 from graphrqi.features.spectral import INVARIANT_NAMES, SPECTRAL, GraphSpectrum, spectral_means
 from graphrqi.features.statistics import Block, describe, describe_names, spread
-from graphrqi.graph import TrafficGraph
+from graphrqi.graph import Sighting, TrafficGraph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -225,8 +225,9 @@ class DrivingObserver:
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
         motion = self._motion.update(time_s, ids, xy)
-        self._near = self._near.observe(ids, xy)
-        self._spectrum.observe(ids, xy)
+        seen = Sighting.of(ids, xy)
+        self._near = self._near.extended(seen)
+        self._spectrum.observe(seen)
         around = interactions(motion, drives, self._near)
         moment = _Moment(
             motion, around, self._near, drives, partial(self._free_flow.update, time_s)

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.graph import TrafficGraph
+from graphrqi.graph import Sighting, TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
 
 FloatArray = NDArray[np.float64]
@@ -136,9 +136,9 @@ class GraphSpectrum:
         self._previous: Spectrum | None = None
         self._solved_s = -np.inf
 
-    def observe(self, ids: IntArray, xy: FloatArray) -> None:
+    def observe(self, seen: Sighting) -> None:
         """Add the next positions to the graph."""
-        self._graph = self._graph.observe(ids, xy)
+        self._graph = self._graph.extended(seen)
 
     def solve(self, ids: IntArray) -> tuple[Spectrum, IntArray, FloatArray]:
         """The spectrum now, the rows of the given agents in it, and the degrees of all vertices."""

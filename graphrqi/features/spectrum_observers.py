@@ -16,6 +16,7 @@ from graphrqi.features.spectral import (
     eigenvector_rows,
     spectral_means,
 )
+from graphrqi.graph import Sighting
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -63,7 +64,7 @@ class EigenvectorObserver(NullObserver):
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        self._spectrum.observe(ids, xy)
+        self._spectrum.observe(Sighting.of(ids, xy))
         super().update(time_s, ids, xy, drives)
 
     def observation(self) -> Observation:
@@ -93,7 +94,7 @@ class SpectrumObserver:
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        self._spectrum.observe(ids, xy)
+        self._spectrum.observe(Sighting.of(ids, xy))
         self._sums.add(time_s, ids[drives], self._spectrum.moment(time_s, ids)[drives])
 
     def observation(self) -> Observation:

@@ -9,6 +9,7 @@ Examples:
            [ 0., -1.,  1.]])
 """
 
+from graphrqi.graph.sighting import Sighting
 from graphrqi.graph.traffic_graph import GraphChange, TrafficGraph, change_between
 
-__all__ = ["GraphChange", "TrafficGraph", "change_between"]
+__all__ = ["GraphChange", "Sighting", "TrafficGraph", "change_between"]

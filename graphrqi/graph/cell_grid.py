@@ -108,27 +108,22 @@ def cell_grid(xy: Floats, smallest: float) -> Grid:
 
 
 @compiled
-def nearest_neighbors(ids: Ids, xy: Floats, neighbors: int, grid: Grid) -> tuple[Ints, Ints]:
+def nearest_neighbors(ids: Ids, xy: Floats, k: int, grid: Grid) -> Ints:
     """The nearest others of every vehicle, by distance, then by id.
 
     Args:
         ids: (n,) different ids.
         xy: (n, 2) positions, m.
-        neighbors: how many; n - 1 where fewer exist.
+        k: how many, at most n - 1.
         grid: `cell_grid` of the positions.
 
     Returns:
-        (n + 1,) starts and the (n * k,) positions of the neighbours, nearest first, and one more
-        number.
+        (n * k,) positions of the neighbours, nearest first.
     """
     n = ids.size
-    k = max(min(neighbors, n - 1), 0)
-    starts = np.empty(n + 1, np.int32)
-    for i in range(n + 1):
-        starts[i] = i * k
-    target = np.empty(n * k + 1, np.int32)
+    target = np.empty(n * k + 1, np.int32)  # room for one that is not among the last one's
     if k == 0:
-        return starts, target
+        return target[:0]
     x0, y0, h, columns, rows, slack, start, items = grid
     distance = np.empty(k + 1, np.float64)
     for i in range(n):
@@ -182,7 +177,7 @@ def nearest_neighbors(ids: Ids, xy: Floats, neighbors: int, grid: Grid) -> tuple
             if found == k and bound > 0.0 and distance[k - 1] < bound * bound * (1.0 - 1e-12):
                 break
             ring += 1
-    return starts, target
+    return target[:-1]
 
 
 @compiled

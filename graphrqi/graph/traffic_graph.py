@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from behaviors.errors import InputError
+from graphrqi.graph.sighting import Sighting, as_array, checked_floats, checked_ids
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Kind: TypeAlias = Literal["accumulated", "instantaneous"]
-
-MAX_COORDINATE_M = 1e9
-"""Positions beyond this are refused: doubles there are 0.1 um apart (our choice)."""
 
 MAX_WEIGHT = 1e100
 """Weights beyond this are refused: sums of their squares stay finite (our choice)."""
@@ -168,21 +166,21 @@ class TrafficGraph:
             InputError: for an id that is given twice, unknown or no whole number, an edge from
                 a vehicle to itself, a weight out of range, or a wrong shape.
         """
-        row_ids = _checked_ids(ids)
+        row_ids = checked_ids(ids)
         d = row_ids.size
         order = np.argsort(row_ids, kind="stable")
         ordered = row_ids[order]
         twice = np.flatnonzero(ordered[1:] == ordered[:-1])
         if twice.size:
             raise InputError(f"ids: found {ordered[twice[0]]} twice, expected each vehicle once")
-        pairs = _as_array(edges, "edges")
+        pairs = as_array(edges, "edges")
         if pairs.size == 0:
             pairs = np.empty((0, 2), np.int64)
         if pairs.ndim != 2 or pairs.shape[1] != 2:
             raise InputError(f"edges: found shape {pairs.shape}, expected (m, 2)")
-        pairs = _checked_ids(pairs.ravel(), "edges").reshape(-1, 2)
+        pairs = checked_ids(pairs.ravel(), "edges").reshape(-1, 2)
         m = len(pairs)
-        weight = np.ones(m) if weights is None else _checked_floats(weights, "weights")
+        weight = np.ones(m) if weights is None else checked_floats(weights, "weights")
         if weight.shape != (m,):
             raise InputError(f"weights: found shape {weight.shape}, expected ({m},), one per edge")
         wrong = np.flatnonzero(~((weight >= 0.0) & (weight <= MAX_WEIGHT)))
@@ -265,50 +263,38 @@ class TrafficGraph:
             InputError: for repeated ids, positions that are not finite, or wrong shapes; if the
                 graph was made from edges.
         """
+        return self.extended(Sighting.of(ids, xy))
+
+    def extended(self, seen: Sighting) -> TrafficGraph:
+        """Return the next graph as `observe` does; several graphs may share one sighting.
+
+        Args:
+            seen: the vehicles, whose neighbours are searched once for all graphs.
+
+        Raises:
+            InputError: if the graph was made from edges.
+        """
         from graphrqi.graph import cell_grid
 
         rule = self.rule
         if rule is None:
             raise InputError("graph: found one made from edges, expected TrafficGraph.empty(...)")
-        new_ids = _checked_ids(ids)
-        ordered = np.sort(new_ids)
-        twice = ordered[:-1][ordered[1:] == ordered[:-1]]
-        if twice.size:
-            raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
-        positions = np.ascontiguousarray(_checked_floats(xy, "xy"))
-        if positions.size == 0 and new_ids.size == 0:
-            positions = np.empty((0, 2))
-        if positions.shape != (new_ids.size, 2):
-            raise InputError(f"xy: found shape {positions.shape}, expected ({new_ids.size}, 2)")
-        if not (np.abs(positions) <= MAX_COORDINATE_M).all():
-            row = int(np.flatnonzero(~(np.abs(positions) <= MAX_COORDINATE_M).all(axis=1))[0])
-            raise InputError(
-                f"xy: found {positions[row].tolist()} for vehicle {new_ids[row]}, "
-                f"expected finite metres below {MAX_COORDINATE_M:g}"
-            )
-        positions = positions.view()
-        positions.flags.writeable = False  # always: kernels would be compiled for either
         keep = rule.kind == "accumulated" and 0 < self.observations < rule.reset
         base = self if keep else _NOTHING
         if rule.radius_m is None:
-            grid = cell_grid.cell_grid(positions, 0.0)
-            lists = cell_grid.nearest_neighbors(
-                new_ids, positions, min(rule.neighbors, new_ids.size), grid
-            )
+            lists = seen.nearest(rule.neighbors)
         else:
-            radius = float(rule.radius_m)
-            grid = cell_grid.cell_grid(positions, 0.5 * radius)
-            lists = cell_grid.within_radius(positions, radius, grid)
-        row_of, all_ids = np.arange(new_ids.size), new_ids
-        if keep and not np.array_equal(self.ids, new_ids):
-            row_of = self.rows_of(new_ids)
+            lists = seen.within(float(rule.radius_m))
+        row_of, all_ids = np.arange(seen.ids.size), seen.ids
+        if keep and not np.array_equal(self.ids, seen.ids):
+            row_of = self.rows_of(seen.ids)
             unseen = row_of < 0
             row_of[unseen] = np.arange(unseen.sum()) + self.ids.size
-            all_ids = np.concatenate([self.ids, new_ids[unseen]])
+            all_ids = np.concatenate([self.ids, seen.ids[unseen]])
         indptr, indices, values = cell_grid.join(
             row_of,
             all_ids.size,
-            positions,
+            seen.xy,
             *lists,
             -1.0 if rule.scale_m is None else float(rule.scale_m),
             base.indptr,
@@ -412,36 +398,6 @@ def change_between(before: TrafficGraph, after: TrafficGraph) -> GraphChange:
     total = np.add.reduceat(signed, np.flatnonzero(first)) if len(edges) else signed
     differs = total != 0.0
     return GraphChange(arrived, departed, edges[first][differs], total[differs])
-
-
-def _as_array(values: ArrayLike, what: str) -> NDArray[Any]:
-    try:
-        return np.asarray(values)
-    except ValueError as error:  # lists of different lengths
-        raise InputError(f"{what}: found {values!r:.60}, expected an array ({error})") from error
-
-
-def _checked_ids(ids: ArrayLike, what: str = "ids") -> NDArray[np.int64]:
-    found = _as_array(ids, what)
-    if found.ndim != 1:
-        raise InputError(f"{what}: found shape {found.shape}, expected one id per vehicle")
-    if found.size == 0:
-        return np.empty(0, np.int64)
-    if found.dtype.kind not in "iu":
-        raise InputError(f"{what}: found {found.dtype} values, expected whole numbers")
-    if found.dtype.kind == "u" and int(found.max()) > np.iinfo(np.int64).max:
-        raise InputError(f"{what}: found {found.max()}, expected ids that fit 64-bit integers")
-    return found.astype(np.int64)
-
-
-def _checked_floats(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    found = _as_array(values, what)
-    if found.dtype.kind == "c":
-        raise InputError(f"{what}: found complex numbers, expected real ones")
-    try:
-        return np.asarray(found, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{what}: found {values!r:.60}, expected numbers ({error})") from error
 
 
 _NOTHING = TrafficGraph(
