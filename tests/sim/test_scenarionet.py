@@ -90,13 +90,16 @@ def test_broken_pickles_are_refused(data: bytes) -> None:
         loads(data)
 
 
-@pytest.mark.parametrize("alter", range(3))
+@pytest.mark.parametrize("alter", range(6))
 def test_arrays_are_as_large_as_their_bytes(alter: int) -> None:
     data = pickle.dumps(np.arange(5, dtype=np.int64), protocol=4)
     altered = [
         data.replace(b"K\x05\x85", b"J\xff\xff\xff\x7f\x85"),
         data.replace(b"\x8c\x02i8", b"\x8c\x02O8"),
         data.replace(b"\x8c\x02i8", b"\x8c\x02V8"),
+        data.replace(b"J\xff\xff\xff\xffK\x00t", b"J\xff\xff\xff\xffK\xfft"),
+        data.replace(b"<\x94NNNJ", b"<\x94)NNJ"),
+        data.replace(b"NNNJ\xff\xff\xff\xff", b"NNNJ\x04\x00\x00\x00"),
     ][alter]
     assert altered != data
     with pytest.raises(NotPlainError):

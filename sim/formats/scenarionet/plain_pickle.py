@@ -240,6 +240,9 @@ class _Machine:
             if state[0] not in TYPE_VERSIONS:
                 raise NotPlainError(f"found types of version {state[0]!r:.20}, expected 3 or 4")
             built = _type_of(unfinished.code, str(state[1]))
+            # Numpy takes a number with forged flags for a reference, and breaks.
+            if tuple(state[2:8]) != np.dtype(unfinished.code).__reduce__()[2][2:8]:
+                raise NotPlainError(f"found a type {unfinished.code} that is not numpy's own")
         else:
             return  # an opaque object stays what it is
         # The memory holds the same unfinished object, and must hold the finished one.
