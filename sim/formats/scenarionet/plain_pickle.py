@@ -32,6 +32,9 @@ ARRAY_VERSION: Final = 1
 TYPE_VERSIONS: Final = (3, 4)
 """How numpy writes the state of a type, by its own count."""
 
+BYTE_ORDERS: Final = ("<", ">", "=", "|")
+"""How numpy writes the order of a type's bytes."""
+
 PLAIN_KINDS: Final = "biufUS"
 """Kinds of numpy types whose bytes are data: numbers and words."""
 
@@ -239,9 +242,10 @@ class _Machine:
         elif isinstance(unfinished, _Type):
             if state[0] not in TYPE_VERSIONS:
                 raise NotPlainError(f"found types of version {state[0]!r:.20}, expected 3 or 4")
-            built = _type_of(unfinished.code, str(state[1]))
+            built = _type_of(unfinished.code, state[1])
             # Numpy takes a number with forged flags for a reference, and breaks.
-            if tuple(state[2:8]) != np.dtype(unfinished.code).__reduce__()[2][2:8]:
+            own = np.dtype(unfinished.code).__reduce__()[2]
+            if state[1] not in BYTE_ORDERS or tuple(state[2:8]) != own[2:8]:
                 raise NotPlainError(f"found a type {unfinished.code} that is not numpy's own")
         else:
             return  # an opaque object stays what it is
