@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -33,19 +33,16 @@ from sim.store.entries import (
     rows_where,
     totals_of,
 )
-from sim.store.places import Folder, Place, arrow_filesystem, full_name, place_of
+from sim.store.places import Folder, place_of
+from sim.store.scans import scanned
 from sim.store.schema import (
     CATALOGUE,
-    TABLES,
     EpisodeEntry,
-    FileName,
     Header,
     Manifest,
     Split,
-    shard_schema,
 )
 from sim.store.sealing import with_counts
-from sim.store.shards import shard_file
 
 SHOWN_EPISODES: Final = 10
 """Most episodes that a notebook shows of a dataset."""
@@ -354,45 +351,6 @@ class Dataset:
             copy = scratch / path.name
             copy.write_bytes(data)
             return read_road_file(copy, entry.scenario)
-
-
-def scanned(place: Place, table: str, fitting: pa.Table, alone: Any | None) -> Any:
-    """The shards of some rows of a catalogue as one `pyarrow.dataset.Dataset`.
-
-    Args:
-        place: the dataset.
-        table: which table.
-        fitting: rows of the catalogue.
-        alone: ids of the only episodes wanted; None for all that the shards have.
-    """
-    from pyarrow import dataset as arrow_dataset
-
-    if table not in TABLES:
-        raise InputError(f"table: found {table!r}, expected one of {', '.join(TABLES)}")
-    name = cast(FileName, f"{table}.parquet")
-    where = fitting.select(["scenario", "split", "shard"]).group_by(
-        ["scenario", "split", "shard"]
-    ).aggregate([])  # fmt: skip
-    files = sorted(
-        shard_file(name, row["scenario"], row["split"], row["shard"]) for row in where.to_pylist()
-    )
-    exact = bool(pc.any(fitting.column("exact")).as_py())
-    schema = shard_schema(name, exact)
-    for column in ("scenario", "split"):
-        schema = schema.append(pa.field(column, pa.string()))
-    found = arrow_dataset.dataset(
-        [full_name(place, file) for file in files],
-        schema=schema,
-        format="parquet",
-        filesystem=arrow_filesystem(place),
-        partitioning=arrow_dataset.partitioning(
-            pa.schema([("scenario", pa.string()), ("split", pa.string())]), flavor="hive"
-        ),
-        partition_base_dir=full_name(place, table),
-    )
-    # A column without rows has no type of its own when it becomes a set.
-    ids = None if alone is None else pa.array(alone.to_pylist(), pa.string())
-    return found if ids is None else found.filter(pc.field("episode").isin(ids))
 
 
 def open_dataset(path: str | Path) -> Dataset:

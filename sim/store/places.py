@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar, cast
 
 from behaviors.errors import InputError
 from sim.store.atomic import URL, temporary_folder, whole_file, write_whole
@@ -355,15 +355,6 @@ def whole_file_at(path: Path) -> Iterator[Path]:
         yield file
         home, _, name = url.rpartition("/")
         Store(home).put(file, name)
-
-
-def arrow_filesystem(place: Place) -> Any:
-    """What `pyarrow.dataset` reads a place with; None for folders."""
-    if not isinstance(place, Store):
-        return None
-    from pyarrow.fs import FSSpecHandler, PyFileSystem
-
-    return PyFileSystem(FSSpecHandler(place.filesystem))
 
 
 def full_name(place: Place, name: str) -> str:

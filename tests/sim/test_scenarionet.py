@@ -83,7 +83,7 @@ def test_nothing_in_a_pickle_is_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "data",
     [b"", b"\x80\x04", b"\x80\x04.", b"\x80\x04t.", b"\x80\x04]a.", b"\x80\x04h\x05.",
-     b"\x80\x04K\x01)R.", b"\x80\x04}K\x01K\x02K\x03e.", b"not a pickle"],
+     b"\x80\x04K\x01)R.", b"\x80\x04}K\x01K\x02K\x03e.", b"\x80\x04]}b.", b"not a pickle"],
 )  # fmt: skip
 def test_broken_pickles_are_refused(data: bytes) -> None:
     with pytest.raises(NotPlainError, match="found"):

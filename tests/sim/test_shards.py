@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +104,40 @@ def test_filters_choose_episodes(made: Path) -> None:
         dataset.scan("step")
     for nothing in ({"mix": "timid=1"}, {"flow": "light"}, {"scenario": "a road", "flow": "dense"}):
         assert dataset.scan("steps", **nothing).to_table().num_rows == 0
+
+
+SCAN = """
+import itertools, sys, time
+from pathlib import Path
+import fsspec
+from fsspec.implementations.memory import MemoryFile
+from sim.store.dataset import open_dataset
+
+folder, store = Path(sys.argv[1]), fsspec.filesystem("memory", use_listings_cache=False)
+for file in folder.rglob("*.parquet"):
+    store.pipe_file(f"/data/{file.relative_to(folder).as_posix()}", file.read_bytes())
+read, number = MemoryFile.read, itertools.count()
+MemoryFile.read = lambda file, *size: (time.sleep(0.1 * next(number)), read(file, *size))[1]
+scan = open_dataset("memory://data").scan("steps")
+if sys.argv[2] == "head":
+    scan.head(1)
+else:
+    batches = scan.to_batches(batch_size=2)
+    next(batches)
+if sys.argv[2] == "left":
+    del batches
+print("done")
+"""
+
+
+@pytest.mark.parametrize("how", ["head", "kept", "left"])
+def test_a_scan_of_an_object_store_need_not_be_read_to_its_end(made: Path, how: str) -> None:
+    """Arrow's threads read ahead; one that calls Python while the interpreter ends aborts it."""
+    pytest.importorskip("fsspec")
+    done = subprocess.run(
+        [sys.executable, "-c", SCAN, str(made), how], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
 
 def test_a_mix_of_styles_is_found_as_it_was_asked_for(made: Path) -> None:

@@ -247,8 +247,10 @@ class _Machine:
             own = np.dtype(unfinished.code).__reduce__()[2]
             if state[1] not in BYTE_ORDERS or tuple(state[2:8]) != own[2:8]:
                 raise NotPlainError(f"found a type {unfinished.code} that is not numpy's own")
+        elif isinstance(unfinished, Opaque):
+            return  # it stays what it is
         else:
-            return  # an opaque object stays what it is
+            raise NotPlainError(f"found a state of a {type(unfinished).__name__}, which has none")
         # The memory holds the same unfinished object, and must hold the finished one.
         self.stack[-1] = built
         for number, kept in self.memory.items():

@@ -269,11 +269,11 @@ def other_settings(read: Any, theirs: dict[str, Any]) -> str | None:
 
 
 def other_population(read: Any, theirs: dict[str, Any]) -> str | None:
-    """Which number of a population is not in its file."""
-    told = set(map(float, _numbers(theirs)))
+    """Which number of a population is not in its file; six digits of each are kept."""
+    told = {float(f"{number:.6g}") for number in map(float, _numbers(theirs))}
     for name in ("median", "log_spread"):
         for mine in getattr(read, name).ravel().tolist():
-            if not any(abs(mine - other) <= NEAR * max(1.0, abs(other)) for other in told):
+            if mine not in told:
                 return f"{name}: {mine}, which the file does not have"
     return None
 
