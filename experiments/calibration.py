@@ -15,16 +15,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from behaviors.populations import NUMBERS
+from behaviors.errors import InputError
+from behaviors.populations import NUMBERS, read_population
 from experiments.report.calibration import calibration_page
 from experiments.scoring.calibration import (
     Calibrated,
     calibrate_recordings,
+    label_of,
     quantile_rows,
 )
 from graphrqi.calibrate.laws import FIELDS, Law
 from sim.store.atomic import write_whole
-from sim.store.lock import new_folder
+from sim.store.lock import LOCK, new_folder, same_again
 
 SCHEMA: Final = pa.schema(
     [
@@ -43,6 +45,13 @@ SCHEMA: Final = pa.schema(
 )
 """Columns of ``drivers.parquet``: mean and 90 % interval of a number, and whether the data tell it;
 ``law_probability`` is that of the row's law, both laws being as likely beforehand."""
+
+
+FILES: Final = frozenset(
+    {"drivers.parquet", "population.toml", "calibration.json", "report.html"}
+    | {f"population_{law}.toml" for law in Law}
+)
+"""What is written into the folder."""
 
 
 def driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
@@ -75,31 +84,45 @@ def write_calibration(
 ) -> Calibrated:
     """Calibrate and write everything into a new folder.
 
+    Where ``out`` already holds the same it stays as it is: so a command that was stopped at its
+    very end can be run again.
+
     Args:
         source: a dataset, a recording or a folder of recordings.
-        out: folder, new or empty.
+        out: folder: new, empty, or with the same calibration.
         format: as in `calibrate_recordings`.
         net: as in `calibrate_recordings`.
         quiet: whether to show no progress.
 
     Raises:
-        InputError: if there is nothing to calibrate or ``out`` is not empty.
+        InputError: if there is nothing to calibrate or ``out`` holds anything else.
         OSError: if something cannot be written.
     """
-    with new_folder(out):
+    again = _calibrated_before(source, out)
+    with same_again(out, "calibration") if again else new_folder(out, FILES) as folder:
         calibrated = calibrate_recordings(source, format, net, quiet)
         table = pa.Table.from_pylist(driver_rows(calibrated), schema=SCHEMA)
-        pq.write_table(table, out / "drivers.parquet")
+        pq.write_table(table, folder / "drivers.parquet")
         for law in Law:
             text = calibrated.population(law).to_toml()
-            write_whole(out / f"population_{law}.toml", text.encode())
+            write_whole(folder / f"population_{law}.toml", text.encode())
         best = calibrated.population(calibrated.better)
-        write_whole(out / "population.toml", best.to_toml().encode())
+        write_whole(folder / "population.toml", best.to_toml().encode())
         write_whole(
-            out / "calibration.json", (json.dumps(_card(calibrated), indent=1) + "\n").encode()
+            folder / "calibration.json", (json.dumps(_card(calibrated), indent=1) + "\n").encode()
         )
-        write_whole(out / "report.html", calibration_page(calibrated).encode())
+        write_whole(folder / "report.html", calibration_page(calibrated).encode())
     return calibrated
+
+
+def _calibrated_before(source: Path, out: Path) -> bool:
+    """Whether a folder holds a whole calibration of something of this name."""
+    if (out / LOCK).exists() or not all((out / name).is_file() for name in FILES):
+        return False
+    try:
+        return read_population(out / "population.toml").name == label_of(source)
+    except InputError:
+        return False
 
 
 def _card(calibrated: Calibrated) -> dict[str, Any]:

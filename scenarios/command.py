@@ -205,10 +205,10 @@ def _run(
         for _ in frames:
             pass
         return summary
-    from sim.store.lock import new_folder
+    from sim.store.lock import new_folder, same_again
     from sim.store.schema import EpisodeMeta
     from sim.store.sealing import write_manifest
-    from sim.store.writing import made_with, write_episode
+    from sim.store.writing import episode_id, made_with, write_episode
 
     defaults = entry.options
     chosen = {
@@ -228,7 +228,25 @@ def _run(
         options=chosen,
         made_with=made_with(options.engine),
     )
-    with new_folder(options.out):
-        made = write_episode(options.out, meta, frames, agents, scenario.road.source)
-        write_manifest(options.out, {"scenario": scenario.name, **chosen}, [made])
+    out = options.out
+    again = _holds(out, episode_id(meta, agents, scenario.road.source))
+    with same_again(out, "dataset") if again else new_folder(out) as folder:
+        made = write_episode(folder, meta, frames, agents, scenario.road.source)
+        write_manifest(folder, {"scenario": scenario.name, **chosen}, [made])
+    if again:
+        sys.stderr.write(f"{printable(str(out))}: it was there already; nothing was written\n")
     return summary
+
+
+def _holds(out: Path, identity: str) -> bool:
+    """Whether a folder is a whole dataset of one episode alone."""
+    from sim.store.catalogue import is_dataset
+    from sim.store.dataset import open_dataset
+    from sim.store.lock import LOCK
+
+    if (out / LOCK).exists() or not is_dataset(out):
+        return False
+    try:
+        return [entry.id for entry in open_dataset(out).episodes()] == [identity]
+    except InputError:  # a broken one is no empty folder, which is said elsewhere
+        return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from pydantic import JsonValue
 
@@ -15,7 +15,7 @@ from experiments.console.progress import Progress
 from experiments.data.admission import SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
-from experiments.data.shards.staging import check_empty, fetched, new_output, staged
+from experiments.data.shards.staging import check_empty, fetched, holds, new_output, staged
 from sim.formats import (
     FORMATS,
     first_file,
@@ -32,8 +32,8 @@ from sim.formats.common.windows import NoWindowError
 from sim.store.atomic import temporary_folder, write_whole
 from sim.store.catalogue import checksum, is_dataset
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.lock import LOCK, new_folder
-from sim.store.places import Folder, is_remote, local_path, place_of
+from sim.store.lock import new_folder, same_again
+from sim.store.places import is_remote, place_of
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
 from sim.store.sealing import write_manifest
 from sim.store.writing import made_with, write_recording
@@ -106,8 +106,9 @@ def import_recordings(
             " or ".join(names),
             configuration["left_out"],
         )
-    if _imported_before(out, configuration):
-        return _same_import(source, out, name, net, split, quiet, types, labels)
+    if holds(out, configuration):
+        with same_again(out, "dataset") as folder:
+            return import_recordings(source, folder, name, net, split, quiet, types, labels)
     check_empty(place_of(out))
     entries: list[EpisodeEntry] = []
     with (
@@ -147,45 +148,6 @@ def import_recordings(
             given.check()
         manifest = write_manifest(folder, configuration, entries, out)
         write_data_card(out)
-    return manifest
-
-
-def _imported_before(out: Path, configuration: dict[str, str]) -> bool:
-    """Whether a place holds a whole dataset that recordings of the same names were made into."""
-    if not is_dataset(out) or (not is_remote(out) and (local_path(out) / LOCK).exists()):
-        return False
-    try:
-        return open_dataset(out).header.configuration == configuration
-    except InputError:  # a broken one is no empty folder, which is said elsewhere
-        return False
-
-
-def _same_import(source: Path, out: Path, *options: Any) -> Manifest:
-    """Import again into a temporary folder, and say that the dataset is there already.
-
-    Args:
-        source: as in `import_recordings`.
-        out: the dataset that is there.
-        *options: the other arguments of `import_recordings`, in their order.
-
-    Returns:
-        The manifest.
-
-    Raises:
-        InputError: if a file of the dataset is missing or other than the import makes it.
-    """
-    place = place_of(out)
-    with temporary_folder("import") as scratch:
-        folder = scratch / (place.path.name or "data")
-        manifest = import_recordings(source, folder, *options)
-        made = Folder(folder)
-        for file in made.files():
-            if place.size(file) != made.size(file) or place.read(file) != made.read(file):
-                raise InputError(
-                    f"{place.url}: found another dataset there ({file} differs), expected a new or "
-                    "empty folder"
-                )
-    LOGGER.info("%s: this import is there already; nothing was written", place.url)
     return manifest
 
 

@@ -75,6 +75,11 @@ class Calibrated:
         )
 
 
+def label_of(source: Path) -> str:
+    """What calibrated recordings are called: the name of their file or folder."""
+    return source.resolve().name.split(".")[0] or "recordings"
+
+
 def calibrate_recordings(
     source: Path, format: str | None = None, net: Path | None = None, quiet: bool = True
 ) -> Calibrated:
@@ -108,7 +113,7 @@ def calibrate_recordings(
     drives = [driver.drive for driver in drivers]
     with Progress("calibrating drivers", 2 * visits(len(drives)), quiet) as shown:
         laws = {law: calibrate(law, drives, shown.advance) for law in Law}
-    label = source.resolve().name.split(".")[0] or "recordings"
+    label = label_of(source)
     return Calibrated(label, tuple(names), tuple(drivers), laws)
 
 

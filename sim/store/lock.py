@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import fcntl
+import logging
 import os
 import shutil
 import socket
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from sim.store.atomic import PARTIAL_PREFIX, refuse_url
+from sim.store.atomic import PARTIAL_PREFIX, refuse_url, temporary_folder
+from sim.store.places import Folder, place_of
 from sim.store.schema import TABLES
+
+LOGGER: Final = logging.getLogger("graphrqi")
+"""Says at level INFO that nothing had to be written."""
 
 LOCK: Final = ".lock"
 """Name of the lock file. It exists only while a run writes, and names that run."""
@@ -36,7 +41,7 @@ def sole_writer(folder: Path, purpose: str = "writing") -> Iterator[str]:
     """Hold a folder for writing; the operating system releases it when the process ends.
 
     Args:
-        folder: what to hold; created if need be.
+        folder: what to hold; created if need be, and removed if an error leaves it empty.
         purpose: what the run does, for its lock file.
 
     Yields:
@@ -47,8 +52,7 @@ def sole_writer(folder: Path, purpose: str = "writing") -> Iterator[str]:
         InputError: if another process holds it, or the path is not a folder.
         OSError: if the folder cannot be written.
     """
-    _make(folder)
-    with _locked(folder, LOCK, fcntl.LOCK_EX) as descriptor:
+    with _made(folder), _locked(folder, LOCK, fcntl.LOCK_EX) as descriptor:
         left = os.pread(descriptor, SAID_BYTES, 0).decode(errors="replace")
         os.ftruncate(descriptor, 0)
         holder = f"process {os.getpid()} on {socket.gethostname()}, {purpose}"
@@ -71,19 +75,31 @@ def one_of_several_writers(folder: Path, name: str) -> Iterator[None]:
         InputError: if a sole writer holds it, or another one of that name.
         OSError: if the folder cannot be written.
     """
-    _make(folder)
     with (
+        _made(folder),
         _locked(folder, LOCK, fcntl.LOCK_SH, f"one of several writers, {name}"),
         _locked(folder, f"{LOCK}-{name}", fcntl.LOCK_EX, name),
     ):
         yield
 
 
-def _make(folder: Path) -> None:
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Make a folder where there is none; an error in the block removes it again if it is empty."""
     refuse_url(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: found a file, expected a folder")
+    existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
     folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for path in (folder, *folder.parents):
+            if path == existing:
+                break
+            with suppress(OSError):
+                path.rmdir()
+        raise
 
 
 @contextmanager
@@ -116,48 +132,69 @@ def _locked(folder: Path, name: str, kind: int, purpose: str | None = None) -> I
         os.close(descriptor)
 
 
-def _remove_own(folder: Path) -> None:
-    """Remove what a run writes into a dataset's folder; others' files stay."""
+def _remove_own(folder: Path, own: Collection[str]) -> None:
+    """Remove what a run writes into a folder; others' files stay."""
     for child in folder.iterdir():
-        if child.name in OWN or child.name.startswith(PARTIAL_PREFIX):
+        if child.name in own or child.name.startswith(PARTIAL_PREFIX):
             shutil.rmtree(child) if child.is_dir() else child.unlink()
 
 
 @contextmanager
-def new_folder(folder: Path) -> Iterator[None]:
+def new_folder(folder: Path, own: Collection[str] = OWN) -> Iterator[Path]:
     """Hold a new or empty folder for writing; an error in the block leaves it as it was.
 
     What a run that was killed while it filled the folder left there is removed first.
 
     Args:
         folder: what to hold; created if need be.
+        own: names of what the run writes into it.
 
     Yields:
-        Nothing; the folder is held inside the block.
+        The folder, which is held inside the block.
 
     Raises:
         InputError: if there is something in it, another process holds it, or the path is not a
             folder.
         OSError: if the folder cannot be written.
     """
-    existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
-    try:
-        with sole_writer(folder, FILLING) as left:
-            if left.endswith(FILLING):
-                _remove_own(folder)
-            if any(child.name != LOCK for child in folder.iterdir()):
-                raise InputError(f"{folder}: found something there, expected a new or empty folder")
-            try:
-                yield
-            except BaseException:
-                for child in folder.iterdir():
-                    if child.name != LOCK:
-                        shutil.rmtree(child) if child.is_dir() else child.unlink()
-                raise
-    except BaseException:
-        for path in (folder, *folder.parents):
-            if path == existing:
-                break
-            with suppress(OSError):
-                path.rmdir()
-        raise
+    with sole_writer(folder, FILLING) as left:
+        if left.endswith(FILLING):
+            _remove_own(folder, own)
+        if any(child.name != LOCK for child in folder.iterdir()):
+            raise InputError(f"{folder}: found something there, expected a new or empty folder")
+        try:
+            yield folder
+        except BaseException:
+            for child in folder.iterdir():
+                if child.name != LOCK:
+                    shutil.rmtree(child) if child.is_dir() else child.unlink()
+            raise
+
+
+@contextmanager
+def same_again(out: Path, kind: str) -> Iterator[Path]:
+    """A folder to fill anew with what is there: a command that was stopped at its end runs again.
+
+    Args:
+        out: what a command wrote, a folder or a URL; it is only read.
+        kind: what that is, in a word.
+
+    Yields:
+        An empty temporary folder of the same name.
+
+    Raises:
+        InputError: if a file that the block wrote there is missing in ``out``, or another.
+    """
+    place = place_of(out)
+    with temporary_folder("again") as scratch:
+        folder = scratch / (place.path.name or "data")
+        folder.mkdir()
+        yield folder
+        made = Folder(folder)
+        for file in made.files():
+            if place.size(file) != made.size(file) or place.read(file) != made.read(file):
+                raise InputError(
+                    f"{place.url}: found another {kind} there ({file} differs), expected a new or "
+                    "empty folder"
+                )
+    LOGGER.info("%s: this %s is there already; nothing was written", place.url, kind)

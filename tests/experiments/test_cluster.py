@@ -68,8 +68,13 @@ def test_a_killed_worker_changes_nothing(
 
 def test_clusters_that_cannot_do_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("experiments.data.cluster.CONNECT_S", 2.0)
-    with pytest.raises(InputError, match="found no scheduler there"):
-        generate(CONFIG, tmp_path, quiet=True, cluster="tcp://127.0.0.1:9")
+    for address, why in (
+        ("tcp://127.0.0.1:9", "found no scheduler there"),
+        ("tcp://example.org:9", "found an unencrypted address"),
+    ):
+        with pytest.raises(InputError, match=why):
+            generate(CONFIG, tmp_path / "new" / "data", quiet=True, cluster=address)
+    assert not (tmp_path / "new").exists()
     with (
         LocalCluster(
             n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0"

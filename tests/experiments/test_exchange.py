@@ -79,7 +79,7 @@ def test_the_same_import_again_finds_it_there_and_another_is_refused(
         again = import_recordings(recording, data, "argo", quiet=True)
     assert again == first
     assert content(data) == before
-    assert caplog.messages[-1] == f"{data}: this import is there already; nothing was written"
+    assert caplog.messages[-1] == f"{data}: this dataset is there already; nothing was written"
     recording.write_text(ARGO.replace("59,1,118", "59,1,119"))
     with pytest.raises(InputError, match=r"found another dataset there .*new or empty folder"):
         import_recordings(recording, data, "argo", quiet=True)

@@ -183,6 +183,13 @@ def test_older_datasets_are_read_upgraded_and_continued(whole: Path, tmp_path: P
     upgrade(old, new)
     assert content(new) == content(whole)
     assert content(old) == before
+    upgrade(old, new)  # as after a command that was stopped at its end
+    assert content(new) == content(whole)
+    (tmp_path / "edited").mkdir()
+    shutil.copytree(new, tmp_path / "edited" / "new")
+    (tmp_path / "edited" / "new" / "README.md").write_text("edited")
+    with pytest.raises(InputError, match=r"found another dataset there \(README.md differs\)"):
+        upgrade(old, tmp_path / "edited" / "new")
     with pytest.raises(InputError, match="nothing to upgrade"):
         upgrade(new, tmp_path / "newer")
     shutil.copytree(old, tmp_path / "again")

@@ -9,12 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from pydantic import JsonValue
+
 from behaviors.errors import InputError
 from sim.store.atomic import temporary_folder
+from sim.store.catalogue import is_dataset
+from sim.store.dataset import open_dataset
+from sim.store.lock import LOCK
 from sim.store.places import Folder, Place, is_remote, local_path, place_of, user_cache
 
 
@@ -96,6 +101,16 @@ def new_output(out: Path) -> Iterator[Path]:
         made = Folder(folder)
         for name in list(made.files()):
             target.put(folder / name, name)
+
+
+def holds(out: Path, configuration: Mapping[str, JsonValue]) -> bool:
+    """Whether a place holds a whole dataset of this configuration, whatever its content."""
+    if not is_dataset(out) or (not is_remote(out) and (local_path(out) / LOCK).exists()):
+        return False
+    try:
+        return open_dataset(out).header.configuration == configuration
+    except InputError:  # a broken one is no empty folder, which is said elsewhere
+        return False
 
 
 def check_empty(place: Place) -> None:
