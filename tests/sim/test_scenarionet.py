@@ -90,7 +90,7 @@ def test_broken_pickles_are_refused(data: bytes) -> None:
         loads(data)
 
 
-@pytest.mark.parametrize("alter", range(7))
+@pytest.mark.parametrize("alter", range(9))
 def test_arrays_are_as_large_as_their_bytes(alter: int) -> None:
     data = pickle.dumps(np.arange(5, dtype=np.int64), protocol=4)
     altered = [
@@ -99,6 +99,8 @@ def test_arrays_are_as_large_as_their_bytes(alter: int) -> None:
         data.replace(b"\x8c\x02i8", b"\x8c\x02V8"),
         data.replace(b"J\xff\xff\xff\xffK\x00t", b"J\xff\xff\xff\xffK\xfft"),
         data.replace(b"<\x94NNNJ", b"<\x94)NNJ"),
+        data.replace(b"K\x00t\x94b", b"K\x00NNt\x94b"),
+        data.replace(b"\x94t\x94b.", b"\x94Nt\x94b."),
         data.replace(b"\x8c\x01<", b"\x8c\x01x"),
         data.replace(b"NNNJ\xff\xff\xff\xff", b"NNNJ\x04\x00\x00\x00"),
     ][alter]

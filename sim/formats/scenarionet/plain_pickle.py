@@ -29,8 +29,8 @@ FRAME_BYTES: Final = 9
 ARRAY_VERSION: Final = 1
 """How numpy writes the state of an array, by its own count."""
 
-TYPE_VERSIONS: Final = (3, 4)
-"""How numpy writes the state of a type, by its own count."""
+TYPE_VERSIONS: Final = {3: 8, 4: 9}
+"""How numpy writes the state of a type, by its own count, and of how many parts."""
 
 BYTE_ORDERS: Final = ("<", ">", "=", "|")
 """How numpy writes the order of a type's bytes."""
@@ -238,14 +238,15 @@ class _Machine:
         if isinstance(unfinished, _Array):
             if state[0] != ARRAY_VERSION:
                 raise NotPlainError(f"found arrays of version {state[0]!r:.20}, expected 1")
-            built = _array_of(*state[1:5])
+            built = _array_of(*state[1:])
         elif isinstance(unfinished, _Type):
             if state[0] not in TYPE_VERSIONS:
                 raise NotPlainError(f"found types of version {state[0]!r:.20}, expected 3 or 4")
             built = _type_of(unfinished.code, state[1])
             # Numpy takes a number with forged flags for a reference, and breaks.
             own = np.dtype(unfinished.code).__reduce__()[2]
-            if state[1] not in BYTE_ORDERS or tuple(state[2:8]) != own[2:8]:
+            whole = len(state) == TYPE_VERSIONS[state[0]] and state[1] in BYTE_ORDERS
+            if not whole or tuple(state[2:8]) != own[2:8]:
                 raise NotPlainError(f"found a type {unfinished.code} that is not numpy's own")
         elif isinstance(unfinished, Opaque):
             return  # it stays what it is
@@ -397,7 +398,7 @@ _MAKERS: Final[dict[str, Callable[..., Any]]] = {
     "collections OrderedDict": _pairs,
     "collections defaultdict": lambda *given: {},
     "numpy ndarray": lambda *given: _Array(),
-    "numpy dtype": lambda code, *given: _unordered(code),
+    "numpy dtype": lambda code, align=False, copy=True: _unordered(code),
 }
 """What calls of these names make."""
 
