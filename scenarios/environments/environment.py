@@ -43,7 +43,7 @@ from sim.highway.ego import (
 )
 from sim.highway.engine import network_of, read_frame
 from sim.highway.fast_road import outlines_of
-from sim.highway.network import LaneIndex
+from sim.highway.lanes import LaneIndex
 from sim.highway.state import agent_of
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle

@@ -12,7 +12,7 @@ from behaviors.driver_models import krauss_safe_speed
 from behaviors.errors import InputError
 from sim.frames import AgentKind
 from sim.highway import driving
-from sim.highway.network import LaneIndex
+from sim.highway.lanes import LaneIndex
 from sim.highway.state import RoadState
 from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import Footway, Walker, find_footway

@@ -24,7 +24,7 @@ from highway_env.vehicle.objects import Landmark, RoadObject
 from numpy.typing import NDArray
 
 from sim.geometry import Outlines, separation
-from sim.highway.network import LaneIndex
+from sim.highway.lanes import LaneIndex
 
 FloatArray = NDArray[np.float64]
 

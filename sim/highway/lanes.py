@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType, StraightLane
@@ -17,6 +17,8 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+LaneIndex: TypeAlias = tuple[str, str, int]
+"""A lane in highway-env: the nodes that it leads from and to, and its place from the left."""
 
 STRAIGHT_TOLERANCE_M: Final = 1e-6
 """A line whose points are all this close to its chord is straight."""
@@ -182,6 +184,25 @@ def make_lane(
             points[0], points[-1], width=width, line_types=line_types, speed_limit=speed_limit
         )
     return PolylineLane(points, width, line_types, speed_limit)
+
+
+def places_along(lane: AbstractLane, along: FloatArray) -> FloatArray:
+    """The places at distances along a lane's centre line, as ``lane.position`` gives each.
+
+    Args:
+        lane: made by `make_lane`.
+        along: (n,) m.
+
+    Returns:
+        (n, 2) m.
+    """
+    if not isinstance(lane, PolylineLane):
+        return np.asarray(lane.start + along[:, None] * lane.direction)
+    begins = np.array(lane.begins)
+    piece = np.maximum(np.searchsorted(begins, along, side="right") - 1, 0)
+    beyond = (along - begins[piece])[:, None]
+    places: FloatArray = np.array(lane.starts)[piece] + beyond * np.array(lane.directions)[piece]
+    return places
 
 
 def corners(lanes: Sequence[AbstractLane]) -> list[FloatArray]:

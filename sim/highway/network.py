@@ -12,7 +12,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
@@ -20,24 +20,22 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.highway.lanes import NearLanesNetwork, corners, make_lane
+from sim.highway.conflicts import Conflict, find_conflicts
+from sim.highway.lanes import LaneIndex, NearLanesNetwork, corners, make_lane
 from sim.road import Connection, Lane, Road
+from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
-LaneIndex: TypeAlias = tuple[str, str, int]
-
-SAMPLE_M: Final = 0.5
-"""Junction paths are compared at points this far apart to find where they conflict."""
-
-CONFLICT_M: Final = 2.2
-"""Junction paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
 
 STUB_M: Final = 0.1
 """A junction path between lanes that touch is this long, m."""
 
 OPPOSITE_M: Final = 1.2
 """An opposite lane is a neighbour if its centre line is within this many lane widths."""
+
+CELL_M: Final = 50.0
+"""Width of the cells in which opposite lanes are looked for, m (our choice: half a block)."""
 
 
 def is_wrong_side(lane: LaneIndex) -> bool:
@@ -60,25 +58,6 @@ class Strip:
     near_s: float
     far_s: float
     u: float
-
-
-@dataclass(frozen=True, slots=True)
-class Conflict:
-    """Where a junction path runs too close to another one.
-
-    Attributes:
-        other: the other path.
-        begin_s: distance along this path at which the conflict begins, m.
-        end_s: at which it ends, m.
-        other_begin_s: distance along the other path at which it begins there, m.
-        other_end_s: at which it ends there, m.
-    """
-
-    other: LaneIndex
-    begin_s: float
-    end_s: float
-    other_begin_s: float
-    other_end_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +216,8 @@ def build_network(road: Road) -> HighwayNetwork:
     paths, onward, exit_of = _add_junction_paths(net, joins, by_id, placed.lanes)
     geometry: dict[LaneIndex, AbstractLane] = dict(net.lanes_dict())
     strips = _strips(road, placed.lanes)
-    conflicts = _conflicts({i: geometry[i] for i in exit_of}, onward)
+    begins = {path: lane for (lane, _), path in onward.items()}
+    conflicts = find_conflicts({i: geometry[i] for i in exit_of}, begins)
     info = {
         index: dataclasses.replace(
             paths.get(index, LaneInfo()),
@@ -285,6 +265,9 @@ def _add_stretches(
     """Add the lanes of every chain of edges that follow one another."""
     placed = _Placed({}, {}, {})
     begun = set(follows.values())
+    leaving: dict[str, list[Connection]] = {}
+    for link in connections:
+        leaving.setdefault(link.from_lane, []).append(link)
     for edge in driving:
         if edge in begun:
             continue
@@ -296,11 +279,7 @@ def _add_stretches(
         for k, lane in enumerate(driving[edge]):
             pieces, at = [lane], 0.0
             for after in chain[1:]:
-                link = next(
-                    c
-                    for c in connections
-                    if c.from_lane == pieces[-1].id and by_id[c.to_lane].edge == after
-                )
+                link = next(c for c in leaving[pieces[-1].id] if by_id[c.to_lane].edge == after)
                 pieces += [by_id[via] for via in link.via]
                 pieces.append(by_id[link.to_lane])
             for piece in pieces:
@@ -421,38 +400,6 @@ def _strips(
     return found
 
 
-def _conflicts(
-    paths: dict[LaneIndex, AbstractLane],
-    onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex],
-) -> dict[LaneIndex, list[Conflict]]:
-    """Where junction paths come too close, other than those that begin on the same lane."""
-    begins = {path: lane for (lane, _), path in onward.items()}
-    at = {
-        i: np.linspace(0.0, lane.length, max(int(lane.length / SAMPLE_M), 1) + 1)
-        for i, lane in paths.items()
-    }
-    xy = {i: np.array([lane.position(s, 0.0) for s in at[i]]) for i, lane in paths.items()}
-    found: dict[LaneIndex, list[Conflict]] = {}
-    for one in paths:
-        for other in paths:
-            if one == other or begins[one] == begins[other]:
-                continue
-            near = np.linalg.norm(xy[one][:, None] - xy[other][None], axis=2) < CONFLICT_M
-            if not near.any():
-                continue
-            mine, theirs = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
-            found.setdefault(one, []).append(
-                Conflict(
-                    other=other,
-                    begin_s=float(at[one][mine[0]]),
-                    end_s=float(at[one][mine[-1]]),
-                    other_begin_s=float(at[other][theirs[0]]),
-                    other_end_s=float(at[other][theirs[-1]]),
-                )
-            )
-    return found
-
-
 def _add_wrong_side_lanes(
     net: RoadNetwork,
     lanes: dict[LaneIndex, AbstractLane],
@@ -461,20 +408,27 @@ def _add_wrong_side_lanes(
 ) -> dict[LaneIndex, LaneIndex]:
     """Add a lane over the nearest lane of the opposite direction beside each stretch."""
     wrong_side: dict[LaneIndex, LaneIndex] = {}
-    for stretch in sorted(stretches):
+    ordered = sorted(stretches)
+    leftmost = [lanes[(*stretch, 0)] for stretch in ordered]
+    middles = [lane.position(lane.length / 2, 0.0) for lane in leftmost]
+    reach_m = OPPOSITE_M * max(lane.width for lane in leftmost)
+    lines = corners(leftmost)
+    pairs = near_pairs(
+        boxes_of([middle[None] for middle in middles], reach_m), boxes_of(lines, 0.0), CELL_M
+    )
+    for one, others in itertools.groupby(pairs.tolist(), key=lambda pair: pair[0]):
+        stretch, lane, middle = ordered[one], leftmost[one], middles[one]
         left = (*stretch, 0)
-        lane = lanes[left]
-        middle = lane.position(lane.length / 2, 0.0)
-        for other in sorted(stretches):
-            opposite = lanes[(*other, 0)]
-            if other == stretch or abs(opposite.length - lane.length) > 1.0:
+        for _, number in others:
+            opposite = leftmost[number]
+            if number == one or abs(opposite.length - lane.length) > 1.0:
                 continue
             s, across = opposite.local_coordinates(middle)
             facing = np.cos(opposite.heading_at(s) - lane.heading_at(lane.length / 2))
             inside = 0.0 < s < opposite.length
             if facing < -0.99 and inside and abs(across) < OPPOSITE_M * lane.width:
                 key = (f"~{stretch[0]}", f"~{stretch[1]}")
-                points = corners([opposite])[0][::-1].copy()
+                points = lines[number][::-1].copy()
                 made = make_lane(
                     points, opposite.width, (LineType.NONE, LineType.NONE), opposite.speed_limit
                 )

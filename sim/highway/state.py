@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sim.compiled import compiled
 from sim.frames import Event, EventKind, Signal
 from sim.highway import driving
-from sim.highway.lanes import corners
-from sim.highway.network import HighwayNetwork, LaneIndex, is_wrong_side
+from sim.highway.lanes import LaneIndex, corners
+from sim.highway.network import HighwayNetwork, is_wrong_side
 from sim.highway.vehicle import Neighbours, ProfileVehicle
 from sim.highway.walkers import Walker
 

@@ -26,8 +26,8 @@ from behaviors.labels import Behavior
 from behaviors.profiles import Profile
 from sim.frames import AgentKind
 from sim.highway import driving
-from sim.highway.lanes import PolylineLane
-from sim.highway.network import LaneIndex, is_wrong_side
+from sim.highway.lanes import LaneIndex, PolylineLane
+from sim.highway.network import is_wrong_side
 from sim.scenario import CarFollowing
 
 FloatArray = NDArray[np.float64]

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from behaviors.colors import COLORS, rgb
 from behaviors.labels import Behavior
 from sim.frames import Signal
-from sim.highway.lanes import corners
-from sim.highway.network import HighwayNetwork, LaneIndex, is_wrong_side
+from sim.highway.lanes import LaneIndex, corners
+from sim.highway.network import HighwayNetwork, is_wrong_side
 from sim.highway.state import RoadState
 from sim.road.shapes import DASH_M, band, hull, zebra_bars
 

@@ -37,7 +37,7 @@ from sim.frames import EventKind, FloatArray, Frame, Tracks
 from sim.highway.demand import Demand
 from sim.highway.ego import Observation, distance_left_m, is_off_road
 from sim.highway.engine import read_frame
-from sim.highway.network import LaneIndex
+from sim.highway.lanes import LaneIndex
 from sim.highway.traffic import TrafficRoad
 from sim.scenario import AgentSpec
 from sim.store.atomic import write_whole

@@ -15,8 +15,8 @@ from highway_env.road.lane import AbstractLane, StraightLane
 from numpy.typing import NDArray
 
 from sim.compiled import compiled, inner
-from sim.highway.lanes import BLEND_M, PolylineLane
-from sim.highway.network import HighwayNetwork, LaneIndex, is_wrong_side
+from sim.highway.lanes import BLEND_M, LaneIndex, PolylineLane
+from sim.highway.network import HighwayNetwork, is_wrong_side
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -23,7 +23,7 @@ from sim.highway.kernels.ahead import (
 from sim.highway.kernels.decide import Drivers, accelerate, choose_lanes, steer_all
 from sim.highway.kernels.lane_tables import LaneTables, places_on_lanes
 from sim.highway.kernels.leaders import Places, sort_lanes
-from sim.highway.network import LaneIndex
+from sim.highway.lanes import LaneIndex
 from sim.highway.rules.commands import record_violation
 from sim.highway.rules.crossings import (
     Walkers,

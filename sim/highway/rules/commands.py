@@ -10,7 +10,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from behaviors.driver_models import braking_speed
 from sim.frames import EventKind, Signal
 from sim.highway import driving
-from sim.highway.network import LaneIndex, is_wrong_side
+from sim.highway.lanes import LaneIndex
+from sim.highway.network import is_wrong_side
 from sim.highway.rules.crossings import (
     Walkers,
     find_arrivals,

@@ -20,7 +20,9 @@ from behaviors import driver_models
 from sim.compiled import compiled, inner, shared
 from sim.frames import Signal
 from sim.highway import driving
-from sim.highway.network import Conflict, LaneIndex, LaneInfo
+from sim.highway.conflicts import Conflict
+from sim.highway.lanes import LaneIndex
+from sim.highway.network import LaneInfo
 from sim.highway.rules.way_ahead import ENTERED_M, RANGE_M, WayAhead, can_stop, draw_once
 from sim.highway.state import RoadState, agent_of
 from sim.highway.vehicle import DriverCommands, ProfileVehicle

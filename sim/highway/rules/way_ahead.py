@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from highway_env.vehicle.kinematics import Vehicle
 
-from sim.highway.network import LaneIndex
+from sim.highway.lanes import LaneIndex
 from sim.highway.state import RoadState
 from sim.highway.vehicle import ProfileVehicle
 

@@ -17,7 +17,8 @@ from typing import Final
 
 from sim.frames import FloatArray
 from sim.highway import driving
-from sim.highway.network import HighwayNetwork, LaneIndex, is_wrong_side
+from sim.highway.lanes import LaneIndex
+from sim.highway.network import HighwayNetwork, is_wrong_side
 from sim.highway.rules.way_ahead import RANGE_M, WayAhead
 from sim.highway.state import RoadState
 from sim.highway.vehicle import CHANGE_LEAST_SPEED_MPS, ProfileVehicle, parameters_of

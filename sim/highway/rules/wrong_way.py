@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import Final
 
 from sim.frames import EventKind
-from sim.highway.network import LaneIndex, is_wrong_side
+from sim.highway.lanes import LaneIndex
+from sim.highway.network import is_wrong_side
 from sim.highway.state import RoadState
 from sim.highway.vehicle import ProfileVehicle
 

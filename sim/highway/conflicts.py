@@ -1,0 +1,118 @@
+"""Where the paths across a junction come too close to each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from highway_env.road.lane import AbstractLane
+from numpy.typing import NDArray
+
+from sim.compiled import compiled
+from sim.highway.lanes import LaneIndex, places_along
+from sim.road.cells import boxes_of, near_pairs
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SAMPLE_M: Final = 0.5
+"""Junction paths are compared at points this far apart to find where they conflict."""
+
+CONFLICT_M: Final = 2.2
+"""Junction paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
+
+CELL_M: Final = 20.0
+"""Width of the cells in which paths that may meet are looked for, m (our choice: some junction's
+width)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """Where a junction path runs too close to another one.
+
+    Attributes:
+        other: the other path.
+        begin_s: distance along this path at which the conflict begins, m.
+        end_s: at which it ends, m.
+        other_begin_s: distance along the other path at which it begins there, m.
+        other_end_s: at which it ends there, m.
+    """
+
+    other: LaneIndex
+    begin_s: float
+    end_s: float
+    other_begin_s: float
+    other_end_s: float
+
+
+def find_conflicts(
+    paths: Mapping[LaneIndex, AbstractLane], begins: Mapping[LaneIndex, LaneIndex]
+) -> dict[LaneIndex, list[Conflict]]:
+    """Where junction paths come too close, other than those that begin on the same lane.
+
+    Args:
+        paths: the junction paths.
+        begins: the lane on which each begins.
+
+    Returns:
+        The conflicts of each path that has some, in the order of the other paths.
+    """
+    keys = list(paths)
+    at = [
+        np.linspace(0.0, lane.length, max(int(lane.length / SAMPLE_M), 1) + 1)
+        for lane in paths.values()
+    ]
+    xy = [places_along(lane, s) for lane, s in zip(paths.values(), at, strict=True)]
+    boxes = boxes_of(xy, CONFLICT_M / 2)
+    pairs = near_pairs(boxes, boxes, CELL_M)
+    numbers: dict[LaneIndex, int] = {}
+    begin = np.array([numbers.setdefault(begins[key], len(numbers)) for key in keys], np.int64)
+    pairs = pairs[begin[pairs[:, 0]] != begin[pairs[:, 1]]] if len(pairs) else pairs
+    first = np.cumsum([0, *(len(line) for line in xy)], dtype=np.int64)
+    ends = np.full((len(pairs), 2), -1, np.int64)
+    if len(pairs):
+        _nearest_ends(np.concatenate(xy), first, pairs, ends)
+    meet = ends[:, 0] >= 0
+    spans = {(one, other): span for (one, other), span in
+             zip(pairs[meet].tolist(), ends[meet].tolist(), strict=True)}  # fmt: skip
+    found: dict[LaneIndex, list[Conflict]] = {}
+    for (one, other), (mine_first, mine_last) in spans.items():
+        theirs_first, theirs_last = spans[other, one]
+        found.setdefault(keys[one], []).append(
+            Conflict(
+                other=keys[other],
+                begin_s=float(at[one][mine_first]),
+                end_s=float(at[one][mine_last]),
+                other_begin_s=float(at[other][theirs_first]),
+                other_end_s=float(at[other][theirs_last]),
+            )
+        )
+    return found
+
+
+@compiled
+def _nearest_ends(xy: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray) -> None:
+    """Find the first and the last point of each path that is too close to another path.
+
+    Args:
+        xy: (S, 2) points of all paths, m.
+        first: (P + 1,) where each path's begin.
+        pairs: (n, 2) the path and the other one.
+        ends: (n, 2) receives them, counted along the path; stays as it is where there are none.
+    """
+    for i in range(len(pairs)):
+        one, other = pairs[i]
+        for p in range(first[one], first[one + 1]):
+            near = False
+            for q in range(first[other], first[other + 1]):
+                dx, dy = xy[p, 0] - xy[q, 0], xy[p, 1] - xy[q, 1]
+                if math.sqrt(dx * dx + dy * dy) < CONFLICT_M:
+                    near = True
+                    break
+            if near:
+                if ends[i, 0] < 0:
+                    ends[i, 0] = p - first[one]
+                ends[i, 1] = p - first[one]
