@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from experiments.benches.hostile.grammars import HOSTILE
+from sim.formats.waymo.tfrecord import write_record
 
 Files = Mapping[str, bytes]
 """The files of an input, by their path in its folder."""
@@ -34,6 +35,9 @@ LONG: Final = 100_000
 """Length of a field that is made long, sometimes."""
 
 CUT, FLIP, WORDS, LINES, DEEPER, LONGER = range(6)
+RECORD_HEAD, RECORD_TAIL = 12, 4
+"""Bytes before and after the message in a TFRecord: its length, and checksums."""
+
 BITS: Final = (1, 2, 4, 8, 16, 32, 64, 128, 255)
 
 
@@ -73,6 +77,8 @@ def alter(name: str, data: bytes, choose: random.Random) -> bytes:
         return _of_archive(data, choose)
     if name.endswith(".parquet") and choose.random() < 0.5:
         return _of_table(data, choose)
+    if name.endswith(".tfrecord") and choose.random() < 0.8:
+        return _of_record(data, choose)
     if name.endswith((".parquet", ".safetensors", ".tfrecord", ".pkl")):
         return _of_bytes(data, choose)
     return _of_text(data, choose)
@@ -97,6 +103,11 @@ def _of_bytes(data: bytes, choose: random.Random) -> bytes:
         else:
             del found[at:]
     return bytes(found)
+
+
+def _of_record(data: bytes, choose: random.Random) -> bytes:
+    """The message in a TFRecord changed, with checksums of its own."""
+    return write_record(_of_bytes(data[RECORD_HEAD:-RECORD_TAIL], choose))
 
 
 def _of_text(data: bytes, choose: random.Random) -> bytes:
