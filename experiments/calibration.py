@@ -25,7 +25,7 @@ from experiments.scoring.calibration import (
     quantile_rows,
 )
 from graphrqi.calibrate.laws import FIELDS, Law
-from sim.store.atomic import write_whole
+from sim.store.atomic import whole_file, write_whole
 from sim.store.lock import LOCK, new_folder, same_again
 
 SCHEMA: Final = pa.schema(
@@ -102,7 +102,8 @@ def write_calibration(
     with same_again(out, "calibration") if again else new_folder(out, FILES) as folder:
         calibrated = calibrate_recordings(source, format, net, quiet)
         table = pa.Table.from_pylist(driver_rows(calibrated), schema=SCHEMA)
-        pq.write_table(table, folder / "drivers.parquet")
+        with whole_file(folder / "drivers.parquet") as partial:
+            pq.write_table(table, partial)
         for law in Law:
             text = calibrated.population(law).to_toml()
             write_whole(folder / f"population_{law}.toml", text.encode())

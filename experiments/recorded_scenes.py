@@ -19,6 +19,7 @@ from experiments.data.admission import admitted
 from experiments.data.worlds.sensor import seen_badly
 from experiments.training.recorded_scenes import OPEN_DATA, SCENES, scenes_of
 from graphrqi.features.relative.observer import SCENE_NAMES
+from sim.store.atomic import whole_file
 
 MOST_RECORDINGS: Final = 55
 """Recordings of a place that are used."""
@@ -49,7 +50,7 @@ def write_scenes(folder: Path, places: Sequence[str], path: Path = SCENES) -> in
             tracks = admitted(recording, unit)[0].tracks
             for seen in (tracks, seen_badly(tracks, rng)):
                 rows += [[place, *(f"{v:.{DIGITS}g}" for v in scene)] for scene in scenes_of(seen)]
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["place", *SCENE_NAMES])
         writer.writerows(rows)

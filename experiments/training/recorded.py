@@ -34,6 +34,7 @@ from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import SHIPPED, RecordedNetwork
 from graphrqi.predict.training.recorded import RecordedExamples, guesses, train_recorded
 from sim.frames import BoolArray, FloatArray, Tracks
+from sim.store.atomic import whole_file
 
 PER_DATASET: Final = 6_000
 """About so many moving agents at instants are taken from each dataset."""
@@ -275,7 +276,8 @@ def train_on_recordings(
         "ade_over_constant_velocity": {name: round(value, 3) for name, value in scores.items()},
     }  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
-    network.save(out / SHIPPED, card)
+    with whole_file(out / SHIPPED) as partial:
+        network.save(partial, card)
     return scores
 
 

@@ -57,6 +57,7 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "import": ("import", "{given}/a.csv", "--format", "argoverse1", "--out", "{out}/data"),
     "export": ("export", "{given}/data", "--format", "sumo-fcd", "--out", "{out}/files"),
     "train": ("train", "{given}/data", "--method", "majority", "--out", "{out}/model"),
+    "calibrate": ("calibrate", "{given}/data", "--out", "{out}/numbers", "--quiet"),
     "classify": ("classify", "{given}/data", "--model", "{given}/model", "--out",
                  "{out}/labels.parquet"),
     "predict": ("predict", "{given}/data", "--predictors", "constant-velocity", "--horizon-s", "1",
@@ -68,9 +69,10 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
 """What is run; ``{given}`` has its inputs, ``{out}`` is empty, but for the rows of a report."""
 
 MODULES: Final = (
-    "experiments.cli.commands", "experiments.data.exchange", "experiments.data.generate",
-    "experiments.replay.write", "experiments.report", "experiments.scoring.classification",
-    "experiments.scoring.prediction", "experiments.training.classifier",
+    "experiments.calibration", "experiments.cli.commands", "experiments.data.exchange",
+    "experiments.data.generate", "experiments.replay.write", "experiments.report",
+    "experiments.scoring.classification", "experiments.scoring.prediction",
+    "experiments.training.classifier",
 )  # fmt: skip
 """What commands import; it is there before they are forked, so that they begin at once."""
 
