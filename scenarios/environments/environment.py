@@ -279,7 +279,7 @@ class TrafficEnv(EgoEnv):
                 return lane, room, speed
             self._advance()
         for vehicle in list(self.road.vehicles):
-            s, _ = self.road.place(vehicle, lane)
+            s = self.road.distance_along(vehicle, lane)
             if abs(s - BEGIN_M) < 2.0 * ROOM_M and vehicle.lane_index[:2] == lane[:2]:
                 self.road.vehicles.remove(vehicle)
         return lane, room, speed
@@ -297,7 +297,8 @@ class TrafficEnv(EgoEnv):
         found: list[tuple[LaneIndex, float, float]] = []
         for lane in lanes:
             room, speed = math.inf, math.inf
-            for s, row in zip(*self.road.on_lane(lane), strict=True):
+            distances, rows, _ = self.road.on_lane(lane)
+            for s, row in zip(distances, rows, strict=True):
                 vehicle = self.road.vehicles[row]
                 if abs(s - BEGIN_M) < room:
                     room, speed = abs(s - BEGIN_M) - vehicle.LENGTH / 2 - 2.5, vehicle.speed

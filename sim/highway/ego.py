@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
 from sim.frames import AgentKind
+from sim.highway.lane_places import STRETCH_MARGIN_M
 from sim.highway.lanes import LaneIndex
-from sim.highway.state import STRETCH_MARGIN_M, RoadState
+from sim.highway.state import RoadState
 from sim.highway.traffic import TrafficRoad
 from sim.highway.viewer import TrafficViewer
 

@@ -24,7 +24,7 @@ from sim.highway.driving import (
 )
 from sim.highway.kernels.decide import desired_speed
 from sim.highway.kernels.lane_tables import Lanes
-from sim.highway.kernels.leaders import Places, beside, next_stretch, path_to
+from sim.highway.kernels.leaders import Places, along_lane, beside, next_stretch, path_to
 from sim.highway.rules import way_ahead
 from sim.highway.rules.commands import BEND_BRAKING, BEND_FACTOR, LINE_M, NO_CHANGE_M
 from sim.highway.rules.junctions import (
@@ -158,7 +158,7 @@ def look_ahead(
     """
     for i in range(who.lane.size):
         lane, length, speed = who.lane[i], places.length[i], places.speed[i]
-        s = places.s[i, lane]
+        s = along_lane(i, lane, places)
         front = s + length / 2
         then = next_stretch(i, lane, lanes, places)
         if lanes.connector[lane]:

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import compiled, inner
+from sim.compiled import inner
 from sim.highway.kernels.lane_tables import Lanes
+from sim.highway.lane_places import LaneLines, OnLanes, project
 from sim.highway.state import JOINED_M, LEADER_RANGE_M
 
 FloatArray = NDArray[np.float64]
@@ -23,23 +24,21 @@ MOST_LANES = 4
 
 
 class Places(NamedTuple):
-    """Who is where on the road's K lanes now; n vehicles.
+    """Who is where on the road's lanes now; n vehicles.
 
     Attributes:
-        s: (n, K) distance of everybody along every lane, m.
-        along: (n, K) speed along it, m/s.
-        first: (K + 1,) of the vehicles on each lane.
-        order: rows of those on each lane, by distance along it.
+        xy: (n, 2) m.
+        lines: of the lanes.
+        on: who is on which lane.
         length: (n,) m.
         speed: (n,) m/s.
         way: (n,) the row of ``ways`` that each follows.
         ways: (w, m) numbers of the stretches on each way, -1 after the last.
     """
 
-    s: FloatArray
-    along: FloatArray
-    first: IntArray
-    order: IntArray
+    xy: FloatArray
+    lines: LaneLines
+    on: OnLanes
     length: FloatArray
     speed: FloatArray
     way: IntArray
@@ -57,37 +56,10 @@ class Beside(NamedTuple):
     rear_speed: float
 
 
-@compiled
-def sort_lanes(on: BoolArray, s: FloatArray) -> tuple[IntArray, IntArray]:
-    """Those on each lane by distance along it, those at the same place in the order of rows.
-
-    Args:
-        on: (n, K) who is on which lane.
-        s: (n, K) distance along it, m.
-
-    Returns:
-        ``first`` and ``order`` of `Places`.
-    """
-    n, lanes = on.shape
-    first = np.zeros(lanes + 1, dtype=np.int64)
-    for i in range(n):
-        for k in range(lanes):
-            if on[i, k]:
-                first[k + 1] += 1
-    for k in range(lanes):
-        first[k + 1] += first[k]
-    order = np.empty(first[lanes], dtype=np.int64)
-    end = first[:-1].copy()
-    for i in range(n):
-        for k in range(lanes):
-            if on[i, k]:
-                at = end[k]
-                while at > first[k] and s[order[at - 1], k] > s[i, k]:
-                    order[at] = order[at - 1]
-                    at -= 1
-                order[at] = i
-                end[k] += 1
-    return first, order
+@inner
+def along_lane(i: int, lane: int, places: Places) -> float:
+    """Distance of a vehicle along a lane, m."""
+    return project(places.xy[i, 0], places.xy[i, 1], lane, places.lines)[0]
 
 
 @inner
@@ -121,10 +93,11 @@ def onward(i: int, lane: int, lanes: Lanes, places: Places) -> int:
 @inner
 def _after(x: float, lane: int, places: Places, equal: bool) -> int:
     """The first entry on a lane beyond a place, or also at it if ``equal``."""
-    low, high = places.first[lane], places.first[lane + 1]
+    on = places.on
+    low, high = on.first[lane], on.first[lane + 1]
     while low < high:
         middle = (low + high) // 2
-        s = places.s[places.order[middle], lane]
+        s = on.s[middle]
         if s < x or (s == x and not equal):
             low = middle + 1
         else:
@@ -135,27 +108,27 @@ def _after(x: float, lane: int, places: Places, equal: bool) -> int:
 @inner
 def beside(i: int, lane: int, lanes: Lanes, places: Places) -> Beside:
     """The vehicles ahead of and behind a vehicle on a lane, ahead also along its way."""
-    s, order, length = places.s, places.order, places.length
-    here = s[i, lane]
+    on, order, length = places.on, places.on.row, places.length
+    here = along_lane(i, lane, places)
     at = _after(here, lane, places, True)
     rear, rear_gap, rear_speed = -1, np.inf, 0.0
     before = at - 1
-    while before >= places.first[lane] and order[before] == i:
+    while before >= on.first[lane] and order[before] == i:
         before -= 1
-    if before >= places.first[lane]:
+    if before >= on.first[lane]:
         rear = order[before]
-        rear_gap = here - s[rear, lane] - (length[i] + length[rear]) / 2
-        rear_speed = places.along[rear, lane]
+        rear_gap = here - on.s[before] - (length[i] + length[rear]) / 2
+        rear_speed = on.along[before]
     offset, now, visited = -here, lane, 0
     while True:
-        end = places.first[now + 1]
+        end = on.first[now + 1]
         while at < end and order[at] == i:
             at += 1
         if at < end:
             j = order[at]
-            gap = offset + s[j, now] - (length[i] + length[j]) / 2
+            gap = offset + on.s[at] - (length[i] + length[j]) / 2
             if gap < LEADER_RANGE_M:
-                return Beside(j, gap, places.along[j, now], rear, rear_gap, rear_speed)
+                return Beside(j, gap, on.along[at], rear, rear_gap, rear_speed)
             break
         offset += lanes.length[now]
         visited += 1

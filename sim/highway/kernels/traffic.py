@@ -22,7 +22,7 @@ from sim.highway.kernels.ahead import (
 )
 from sim.highway.kernels.decide import Drivers, accelerate, choose_lanes, steer_all
 from sim.highway.kernels.lane_tables import LaneTables, places_on_lanes
-from sim.highway.kernels.leaders import Places, sort_lanes
+from sim.highway.kernels.leaders import Places
 from sim.highway.lanes import LaneIndex
 from sim.highway.rules.commands import record_violation
 from sim.highway.rules.crossings import (
@@ -159,12 +159,10 @@ class CompiledTraffic:
 
     def _places(self) -> Places:
         located, fleet = self.road.located, self._fleet
-        first, order = sort_lanes(located.on, located.s)
         return Places(
-            s=located.s,
-            along=located.along,
-            first=first,
-            order=order,
+            xy=located.xy,
+            lines=self.road.lines,
+            on=located.on,
             length=fleet.length,
             speed=located.speed,
             way=fleet.way,

@@ -63,7 +63,7 @@ class WayAhead:
 def way_ahead(road: RoadState, vehicle: Vehicle) -> WayAhead:
     """Where a vehicle is on its way; a path that it is on is noted as its last one."""
     lane = vehicle.lane_index
-    s, _ = road.place(vehicle, lane)
+    s = road.distance_along(vehicle, lane)
     front = s + vehicle.LENGTH / 2
     info, strips = road.network_info.info, []
     for strip in info[lane].strips:

@@ -59,7 +59,7 @@ def wrong_way_lane(road: RoadState, vehicle: ProfileVehicle) -> LaneIndex | None
         return None
     here = road.neighbours(vehicle, lane)
     slow = here.front_gap < LEADER_M and here.front_speed < 0.8 * vehicle.desired_speed
-    left = network.lanes[lane].length - road.place(vehicle, lane)[0]
+    left = network.lanes[lane].length - road.distance_along(vehicle, lane)
     if not slow or left < JUNCTION_M or vehicle.speed < 2.0 or not vehicle.commands.changes:
         return None
     oncoming = road.neighbours(vehicle, wrong_side)
@@ -78,7 +78,7 @@ def _lane_to_go_back(road: RoadState, vehicle: ProfileVehicle) -> LaneIndex:
     room = beside.front_gap > ROOM_M and beside.rear_gap > ROOM_M
     closing = vehicle.speed - here.front_speed
     soon = here.front_gap < BACK_S * max(closing, 1.0)
-    ends = road.network_info.lanes[lane].length - road.place(vehicle, lane)[0] < JUNCTION_M
+    ends = road.network_info.lanes[lane].length - road.distance_along(vehicle, lane) < JUNCTION_M
     past = beside.front_gap > LEADER_M
     return own if room and (past or soon or ends) else lane
 

@@ -1,0 +1,227 @@
+"""Where vehicles are along lanes, found by looking at the lanes near each vehicle only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from highway_env.road.lane import AbstractLane
+from numpy.typing import NDArray
+
+from sim.compiled import compiled, inner
+from sim.highway.lanes import corners
+from sim.road.cells import Cells, boxes_of, cells_of
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+STRETCH_MARGIN_M: Final = 1.0
+"""A vehicle this far beyond a lane's edge is still on it (highway-env's)."""
+
+PATH_MARGIN_M: Final = 0.5
+"""The same on junction paths, which lie close together."""
+
+BEHIND_M: Final = 40.0
+"""A vehicle this far before the beginning of a lane, and in line with it, is on it already."""
+
+ALIGNED: Final = 0.5
+"""A vehicle turned by more than 60 degrees from a lane crosses it and is not on it. On stretches,
+unlike on junction paths, one that faces the other way is."""
+
+CELL_M: Final = 50.0
+"""Width of the cells in which lanes are looked for, m (our choice: `BEHIND_M` and a lane)."""
+
+LONGEST_M: Final = 40.0
+"""Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (our
+choice: twice a lorry's)."""
+
+ROUNDING_M: Final = 1e-3
+"""Lanes are looked for this much farther than vehicles can be from them."""
+
+
+class LaneLines(NamedTuple):
+    """The centre lines of K lanes in pieces, and who counts as on each lane.
+
+    Attributes:
+        start: (P, 2) m.
+        direction: (P, 2).
+        size: (P,) m.
+        begin: (P,) distance along the lane, m.
+        first: (K,) first piece of each lane.
+        last: (K,) last piece of each lane.
+        connector: (K,) whether it crosses a junction.
+        margin: (K,) how far aside a vehicle is still on it, m.
+        length: (K,) m.
+        behind: (K,) how far before its beginning a vehicle is on it, m.
+        cells: the lanes by the places at which a vehicle may be on them.
+    """
+
+    start: FloatArray
+    direction: FloatArray
+    size: FloatArray
+    begin: FloatArray
+    first: IntArray
+    last: IntArray
+    connector: BoolArray
+    margin: FloatArray
+    length: FloatArray
+    behind: FloatArray
+    cells: Cells
+
+
+class OnLanes(NamedTuple):
+    """Who is on each of K lanes; E entries, lane by lane, by distance along the lane.
+
+    Attributes:
+        first: (K + 1,) where each lane's entries begin, and E.
+        row: (E,) which vehicle.
+        s: (E,) its distance along the lane, m.
+        along: (E,) its speed along the lane, m/s.
+    """
+
+    first: IntArray
+    row: IntArray
+    s: FloatArray
+    along: FloatArray
+
+
+def lane_lines(lanes: Sequence[AbstractLane], connector: Sequence[bool]) -> LaneLines:
+    """The lines of a road's lanes.
+
+    Args:
+        lanes: of the road.
+        connector: whether each crosses a junction.
+    """
+    crosses = np.array(connector, dtype=np.bool_)
+    width = np.array([lane.width for lane in lanes], dtype=np.float64)
+    margin = width / 2 + np.where(crosses, PATH_MARGIN_M, STRETCH_MARGIN_M)
+    behind = np.where(crosses, 0.0, BEHIND_M)
+    lines = corners(lanes)
+    step = np.concatenate([np.diff(line, axis=0) for line in lines])
+    size = np.hypot(step[:, 0], step[:, 1])
+    direction = step / size[:, None]
+    count = np.array([len(line) - 1 for line in lines], dtype=np.int64)
+    last = np.cumsum(count) - 1
+    first = last + 1 - count
+    reached = [
+        np.concatenate(
+            [line, [line[0] - back * direction[a], line[-1] + LONGEST_M / 2 * direction[b]]]
+        )
+        for line, back, a, b in zip(lines, behind, first, last, strict=True)
+    ]
+    boxes = boxes_of(reached, ROUNDING_M)
+    boxes[:, :2] -= margin[:, None]
+    boxes[:, 2:] += margin[:, None]
+    return LaneLines(
+        start=np.concatenate([line[:-1] for line in lines]).astype(np.float64),
+        direction=direction,
+        size=size,
+        begin=np.concatenate(
+            [np.cumsum(size[a : b + 1]) - size[a : b + 1] for a, b in zip(first, last, strict=True)]
+        ),
+        first=first,
+        last=last,
+        connector=crosses,
+        margin=margin,
+        length=np.array([lane.length for lane in lanes], dtype=np.float64),
+        behind=behind,
+        cells=cells_of(boxes, np.arange(len(lanes)), CELL_M),
+    )
+
+
+@inner
+def project(x: float, y: float, k: int, lines: LaneLines) -> tuple[float, float, int]:
+    """The place on a lane nearest to a point.
+
+    Returns:
+        Its distance along the lane, m, how far away it is, m, and the piece that it is on.
+    """
+    best, s, piece = np.inf, 0.0, lines.first[k]
+    first, last = lines.first[k], lines.last[k]
+    for g in range(first, last + 1):
+        dx, dy = x - lines.start[g, 0], y - lines.start[g, 1]
+        along = dx * lines.direction[g, 0] + dy * lines.direction[g, 1]
+        across = dy * lines.direction[g, 0] - dx * lines.direction[g, 1]
+        clipped = along
+        if along < 0.0 and g > first:
+            clipped = 0.0
+        elif along > lines.size[g] and g < last:
+            clipped = lines.size[g]
+        beyond = along - clipped
+        if max(abs(across), abs(beyond)) >= best:
+            continue  # the distance is no less than either
+        distance = math.hypot(across, beyond) if beyond != 0.0 else abs(across)
+        if distance < best:
+            best, s, piece = distance, lines.begin[g] + clipped, g
+    return s, best, piece
+
+
+@compiled
+def distances_along(xy: FloatArray, lane: IntArray, lines: LaneLines) -> FloatArray:
+    """(n,) distance of each point (n, 2) along the lane (n,) that is given for it, m."""
+    s = np.empty(len(lane))
+    for i in range(len(lane)):
+        s[i] = project(xy[i, 0], xy[i, 1], lane[i], lines)[0]
+    return s
+
+
+@compiled
+def find_on_lanes(
+    xy: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, lines: LaneLines
+) -> OnLanes:
+    """Everybody on each lane, those at the same place in the order of rows.
+
+    Args:
+        xy: (n, 2) m.
+        heading: (n,) rad.
+        speed: (n,) m/s.
+        length: (n,) m; those of more than `LONGEST_M` count as that long.
+        lines: of the lanes.
+    """
+    cells, n, lanes = lines.cells, len(xy), len(lines.first)
+    found, room = 0, 8 * n + 8
+    row, lane = np.empty(room, np.int64), np.empty(room, np.int64)
+    where, moves = np.empty(room), np.empty(room)
+    first = np.zeros(lanes + 1, np.int64)
+    for i in range(n):
+        x, y = xy[i, 0], xy[i, 1]
+        column, line = (x - cells.x0) / cells.size, (y - cells.y0) / cells.size
+        if not (0.0 <= column < cells.columns and 0.0 <= line < cells.rows):
+            continue
+        cell = int(line) * cells.columns + int(column)
+        cos, sin = math.cos(heading[i]), math.sin(heading[i])
+        for at in range(cells.first[cell], cells.first[cell + 1]):
+            k = cells.items[at]
+            s, distance, piece = project(x, y, k, lines)
+            facing = cos * lines.direction[piece, 0] + sin * lines.direction[piece, 1]
+            aligned = facing if lines.connector[k] else abs(facing)
+            if not (
+                distance <= lines.margin[k]
+                and aligned > ALIGNED
+                and s >= -lines.behind[k]
+                and s <= lines.length[k] + min(length[i], LONGEST_M) / 2
+            ):
+                continue
+            if found == room:
+                row, lane = np.append(row, row), np.append(lane, lane)
+                where, moves = np.append(where, where), np.append(moves, moves)
+                room *= 2
+            row[found], lane[found], where[found], moves[found] = i, k, s, speed[i] * facing
+            first[k + 1] += 1
+            found += 1
+    for k in range(lanes):
+        first[k + 1] += first[k]
+    order, distances, along = np.empty(found, np.int64), np.empty(found), np.empty(found)
+    end = first[:-1].copy()
+    for e in range(found):
+        k = lane[e]
+        at = end[k]
+        while at > first[k] and distances[at - 1] > where[e]:
+            order[at], distances[at], along[at] = order[at - 1], distances[at - 1], along[at - 1]
+            at -= 1
+        order[at], distances[at], along[at] = row[e], where[e], moves[e]
+        end[k] += 1
+    return OnLanes(first, order, distances, along)
