@@ -248,8 +248,10 @@ class NearLanesNetwork(RoadNetwork):  # type: ignore[misc]
             self._circles = list(found), list(found.values()), centre, radius
         keys, lanes, centre, radius = self._circles
         at_least = np.hypot(*(centre - position).T) - radius - STRAIGHT_TOLERANCE_M
-        choice, least = 0, math.inf
-        for i in np.argsort(at_least, kind="stable").tolist():
+        choice = int(np.argmin(at_least))
+        least = lanes[choice].distance_with_heading(position, heading)
+        near = np.flatnonzero(at_least <= least)
+        for i in near[np.argsort(at_least[near], kind="stable")].tolist():
             if at_least[i] > least:
                 break
             distance = lanes[i].distance_with_heading(position, heading)

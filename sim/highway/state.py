@@ -32,6 +32,9 @@ JOINED_M: Final = 2.0
 """A vehicle this far before the beginning of the next lane, and in line with it, leads onto it,
 whichever way it comes (our choice: half a car)."""
 
+PHASE_ROUNDING_S: Final = 1e-6
+"""Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
+
 LEADER_RANGE_M: Final = 200.0
 """Leaders farther ahead are not looked for."""
 
@@ -91,6 +94,7 @@ class RoadState(Road):  # type: ignore[misc]
         self.arrivals: dict[tuple[int, int], list[Arrival]] = {}
         self.signals = np.full(len(network.road.signal_groups), Signal.OFF.code, dtype=np.int8)
         self.signal_since = np.zeros(self.signals.size)
+        self._plan_due_s = np.zeros(len(network.road.signal_plans))
         self.update_signals()
         self.signal_since[:] = -math.inf
         self._index = {lane: k for k, lane in enumerate(network.lanes)}
@@ -121,8 +125,12 @@ class RoadState(Road):  # type: ignore[misc]
 
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
-        for plan in self.network_info.road.signal_plans:
-            for group, state in zip(plan.groups, plan.state_at(self.time_s), strict=True):
+        plans = self.network_info.road.signal_plans
+        for number in np.flatnonzero(self._plan_due_s <= self.time_s).tolist():
+            plan = plans[number]
+            states, lasts_s = plan.phase_at(self.time_s)
+            self._plan_due_s[number] = self.time_s + lasts_s - PHASE_ROUNDING_S
+            for group, state in zip(plan.groups, states, strict=True):
                 if self.signals[group] != state:
                     self.signals[group] = state
                     self.signal_since[group] = self.time_s

@@ -133,12 +133,21 @@ class SignalPlan:
             >>> plan.state_at(29.9), plan.state_at(30.0), plan.state_at(60.0)
             ((2,), (0,), (2,))
         """
+        return self.phase_at(time_s)[0]
+
+    def phase_at(self, time_s: float) -> tuple[tuple[int, ...], float]:
+        """Codes as of `state_at`, and how long the phase still lasts, s.
+
+        Examples:
+            >>> SignalPlan("t", (0,), (0,), (30.0, 30.0), ((2,), (0,))).phase_at(25.0)
+            ((2,), 5.0)
+        """
         into = (time_s - self.offset_s) % sum(self.duration_s)
         for duration, state in zip(self.duration_s, self.states, strict=True):
             into -= duration
             if into < -1e-9:
-                return state
-        return self.states[0]
+                return state, -into
+        return self.states[0], self.duration_s[0]
 
 
 @dataclass(frozen=True, slots=True)

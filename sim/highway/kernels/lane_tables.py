@@ -124,6 +124,7 @@ class LaneTables:
         self.number: dict[LaneIndex, int] = {key: k for k, key in enumerate(self.keys)}
         self.objects: list[AbstractLane] = list(network.lanes.values())
         self.stretches: dict[tuple[str, str], int] = {}
+        self._ways: dict[tuple[tuple[str, str], ...], IntArray] = {}
         for key in self.keys:
             self.stretch(key[:2])
         self.lanes = self._lanes(network)
@@ -132,6 +133,12 @@ class LaneTables:
     def stretch(self, name: tuple[str, str]) -> int:
         """The number of a stretch; a new one for a stretch that the road does not have."""
         return self.stretches.setdefault(name, len(self.stretches))
+
+    def way(self, stretches: tuple[tuple[str, str], ...]) -> IntArray:
+        """The numbers of the stretches of a way; drivers share few ways."""
+        if stretches not in self._ways:
+            self._ways[stretches] = _integers([self.stretch(name) for name in stretches])
+        return self._ways[stretches]
 
     def _lanes(self, network: HighwayNetwork) -> Lanes:
         info = [network.info[key] for key in self.keys]

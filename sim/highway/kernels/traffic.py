@@ -101,7 +101,7 @@ class Fleet:
         longest = max((len(way) for way in numbers), default=0)
         self.ways = np.full((len(numbers), longest + 1), -1, dtype=np.int64)
         for way, row in numbers.items():
-            self.ways[row, : len(way)] = [tables.stretch(stretch) for stretch in way]
+            self.ways[row, : len(way)] = tables.way(way)
 
     def holds(self, vehicles: list[Vehicle]) -> bool:
         """Whether these are still the same vehicles with the same profiles and ways."""
