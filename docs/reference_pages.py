@@ -1,6 +1,6 @@
-"""Makes the reference, a page for each room of the packages: a hook of mkdocs.
+"""Makes the reference, a page for each part of the packages: a hook of mkdocs.
 
-A page shows every public name of the modules in its room, as their docstrings describe it, so a
+A page shows every public name of the modules in its part, as their docstrings describe it, so a
 new module has its place in the reference without anybody writing it down.
 """
 
@@ -11,14 +11,14 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("behaviors", "sim", "graphrqi", "scenarios", "experiments")
-Room = tuple[str, list[Path]]
-"""A room's dotted name, and the files of the modules that its page describes."""
+Part = tuple[str, list[Path]]
+"""A part's dotted name, and the files of the modules that its page describes."""
 
 
-def rooms(package: str) -> list[Room]:
+def parts(package: str) -> list[Part]:
     """The package itself with the modules right in it, then each of the packages under it, whole.
 
-    >>> [name for name, _ in rooms("behaviors")]
+    >>> [name for name, _ in parts("behaviors")]
     ['behaviors']
     """
     top = ROOT / package
@@ -43,15 +43,15 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def page(room: Room) -> str:
-    """The Markdown of a room's page: what it is for, and one entry of mkdocstrings per module."""
-    name, files = room
+def page(part: Part) -> str:
+    """The Markdown of a part's page: what it is for, and one entry of mkdocstrings per module."""
+    name, files = part
     entries = "\n".join(f"::: {module_name(path)}" for path in files)
     return f"# {name}\n\nThis page is for looking up the public names of `{name}`.\n\n{entries}\n"
 
 
 def file_name(name: str) -> str:
-    """Where a room's page lies.
+    """Where a part's page lies.
 
     >>> file_name("sim.road")
     'reference/sim/road.md'
@@ -62,7 +62,7 @@ def file_name(name: str) -> str:
 def on_config(config: Any) -> Any:
     """Put the pages under the heading Reference, which ``mkdocs.yml`` leaves empty."""
     pages = [
-        {package: [{name: file_name(name)} for name, _ in rooms(package)]} for package in PACKAGES
+        {package: [{name: file_name(name)} for name, _ in parts(package)]} for package in PACKAGES
     ]
     for entry in config["nav"]:
         if "Reference" in entry:
@@ -75,6 +75,6 @@ def on_files(files: Any, config: Any) -> Any:
     from mkdocs.structure.files import File
 
     for package in PACKAGES:
-        for room in rooms(package):
-            files.append(File.generated(config, file_name(room[0]), content=page(room)))
+        for part in parts(package):
+            files.append(File.generated(config, file_name(part[0]), content=page(part)))
     return files

@@ -131,7 +131,7 @@ def missing_in_reference(site: Path) -> list[str]:
     """The public functions and classes that the reference does not describe."""
     script = runpy.run_path(str(ROOT / "docs" / "reference_pages.py"))
     missing = []
-    for name, files in [room for each in script["PACKAGES"] for room in script["rooms"](each)]:
+    for name, files in [part for each in script["PACKAGES"] for part in script["parts"](each)]:
         shown = site / script["file_name"](name).replace(".md", ".html")
         described = set(re.findall(r'id="([\w.]+)"', shown.read_text()))
         for path in files:

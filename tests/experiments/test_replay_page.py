@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR, rgb
-from behaviors.labels import BEHAVIORS
+from behaviors.detector_inputs import ShownTrait
+from behaviors.labels import BEHAVIORS, TRAITS
 from experiments.replay.page import MODES, ramp, write_page
 
 SIZES = {"wide": (1280, 800), "narrow": (390, 844)}
@@ -219,13 +220,15 @@ def test_every_control_has_a_name_and_can_be_reached_by_keyboard(open_page):
     assert "mode" in radios
 
 
-def test_keys_select_agents_and_open_help(open_page):
-    page = open_page()
+@pytest.mark.parametrize("size", SIZES)
+def test_keys_select_agents_and_open_help(open_page, size):
+    page = open_page(*SIZES[size])
     page.keyboard.press("n")
     assert state(page)["selected"] >= 0
     page.keyboard.press("?")
     assert page.locator("#keys").is_visible()
     assert "Space" in page.locator("#keys").inner_text()
+    assert page.locator("#keys").evaluate("dialog => dialog.scrollTop") == 0
     page.keyboard.press("Escape")
     assert not page.locator("#keys").is_visible()
     page.keyboard.press("]")
@@ -260,7 +263,8 @@ def test_a_long_title_leaves_the_buttons_beside_it_on_a_phone(open_page):
 def test_the_timeline_leads_to_moments_and_agents(open_page):
     page = open_page()
     strip = page.locator("#timeline").bounding_box()
-    left, right = strip["x"] + 240, strip["x"] + strip["width"] - 6
+    labels = page.evaluate("replay.timeline().left")
+    left, right = strip["x"] + labels, strip["x"] + strip["width"] - 6
     page.mouse.click(left + 0.75 * (right - left), strip["y"] + strip["height"] - 8)
     assert state(page)["time"] == pytest.approx(15.0, abs=0.2)
     middle_of_trait = left + 4.5 / 19.9 * (right - left)
@@ -269,6 +273,18 @@ def test_the_timeline_leads_to_moments_and_agents(open_page):
     page.mouse.click(middle_of_trait, strip["y"] + 22)
     assert state(page)["selected"] == 0
     assert state(page)["time"] == pytest.approx(3.0, abs=0.05)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_labels_of_the_timeline_are_as_wide_as_they_need(scene, open_page, tmp_path, size):
+    shown = tuple(ShownTrait(t, int(scene.tracks.ids[0]), 3.0, 6.0, 1.0) for t in TRAITS)
+    write_page(dataclasses.replace(scene, shown_traits=shown), tmp_path / "r.html", "true")
+    page = open_page(*SIZES[size], file=tmp_path / "r.html")
+    drawn(page)
+    labels = page.evaluate("replay.timeline().labels")
+    assert len(labels) == 1 + len(TRAITS)
+    cut = [label for label in labels if label.endswith("…")]
+    assert len(cut) <= {"wide": 0, "narrow": 1}[size]  # the longest needs more than half a phone
 
 
 def test_a_link_opens_at_a_moment_with_an_agent(open_page):

@@ -298,6 +298,7 @@ async function start() {
       return performance.now() - began;
     },
     boxes: (what) => labels[what === "agents" ? "agents" : "shown"], edges: () => edgesShown,
+    timeline: () => ({ left: gutter(strip.clientWidth), labels: timeline.drawn }),
     state: () => ({ time: data.begin + player.time, playing: player.playing, mode: player.mode, selected: player.selected, layers: { ...player.layers } }),
     agents: () => view.panels.flatMap((panel) => [...everyone(player.time)].map(([index, place]) => {
       const [x, y] = toScreen(panel, place.x, place.y);

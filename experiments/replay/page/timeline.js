@@ -1,7 +1,7 @@
 // The timeline: events and the traits that were shown, each kind of them a row.
 
 const ROW = 15, AXIS = 20, BIN_S = 0.5;
-const timeline = { rows: [], height: 0, marks: [], picture: null, key: "" };
+const timeline = { rows: [], height: 0, marks: [], picture: null, key: "", font: "", labels: 0, drawn: [] };
 
 function setUpTimeline() {
   const rows = [];
@@ -23,7 +23,18 @@ function howMany(shown) {
   return bins;
 }
 
-function gutter(width) { return timeline.rows.length ? (width < 560 ? 112 : width < 800 ? 212 : 240) : 0; }
+function stripFont(width) { return `${width < 560 ? 10.5 : 11.5}px system-ui, 'DejaVu Sans', sans-serif`; }
+
+// The room of the labels: what the widest needs, but at most half of the timeline.
+function gutter(width) {
+  const font = stripFont(width);
+  if (font !== timeline.font) {
+    const ctx = strip.getContext("2d");
+    ctx.font = timeline.font = font;
+    timeline.labels = Math.max(...timeline.rows.map((row) => ctx.measureText(row.label).width));
+  }
+  return timeline.rows.length ? Math.min(Math.ceil(timeline.labels) + 26, Math.round(width / 2)) : 0;
+}
 
 function timelineX(time, width) {
   const left = gutter(width);
@@ -52,8 +63,8 @@ function drawTimeline(canvas, width) {
 }
 
 function drawRows(ctx, width) {
-  ctx.font = `${width < 560 ? 10.5 : 11.5}px system-ui, 'DejaVu Sans', sans-serif`; ctx.textBaseline = "middle";
-  timeline.marks = [];
+  ctx.font = stripFont(width); ctx.textBaseline = "middle";
+  timeline.marks = []; timeline.drawn = [];
   const left = gutter(width);
   timeline.rows.forEach((row, i) => {
     const y = i * ROW + ROW / 2;
@@ -63,7 +74,8 @@ function drawRows(ctx, width) {
       ctx.beginPath(); ctx.roundRect(1, y - 4, 8, 8, 2); ctx.fill(); ctx.stroke();
     }
     ctx.fillStyle = theme.muted; ctx.textAlign = "left";
-    ctx.fillText(clipped(ctx, row.label, left - 22), 15, y);
+    timeline.drawn.push(clipped(ctx, row.label, left - 22));
+    ctx.fillText(timeline.drawn[i], 15, y);
     if (row.events) for (const event of row.events) drawEventMark(ctx, event, width, y);
     else drawTraits(ctx, row, width, y);
   });
