@@ -323,7 +323,13 @@ def formats_in(path: Path) -> list[str]:
             found.append(name)
             known.update(here)
     if not found:
-        seen = "an empty folder" if path.is_dir() and not any(path.iterdir()) else "no known format"
+        seen = "no known format"
+        if path.is_dir() and not any(path.iterdir()):
+            seen = "an empty folder"
+        elif path.is_file():
+            line = b"".join(_head(path).splitlines()[:1]).decode("utf-8", "replace")
+            if line.isprintable() and "\ufffd" not in line and line:
+                seen += f" in its first line {line!r:.120}"
         known_names = [name for name, entry in FORMATS.items() if entry.reader is not None]
         raise InputError(
             f"{path}: found {seen}, expected one of {', '.join(known_names)}; "

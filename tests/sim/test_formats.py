@@ -431,7 +431,8 @@ def test_missing_and_repeated_columns(tmp_path: Path, name: str) -> None:
     column = used.get(name) or ("X" if name == "argoverse1" else "x")
     names = header.split(",")
     gone = ["other" if n == column else n for n in names]
-    refused(put(tmp_path, name, "\n".join([",".join(gone), *rows, ""]).encode()), name, "no column")
+    content = "\n".join([",".join(gone), *rows, ""]).encode()
+    refused(put(tmp_path, name, content), name, f"expected a column {column.lower()}")
     twice = [column if i == len(names) - 1 else n for i, n in enumerate(names)]
     content = "\n".join([",".join(twice), *rows, ""]).encode()
     refused(put(tmp_path, name, content), name)

@@ -217,3 +217,12 @@ def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> No
 def test_an_empty_folder_is_called_empty(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="found an empty folder, expected one of argoverse2"):
         formats_in(tmp_path)
+
+
+def test_an_unknown_table_is_named_by_its_first_line(tmp_path: Path) -> None:
+    (tmp_path / "mine.csv").write_text("Time [s];veh;x\n0;a;1\n")
+    with pytest.raises(InputError, match=r"no known format in its first line 'time \[s\];veh;x',"):
+        formats_in(tmp_path / "mine.csv")
+    (tmp_path / "mine.xlsx").write_bytes(b"PK\x03\x04\x14\xff\n")
+    with pytest.raises(InputError, match="no known format, expected one of"):
+        formats_in(tmp_path / "mine.xlsx")

@@ -164,7 +164,9 @@ def read_columns(
         if count > 1:
             raise InputError(f"{path}: found column {name} {count} times, expected once")
         if count == 0 and name not in optional:
-            raise InputError(f"{path}: found no column {name}, expected it")
+            raise InputError(
+                f"{path}: line 1: found {','.join(header)!r:.120}, expected a column {name}"
+            )
     types = {name: pa.float64() for name in numbers} | {name: pa.string() for name in words}
     wanted = [name for name in types if name in header]
     return Columns(path, _parse(path, header, wanted, types, skip=1, delimiter=","))
