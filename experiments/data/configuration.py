@@ -11,6 +11,7 @@ from behaviors.errors import InputError
 from behaviors.populations import read_population
 from behaviors.toml_text import read_toml
 from scenarios import get_scenario
+from scenarios.own.file import is_path
 from sim.engines import get_engine
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario
@@ -102,6 +103,16 @@ def _read_toml(path: Path | None) -> dict[str, object]:
         raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
 
 
+def _from_folder(name: str, value: object, folder: Path) -> object:
+    """A field of a file, whose paths begin in the file's folder, as in a scenario's file."""
+    if name == "scenarios" and isinstance(value, list):
+        return [_from_folder("scenario", one, folder) for one in value]
+    if not isinstance(value, str):
+        return value
+    named = name in ("scenario", "population") and is_path(value)
+    return str(folder / value) if named or name in ("net", "routes") else value
+
+
 def read_cluster(path: Path | None, given: str | None = None) -> str | None:
     """The address of the cluster to generate on.
 
@@ -128,7 +139,8 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     """A configuration from a TOML file, from options, or both; options win.
 
     Args:
-        path: TOML file with the fields of `GenerateConfig`; None for none.
+        path: TOML file with the fields of `GenerateConfig`, whose paths begin in its folder; None
+            for none.
         **given: fields given on the command line; None where not given. In both, ``net`` stands for
             a map as the only scenario.
 
@@ -140,6 +152,8 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     """
     fields = _read_toml(path)
     fields.pop("cluster", None)
+    if path is not None:
+        fields = {name: _from_folder(name, value, path.parent) for name, value in fields.items()}
     fields.update({name: value for name, value in given.items() if value is not None})
     net = fields.pop("net", None)
     if net is not None:

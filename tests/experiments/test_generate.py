@@ -324,6 +324,23 @@ def test_options_win_over_the_file(tmp_path: Path) -> None:
     assert (config.episodes, config.seed, config.mix) == (3, 5, {"timid": 1.0})
 
 
+def test_paths_of_a_study_begin_in_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "busy.toml").write_text('scenario = "straight_road"\nlanes = 2\n')
+    (tmp_path / "people.toml").write_text(read_population("profiles").to_toml())
+    path = tmp_path / "study.toml"
+    path.write_text(
+        'scenarios = ["busy.toml", "straight_road"]\nepisodes = 1\npopulation = "people.toml"\n'
+    )
+    config = read_config(path, routes="given.rou.xml")
+    assert config.scenarios == (str(tmp_path / "busy.toml"), "straight_road")
+    assert config.routes == "given.rou.xml"
+    assert config.population == read_population("profiles").table()
+    path.write_text('net = "town.net.xml"\nroutes = "town.rou.xml"\nepisodes = 1\n')
+    config = read_config(path)
+    assert config.scenarios == (str(tmp_path / "town.net.xml"),)
+    assert config.routes == str(tmp_path / "town.rou.xml")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -201,7 +201,7 @@ def document_samples() -> dict[str, Sample]:
     beliefs, forecasts = _table(read_beliefs), _table(read_forecasts)
     of_file: dict[str, tuple[str, bytes, Callable[..., Any], Callable[..., Any], Any]] = {
         "rows": ("rows.json", ROWS, read_source, altered.document, altered.other_rows),
-        "study": ("study.toml", STUDY, study, altered.settings, altered.other_settings),
+        "study": ("study.toml", STUDY, study, altered.study, altered.other_settings),
         "scenario": ("s.toml", SCENARIO, scenario, altered.settings, altered.other_settings),
         "population": ("p.toml", POPULATIONS["us101"].read_bytes(), read_population,
                        altered.settings, altered.other_population),

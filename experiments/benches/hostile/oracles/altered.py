@@ -67,6 +67,20 @@ def settings(path: Path) -> dict[str, Any]:
         raise Refused(str(error)) from None
 
 
+def study(path: Path) -> dict[str, Any]:
+    """What a study says; a scenario with a dot or a slash is a file's path from its folder."""
+    told = settings(path)
+    if isinstance(named := told.get("scenarios"), list):
+        told["scenarios"] = [_placed(one, path.parent) for one in named]
+    if isinstance(routes := told.get("routes"), str):
+        told["routes"] = str(path.parent / routes)
+    return told
+
+
+def _placed(name: Any, folder: Path) -> Any:
+    return str(folder / name) if isinstance(name, str) and set(name) & set("./\\") else name
+
+
 # --- maps ---------------------------------------------------------------------------------------
 
 
