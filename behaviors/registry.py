@@ -7,6 +7,7 @@ entries through entry points, in the group that the registry names; see ``docs/e
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
@@ -153,6 +154,41 @@ def loaded(source: str) -> Any:
     """What a "module:attribute" string names; the module is imported if it is not yet."""
     module, attribute = source.split(":")
     return getattr(importlib.import_module(module), attribute)
+
+
+def own_function(what: str, source: str) -> Callable[..., Any]:
+    """The function of the user's own that "module:function" names.
+
+    Its module runs, so no name that was read from a file may come here.
+
+    Args:
+        what: what the function is to be ("policy"); used in messages.
+        source: the module may lie in the working folder, beside the command.
+
+    Raises:
+        InputError: if there is none, or its module does not load.
+
+    Examples:
+        >>> own_function("root", "math:sqrt")(9.0)
+        3.0
+        >>> own_function("root", "math:pi")
+        Traceback (most recent call last):
+        ...
+        behaviors.errors.InputError: root: found 'math:pi', expected it to name a function
+    """
+    module, _, function = source.partition(":")
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        found = getattr(importlib.import_module(module), function)
+    except Exception as error:  # the user's code may fail in any way
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(
+            f"{what}: found {source!r}, expected 'module:function' that exists ({reason})"
+        ) from error
+    if not callable(found):
+        raise InputError(f"{what}: found {source!r}, expected it to name a function")
+    return cast(Callable[..., Any], found)
 
 
 def _distribution(plugin: EntryPoint) -> str:

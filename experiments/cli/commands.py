@@ -189,7 +189,11 @@ app.command(epilog="example: graphrqi adapt graphrqi-plus data --labels few.csv 
 def predict(
     source: Source,
     predictors: Annotated[
-        str, typer.Option(metavar="A,B", help="Names, separated by commas; see graphrqi list.")
+        str,
+        typer.Option(
+            metavar="A,B",
+            help="Names (see graphrqi list) or module:function of your own, separated by commas.",
+        ),
     ] = "constant-velocity,car-following-blind,graphrqi-predict",
     horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
     format: FormatName = None,

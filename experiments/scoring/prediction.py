@@ -27,7 +27,7 @@ from experiments.scoring.prediction_errors import (
 )
 from experiments.scoring.prediction_file import PREDICTIONS, predictions_file, predictions_table
 from graphrqi.model_files import load_model
-from graphrqi.predict import get_predictor
+from graphrqi.predict import chosen_predictor
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.recorded.network import trained_network
@@ -90,7 +90,7 @@ def evaluate_episode(
     Args:
         folder: of the dataset.
         entry: which episode.
-        predictors: keys of ``PREDICTORS``.
+        predictors: keys of ``PREDICTORS``, or "module:function".
         horizons_s: ascending, s.
         model: the classifier: a shipped one's name or a folder.
         keep: whether the futures themselves are wanted.
@@ -131,7 +131,7 @@ def _check_request(predictors: Sequence[str], horizon_s: float) -> None:
     if not predictors:
         raise InputError("predictors: found none, expected at least one name")
     for name in predictors:
-        get_predictor(name)
+        chosen_predictor(name)
 
 
 def predict_dataset(
@@ -152,7 +152,7 @@ def predict_dataset(
 
     Args:
         source: a dataset.
-        predictors: keys of ``PREDICTORS``.
+        predictors: keys of ``PREDICTORS``, or "module:function".
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         out: where to write the futures (`experiments.scoring.prediction_file`); None: nowhere.

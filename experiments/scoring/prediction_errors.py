@@ -14,12 +14,13 @@ from typing import Final
 
 import numpy as np
 
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import Statistic, bootstrap, ratio
 from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
-from graphrqi.predict import get_predictor, predict
+from graphrqi.predict import chosen_predictor, predict
 from graphrqi.predict.learned.predictors import with_weights
 from graphrqi.predict.metrics import METRICS, SAMPLE_S, covered, distances, log_density, overlap
 from graphrqi.predict.prediction import Prediction
@@ -174,7 +175,7 @@ def evaluate(
         tracks: the episode; its labels only sort the errors.
         posteriors: beliefs at each instant of prediction, by the index one past the present.
         road: where it happened; None if there is no map.
-        predictors: keys of ``PREDICTORS``.
+        predictors: keys of ``PREDICTORS``, or "module:function".
         horizons_s: ascending, s.
         on_prediction: called with each predictor's name, the history it was given and its futures.
         weights: folder of the network that ``graphrqi-predict`` uses on recordings; None for the
@@ -186,7 +187,13 @@ def evaluate(
     longest = float(max(horizons_s))
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
     steps = max(1, round(HISTORY_S / tracks.step_s))
-    functions = {name: get_predictor(name) for name in predictors}
+    functions = {name: chosen_predictor(name) for name in predictors}
+    own = [name for name in functions if ":" in name]
+    if road is None and own:
+        raise InputError(
+            f"predictors: found {own[0]!r} where there is no map, expected names only: "
+            "a scene has lanes"
+        )
     if weights is not None and "graphrqi-predict" in functions:
         functions["graphrqi-predict"] = with_weights(weights)
     ahead_s = max(longest, LEARNED_S)

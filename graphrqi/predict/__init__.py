@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from behaviors.errors import InputError
-from behaviors.registry import Registry
+from behaviors.registry import Registry, own_function
 
 if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
@@ -62,6 +62,37 @@ def get_predictor(name: str) -> Predictor:
         InputError: if there is none; the message suggests the nearest name.
     """
     return PREDICTORS[name]
+
+
+def chosen_predictor(name: str) -> Predictor:
+    """The predictor that a person asks for.
+
+    A name that was read from a file goes to `get_predictor`, which runs no other code than ours and
+    that of installed packages.
+
+    Args:
+        name: a key of ``PREDICTORS``, or "module:function" of one's own; the module may lie in the
+            working folder.
+
+    Raises:
+        InputError: if there is none; and when a function of one's own is called, if it returns no
+            `Prediction`.
+    """
+    from graphrqi.predict.prediction import Prediction
+
+    if ":" not in name:
+        return get_predictor(name)
+    function = own_function("predictor", name)
+
+    def checked(scene: Scene, posterior: Posterior) -> Prediction:
+        prediction = function(scene, posterior)
+        if not isinstance(prediction, Prediction):
+            raise InputError(
+                f"predictor: found {type(prediction).__name__} from {name!r}, expected a Prediction"
+            )
+        return prediction
+
+    return checked
 
 
 def predict(
@@ -132,4 +163,4 @@ def predict(
     return function(scene, posterior).until(horizon_s)
 
 
-__all__ = ["PREDICTORS", "get_predictor", "predict"]
+__all__ = ["PREDICTORS", "chosen_predictor", "get_predictor", "predict"]

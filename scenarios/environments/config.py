@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
-from typing import Annotated, Any, Final, cast
+from typing import Annotated, Any, Final
 
 from pydantic import (
     BaseModel,
@@ -21,6 +20,7 @@ from pydantic import (
 from behaviors.errors import InputError, lookup
 from behaviors.populations import read_population
 from behaviors.profiles import DEFAULT_SPREAD
+from behaviors.registry import own_function
 from sim.highway.ego import check_action
 from sim.invalid_fields import first_wrong_field
 
@@ -161,7 +161,7 @@ class TrafficConfig(BaseModel):
         if self.net is not None and self.scenario is not None:
             raise InputError("scenario: found net beside it, expected one of them")
         if isinstance(self.classifier, str) and self.observation == "posterior":
-            resolve_classifier(self.classifier)
+            own_function("classifier", self.classifier)
         return self
 
     def values(self) -> dict[str, Any]:
@@ -200,21 +200,3 @@ def describe_config(model: type[TrafficConfig], defaults: Mapping[str, Any]) -> 
             textwrap.fill(f"{name} ({defaults[name]!r}): {meaning}", 96, subsequent_indent="    ")
         )
     return "\n".join(paragraphs)
-
-
-def resolve_classifier(source: str) -> Callable[[], Any]:
-    """The function that "module:function" names.
-
-    Raises:
-        InputError: if there is none.
-    """
-    module, function = source.split(":")
-    try:
-        found = getattr(import_module(module), function)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise InputError(
-            f"classifier: found {source!r}, expected 'module:function' that exists ({error})"
-        ) from error
-    if not callable(found):
-        raise InputError(f"classifier: found {source!r}, expected it to name a function")
-    return cast(Callable[[], Any], found)

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from behaviors.registry import own_function
 from scenarios import get_scenario
 from scenarios.environments.config import (
     TrafficConfig,
     describe_config,
     read_config,
-    resolve_classifier,
 )
 from scenarios.environments.observation import (
     observable_agents,
@@ -250,7 +250,7 @@ class TrafficEnv(EgoEnv):
         source = self.config["classifier"]
         if not isinstance(source, str):
             return cast(Callable[[Frame], Belief], source)
-        made = resolve_classifier(source)()
+        made = own_function("classifier", source)()
         classify = getattr(made, "update", made)
         if not callable(classify):
             raise InputError(

@@ -29,6 +29,7 @@ from experiments.scoring.prediction_errors import (
 from experiments.scoring.prediction_file import PREDICTIONS
 from experiments.training.predictor import calibrate_drivers, samples_of
 from graphrqi.posterior import Posterior
+from graphrqi.predict import get_predictor
 from graphrqi.predict.rollout.driver_table import table_from_json
 from scenarios import SCENARIOS
 from sim.engines import get_engine
@@ -120,6 +121,74 @@ def test_constant_velocity_is_perfect_on_steady_vehicles(road):
     assert errors.count[GROUPS.index("timid")] == 0
     assert np.nanmax(np.abs(errors.total)) < 1e-6
     assert np.isnan(errors.total[0, 0, MEASURES.index("coverage_90")])
+
+
+OWN = """
+import numpy as np
+
+def ahead(scene, posterior):
+    unit = np.stack([np.cos(scene.heading), np.sin(scene.heading)], axis=1)
+    way = unit[:, None] * (scene.speed[:, None] * scene.time_s)[..., None]
+    return scene.predicted(scene.xy[:, None] + way)
+
+def number(scene, posterior):
+    return 3
+
+broken = 4
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    (tmp_path / "my_predictor_of_this_test.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return "my_predictor_of_this_test"
+
+
+def test_a_predictor_of_ones_own_is_scored_beside_ours(own, dataset, tmp_path, capsys):
+    names = ("constant-velocity", f"{own}:ahead")
+    with pytest.raises(SystemExit) as ended:
+        main(["predict", str(dataset), "--predictors", ",".join(names), "--json", "e.json", "-q"])
+    assert ended.value.code == 0
+    rows = json.loads((tmp_path / "e.json").read_text())
+    ours, mine = (
+        {
+            (row["behavior"], row["horizon_s"]): row["value"]
+            for row in rows
+            if row["predictor"] == name and row["metric"] == "fde_m"
+        }
+        for name in names
+    )
+    assert mine == ours
+    assert mine
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("ahead", "unknown predictor 'ahead'"),
+        ("nowhere_at_all:ahead", "expected 'module:function' that exists"),
+        ("{own}:behind", "expected 'module:function' that exists"),
+        ("{own}:broken", "expected it to name a function"),
+        ("{own}:number", "found int from .*, expected a Prediction"),
+    ],
+)
+def test_predictors_that_are_none_are_refused(own, road, name, said):
+    tracks = steady([5.0], y=-8.0)
+    stops = list(instants(tracks, 5.0))
+    with pytest.raises(InputError, match=said):
+        evaluate(tracks, dict.fromkeys(stops, NOBODY), road, [name.replace("{own}", own)])
+
+
+def test_a_predictor_of_ones_own_needs_a_map(own):
+    with pytest.raises(InputError, match="where there is no map"):
+        evaluate(steady([5.0]), {}, None, [f"{own}:ahead"])
+
+
+def test_a_name_from_a_file_runs_no_code(own):
+    with pytest.raises(InputError, match="unknown predictor"):
+        get_predictor(f"{own}:ahead")
 
 
 def test_errors_of_a_braking_vehicle_are_the_textbook_ones(road):

@@ -9,14 +9,12 @@ opened here.
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib import import_module
 from typing import Any, Final, Protocol
 
 from behaviors.errors import InputError, lookup
+from behaviors.registry import own_function
 from experiments.benches.navigation import MOST_ACCEL_MPS2, BeliefTracker, PlannedEgo
 from graphrqi.stream import DEFAULT_MODEL
 from sim.frames import Frame
@@ -94,17 +92,7 @@ def get_policy(name: str) -> tuple[Callable[..., Act], dict[str, Any]]:
     """
     if ":" not in name:
         return lookup(POLICIES, ALIASES.get(name, name), "policy")
-    module, _, function = name.partition(":")
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # a file of the user's own, beside the command
-    try:
-        make = getattr(import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(
-            f"policy: found {name!r}, expected 'module:function' that exists ({error})"
-        ) from None
-    if not callable(make):
-        raise InputError(f"policy: found {name!r}, expected it to name a function")
+    make = own_function("policy", name)
     config = getattr(make, "config", {})
     if not isinstance(config, Mapping):
         raise InputError(f"policy: found {name}.config {config!r}, expected a mapping")

@@ -39,7 +39,7 @@ from experiments.scoring.prediction_errors import (
     summarize,
 )
 from graphrqi.model_files import load_model
-from graphrqi.predict import PREDICTORS
+from graphrqi.predict import PREDICTORS, chosen_predictor
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.rollout.mixture import mixture_with
 from graphrqi.predict.scene.scene import make_scene
@@ -106,7 +106,7 @@ class Settings:
     Attributes:
         episodes: per scenario.
         duration_s: of each episode, s; None for the scenario's own.
-        predictors: keys of ``PREDICTORS``; () for all.
+        predictors: keys of ``PREDICTORS``, or "module:function"; () for all.
         model: the classifier whose beliefs are used.
         agents: vehicles in the scene whose rollout is timed.
         repeats: how often it is rolled out.
@@ -116,7 +116,7 @@ class Settings:
 
     episodes: int = option(10, "Episodes per scenario.")
     duration_s: float | None = option(None, "Length of each [default: the scenario's own].")
-    predictors: tuple[str, ...] = option((), "Predictors to measure [default: all].")
+    predictors: tuple[str, ...] = option((), "Names or module:function [default: all names].")
     model: str = option(DEFAULT_MODEL, "The classifier whose beliefs are used.")
     agents: int = 100
     repeats: int = 40
@@ -135,6 +135,8 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         The rows of each scenario; then how long a rollout takes.
     """
     names = list(settings.predictors or PREDICTORS)
+    for name in names:
+        chosen_predictor(name)
     cases: list[YieldCase] = []
     with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
         folder = Path(scratch) / "data"

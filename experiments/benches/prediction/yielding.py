@@ -25,7 +25,7 @@ from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import RESAMPLES, auc, brier
 from experiments.scoring.prediction_errors import HISTORY_S, future, prediction_keys
 from graphrqi.posterior import Posterior
-from graphrqi.predict import get_predictor
+from graphrqi.predict import chosen_predictor
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.rollout.driver_table import YIELDS
 from graphrqi.predict.scene.scene import LEARNED_S, Scene, make_scene
@@ -224,7 +224,7 @@ def encounter_chances(
         tracks: the episode.
         road: where it happened.
         posteriors: beliefs by the index one past each instant.
-        predictors: keys of ``PREDICTORS``.
+        predictors: keys of ``PREDICTORS``, or "module:function".
 
     Returns:
         Chances and outcomes.
@@ -239,7 +239,7 @@ def encounter_chances(
         believed = posterior.of(scene.ids[met.row]) @ YIELDS
         chance[BELIEFS].append(believed)
         for name in predictors:
-            prediction = get_predictor(name)(scene, posterior)
+            prediction = chosen_predictor(name)(scene, posterior)
             chance[name].append(wait_chance(prediction, scene, met.row, met.room))
             if name == DRAWN:
                 cases += [
