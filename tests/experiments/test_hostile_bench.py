@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from behaviors.errors import InputError
@@ -92,7 +93,9 @@ def test_what_ends_a_worker_is_told_and_the_rest_goes_on(monkeypatch: pytest.Mon
         return "read", ""
 
     monkeypatch.setattr(worker, "check", check)
+    held = np.ones(2**27)  # 1 GB that workers are forked with
     found = list(worker.try_all([("x", n) for n in range(7)], limit_gb=1.0, limit_s=0.4))
+    del held
     assert [one.number for one in found] == list(range(7))
     assert [one.state for one in found] == [
         "read", "abort", "read", "slow", "read", "crash", "read"

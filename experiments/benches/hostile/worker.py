@@ -123,13 +123,14 @@ def _work(
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     limit = _address_space() + int(2e9 * limit_gb)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    _forget_peak()
+    had_gb = _peak_gb()  # what was there when the process was forked is no input's
     for family, number in inputs:
-        with contextlib.suppress(OSError):
-            PEAK.write_bytes(b"5")
+        _forget_peak()
         began = time.perf_counter()
         state, why = check(family, number, scratch / f"{family}-{number}")
         seconds, peak_gb = time.perf_counter() - began, _peak_gb()
-        if peak_gb > limit_gb and state not in FAILURES:
+        if peak_gb - had_gb > limit_gb and state not in FAILURES:
             state, why = "large", f"{peak_gb:.2f} GB, {why}"
         trial = Trial(family, number, state, why[:500], seconds, peak_gb)
         tell.send_bytes(json.dumps(trial.__dict__).encode())
@@ -144,6 +145,11 @@ def _cpu_s(process: int | None) -> float:
         return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
     except (OSError, IndexError, ValueError):
         return float("inf")
+
+
+def _forget_peak() -> None:
+    with contextlib.suppress(OSError):
+        PEAK.write_bytes(b"5")
 
 
 def _peak_gb() -> float:
