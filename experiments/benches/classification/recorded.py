@@ -266,7 +266,9 @@ def place_rows(place: str, drivers: Drivers, model: str) -> list[Row]:
         both = np.isfinite(one) & np.isfinite(other)
         n = int(both.sum())
         if n >= LEAST_DRIVERS:
-            rows.append(tidy_row(keys, metric, *spearman(one[both], other[both]), n))
+            value, low, high = spearman(one[both], other[both])
+            if np.isfinite(value):  # where nobody changes lanes, nothing goes with lane changes
+                rows.append(tidy_row(keys, metric, value, low, high, n))
 
     compared("spearman_split_half", belief[:, 0], belief[:, 1])
     for number, measure in enumerate(MEASURES):
