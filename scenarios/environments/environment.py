@@ -18,11 +18,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import own_function
 from scenarios import get_scenario
-from scenarios.environments.config import (
-    TrafficConfig,
-    describe_config,
-    read_config,
-)
+from scenarios.environments.config import TrafficConfig, describe_config, read_config
 from scenarios.environments.observation import (
     observable_agents,
     observation_space,
