@@ -13,8 +13,10 @@ from highway_env.vehicle.objects import Obstacle
 
 from behaviors import PROFILES, Behavior, InputError
 from scenarios import SCENARIOS
+from sim.highway.conflicts import CONFLICT_M, SAMPLE_M
 from sim.highway.engine import network_of, run, run_krauss
 from sim.highway.fast_road import FastRoad
+from sim.highway.lane_places import ALIGNED, distances_along, find_on_lanes, lane_lines
 from sim.highway.lanes import PolylineLane
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
@@ -64,6 +66,66 @@ def test_junction_paths_join_lanes_and_know_their_light_and_their_foes():
         assert back[0].begin_s == conflict.other_begin_s
     parallel = (*FOUR_WAY, 1)
     assert parallel not in [c.other for c in straight.conflicts]
+
+
+@pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "city"])
+def test_conflicts_are_those_that_a_comparison_of_all_paths_finds(name):
+    made = network(name)
+    begins = {path: lane for (lane, _), path in made.onward.items()}
+    points = {
+        path: np.array([lane.position(s, 0.0) for s in np.linspace(0.0, lane.length, count)])
+        for path, lane in ((path, made.lanes[path]) for path in begins)
+        if (count := max(int(lane.length / SAMPLE_M), 1) + 1)
+    }
+    for one in list(begins)[:40]:
+        expected = {
+            other
+            for other in begins
+            if begins[other] != begins[one]
+            and np.linalg.norm(points[one][:, None] - points[other], axis=2).min() < CONFLICT_M
+        }
+        assert {conflict.other for conflict in made.info[one].conflicts} == expected
+
+
+@pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "motorway_ramps", "city"])
+def test_who_is_on_a_lane_is_what_a_search_of_all_lanes_finds(name):
+    made, rng = network(name), np.random.default_rng(0)
+    lanes = list(made.lanes.values())
+    connector = [made.info[key].connector for key in made.lanes]
+    lines, n = lane_lines(lanes, connector), 150
+    near = [lanes[i] for i in rng.integers(len(lanes), size=n)]
+    s = [rng.uniform(-50.0, lane.length + 15.0) for lane in near]
+    aside = rng.uniform(-4.0, 4.0, n)
+    xy = np.array([lane.position(*at) for lane, *at in zip(near, s, aside, strict=True)])
+    heading = np.array([lane.heading_at(max(at, 0.0)) for lane, at in zip(near, s, strict=True)])
+    length = rng.uniform(3.0, 20.0, n)
+    found = find_on_lanes(xy, heading, np.full(n, 10.0), length, lines)
+    on = {
+        (int(row), k)
+        for k in range(len(lanes))
+        for row in found.row[found.first[k] : found.first[k + 1]]
+    }
+    expected = set()
+    for k in range(len(lanes)):
+        begin, end = lines.first[k], lines.last[k]
+        along = distances_along(xy, np.full(n, k), lines)
+        for row in range(n):
+            piece = begin + int(
+                np.searchsorted(lines.begin[begin + 1 : end + 1], along[row], side="left")
+            )
+            foot = lines.start[piece] + (along[row] - lines.begin[piece]) * lines.direction[piece]
+            facing = lines.direction[piece] @ (np.cos(heading[row]), np.sin(heading[row]))
+            if (
+                np.hypot(*(xy[row] - foot)) <= lines.margin[k]
+                and (facing if connector[k] else abs(facing)) > ALIGNED
+                and -lines.behind[k] <= along[row] <= lanes[k].length + length[row] / 2
+            ):
+                expected.add((row, k))
+    corner = {pair for pair in on ^ expected if not connector[pair[1]]}
+    assert len(expected) > n
+    assert len(on ^ expected) <= 0.02 * len(expected), corner  # a foot at a corner has two pieces
+    for k in range(len(lanes)):
+        assert (np.diff(found.s[found.first[k] : found.first[k + 1]]) >= 0.0).all()
 
 
 def test_lanes_keep_their_order_over_the_junction():
