@@ -53,6 +53,7 @@ FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "commonroad": (10002175,),
     "commonroad-map": (10005704,),
     "commonroad.gz": (1000052, 10002368),
+    "highd": (30013825,),
     "highd-grown": (2001246,),
     "ngsim-text": (2001227,),
     "kitti": (32, 2000202, 4000561),

@@ -21,7 +21,7 @@ from experiments.benches.hostile.grammars import Table
 Rows = dict[tuple[str, float], tuple[float, float]]
 """Place of each agent at each time, as a reader found it."""
 
-NUMBER: Final = re.compile(r"[-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 LARGEST: Final = 1e9
 
 NOT_PLACES: Final = ("timestamp", "timestamp_ms", "frame", "heading")
