@@ -41,7 +41,7 @@ FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "interaction-grown": (500214, 500943, 502973, 505132, 506890, 507527),
     "ind-grown": (223, 501108, 501113, 501226, 502351),
     "net.gz": (16, 72),
-    "scenarionet": (10004177, 10004750, 30002427, 30004783, 30007423, 41003504),
+    "scenarionet": (10004177, 10004750, 30002427, 30004783, 30007423, 30017742, 41003504),
     "lanelet2": (10009863,),
     "study": (150, 2000366, 2001288, 4000364, 10000296, 10001667),
     "ind": (470,),
@@ -64,7 +64,7 @@ FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "population": (30003344,),
     "net": (16, 64, 66, 800213, 800370),
     "net-small": (800119, 800183, 2000302),
-    "run": (800199,),
+    "run": (800199, 30016821),
     "stored-road": (800387,),
 }
 """Inputs on which readers once failed or differed; they are tried first, whatever the seed."""

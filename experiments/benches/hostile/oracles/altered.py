@@ -353,7 +353,7 @@ def _values(part: Any) -> list[float]:
     if not isinstance(part, dict):
         return []
     if isinstance(part.get("value"), int | float):
-        return [part["value"]]
+        return [float(part["value"])]
     return [value for inner in part.values() for value in _values(inner)]
 
 
