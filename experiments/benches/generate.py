@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import resource
 import sys
 import tempfile
@@ -18,7 +17,7 @@ from experiments.benches.contract import Bench, option
 from experiments.data.configuration import GenerateConfig
 from experiments.data.episode import Task, make_episode
 from experiments.data.generate import generate
-from experiments.data.parallel import in_parallel
+from experiments.data.parallel import in_parallel, processors
 from experiments.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.scenario import sample_agents
@@ -173,7 +172,7 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     keys: dict[str, Cell] = {"scenario": "all", "jobs": 1}
     yield [tidy_row(keys, "memory_growth_mb", growth_mb, None, None, repeated)]
     single_s: float | None = None
-    for jobs in sorted({1, os.cpu_count() or 1}):
+    for jobs in sorted({1, processors()}):
         with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
             begin = time.perf_counter()
             config = _config(settings.episodes, settings.duration_s)

@@ -12,7 +12,6 @@ into shards (`sim.store.sealing`). Several commands can share the work, each mak
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from experiments.data.cards.croissant import CROISSANT
 from experiments.data.cluster import make_on_cluster
 from experiments.data.data_card import DATA_CARD, cards_in, edited_cards, write_data_card
 from experiments.data.episode import make_episode
+from experiments.data.parallel import processors
 from experiments.data.processes import make_in_processes
 from experiments.data.shards.plan import (
     AnyConfig,
@@ -262,8 +262,7 @@ def checked_jobs(jobs: int | None) -> int:
     Raises:
         InputError: if they are less than one.
     """
-    if jobs is None:
-        jobs = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    jobs = processors() if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"jobs: found {jobs}, expected at least 1")
     return jobs

@@ -34,6 +34,13 @@ def start_worker(parent: int) -> None:
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()
 
 
+def processors() -> int:
+    """How many processors this process may use: a container's or a batch job's share of them."""
+    from loky import cpu_count
+
+    return int(cpu_count())
+
+
 def in_parallel(
     function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int | None
 ) -> Iterator[T]:
@@ -51,9 +58,9 @@ def in_parallel(
         for one in arguments:
             yield function(*one)
         return
-    from loky import cpu_count, get_reusable_executor
+    from loky import get_reusable_executor
 
-    workers = min(jobs or cpu_count(), len(arguments))
+    workers = min(jobs or processors(), len(arguments))
     executor = get_reusable_executor(
         max_workers=workers, env={"OMP_NUM_THREADS": "1"},
         initializer=start_worker, initargs=(os.getpid(),),
