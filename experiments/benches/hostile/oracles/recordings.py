@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -230,6 +230,27 @@ class _Unpickler(pickle._Unpickler):
         if module.split(".")[0] == "numpy" and name in PLAIN:
             return super().find_class(module, name)
         return _Anything
+
+    def _build(self: Any) -> None:
+        """Numpy itself breaks where a type's flags are not those of its kind."""
+        built, state = self.stack[-2:]
+        if isinstance(built, np.dtype) and state[7] != built.flags:
+            raise Refused("a type of numpy's with forged flags")
+        pickle._Unpickler.dispatch[pickle.BUILD[0]](self)
+
+    def _bytearray(self: Any) -> None:
+        """Python takes memory for as many bytes as are told, be they there or not."""
+        size = int.from_bytes(self.read(8), "little")
+        found = bytearray(self.read(size))
+        if len(found) != size:
+            raise Refused("cut off")
+        self.append(found)
+
+    dispatch: ClassVar[dict[int, Any]] = {
+        **pickle._Unpickler.dispatch,
+        pickle.BUILD[0]: _build,
+        pickle.BYTEARRAY8[0]: _bytearray,
+    }
 
 
 def _scenarionet(path: Path) -> Seen:
