@@ -25,6 +25,7 @@ from sim.highway.lanes import LaneIndex, NearLanesNetwork, corners, make_lane
 from sim.road import Connection, Lane, Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import LaneGraph
+from sim.xml_tree import without_collection
 
 FloatArray = NDArray[np.float64]
 
@@ -182,6 +183,7 @@ def _without_rings(follows: dict[str, str]) -> dict[str, str]:
     return opened
 
 
+@without_collection()  # a city has a million objects, all of which stay
 def build_network(road: Road) -> HighwayNetwork:
     """The highway-env network of a road.
 
