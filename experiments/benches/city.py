@@ -29,10 +29,17 @@ WARM_FRAMES: Final = 5
 
 
 class City(NamedTuple):
-    """One city's size: junctions along each side of the grid, and vehicles."""
+    """One city's size, and which simulator drives there.
+
+    Attributes:
+        blocks: junctions along each side of the grid.
+        vehicles: how many.
+        engine: a key of ``ENGINES``.
+    """
 
     blocks: int
     vehicles: int
+    engine: str = "sumo"
 
 
 class Measured(NamedTuple):
@@ -44,6 +51,7 @@ class Measured(NamedTuple):
         agents: vehicles in a frame, on average.
         spent_ms: (F, 4) time of each of `STAGES` in each frame, ms.
         open_s: time to read the road, s of the processor.
+        start_s: time from then to the engine's first frame, s of the processor.
         first_s: time of the first prediction on this road, after one on another, s.
         memory_mb: most memory of the process, MB.
     """
@@ -53,6 +61,7 @@ class Measured(NamedTuple):
     agents: float
     spent_ms: np.ndarray
     open_s: float
+    start_s: float
     first_s: float
     memory_mb: float
 
@@ -63,7 +72,7 @@ def cities(blocks: Sequence[int], vehicles: Sequence[int]) -> list[City]:
     The largest map has the largest crowd, too.
 
     Examples:
-        >>> [tuple(city) for city in cities((3, 8, 20), (300, 1000))]
+        >>> [tuple(city)[:2] for city in cities((3, 8, 20), (300, 1000))]
         [(8, 300), (8, 1000), (3, 300), (20, 300), (20, 1000)]
     """
     middle = blocks[len(blocks) // 2] if len(blocks) % 2 else blocks[len(blocks) // 2 - 1]
@@ -74,11 +83,17 @@ def cities(blocks: Sequence[int], vehicles: Sequence[int]) -> list[City]:
 
 
 def measure_cities(
-    blocks: Sequence[int], vehicles: Sequence[int], model: str, predictor: str, repeats: int
+    engines: Sequence[str],
+    blocks: Sequence[int],
+    vehicles: Sequence[int],
+    model: str,
+    predictor: str,
+    repeats: int,
 ) -> Iterator[list[Row]]:
-    """Rows of each city, then how costs grow with vehicles and with lanes.
+    """Rows of each engine's cities, then how its costs grow with vehicles and with lanes.
 
     Args:
+        engines: keys of ``ENGINES``.
         blocks: sizes of the maps.
         vehicles: sizes of the crowds.
         model: the classifier.
@@ -87,12 +102,14 @@ def measure_cities(
     """
     from loky import ProcessPoolExecutor
 
-    done: list[Measured] = []  # each by a process and a thread of its own
-    for city in cities(blocks, vehicles):
-        with ProcessPoolExecutor(max_workers=1, env={"OMP_NUM_THREADS": "1"}) as pool:
-            done.append(pool.submit(measure_city, city, model, predictor, repeats).result())
-        yield city_rows(done[-1])
-    yield slopes(done)
+    for engine in engines:
+        done: list[Measured] = []  # each by a process and a thread of its own
+        for size in cities(blocks, vehicles):
+            city = size._replace(engine=engine)
+            with ProcessPoolExecutor(max_workers=1, env={"OMP_NUM_THREADS": "1"}) as pool:
+                done.append(pool.submit(measure_city, city, model, predictor, repeats).result())
+            yield city_rows(done[-1])
+        yield slopes(done)
 
 
 def measure_city(city: City, model: str, predictor: str, repeats: int) -> Measured:
@@ -104,14 +121,17 @@ def measure_city(city: City, model: str, predictor: str, repeats: int) -> Measur
     from sim.engines import get_engine
     from sim.road.net import read_road
 
-    _load_kernels(model, predictor)
+    _load_kernels(city.engine, model, predictor)
     begin = time.process_time()
     read_road(grid_net(city.blocks), f"grid_{city.blocks}")
     open_s = time.process_time() - begin
     scenario = city_scenario(city.blocks, city.vehicles, 0, FILLING_S + MEASURED_S)
     agents = city_agents(scenario, city.vehicles, 0)
     frames, simulate_ms = [], []
-    running = get_engine("sumo")(scenario, agents, 0)
+    begin = time.process_time()
+    running = get_engine(city.engine)(scenario, agents, 0)
+    next(running)
+    start_s = time.process_time() - begin
     while True:
         frame, spent = timed(lambda: next(running, None))
         if frame is None:
@@ -140,6 +160,7 @@ def measure_city(city: City, model: str, predictor: str, repeats: int) -> Measur
         agents=float(np.mean([len(frame) for frame in frames])),
         spent_ms=least,
         open_s=open_s,
+        start_s=start_s,
         first_s=first_s,
         memory_mb=most / (2**20 if sys.platform == "darwin" else 2**10),
     )
@@ -152,7 +173,7 @@ def timed(work: Callable[[], T]) -> tuple[T, float]:
     return result, 1e3 * (time.process_time() - begin)
 
 
-def _load_kernels(model: str, predictor: str) -> None:
+def _load_kernels(engine: str, model: str, predictor: str) -> None:
     """Compile or load what the loop needs, on another road."""
     from graphrqi.predict import predict
     from graphrqi.stream import load_stream
@@ -162,14 +183,14 @@ def _load_kernels(model: str, predictor: str) -> None:
 
     scenario = get_scenario("four_way_intersection")(duration_s=15.0)
     stream = load_stream(model)
-    for frame in get_engine("sumo")(scenario, sample_agents(scenario, 0), 0):
+    for frame in get_engine(engine)(scenario, sample_agents(scenario, 0), 0):
         posterior = stream.update(frame)
     predict(stream.history, posterior, scenario.road, predictor=predictor)
 
 
 def _keys(measured: Measured, stage: str) -> dict[str, Cell]:
     return {
-        "engine": "sumo", "stage": stage, "agents": round(measured.agents),
+        "engine": measured.city.engine, "stage": stage, "agents": round(measured.agents),
         "lanes": measured.lanes, "vehicles": measured.city.vehicles,
     }  # fmt: skip
 
@@ -192,6 +213,7 @@ def city_rows(measured: Measured) -> list[Row]:
             rows.append(tidy_row(_keys(measured, stage), metric, float(value), None, None, n))
     for metric, value in (
         ("open_s", measured.open_s),
+        ("start_s", measured.start_s),
         ("first_prediction_s", measured.first_s),
         ("memory_mb", measured.memory_mb),
     ):
@@ -220,7 +242,7 @@ def slopes(done: Sequence[Measured]) -> list[Row]:
             medians = np.maximum([np.median(cost) for cost in costs], 1e-6)
             slope = float(np.polyfit(across, np.log(medians), 1)[0])
             keys: dict[str, Cell] = {
-                "engine": "sumo", "stage": stage, "agents": None, "lanes": None,
+                "engine": first.engine, "stage": stage, "agents": None, "lanes": None,
                 "vehicles": None,
             }  # fmt: skip
             rows.append(tidy_row(keys, metric, slope, None, None, len(some)))

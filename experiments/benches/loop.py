@@ -62,8 +62,9 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     """
     if settings.city:
         yield from measure_cities(
-            settings.blocks, settings.vehicles, settings.model, settings.predictor, settings.repeats
-        )
+            settings.engines, settings.blocks, settings.vehicles, settings.model,
+            settings.predictor, settings.repeats,
+        )  # fmt: skip
         return
     flow, duration_s = settings.flow_per_h, settings.duration_s
     scenario = get_scenario(SCENARIO)(flow=flow, duration_s=duration_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
 from experiments.benches.city import STAGES, City, city_rows, measure_city, slopes
 from experiments.benches.loop import BENCH
@@ -23,13 +24,16 @@ def test_every_stage_of_the_real_loop_is_timed():
     assert np.isclose(together, 1 / value["all", "real_time_factor"])
 
 
-def test_a_city_is_measured_and_costs_are_compared():
-    small = measure_city(City(3, 12), BENCH.quick.model, BENCH.quick.predictor, 1)
+@pytest.mark.parametrize("engine", ["sumo", "highway"])
+def test_a_city_is_measured_and_costs_are_compared(engine):
+    small = measure_city(City(3, 12, engine), BENCH.quick.model, BENCH.quick.predictor, 1)
     assert small.lanes == 276
     assert 0.0 < small.agents <= 12.0
     assert small.spent_ms.shape[1] == len(STAGES)
     assert 0.0 < small.open_s < small.memory_mb
-    large = small._replace(city=City(3, 24), agents=2 * small.agents, spent_ms=4 * small.spent_ms)
+    large = small._replace(
+        city=City(3, 24, engine), agents=2 * small.agents, spent_ms=4 * small.spent_ms
+    )
     rows = slopes([small, large])
     assert {row["metric"] for row in rows} == {"slope_agents"}
     assert all(np.isclose(row["value"], 2.0) for row in rows)
