@@ -67,6 +67,8 @@ def cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
         limits = np.iinfo(dtype)
         with np.errstate(over="ignore"):  # the limits of 64 bits are infinite in 16
             inside = (found >= limits.min).all() and (found <= limits.max).all()
+        if found.dtype.kind == "f":  # beyond, a float stands for several whole numbers
+            inside = inside and (np.abs(found) < 2.0 ** (np.finfo(found.dtype).nmant + 1)).all()
         if inside:
             whole = found.astype(dtype)
             if (whole == found).all():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from behaviors.errors import InputError
@@ -26,6 +26,7 @@ def frame(
     return Frame(t, ids, np.ones((n, 2)), some, some, some, some, kind, signals)  # type: ignore[arg-type]
 
 
+@example([2**53 + 1, 0.0], "ids")
 @given(
     st.lists(st.integers(-(2**70), 2**70) | st.floats(allow_nan=True), max_size=4),
     st.sampled_from(["ids", "kind"]),
