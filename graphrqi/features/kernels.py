@@ -204,8 +204,9 @@ def summarise(
 ) -> None:
     """Quantiles, mean and evidence of each block.
 
-    A quantile's node is found by counting the nodes below it: a search that stops there would
-    guess wrongly at nearly every stop, and takes twice as long.
+    A quantile's node is found by counting all nodes of the block at which the total is still too
+    small. A loop that ends at the node takes twice as long, because processors cannot foresee where
+    it ends.
 
     Args:
         sums: (n, S) durations on the nodes, s; S may be larger than the number of nodes.

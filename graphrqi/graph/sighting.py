@@ -50,7 +50,7 @@ class Sighting:
         twice = ordered[:-1][ordered[1:] == ordered[:-1]]
         if twice.size:
             raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
-        positions = np.ascontiguousarray(checked_floats(xy, "xy"))
+        positions = np.array(checked_floats(xy, "xy"), order="C")  # the caller may reuse its array
         if positions.size == 0 and new_ids.size == 0:
             positions = np.empty((0, 2))
         if positions.shape != (new_ids.size, 2):
@@ -61,7 +61,6 @@ class Sighting:
                 f"xy: found {positions[row].tolist()} for vehicle {new_ids[row]}, "
                 f"expected finite metres below {MAX_COORDINATE_M:g}"
             )
-        positions = positions.view()
         positions.flags.writeable = False  # always: kernels would be compiled for either
         return cls(new_ids, positions)
 

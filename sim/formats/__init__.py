@@ -254,13 +254,18 @@ def first_file(folder: Path, name: str) -> Path | None:
 
 
 def _head(path: Path) -> bytes:
-    """The beginning of a file, in lower case, without a byte order mark."""
+    """The beginning of a file in lower case, in which formats are looked for."""
+    return _beginning(path).lower()
+
+
+def _beginning(path: Path) -> bytes:
+    """The beginning of a file, without a byte order mark."""
     try:
         with opened(path) as file:
             head = file.read(HEAD_BYTES)
     except BROKEN:
         return b""
-    return head.removeprefix(codecs.BOM_UTF8).lower()
+    return head.removeprefix(codecs.BOM_UTF8)
 
 
 def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
@@ -327,8 +332,8 @@ def formats_in(path: Path) -> list[str]:
         if path.is_dir() and not any(path.iterdir()):
             seen = "an empty folder"
         elif path.is_file():
-            line = b"".join(_head(path).splitlines()[:1]).decode("utf-8", "replace")
-            if line.isprintable() and "\ufffd" not in line and line:
+            line = b"".join(_beginning(path).splitlines()[:1]).decode("utf-8", "replace")
+            if line.replace("\t", " ").isprintable() and "\ufffd" not in line and line:
                 seen += f" in its first line {line!r:.120}"
         known_names = [name for name, entry in FORMATS.items() if entry.reader is not None]
         raise InputError(

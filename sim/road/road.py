@@ -204,7 +204,7 @@ class Road:
         crossings: where pedestrians cross.
         signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
         source: the file it was read from.
-        signal_plans: the programmes behind the signal groups.
+        signal_plans: the programmes behind the signal groups, at most one for each group.
         knows: what its map tells; a SUMO net tells everything.
     """
 
@@ -339,13 +339,9 @@ class Road:
         return cells_of(np.concatenate([low, high], axis=1), segment, FIT_CELL_M)
 
     @cached_property
-    def _plan_of_group(self) -> dict[int, tuple[SignalPlan, ...]]:
-        """The plans that control each signal group."""
-        found: dict[int, tuple[SignalPlan, ...]] = {}
-        for plan in self.signal_plans:
-            for group in plan.groups:
-                found[group] = (*found.get(group, ()), plan)
-        return found
+    def _plan_of_group(self) -> dict[int, SignalPlan]:
+        """The plan that controls each signal group."""
+        return {group: plan for plan in self.signal_plans for group in plan.groups}
 
     def green_together(self, one: int, other: int) -> bool:
         """Whether two signal groups ever let go at the same time.
@@ -356,13 +352,11 @@ class Road:
         """
         if one < 0 or other < 0:
             return True
-        green = Signal.GREEN.code
-        return any(
-            states[plan.groups.index(one)] == green == states[plan.groups.index(other)]
-            for plan in self._plan_of_group.get(one, ())
-            if other in plan.groups
-            for states in plan.states
-        )
+        green, plan = Signal.GREEN.code, self._plan_of_group.get(one)
+        if plan is None or other not in plan.groups:
+            return False
+        first, second = plan.groups.index(one), plan.groups.index(other)
+        return any(states[first] == green == states[second] for states in plan.states)
 
     def first_come(self, one: int, two: int) -> bool:
         """Whether of two connections neither has priority: who comes first goes first.

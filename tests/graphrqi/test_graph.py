@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.graph import TrafficGraph, change_between
+from graphrqi.graph import Sighting, TrafficGraph, change_between
 
 
 def brute_force_edges(
@@ -250,6 +250,10 @@ def test_positions_are_not_kept_by_reference() -> None:
     graph = TrafficGraph.empty().observe(ids, np.eye(3)[:, :2])
     ids[0] = 99
     assert graph.ids.tolist() == [0, 1, 2]
+    xy = np.array([[0.0, 0.0], [1.0, 0.0], [9.0, 0.0]])
+    seen = Sighting.of([0, 1, 2], xy)
+    xy[1] = 100.0
+    assert seen.nearest(1)[1].tolist() == [1, 0, 1]
 
 
 def test_import_loads_nothing_heavy() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 import math
 import os
@@ -145,7 +146,12 @@ def test_a_road_is_stored_as_it_is(tmp_path: Path) -> None:
     assert back.signal_plans == road.signal_plans
     assert back.knows == road.knows
     np.testing.assert_array_equal(back.lanes[1].centerline, road.lanes[1].centerline)
-    path.write_bytes(path.read_bytes().replace(b'"to_lane": "2"', b'"to_lane": "9"'))
+    twice = dataclasses.replace(road, signal_plans=2 * road.signal_plans)
+    path.write_bytes(encode_road(twice))
+    os.utime(path, (1, 1))
+    with pytest.raises(InputError, match="signal_plans: found a group twice"):
+        read_stored(path)
+    path.write_bytes(encode_road(road).replace(b'"to_lane": "2"', b'"to_lane": "9"'))
     os.utime(path, (0, 0))
     with pytest.raises(InputError, match="expected a lane"):
         read_stored(path)

@@ -78,13 +78,43 @@ def test_conflicts_are_those_that_a_comparison_of_all_paths_finds(name):
         if (count := max(int(lane.length / SAMPLE_M), 1) + 1)
     }
     for one in list(begins)[:40]:
-        expected = {
-            other
-            for other in begins
-            if begins[other] != begins[one]
-            and np.linalg.norm(points[one][:, None] - points[other], axis=2).min() < CONFLICT_M
+        expected = {}
+        for other in begins:
+            distance = np.linalg.norm(points[one][:, None] - points[other], axis=2)
+            mine = np.flatnonzero(distance.min(axis=1) < CONFLICT_M)
+            theirs = np.flatnonzero(distance.min(axis=0) < CONFLICT_M)
+            if mine.size and begins[other] != begins[one]:
+                s = [
+                    np.linspace(0.0, made.lanes[path].length, len(points[path]))[near[[0, -1]]]
+                    for path, near in ((one, mine), (other, theirs))
+                ]
+                expected[other] = (*s[0], *s[1])
+        assert expected == {
+            c.other: (c.begin_s, c.end_s, c.other_begin_s, c.other_end_s)
+            for c in made.info[one].conflicts
         }
-        assert {conflict.other for conflict in made.info[one].conflicts} == expected
+
+
+@pytest.mark.parametrize("step_s", [0.02, 0.1, 7.0])
+def test_lights_show_what_their_plan_says_at_every_time(step_s):
+    made = network("four_way_intersection")
+    (plan,) = made.road.signal_plans
+    plan = dataclasses.replace(
+        plan,
+        duration_s=(30.0, 0.0, 0.03, 4.5),
+        states=tuple((state,) * len(plan.groups) for state in range(4)),
+        offset_s=-7.31,
+    )
+    road = dataclasses.replace(made.road, signal_plans=(plan,))
+    traffic, changed_s = TrafficRoad(dataclasses.replace(made, road=road)), -np.inf
+    for index in range(5000):
+        shown = traffic.signals[list(plan.groups)].tolist()
+        traffic.time_s = index * step_s
+        traffic.update_signals()
+        expected = list(plan.state_at(traffic.time_s))
+        changed_s = changed_s if shown == expected else traffic.time_s
+        assert traffic.signals[list(plan.groups)].tolist() == expected
+        assert (traffic.signal_since[list(plan.groups)] == changed_s).all()
 
 
 @pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "motorway_ramps", "city"])

@@ -219,10 +219,13 @@ def test_an_empty_folder_is_called_empty(tmp_path: Path) -> None:
         formats_in(tmp_path)
 
 
-def test_an_unknown_table_is_named_by_its_first_line(tmp_path: Path) -> None:
-    (tmp_path / "mine.csv").write_text("Time [s];veh;x\n0;a;1\n")
-    with pytest.raises(InputError, match=r"no known format in its first line 'time \[s\];veh;x',"):
+@pytest.mark.parametrize("between", [";", "\t"])
+def test_an_unknown_table_is_named_by_its_first_line(tmp_path: Path, between: str) -> None:
+    header = between.join(["Time [s]", "veh", "x"])
+    (tmp_path / "mine.csv").write_text(f"{header}\n{between.join('0a1')}\n")
+    with pytest.raises(InputError) as caught:
         formats_in(tmp_path / "mine.csv")
+    assert f"no known format in its first line {header!r}," in str(caught.value)
     (tmp_path / "mine.xlsx").write_bytes(b"PK\x03\x04\x14\xff\n")
     with pytest.raises(InputError, match="no known format, expected one of"):
         formats_in(tmp_path / "mine.xlsx")

@@ -209,8 +209,11 @@ def _check_references(path: Path, stored: _Stored) -> None:
             raise InputError(f"{path}: yields_to: found a way that is not there")
     groups = len(stored.signal_groups)
     used = [way.signal for way in stored.connections] + [c.signal for c in stored.crossings]
+    controlled = [group for plan in stored.signal_plans for group in plan.groups]
+    if len(set(controlled)) != len(controlled):
+        raise InputError(f"{path}: signal_plans: found a group twice, expected one plan for each")
+    used += controlled
     for plan in stored.signal_plans:
-        used += plan.groups
         if not plan.duration_s or len(plan.duration_s) != len(plan.states):
             raise InputError(f"{path}: signal_plans: found durations that do not fit the states")
         if any(len(state) != len(plan.groups) for state in plan.states):
