@@ -111,8 +111,8 @@ def predict(
         history: tracks whose last column is the present.
         posterior: beliefs about the drivers; agents it does not name count as unknown.
         road: where it happens; None where there is no map: then neighbours are inferred from
-            the traffic, and predictors that need a map come down to the one for recordings
-            (`graphrqi.predict.recorded.predictor`).
+            the traffic, and predictors of this package that need a map come down to the one for
+            recordings (`graphrqi.predict.recorded.predictor`); others are refused.
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
         weights: folder of ``graphrqi train-predictor`` whose network ``graphrqi-predict`` uses on
@@ -125,8 +125,9 @@ def predict(
         Futures of every agent present now, every 0.1 s up to the horizon.
 
     Raises:
-        InputError: if the predictor is unknown or takes no numbers, the horizon too short, or the
-            history empty or with numbers that are not finite where agents were seen.
+        InputError: if the predictor is unknown, takes no numbers or has no map that it needs, the
+            horizon is too short, or the history empty or with numbers that are not finite where
+            agents were seen.
     """
     from graphrqi.predict.recorded.predictor import predict_unmapped
     from graphrqi.predict.scene.scene import (
@@ -138,6 +139,11 @@ def predict(
     )
 
     function = get_predictor(predictor)
+    if road is None and PREDICTORS.source(predictor) is None:
+        raise InputError(
+            f"road: found none for the predictor {predictor!r}, which is not graphrqi's own, "
+            "expected the road that it needs"
+        )
     if numbers is not None:
         if predictor != TAKES_NUMBERS or road is None:
             raise InputError(

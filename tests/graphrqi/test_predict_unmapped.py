@@ -11,7 +11,7 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
-from graphrqi.predict import predict
+from graphrqi.predict import PREDICTORS, get_predictor, predict
 from graphrqi.predict.recorded.features import feature_count, features_of, neighbour_slots
 from graphrqi.predict.recorded.gaps import inferred_leaders, plausible
 from graphrqi.predict.recorded.motion import Motion, fading
@@ -206,6 +206,12 @@ def test_parked_vehicles_tell_nothing_of_clocks():
 def test_features_are_as_many_as_told():
     tracks = recording([0.0, 25.0], [12.0, 5.0])
     assert features_of(tracks, Motion.of(tracks)).shape == (2, feature_count())
+
+
+def test_a_predictor_of_others_is_not_replaced_where_there_is_no_map(monkeypatch):
+    monkeypatch.setitem(PREDICTORS, "theirs", get_predictor("constant-velocity"))
+    with pytest.raises(InputError, match="road: found none for the predictor 'theirs'"):
+        predict(recording([0.0], [10.0]), NOBODY, None, predictor="theirs")
 
 
 def test_a_scene_that_is_turned_and_moved_is_predicted_the_same():
