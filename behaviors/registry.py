@@ -163,7 +163,7 @@ def own_function(what: str, source: str) -> Callable[..., Any]:
 
     Args:
         what: what the function is to be ("policy"); used in messages.
-        source: the module may lie in the working folder, beside the command.
+        source: the module is installed or lies in the working folder.
 
     Raises:
         InputError: if there is none, or its module does not load.
@@ -178,7 +178,7 @@ def own_function(what: str, source: str) -> Callable[..., Any]:
     """
     module, _, function = source.partition(":")
     if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
+        sys.path.append(os.getcwd())  # last: nothing in it stands in for an installed package
     try:
         found = getattr(importlib.import_module(module), function)
     except Exception as error:  # the user's code may fail in any way

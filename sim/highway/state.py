@@ -26,7 +26,6 @@ from sim.highway.vehicle import Neighbours, ProfileVehicle
 from sim.highway.walkers import Walker
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 JOINED_M: Final = 2.0
 """A vehicle this far before the beginning of the next lane, and in line with it, leads onto it,

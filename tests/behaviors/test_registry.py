@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.registry import Registry
+from behaviors.registry import Registry, own_function
 
 ROOTS = {"square": "math:sqrt", "cube": "math:cbrt"}
 
@@ -123,3 +124,16 @@ def test_get_returns_a_default_as_a_dict_does() -> None:
     assert roots.get("cubic", math.cbrt) is math.cbrt
     with pytest.raises(InputError, match="unknown root 'cubic'"):
         roots["cubic"]
+
+
+def test_the_working_folder_stands_in_for_no_installed_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
+    for name in ("antigravity", "root_of_this_test"):
+        (tmp_path / f"{name}.py").write_text("def third(x):\n    return x / 3\n")
+    assert own_function("root", "root_of_this_test:third")(6.0) == 2.0
+    found = importlib.util.find_spec("antigravity")
+    assert found is not None
+    assert found.origin != str(tmp_path / "antigravity.py")

@@ -17,7 +17,6 @@ from sim.highway.state import JOINED_M, LEADER_RANGE_M
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MOST_LANES = 4
 """A leader is looked for on the present lane and on this many after it (as by the vehicles)."""
