@@ -32,14 +32,18 @@ class RestartingPool:
     def submit(
         self, make: Callable[[Path, T], EpisodeEntry], folder: Path, task: T
     ) -> Future[EpisodeEntry]:
-        """Start to make an episode."""
-        from loky.process_executor import ProcessPoolExecutor
+        """Start to make an episode; if a worker has died meanwhile, the future says so."""
+        from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
 
         if self._executor is None:
             self._executor = ProcessPoolExecutor(
                 max_workers=self._jobs, initializer=start_worker, initargs=(os.getpid(),)
             )
-        future: Future[EpisodeEntry] = self._executor.submit(make, folder, task)
+        future: Future[EpisodeEntry] = Future()
+        try:
+            future = self._executor.submit(make, folder, task)
+        except BrokenProcessPool as error:
+            future.set_exception(error)
         return future
 
     def stop(self) -> None:

@@ -256,6 +256,21 @@ def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
     assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 1, 2, 3]
 
 
+def test_an_episode_given_to_workers_of_whom_one_has_died_is_tried_again(tmp_path: Path) -> None:
+    def die(folder: Path, task: str) -> EpisodeEntry:
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError
+
+    pool = experiments.data.processes.RestartingPool(1)
+    try:
+        died = pool.submit(die, tmp_path, "first").exception(60.0)
+        later = pool.submit(die, tmp_path, "second")
+        assert later.done()
+        assert isinstance(later.exception(), type(died))
+    finally:
+        pool.stop()
+
+
 def test_no_more_workers_than_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
