@@ -8,6 +8,7 @@ same probability, drawn once per junction.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from behaviors.driver_models import braking_speed
 from behaviors.profiles import Profile
 from sim.frames import FloatArray
 from sim.road import Connection, Road
+from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import AgentSpec
 from sim.sumo.control.drivers import Controller, RouteDriver
 
@@ -28,6 +30,10 @@ APART_M: Final = 2.5
 ELSEWHERE_S: Final = 1.0
 """A driver on a lane that leads to no such junction is looked at again after this, s (our
 choice)."""
+
+CELL_M: Final = 20.0
+"""Width of the cells in which paths that may meet are looked for, m (our choice: some junction's
+width)."""
 
 BEFORE_LINE_M: Final = 1.0
 """Drivers wait this far before the line, m (SUMO's own distance)."""
@@ -126,14 +132,14 @@ def _foes(road: Road) -> dict[tuple[str, str], tuple[str, ...]]:
     if not links:
         return {}
     paths = [_points(road, link) for _, link in links]
-    low = np.array([path.min(axis=0) for path in paths]) - APART_M
-    high = np.array([path.max(axis=0) for path in paths])
+    boxes = boxes_of(paths, APART_M / 2)
     found: dict[tuple[str, str], tuple[str, ...]] = {}
-    for k, (one, link) in enumerate(links):
-        close = ((low <= high[k]) & (low[k] <= high)).all(axis=1)
+    near = near_pairs(boxes, boxes, CELL_M).tolist()
+    for k, pairs in itertools.groupby(near, key=lambda pair: pair[0]):
+        one, link = links[k]
         lanes = [
             lane
-            for m in np.flatnonzero(close).tolist()
+            for _, m in pairs
             if links[m][1].from_lane != link.from_lane
             and road.first_come(one, links[m][0])
             and _apart_m(paths[k], paths[m]) < APART_M
