@@ -240,13 +240,10 @@ def _run(
 
 def _holds(out: Path, identity: str) -> bool:
     """Whether a folder is a whole dataset of one episode alone."""
-    from sim.store.catalogue import is_dataset
-    from sim.store.dataset import open_dataset
-    from sim.store.lock import LOCK
+    from sim.store.dataset import finished_dataset
 
-    if (out / LOCK).exists() or not is_dataset(out):
-        return False
+    found = finished_dataset(out)
     try:
-        return [entry.id for entry in open_dataset(out).episodes()] == [identity]
+        return found is not None and [entry.id for entry in found.episodes()] == [identity]
     except InputError:  # a broken one is no empty folder, which is said elsewhere
         return False

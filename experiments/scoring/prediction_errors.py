@@ -14,13 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import Statistic, bootstrap, ratio
 from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
-from graphrqi.predict import chosen_predictor, predict
+from graphrqi.predict import check_map, chosen_predictor, predict
 from graphrqi.predict.learned.predictors import with_weights
 from graphrqi.predict.metrics import METRICS, SAMPLE_S, covered, distances, log_density, overlap
 from graphrqi.predict.prediction import Prediction
@@ -188,12 +187,8 @@ def evaluate(
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
     steps = max(1, round(HISTORY_S / tracks.step_s))
     functions = {name: chosen_predictor(name) for name in predictors}
-    own = [name for name in functions if ":" in name]
-    if road is None and own:
-        raise InputError(
-            f"predictors: found {own[0]!r} where there is no map, expected names only: "
-            "a scene has lanes"
-        )
+    for name in functions:
+        check_map(name, road)
     if weights is not None and "graphrqi-predict" in functions:
         functions["graphrqi-predict"] = with_weights(weights)
     ahead_s = max(longest, LEARNED_S)

@@ -95,6 +95,23 @@ def chosen_predictor(name: str) -> Predictor:
     return checked
 
 
+def check_map(name: str, road: Road | None) -> None:
+    """Refuse predictors of others where there is no map: they are functions of a scene with lanes.
+
+    Args:
+        name: a key of ``PREDICTORS``, or "module:function".
+        road: where something is to be predicted; None if there is no map.
+
+    Raises:
+        InputError: if there is none and the predictor is not of this package.
+    """
+    if road is None and PREDICTORS.source(name) is None:
+        raise InputError(
+            f"road: found none for the predictor {name!r}, expected one of graphrqi's own where "
+            "there is no map"
+        )
+
+
 def predict(
     history: Tracks,
     posterior: Posterior,
@@ -139,11 +156,7 @@ def predict(
     )
 
     function = get_predictor(predictor)
-    if road is None and PREDICTORS.source(predictor) is None:
-        raise InputError(
-            f"road: found none for the predictor {predictor!r}, which is not graphrqi's own, "
-            "expected the road that it needs"
-        )
+    check_map(predictor, road)
     if numbers is not None:
         if predictor != TAKES_NUMBERS or road is None:
             raise InputError(
@@ -169,4 +182,4 @@ def predict(
     return function(scene, posterior).until(horizon_s)
 
 
-__all__ = ["PREDICTORS", "chosen_predictor", "get_predictor", "predict"]
+__all__ = ["PREDICTORS", "check_map", "chosen_predictor", "get_predictor", "predict"]

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sim.episode.rows import TrajectoryRows
+from sim.episode.rows import BLOCK_ROWS, TrajectoryRows
 from sim.frames import PEDESTRIAN, IntArray
 from sim.geometry import Outlines, separation
 
@@ -23,10 +23,6 @@ no more accurate)."""
 KEY_ERROR_M: Final = 0.01
 """Pairs are looked for this much farther than circles reach, m: places along x and times are sorted
 as one number, which is rounded."""
-
-
-MOST_ROWS: Final = 200_000
-"""Rows of an episode that are searched at once (our choice: they take some 20 MB)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +60,7 @@ def contacts(steps: TrajectoryRows) -> tuple[Contact, ...]:
         ...     valid=np.ones((2, 3)), signals=np.zeros((0, 3)))))
         (Contact(agents=(0, 1), begin=1, end=2),)
     """
-    pairs = [_touching(steps, rows) for rows, _, _ in steps.row_index.time_blocks(MOST_ROWS)]
+    pairs = [_touching(steps, rows) for rows, _, _ in steps.row_index.time_blocks(BLOCK_ROWS)]
     first, second = (np.concatenate(part) for part in zip(*pairs, strict=True))
     one, two = steps.row_index.agent[first], steps.row_index.agent[second]
     at = steps.row_index.step[first]

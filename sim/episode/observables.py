@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sim.episode.rows import TrajectoryRows
+from sim.episode.rows import BLOCK_ROWS, TrajectoryRows
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal
 from sim.road import LanePosition, Road, lane_search
 from sim.road.lane_graph import LaneGraph, project
@@ -31,10 +31,6 @@ MIN_SPEED_MPS: Final = 0.1
 CROSSING_MARGIN_M: Final = 2.0
 """A pedestrian this close beside a crossing or its end counts as near it (our choice: one stride
 and the width of the kerb)."""
-
-
-MOST_ROWS: Final = 200_000
-"""Rows of an episode that are worked on at once (our choice: they take some 60 MB)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +110,7 @@ def observe(traffic: Frame | TrajectoryRows, road: Road) -> Observables:
             np.zeros(n, np.int64), np.arange(n), np.array([0, n]),
         )  # fmt: skip
     row_index, whole = traffic.row_index, dict[str, Any]()
-    for rows, first, begins in row_index.time_blocks(MOST_ROWS):
+    for rows, first, begins in row_index.time_blocks(BLOCK_ROWS):
         agent, end = row_index.agent[rows], first + begins.size - 1
         part = _observe(
             road, traffic.xy[rows], traffic.heading[rows], traffic.speed[rows],

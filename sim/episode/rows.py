@@ -14,6 +14,10 @@ import numpy as np
 from behaviors.row_index import RowIndex
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, Event, FloatArray, IntArray, Tracks
 
+BLOCK_ROWS: Final = 200_000
+"""Rows of an episode that are worked on at once where one time needs nothing of the others (our
+choice: they take some 20 to 60 MB)."""
+
 BREAK_S: Final = 1.0
 """Longest time between two frames that is no break, s (our choice: what agents do for less than a
 second is not told from recordings)."""

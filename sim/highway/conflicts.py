@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sim.compiled import compiled
 from sim.highway.lanes import LaneIndex, places_along
 from sim.road.cells import boxes_of, near_pairs
+from sim.road.lane_graph import CELL_M
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -23,10 +24,6 @@ SAMPLE_M: Final = 0.5
 
 CONFLICT_M: Final = 2.2
 """Junction paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
-
-CELL_M: Final = 20.0
-"""Width of the cells in which paths that may meet are looked for, m (our choice: some junction's
-width)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +71,7 @@ def find_conflicts(
     first = np.cumsum([0, *(len(line) for line in xy)], dtype=np.int64)
     ends = np.full((len(pairs), 2), -1, np.int64)
     if len(pairs):
-        _nearest_ends(np.concatenate(xy), first, pairs, ends)
+        _first_and_last_close(np.concatenate(xy), first, pairs, ends)
     meet = ends[:, 0] >= 0
     spans = {(one, other): span for (one, other), span in
              zip(pairs[meet].tolist(), ends[meet].tolist(), strict=True)}  # fmt: skip
@@ -94,7 +91,7 @@ def find_conflicts(
 
 
 @compiled
-def _nearest_ends(xy: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray) -> None:
+def _first_and_last_close(xy: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray) -> None:
     """Find the first and the last point of each path that is too close to another path.
 
     Args:

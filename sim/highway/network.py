@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.highway.conflicts import Conflict, find_conflicts
+from sim.highway.lane_places import LaneLines, lane_lines
 from sim.highway.lanes import LaneIndex, NearLanesNetwork, corners, make_lane
 from sim.road import Connection, Lane, Road
 from sim.road.cells import boxes_of, near_pairs
@@ -108,6 +109,11 @@ class HighwayNetwork:
     exit_of: dict[LaneIndex, LaneIndex]
     wrong_side: dict[LaneIndex, LaneIndex]
     edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = field(default_factory=dict)
+
+    @cached_property
+    def lines(self) -> LaneLines:
+        """The centre lines of ``lanes``, in that order."""
+        return lane_lines(list(self.lanes.values()), [self.info[i].connector for i in self.lanes])
 
     @cached_property
     def ways_of_lane(self) -> dict[LaneIndex, tuple[tuple[str, str], ...]]:

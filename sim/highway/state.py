@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sim.frames import Event, EventKind, Signal
 from sim.highway import driving
-from sim.highway.lane_places import OnLanes, distances_along, find_on_lanes, lane_lines
+from sim.highway.lane_places import OnLanes, distances_along, find_on_lanes
 from sim.highway.lanes import LaneIndex
 from sim.highway.network import HighwayNetwork, is_wrong_side
 from sim.highway.vehicle import Neighbours, ProfileVehicle
@@ -97,9 +97,6 @@ class RoadState(Road):  # type: ignore[misc]
         self.update_signals()
         self.signal_since[:] = -math.inf
         self._index = {lane: k for k, lane in enumerate(network.lanes)}
-        self.lines = lane_lines(
-            list(network.lanes.values()), [network.info[lane].connector for lane in network.lanes]
-        )
         self.strips_of = self._strips()
         self.strip_number: dict[tuple[LaneIndex, int], int] = {}
         for lane, info in network.info.items():
@@ -182,22 +179,23 @@ class RoadState(Road):  # type: ignore[misc]
         heading = np.array([v.heading for v in self._located], dtype=np.float64)
         self.lengths = np.array([v.LENGTH for v in self._located], dtype=np.float64)
         speed = np.array([v.speed for v in self._located], dtype=np.float64)
-        on = find_on_lanes(xy, heading, speed, self.lengths, self.lines)
+        on = find_on_lanes(xy, heading, speed, self.lengths, self.network_info.lines)
         self.located = Located(xy, heading, speed, on)
         self._on_lane: dict[LaneIndex, tuple[list[float], list[int], list[float]]] = {}
         self._along: dict[tuple[int, int], float] = {}
 
     def distance_along(self, vehicle: Vehicle, lane: LaneIndex) -> float:
         """Distance of a vehicle along a lane, m, as of the last `locate`."""
+        lines = self.network_info.lines
         if not self._along:  # of everybody on the present lane at once, which is asked most often
             lanes = [self._index[one.lane_index] for one in self._located]
-            s = distances_along(self.located.xy, np.array(lanes, np.int64), self.lines)
+            s = distances_along(self.located.xy, np.array(lanes, np.int64), lines)
             self._along = dict(zip(enumerate(lanes), s.tolist(), strict=True))
         row, k = self._row[id(vehicle)], self._index[lane]
         found = self._along.get((row, k))
         if found is None:
             xy = self.located.xy[row : row + 1]
-            found = float(distances_along(xy, np.array([k]), self.lines)[0])
+            found = float(distances_along(xy, np.array([k]), lines)[0])
             self._along[row, k] = found
         return found
 

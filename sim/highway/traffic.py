@@ -39,7 +39,7 @@ class TrafficRoad(RoadState):
     def copied(self) -> TrafficRoad:
         """Everybody as they are now, on the same lanes; neither road changes with the other."""
         network = self.network_info
-        fixed: list[object] = [network, network.net, self.lines, *network.lanes.values()]
+        fixed: list[object] = [network, network.net, *network.lanes.values()]
         if self._compiled is not None:
             fixed.append(self._compiled.tables)
         for vehicle in self.vehicles:

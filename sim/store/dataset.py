@@ -24,7 +24,7 @@ from sim.road import Road
 from sim.road.files import read_road_file
 from sim.scenario import AgentSpec
 from sim.store.atomic import temporary_folder
-from sim.store.catalogue import checksum, read_manifest, road_name, tables_of
+from sim.store.catalogue import checksum, is_dataset, read_manifest, road_name, tables_of
 from sim.store.decode import read_tables
 from sim.store.entries import (
     Catalogue,
@@ -33,7 +33,8 @@ from sim.store.entries import (
     rows_where,
     totals_of,
 )
-from sim.store.places import Folder, place_of
+from sim.store.lock import LOCK
+from sim.store.places import Folder, is_remote, local_path, place_of
 from sim.store.scans import scanned
 from sim.store.schema import (
     CATALOGUE,
@@ -351,6 +352,16 @@ class Dataset:
             copy = scratch / path.name
             copy.write_bytes(data)
             return read_road_file(copy, entry.scenario)
+
+
+def finished_dataset(path: Path) -> Dataset | None:
+    """The dataset at a place; None if there is none, a run is writing there, or it is broken."""
+    if not is_dataset(path) or (not is_remote(path) and (local_path(path) / LOCK).exists()):
+        return None
+    try:
+        return open_dataset(path)
+    except InputError:
+        return None
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -229,6 +229,7 @@ def encounter_chances(
     Returns:
         Chances and outcomes.
     """
+    functions = {name: chosen_predictor(name) for name in predictors}
     chance: dict[str, list[FloatArray]] = {name: [] for name in (*predictors, BELIEFS)}
     yielded: list[FloatArray] = []
     waited: list[FloatArray] = []
@@ -238,8 +239,8 @@ def encounter_chances(
         waited.append(met.waited)
         believed = posterior.of(scene.ids[met.row]) @ YIELDS
         chance[BELIEFS].append(believed)
-        for name in predictors:
-            prediction = chosen_predictor(name)(scene, posterior)
+        for name, function in functions.items():
+            prediction = function(scene, posterior)
             chance[name].append(wait_chance(prediction, scene, met.row, met.room))
             if name == DRAWN:
                 cases += [

@@ -17,9 +17,7 @@ from pydantic import JsonValue
 
 from behaviors.errors import InputError
 from sim.store.atomic import temporary_folder
-from sim.store.catalogue import is_dataset
-from sim.store.dataset import open_dataset
-from sim.store.lock import LOCK
+from sim.store.dataset import finished_dataset
 from sim.store.places import Folder, Place, is_remote, local_path, place_of, user_cache
 
 
@@ -105,12 +103,8 @@ def new_output(out: Path) -> Iterator[Path]:
 
 def holds(out: Path, configuration: Mapping[str, JsonValue]) -> bool:
     """Whether a place holds a whole dataset of this configuration, whatever its content."""
-    if not is_dataset(out) or (not is_remote(out) and (local_path(out) / LOCK).exists()):
-        return False
-    try:
-        return open_dataset(out).header.configuration == configuration
-    except InputError:  # a broken one is no empty folder, which is said elsewhere
-        return False
+    found = finished_dataset(out)
+    return found is not None and found.header.configuration == configuration
 
 
 def check_empty(place: Place) -> None:

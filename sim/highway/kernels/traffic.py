@@ -161,7 +161,7 @@ class CompiledTraffic:
         located, fleet = self.road.located, self._fleet
         return Places(
             xy=located.xy,
-            lines=self.road.lines,
+            lines=self.road.network_info.lines,
             on=located.on,
             length=fleet.length,
             speed=located.speed,

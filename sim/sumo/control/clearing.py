@@ -21,6 +21,7 @@ from behaviors.profiles import Profile
 from sim.frames import FloatArray
 from sim.road import Connection, Road
 from sim.road.cells import boxes_of, near_pairs
+from sim.road.lane_graph import CELL_M
 from sim.scenario import AgentSpec
 from sim.sumo.control.drivers import Controller, RouteDriver
 
@@ -30,10 +31,6 @@ APART_M: Final = 2.5
 ELSEWHERE_S: Final = 1.0
 """A driver on a lane that leads to no such junction is looked at again after this, s (our
 choice)."""
-
-CELL_M: Final = 20.0
-"""Width of the cells in which paths that may meet are looked for, m (our choice: some junction's
-width)."""
 
 BEFORE_LINE_M: Final = 1.0
 """Drivers wait this far before the line, m (SUMO's own distance)."""
