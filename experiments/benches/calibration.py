@@ -3,9 +3,11 @@
 ``simulated``: drivers of each law are simulated by code of this module alone, half of them with
 autocorrelated noise on the acceleration and noise on every place; `coverage` is the share of 90 %
 intervals that hold the true number, ``known`` the share of drivers of whom it is told, and
-``drivers_per_s`` counts them by processor time. ``unknown_width`` and ``unknown_shift`` compare the
-posteriors of numbers that are said to be unknown with the population; ``counts`` is the power with
-which likelihoods counted.
+``drivers_per_s`` counts them by processor time. ``unknown`` is the share of drivers of whom a
+number is said to be unknown; ``unknown_width`` and ``unknown_shift`` compare their posteriors with
+the population by a longer run of draws, ``unknown_within`` and ``known_within`` are the shares of
+the unknown and of the known numbers whose posterior is the population's within 5 % (the latter
+among drivers of whom anything is unknown); ``counts`` is the power with which likelihoods counted.
 
 ``recorded``: of every driver in ``--data``, the first half of its longest stretch behind one
 leader is calibrated, and the second is driven behind the recorded leader. The errors of the gap are
@@ -60,8 +62,9 @@ NOISE_MPS2, CORRELATION_S, NOISE_M = 0.19, 1.3, 0.1
 
 STEP_S: Final = 0.1
 
-MOST_UNKNOWN: Final = 40
-"""Drivers whose unknown numbers are looked at by a longer run (our choice: a tenth of a minute)."""
+WITHIN: Final = 0.05
+"""A posterior is the population's if its spread differs by no more than this share, and its mean by
+no more than so many spreads."""
 
 LEAST_HALF_S: Final = 5.0
 """Shorter second halves are not scored, s (our choice: they hardly leave the start)."""
@@ -123,36 +126,47 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
     }  # fmt: skip
     yield tidy_row(keys, "drivers_per_s", len(drives) / max(spent_s, 1e-9), None, None, len(drives))
     yield tidy_row(keys, "counts", fitted.counts, None, None, len(drives))
+    yield from _unknown_rows(keys, fitted, drives, ~told.known)
     for k, number in enumerate(NUMBERS):
-        yield from _unknown_rows({**keys, "number": number}, fitted, drives, ~told.known[:, k], k)
         for noise, who in (("", noisy | True), ("noisy", noisy), ("exact", ~noisy)):
             if who.any():
                 named = {**keys, "number": number, "noise": noise}
-                held = inside[who, k].astype(np.float64)
-                share = bootstrap(ratio, np.stack([held, np.ones(held.size)], axis=1))
-                yield tidy_row(named, "coverage", *share, int(who.sum()))
+                yield tidy_row(named, "coverage", *_mean(inside[who, k]), int(who.sum()))
                 yield tidy_row(
                     named, "known", float(told.known[who, k].mean()), None, None, int(who.sum())
                 )
 
 
 def _unknown_rows(
-    keys: dict[str, Any], fitted: Calibration, drives: Sequence[Drive], unknown: BoolArray, k: int
+    keys: dict[str, Any], fitted: Calibration, drives: Sequence[Drive], unknown: BoolArray
 ) -> Iterator[Row]:
     """Whether a number's posterior is the population's where it is said to be unknown.
 
-    By a longer run of draws: their spread over the population's, and how far their mean lies from
-    the population's, in its spreads.
+    By a longer run of draws of all drivers of whom anything is: their spread over the population's,
+    and how far their mean lies from the population's, in its spreads.
     """
-    who = np.flatnonzero(unknown)[:MOST_UNKNOWN]
-    if not who.size:
-        return
-    logs = drawn_again(fitted, [drives[i] for i in who])[:, :, k]
-    width = logs.std(axis=1) / fitted.spread[k]
-    shift = (logs.mean(axis=1) - fitted.mean[k]) / fitted.spread[k]
-    for name, values in (("unknown_width", width), ("unknown_shift", shift)):
-        share = bootstrap(ratio, np.stack([values, np.ones(who.size)], axis=1))
-        yield tidy_row(keys, name, *share, int(who.size))
+    who = np.flatnonzero(unknown.any(axis=1))
+    logs = drawn_again(fitted, [drives[int(i)] for i in who])
+    for k, number in enumerate(NUMBERS):
+        named = {**keys, "number": number}
+        yield tidy_row(named, "unknown", *_mean(unknown[:, k]), len(drives))
+        width = logs[:, :, k].std(axis=1) / fitted.spread[k]
+        shift = (logs[:, :, k].mean(axis=1) - fitted.mean[k]) / fitted.spread[k]
+        same = (np.abs(width - 1.0) <= WITHIN) & (np.abs(shift) <= WITHIN)
+        here = unknown[who, k]
+        for name, values in (
+            ("unknown_width", width[here]),
+            ("unknown_shift", shift[here]),
+            ("unknown_within", same[here]),
+            ("known_within", same[~here]),
+        ):
+            if values.size:
+                yield tidy_row(named, name, *_mean(values), values.size)
+
+
+def _mean(values: FloatArray | BoolArray) -> tuple[float, float, float]:
+    """A mean with its 95 % interval, by resampling."""
+    return bootstrap(ratio, np.stack([values.astype(np.float64), np.ones(values.size)], axis=1))
 
 
 def _simulated_drive(

@@ -61,11 +61,21 @@ class Drive:
             m/s, rear of the leader, m (+inf: none), and the leader's speed, m/s.
         begins: (B + 1,) where in ``rows`` each stretch begins, and T.
         step_s: time between rows, s.
+        frame_s: time between the frames that the rows were made of, s.
     """
 
     rows: FloatArray
     begins: IntArray
     step_s: float
+    frame_s: float
+
+    def steps(self, newer: float) -> FloatArray:
+        """(3,) steps of `filter.tell`: a simulator's own is as long as a frame.
+
+        Args:
+            newer: with how much of its new speed a driver moves on.
+        """
+        return np.array([self.step_s, min(self.frame_s, self.step_s), newer])
 
     @property
     def seconds(self) -> float:
@@ -75,7 +85,7 @@ class Drive:
     def part(self, first: int, last: int) -> Drive:
         """Its rows from one to before another, which are of one stretch."""
         rows = np.ascontiguousarray(self.rows[:, first:last])
-        return Drive(rows, np.array([0, last - first]), self.step_s)
+        return Drive(rows, np.array([0, last - first]), self.step_s, self.frame_s)
 
 
 def noise_of(values: FloatArray) -> float:
@@ -129,6 +139,7 @@ def make_drive(stretches: Sequence[Stretch]) -> Drive | None:
         rows=np.ascontiguousarray(np.concatenate(parts, axis=1)),
         begins=np.cumsum([0, *(part.shape[1] for part in parts)]),
         step_s=every * frame_s / steps,
+        frame_s=frame_s,
     )
 
 

@@ -29,15 +29,15 @@ from graphrqi.calibrate.laws import FIELDS, Law, prior
 
 FloatArray = NDArray[np.float64]
 
-CANDIDATES: Final = 256
+CANDIDATES: Final = 1024
 """Drivers that are tried: half drawn from the prior of `laws`, half around the pooled driver."""
 
 POOLED_SPREAD: Final = 0.4
 """Log-normal spread of the latter (our choice, as that of the prior)."""
 
 OBSERVATIONS: Final = 4.0
-"""As so many independent observations each driver's past counts (our choice: in half a minute a
-driver behind another one shows about so many reactions)."""
+"""As so many independent observations each driver's past counts (of 2, 3, 4, 6 and 8, it foretells
+the second halves of the 302 training pairs of I-80 best, by the mean square)."""
 
 MOST_STEPS: Final = 250
 """Most evaluations in each search for the pooled driver."""

@@ -42,12 +42,14 @@ ROWS: Final = 32
 
 
 @reordered
-def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, h: Any, out: Any) -> None:
+def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, out: Any) -> None:
     """Log-likelihoods of a drive, by the filter's innovations.
 
     The laws are those of `behaviors.driver_models`, written out once more because their derivatives
     are made of the same terms. Krauss's driver dawdles as SUMO's does: in each step it loses a
     uniform share of up to ``imperfection`` of its acceleration, whose mean and variance are taken.
+    It reacts after one step of its own; where that is shorter than the filter's, it is looked at
+    where it will be so long before the filter's step ends.
 
     Args:
         law: code of the law.
@@ -57,14 +59,18 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, h: Any, out:
             speed, m/s, used at the start of each stretch only, rear of the leader, m (1e9 or
             more: none), and the leader's speed, m/s; all finite.
         begins: (B + 1,) where in ``drive`` each stretch begins, and T.
-        h: time between rows, s.
+        steps: (3,) time between rows, s, a simulator's own step, s, no longer, and with how much
+            of its new speed it moves on, the rest being the old one's.
         out: (K,) takes them.
     """
     # v0, T, s0, a, b | sigma^2, rho, q | root, relax, total | x, v, e | P | a, dv, dg | s | dawdle,
     # share of the residual that counts
     s = np.zeros((ROWS, LANES))
     blur = blur_m * blur_m
-    half = 0.5 * h * h if law == 0 else h * h  # SUMO moves on by the new speed
+    h, own, newer = steps[0], steps[1], steps[2]
+    half = 0.5 * h * (h + (2.0 * newer - 1.0) * own)
+    ahead = h - own if law == 1 else 0.0
+    later = (ahead - (newer - 0.5) * own) / h  # new speeds are those of the step before a place
     for begin in range(0, logs.shape[0], LANES):
         for j in range(LANES):
             for d in range(5):
@@ -92,15 +98,17 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, h: Any, out:
                 s[17, j], s[18, j], s[19, j] = STARTS_SPEED_MPS**2, 0.0, s[5, j]
             for i in range(first + 1, last):
                 lead, u = drive[3, i - 1], drive[4, i - 1]
-                if law == 1 and i > first + 1:  # SUMO's speeds are those of the step before a place
-                    u = 0.5 * (u + drive[4, i - 2])
                 if law == 1:
-                    if lead > 1e9:
-                        lead = 1e6
+                    lead = min(lead, 1e6) + u * ahead
+                if later > 0.0:
+                    u += later * (drive[4, i] - u)
+                elif i > first + 1:
+                    u -= later * (drive[4, i - 2] - u)
+                if law == 1:
                     for j in range(LANES):
                         v, a, b = s[12, j], s[3, j], s[4, j]
                         reach = b * s[1, j]
-                        beyond = max(lead - s[11, j] - s[2, j], -1.0)
+                        beyond = max(lead - s[11, j] - v * ahead - s[2, j], -1.0)
                         root = math.sqrt(max(reach * reach + u * u + 2.0 * b * beyond, 1e-4))
                         safe = max(root - reach, 0.0)
                         tg = b / root if (safe < s[0, j]) and (safe > 0.0) else 0.0
@@ -108,7 +116,7 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, h: Any, out:
                         most = accel > a
                         hard = accel < -HARDEST_MPS2
                         s[20, j] = -HARDEST_MPS2 if hard else (a if most else accel)
-                        s[21, j] = 0.0 if hard or most else -s[9, j]
+                        s[21, j] = 0.0 if hard or most else -s[9, j] * (1.0 + tg * ahead)
                         s[22, j] = 0.0 if hard or most else tg * s[9, j]
                         s[26, j] = 1.0 if hard or most else s[25, j]
                 elif lead < 1e9:

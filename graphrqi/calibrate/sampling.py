@@ -97,10 +97,10 @@ def log_student(z: Any, centre: Any, lower: Any, solved: Any) -> Any:
 
 @inner
 def blurred(
-    law: Any, z: Any, blur_m: Any, counts: Any, drive: Any, begins: Any, h: Any, out: Any
+    law: Any, z: Any, blur_m: Any, counts: Any, drive: Any, begins: Any, steps: Any, out: Any
 ) -> None:
     """``filter.tell`` times ``counts``."""
-    tell(law, z, blur_m, drive, begins, h, out)
+    tell(law, z, blur_m, drive, begins, steps, out)
     for i in range(out.size):
         out[i] *= counts
 
@@ -119,7 +119,7 @@ def share_left(gain: Any) -> Any:
 @compiled
 def sample(
     law: Any, start: Any, blur_m: Any, counts: Any, mean: Any, precision: Any, moves: Any,
-    sweeps: Any, rng: Any, drive: Any, begins: Any, h: Any,
+    sweeps: Any, rng: Any, drive: Any, begins: Any, steps: Any,
 ) -> Any:  # fmt: skip
     """Draw from a driver's posterior.
 
@@ -136,7 +136,7 @@ def sample(
         rng: source of the steps.
         drive: as in ``filter.tell``; so are the next two.
         begins: see there.
-        h: see there.
+        steps: see there.
 
     Returns:
         (sweeps // 4 * K, D) draws, all alike, and the log-likelihood of the drive under the
@@ -156,14 +156,14 @@ def sample(
         exact_m = max(exact_m, BLUR_ENDS * drive[1, i])
     fresh = blur_m > 0.0
     if not fresh:
-        blurred(law, z, 0.0, counts, drive, begins, h, told)
+        blurred(law, z, 0.0, counts, drive, begins, steps, told)
     while True:
         if fresh or blur_m > 0.0:
             sharper = blur_m if fresh else blur_m * math.exp(-shrinks)
             while True:
                 if sharper < exact_m:
                     sharper = 0.0
-                blurred(law, z, sharper, counts, drive, begins, h, found)
+                blurred(law, z, sharper, counts, drive, begins, steps, found)
                 for i in range(count):
                     gain[i] = found[i] - told[i]
                 left = share_left(gain)
@@ -211,7 +211,7 @@ def sample(
                     for c in range(d + 1):
                         moved += lower[d, c] * step[c]
                     there[i, d] = moved
-            blurred(law, there, blur_m, counts, drive, begins, h, found)
+            blurred(law, there, blur_m, counts, drive, begins, steps, found)
             accepted = 0.0
             for i in range(count):
                 beside = log_normal(there[i], mean, precision)

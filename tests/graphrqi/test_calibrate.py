@@ -24,7 +24,7 @@ from graphrqi.calibrate.driving_on import (
 from graphrqi.calibrate.filter import LANES, LEAST_RESIDUAL_MPS2, STARTS_SPEED_MPS, tell
 from graphrqi.calibrate.kernels import HARDEST_MPS2, drive_on
 from graphrqi.calibrate.laws import FIELDS, Law, prior
-from graphrqi.calibrate.posterior import calibrate
+from graphrqi.calibrate.posterior import calibrate, moving_on
 from graphrqi.calibrate.sampling import sample
 
 
@@ -63,11 +63,13 @@ def _leader(rng: np.random.Generator, steps: int, stops: bool) -> np.ndarray:
     return out
 
 
-def _idm_drive(numbers: np.ndarray, seed: int, noise_m: float = 0.0, stops: bool = True) -> Drive:
+def _idm_drive(
+    numbers: np.ndarray, seed: int, noise_m: float = 0.0, stops: bool = True, newer: float = 0.5
+) -> Drive:
     """Someone who drives by IDM behind such a leader for 60 s, written out here once more."""
     rng = np.random.default_rng(seed)
     u = _leader(rng, 600, stops)
-    rear = 40.0 + np.concatenate([[0.0], np.cumsum(0.05 * (u[1:] + u[:-1]))])
+    rear = 40.0 + np.concatenate([[0.0], np.cumsum(0.1 * (newer * u[1:] + (1.0 - newer) * u[:-1]))])
     v0, headway, s0, a, b = numbers
     x, v, e = rear[0] - s0 - headway * u[0], u[0], 0.0
     place = np.empty(600)
@@ -77,7 +79,7 @@ def _idm_drive(numbers: np.ndarray, seed: int, noise_m: float = 0.0, stops: bool
         wanted = s0 + max(0.0, v * headway + v * (v - u[i]) / (2.0 * np.sqrt(a * b)))
         accel = a * (1.0 - (v / v0) ** 4 - (wanted / max(rear[i] - x, 0.2)) ** 2) + e
         faster = max(v + 0.1 * accel, 0.0)
-        x, v = x + 0.05 * (v + faster), faster
+        x, v = x + 0.1 * (newer * faster + (1.0 - newer) * v), faster
     shaken = rng.normal(0.0, noise_m, (2, 600))
     drive = make_drive([Stretch(0.1 * np.arange(600), place + shaken[0], rear + shaken[1])])
     assert drive is not None
@@ -91,6 +93,51 @@ def test_exact_drives_give_their_numbers_back() -> None:
     np.testing.assert_allclose(told.mean[:, 1], 1.1, rtol=0.1)
     np.testing.assert_allclose(told.mean[:, 3], 1.7, rtol=0.15)
     assert told.known[:, 1].all()
+
+
+@pytest.mark.parametrize("newer", [0.0, 0.5, 1.0])
+def test_it_is_found_by_which_speed_a_simulator_moves_on(newer: float) -> None:
+    rng = np.random.default_rng(5)
+    truth = np.exp(np.log([21.0, 1.3, 2.5, 1.5, 2.0]) + 0.2 * rng.standard_normal((24, 5)))
+    drives = [_idm_drive(one, 300 + i, newer=newer) for i, one in enumerate(truth)]
+    assert moving_on(Law.IDM, drives) == newer
+
+
+def test_intervals_of_exact_drives_are_narrower_and_hold_the_truth() -> None:
+    rng = np.random.default_rng(78)
+    truth = np.exp(np.log([21.0, 1.3, 2.5, 1.5, 2.0]) + 0.3 * rng.standard_normal((40, 5)))
+    told = [
+        calibrate(Law.IDM, drives).summary()
+        for noise_m in (0.0, 0.1)
+        for drives in [[_idm_drive(one, 500 + i, noise_m) for i, one in enumerate(truth)]]
+    ]
+    exact, noisy = (np.median(np.log(one.high / one.low), axis=0) for one in told)
+    assert (exact < 0.7 * noisy).all()
+    assert ((told[0].low <= truth) & (truth <= told[0].high)).mean() >= 0.85
+
+
+@pytest.mark.parametrize("frame_s", [0.04, 0.05, 0.1])
+def test_krauss_drivers_with_short_steps_are_calibrated(frame_s: float) -> None:
+    """Their step is shorter than the filter's; written out here once more."""
+    rng = np.random.default_rng(6)
+    count = round(40.0 / frame_s)
+    u = np.interp(frame_s * np.arange(count), 0.1 * np.arange(600), _leader(rng, 600, True))
+    truth = np.exp(np.log([25.0, 1.2, 2.5, 1.8, 2.2]) + 0.2 * rng.standard_normal((16, 5)))
+    drives = []
+    for v0, headway, s0, a, b in truth:
+        rear = 40.0 + np.concatenate([[0.0], np.cumsum(frame_s * u[1:])])
+        x, v, place = rear[0] - s0 - headway * u[0], u[0], np.empty(count)
+        for i in range(count):
+            place[i] = x
+            safe = krauss_safe_speed(max(rear[i] - x - s0, 0.0), u[i], headway, b)
+            v = max(min(v0, safe, v + frame_s * a), 0.0)
+            x += frame_s * v
+        drive = make_drive([Stretch(frame_s * np.arange(count), place, rear)])
+        assert drive is not None
+        drives.append(drive)
+    told = calibrate(Law.KRAUSS, drives).summary()
+    np.testing.assert_allclose(told.mean[:, 1], truth[:, 1], rtol=0.15)
+    assert ((told.low <= truth) & (truth <= told.high)).mean() >= 0.75
 
 
 def test_intervals_of_noisy_drives_hold_the_truth_about_as_often_as_they_say() -> None:
@@ -147,7 +194,7 @@ def test_the_compiled_filter_is_the_kalman_filter() -> None:
     mean[0] = np.log(25.0)
     logs = np.random.default_rng(4).multivariate_normal(mean, 0.3 * covariance, LANES)
     out = np.empty(LANES)
-    tell(Law.IDM.code, logs, 0.0, drive.rows, drive.begins, drive.step_s, out)
+    tell(Law.IDM.code, logs, 0.0, drive.rows, drive.begins, drive.steps(0.5), out)
     assert out[:4] == pytest.approx([_idm_slowly(one, drive) for one in logs[:4]], abs=1e-4)
 
 
@@ -159,7 +206,7 @@ def test_what_nothing_is_known_of_is_drawn_from_the_population() -> None:
     rows = np.array([[0.0, 0.2], [0.1, 0.0], [2.0, 2.0], [1e9] * 2, [0.0] * 2])
     drawn, evidence = sample(
         Law.KRAUSS.code, start, 3.0, 1.0, mean, np.linalg.inv(covariance), 4, 80, rng, rows,
-        np.array([0, 2]), 0.1,
+        np.array([0, 2]), np.array([0.1, 0.1, 1.0]),
     )  # fmt: skip
     assert evidence == pytest.approx(0.0, abs=1e-9)
     spread = np.sqrt(np.diag(covariance))
