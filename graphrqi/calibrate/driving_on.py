@@ -37,7 +37,7 @@ POOLED_SPREAD: Final = 0.4
 
 OBSERVATIONS: Final = 4.0
 """As so many independent observations each driver's past counts (of 2, 3, 4, 6 and 8, it foretells
-the second halves of the 302 training pairs of I-80 best, by the mean square)."""
+the second halves of 300 training pairs of I-80 best, by the mean square)."""
 
 MOST_STEPS: Final = 250
 """Most evaluations in each search for the pooled driver."""

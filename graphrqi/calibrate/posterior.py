@@ -79,7 +79,7 @@ HOLDS, LEAST_COUNTS = 0.8, 0.05
 """From this share of it on a law is taken to hold, and what is left at least (our choice)."""
 
 WIDTHS: Final[dict[Law, tuple[tuple[float, ...], tuple[float, ...]]]] = {
-    Law.IDM: ((0.69, 0.82, 0.85, 0.43, 0.50), (1.02, 1.05, 1.11, 1.03, 1.0)),
+    Law.IDM: ((0.69, 0.82, 0.85, 0.40, 0.47), (1.02, 1.05, 1.11, 1.01, 0.99)),
     Law.KRAUSS: ((1.02, 0.63, 0.57, 1.08, 0.73), (1.0, 0.91, 0.95, 1.14, 0.76)),
 }
 """Intervals of `NUMBERS` reach so many times as far from the median as the draws do, for drivers

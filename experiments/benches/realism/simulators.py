@@ -22,7 +22,8 @@ from experiments.benches.realism.start import Start
 from graphrqi.calibrate.driving_on import driven_places, gap_errors, longest_led
 from graphrqi.calibrate.laws import Law, prior
 from graphrqi.calibrate.recorded import recorded_drivers
-from graphrqi.stream import DEFAULT_MODEL, load_stream
+from graphrqi.stream import DEFAULT_MODEL, BehaviorStream, load_stream
+from sim.frames import Tracks
 
 FloatArray = NDArray[np.float64]
 
@@ -115,12 +116,33 @@ def calibrated(start: Start, futures: int, rng: np.random.Generator) -> Drivers:
     return Drivers(Law.IDM, numbers)
 
 
+@dataclass(slots=True)
+class _Heard:
+    """A classifier's stream that has seen so many columns of a recording."""
+
+    tracks: Tracks
+    stream: BehaviorStream
+    columns: int = 0
+
+
+_HEARD: list[_Heard] = []
+"""That of the recording at hand: its instants come in order, and each goes on from the last one."""
+
+
+def _heard(start: Start) -> BehaviorStream:
+    """The classifier's stream after the past up to the instant."""
+    if not _HEARD or _HEARD[0].tracks is not start.tracks or _HEARD[0].columns > start.stop:
+        _HEARD[:] = [_Heard(start.tracks, load_stream(DEFAULT_MODEL))]
+    heard = _HEARD[0]
+    for column in range(heard.columns, start.stop):
+        heard.stream.push(start.tracks.frame(column))
+    heard.columns = start.stop
+    return heard.stream
+
+
 def profiles(start: Start, futures: int, rng: np.random.Generator) -> Drivers:
     """IDM with numbers drawn around the profile of a behaviour that the classifier believes in."""
-    stream = load_stream(DEFAULT_MODEL)
-    for column in range(start.stop):
-        stream.push(start.tracks.frame(column))
-    belief = stream.posterior().worth(start.scene.ids)
+    belief = _heard(start).posterior().worth(start.scene.ids)
     n = start.scene.ids.size
     chosen = (belief.cumsum(axis=1)[None] < rng.random((futures, n, 1))).sum(axis=2)
     drawn = [
