@@ -16,6 +16,7 @@ from behaviors.errors import InputError
 from behaviors.profiles import PROFILE_FIELDS
 from sim.frames import SIGNALS, Event, Frame, Tracks
 from sim.scenario import AgentSpec
+from sim.store.parquet import MAX_TABLE_BYTES
 from sim.store.schema import (
     AGENTS,
     EVENTS,
@@ -31,6 +32,9 @@ from sim.store.schema import (
 
 CHUNK_FRAMES: Final = 256
 """Frames collected before they are packed into arrays."""
+
+MAX_STEPS: Final = MAX_TABLE_BYTES // (8 * len(steps_schema(exact=False)))
+"""Most rows of ``steps.parquet``: readers refuse more, since they count 8 bytes for each value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +79,18 @@ def _rounded_heading(heading: NDArray[np.float64]) -> NDArray[np.float32]:
     )
 
 
-def collect(frames: Iterable[Frame]) -> Steps:
-    """Pack frames, a chunk at a time, and sort the rows by agent, then step."""
+def collect(frames: Iterable[Frame], since_s: float | None = None) -> Steps:
+    """Pack frames, a chunk at a time, and sort the rows by agent, then step.
+
+    Args:
+        frames: the episode, in time order.
+        since_s: rows up to this time, s, are not written and do not count. None: all do.
+
+    Raises:
+        InputError: if times do not increase, or as soon as more rows are to be written than can be
+            read back.
+    """
+    written = 0
     packed: list[tuple[NDArray[Any], ...]] = []
     chunk: list[Frame] = []
     times: list[float] = []
@@ -102,6 +116,9 @@ def collect(frames: Iterable[Frame]) -> Steps:
     for frame in frames:
         if times and frame.time_s <= times[-1]:
             raise InputError(f"frame.time_s: found {frame.time_s}, expected later than {times[-1]}")
+        if since_s is None or frame.time_s >= since_s + 1e-9:
+            written += len(frame)
+            _check_rows(written)
         chunk.append(frame)
         times.append(frame.time_s)
         signals.append(frame.signals)
@@ -125,6 +142,11 @@ def collect(frames: Iterable[Frame]) -> Steps:
         signals=np.stack(signals, axis=1) if signals else np.empty((0, 0), dtype=np.int8),
         events=tuple(events),
     )
+
+
+def _check_rows(rows: int) -> None:
+    if rows > MAX_STEPS:
+        raise InputError(f"steps.parquet: found {rows} rows, expected at most {MAX_STEPS}")
 
 
 def _no_agents() -> Frame:
@@ -182,6 +204,7 @@ def encode(
     Raises:
         InputError: if a number is not finite, or a table has more rows than can be read back.
     """
+    _check_rows(steps.agent.size)
     _check_finite(steps)
     tables: dict[FileName, pa.Table] = {
         "steps.parquet": _steps_table(steps),

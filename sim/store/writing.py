@@ -115,11 +115,12 @@ def write_episode(
 
     Raises:
         InputError: if a frame holds an agent that is not among ``agents``, a number that is not
-            finite, or a time that does not increase.
+            finite, or a time that does not increase; or as soon as there are more rows than can be
+            read back.
         OSError: if something cannot be written; nothing of the episode is left behind.
     """
     try:
-        steps = collect(frames)
+        steps = collect(frames, since_s)
     finally:
         close = getattr(frames, "close", None)
         if close is not None:

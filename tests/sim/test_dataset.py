@@ -24,10 +24,13 @@ from sim.scenario import AgentSpec
 from sim.store.atomic import remove_partial, whole_folder, write_whole
 from sim.store.catalogue import altered_files, canonical, finished_episode
 from sim.store.dataset import Dataset, open_dataset
+from sim.store.encode import MAX_STEPS
+from sim.store.parquet import Layout, StoredColumn, check_budget
 from sim.store.schema import (
     AGENTS,
     EVENTS,
     HEADING_QUANTUM,
+    MAX_CELLS,
     POSITION_QUANTUM,
     SIGNALS_TABLE,
     TABLES,
@@ -35,6 +38,7 @@ from sim.store.schema import (
     EpisodeMeta,
     Manifest,
     split_of,
+    steps_schema,
 )
 from sim.store.sealing import write_manifest
 from sim.store.writing import episode_id, write_episode, write_recording
@@ -105,6 +109,43 @@ def old(folder: Path) -> Dataset:
 
 NEWER = {"shard", "row_group", "exact", "drawn"}
 """Fields of entries that schema version 1 did not have."""
+
+
+def test_too_many_rows_end_a_simulation_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = np.cumsum([len(frame) for frame in frames()])
+    taken = 0
+
+    def watched() -> Iterator[Frame]:
+        nonlocal taken
+        for frame in frames():
+            taken += 1
+            yield frame
+
+    monkeypatch.setattr("sim.store.encode.MAX_STEPS", int(counts[19]))
+    with pytest.raises(InputError, match=rf"steps\.parquet: found {counts[20]} rows, expected at"):
+        write_episode(tmp_path, META, watched(), population())
+    assert taken == 21
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    # rows of the time before do not count: the last 20 frames have as many as may be
+    monkeypatch.setattr("sim.store.encode.MAX_STEPS", int(counts[-1] - counts[19]))
+    entry = write_episode(tmp_path, META, watched(), population(), since_s=2.0)
+    assert entry.agent_steps == counts[-1] - counts[19]
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_as_many_rows_may_be_written_as_are_read(exact: bool, tmp_path: Path) -> None:
+    def layout(rows: int) -> Layout:
+        columns = tuple(
+            StoredColumn(field.name, "DOUBLE", False, size=4 * rows, values=rows)
+            for field in steps_schema(exact)
+        )
+        return Layout(rows, columns)
+
+    check_budget(tmp_path, layout(MAX_STEPS), None, MAX_CELLS)
+    with pytest.raises(InputError, match="found columns of"):
+        check_budget(tmp_path, layout(MAX_STEPS + 1), None, MAX_CELLS)
 
 
 def test_what_is_written_comes_back(tmp_path: Path) -> None:
