@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from behaviors.populations import NUMBERS
-from graphrqi.calibrate.drives import Drive
+from graphrqi.calibrate.drives import LEAST_NOISE_M, Drive
 from graphrqi.calibrate.laws import FIELDS, NUISANCES, Law, place_spread, prior
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +63,10 @@ over in the next)."""
 BETWEEN: Final = 0.5
 """Who moves on by the mean of the old and the new speed; see `moving_on`."""
 
-LOOKED_AT, MOST_TOLD, FAR_LIKELIER = 64, 6.0, 6.0
+EXACT_M: Final = 1.5 * LEAST_NOISE_M
+"""Places whose errors seem no larger are exact, m (our choice)."""
+
+LOOKED_AT, MOST_TOLD, FAR_LIKELIER = 32, 6.0, 6.0
 """So many drivers are asked how they move on; each says by how much the logarithm of its likelihood
 differs, at most, as draws may get lost; and by so much all must (our choice)."""
 
@@ -224,13 +227,16 @@ def moving_on(law: Law, drives: Sequence[Drive]) -> float:
     """With how much of a step's new speed drivers move on, the rest being the old one's.
 
     Simulators differ in that, and numbers of exact drives go astray by it. SUMO's Krauss moves by
-    the new speed. Under IDM it is the mean of both (who drives as time flows does too), unless some
-    drivers' drives are far likelier by the old or by the new one.
+    the new speed. Under IDM it is the mean of both (who drives as time flows does too), unless
+    exact drives are far likelier by the old or by the new one; noisy ones do not tell.
     """
     if law is Law.KRAUSS:
         return 1.0
     mean, covariance = prior(law)
-    some = [drives[i] for i in np.random.default_rng(1).permutation(len(drives))[:LOOKED_AT]]
+    exact = [one for one in drives if one.rows[1].max() <= EXACT_M]
+    some = [exact[i] for i in np.random.default_rng(1).permutation(len(exact))[:LOOKED_AT]]
+    if not some:
+        return BETWEEN
     best = {}
     for newer in (BETWEEN, 0.0, 1.0):
         drawn, _ = _draw_all(law, some, mean, covariance, None, 1.0, newer, _nothing)
