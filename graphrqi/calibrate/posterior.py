@@ -66,9 +66,11 @@ BETWEEN: Final = 0.5
 EXACT_M: Final = 1.5 * LEAST_NOISE_M
 """Places whose errors seem no larger are exact, m (our choice)."""
 
-LOOKED_AT, MOST_TOLD, FAR_LIKELIER = 32, 6.0, 6.0
+LOOKED_AT, MOST_TOLD, FAR_LIKELIER = 96, 6.0, 3.0
 """So many drivers are asked how they move on; each says by how much the logarithm of its likelihood
-differs, at most, as draws may get lost; and by so much all must (our choice)."""
+differs, at most, as draws may get lost; and all of them must differ by so much times the root of
+their number (our choice: chance moves the sum by about five times that root, and drivers who move
+on by the mean lie as much below zero)."""
 
 STEP: Final = 0.3
 """Step of the differences by which slopes and curvature are found, in a driver's spreads (our
@@ -247,7 +249,7 @@ def moving_on(law: Law, drives: Sequence[Drive]) -> float:
         for newer, found in best.items()
     }
     newer = max(more, key=lambda one: more[one])
-    return newer if more[newer] > FAR_LIKELIER else BETWEEN
+    return newer if more[newer] > FAR_LIKELIER * len(some) ** 0.5 else BETWEEN
 
 
 def _told(law: Law, logs: FloatArray, drive: Drive, newer: float) -> FloatArray:
