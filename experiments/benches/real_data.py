@@ -403,7 +403,7 @@ class Settings:
         "behavior", "behavior; prediction: where vehicles go; told: does knowing drivers help it."
     )
     leave_out: str = option("dataset", "For prediction: dataset, place or nothing.")
-    epochs: int = option(10, "For prediction: of each training.")
+    epochs: int = option(4, "For prediction: of each training.")
     seed: int = 0
     worst: Path | None = option(None, "For prediction: page of the worst cases.", "FILE.html")
     test_videos: tuple[str, ...] = option((), "Videos that are only tested on.")

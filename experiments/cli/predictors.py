@@ -16,7 +16,7 @@ def train_predictor(
         typer.Argument(help="Recordings, datasets, or folders of them; several are mixed."),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the weights.")],
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over what is learned from.")] = 16,
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over what is learned from.")] = 4,
     seed: Seed = 0,
     json: Json = None,
     quiet: Quiet = False,

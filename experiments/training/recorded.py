@@ -2,7 +2,8 @@
 
 Every instant of a recording is learned from several times: as recorded, with noise added to the
 past, with fewer frames, and with a shorter past, so that what the network learns holds on
-recordings that are shakier, coarser or younger. The future is never altered.
+recordings that are shakier, coarser or younger. Maps are moved a little, since those of other
+places fit less well than a simulator's. The future is never altered.
 """
 
 from __future__ import annotations
@@ -30,10 +31,17 @@ from experiments.scoring.recordings import (
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.recorded.features import features_of
 from graphrqi.predict.recorded.gaps import plausible
+from graphrqi.predict.recorded.lanes_ahead import LanesAhead, lanes_ahead
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import SHIPPED, RecordedNetwork
-from graphrqi.predict.training.recorded import RecordedExamples, guesses, train_recorded
+from graphrqi.predict.training.recorded import (
+    EPOCHS,
+    RecordedExamples,
+    guesses,
+    train_recorded,
+)
 from sim.frames import BoolArray, FloatArray, Tracks
+from sim.road import Road
 from sim.store.atomic import whole_file
 
 PER_DATASET: Final = 6_000
@@ -53,6 +61,10 @@ COARSER: Final = (2, 3, 5)
 `DENSE_S`."""
 
 DENSE_S: Final = 0.15
+
+MAP_OFF_M: Final = 0.6
+"""Standard deviation of each coordinate by which the map of an altered version is off, m (our
+choice: recorded vehicles drive beside the centre lines of their maps, simulated ones on them)."""
 
 SHORTEST_PAST_S: Final = 0.4
 """The shortest past that is learned from, s."""
@@ -140,8 +152,9 @@ def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:
 
 
 def recorded_examples(
-    history: Tracks, truth: FloatArray, counts: BoolArray, group: int, believable: bool
-) -> RecordedExamples:
+    history: Tracks, truth: FloatArray, counts: BoolArray, group: int, believable: bool,
+    road: Road | None = None, map_off_m: FloatArray | None = None,
+) -> RecordedExamples:  # fmt: skip
     """What is learned from one instant.
 
     Args:
@@ -150,8 +163,14 @@ def recorded_examples(
         counts: (n,) whom to learn from.
         group: number of the dataset.
         believable: whether neighbours are seen.
+        road: the map; None for none.
+        map_off_m: (2,) by how much it is off, m; None for nothing.
     """
     motion = Motion.of(history)
+    ahead = LanesAhead.none(history.ids.size)
+    if road is not None:
+        off = np.zeros(2) if map_off_m is None else map_off_m
+        ahead = lanes_ahead(history, dataclasses.replace(motion, xy=motion.xy - off), road)
     step_s = history.step_s if history.time_s.size > 1 else 0.1
     measured = np.stack(
         [motion.speed, motion.noise_m, motion.noise_mps, np.full_like(motion.speed, step_s)], axis=1
@@ -164,22 +183,23 @@ def recorded_examples(
         measured[counts].astype(np.float32),
         steady[counts].astype(np.float32),
         np.full(int(counts.sum()), group),
+        ahead.of(counts).in_single_precision(),
     )
 
 
-def examples_of_tracks(
-    tracks: Tracks, every_s: float, group: int, rng: np.random.Generator, versions: bool
+def examples_of(
+    one: RecordedPlace, every_s: float, group: int, rng: np.random.Generator, versions: bool
 ) -> list[RecordedExamples]:
     """What is learned from one recording.
 
     Args:
-        tracks: the recording.
+        one: the recording.
         every_s: time between instants, s.
         group: number of its dataset.
         rng: draws noise and the rest.
         versions: whether other versions than the recorded one are wanted.
     """
-    found = []
+    found, tracks = [], one.tracks
     for stop in recorded_instants(tracks, every_s):
         history = history_of(tracks, stop)
         truth = happened(tracks, history, stop)
@@ -187,9 +207,10 @@ def examples_of_tracks(
         if not counts.any():
             continue
         believable = plausible(history)
-        for one in _versions(history, rng) if versions else [history]:
-            seen = believable and (not versions or rng.random() >= ALONE_SHARE)
-            found.append(recorded_examples(one, truth, counts, group, seen))
+        for number, seen in enumerate(_versions(history, rng) if versions else [history]):
+            near = believable and (not versions or rng.random() >= ALONE_SHARE)
+            off = rng.normal(0.0, MAP_OFF_M, 2) if number else None
+            found.append(recorded_examples(seen, truth, counts, group, near, one.road, off))
     return found
 
 
@@ -215,7 +236,7 @@ def gather_examples(
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, group, index))
         apart = index % VALIDATION_EVERY == VALIDATION_EVERY - 1
-        found = examples_of_tracks(one.tracks, every_s, group, rng, not apart)
+        found = examples_of(one, every_s, group, rng, not apart)
         (validation if apart else training).extend(found)
     if not training:
         return None
@@ -230,7 +251,7 @@ def train_on_recordings(
     sources: Sequence[Path],
     out: Path,
     *,
-    epochs: int = 16,
+    epochs: int = EPOCHS,
     seed: int = 0,
     per_dataset: int = PER_DATASET,
     quiet: bool = False,
@@ -254,7 +275,7 @@ def train_on_recordings(
     """
     by_dataset: dict[str, list[RecordedPlace]] = {}
     with Progress("reading recordings", 0, quiet) as progress:
-        for one in read_sources(sources, maps=False):
+        for one in read_sources(sources):
             by_dataset.setdefault(one.dataset, []).append(one)
             progress.advance(one.tracks.ids.size, int(one.tracks.valid.sum()))
     found: list[DatasetExamples] = []

@@ -324,8 +324,8 @@ def test_networks_for_home_leave_other_maps_to_the_one_for_recordings(
 ):
     y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
     tracks = recording([50, 80], [10, 8], y=[y, y])
-    expected = predict(tracks, NOBODY, None, predictor=name).xy
     for road in (told_no_limits, told_no_signals):
+        expected = predict_recorded(tracks, 50, road=road).xy
         assert np.array_equal(predict(tracks, NOBODY, road, predictor=name).xy, expected)
 
 

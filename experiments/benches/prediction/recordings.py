@@ -168,9 +168,11 @@ def score_part(
     }
     if all(one.road is not None for one in places):
         predictors["lane-rule"] = _along_lanes
-    predictors[SHIPPED] = lambda history, road: predict_recorded(history, _STEPS)
+    predictors[SHIPPED] = lambda history, road: predict_recorded(history, _STEPS, road=road)
     if network is not None:
-        predictors[LEFT_OUT] = lambda history, road: predict_recorded(history, _STEPS, network)
+        predictors[LEFT_OUT] = lambda history, road: predict_recorded(
+            history, _STEPS, network, road
+        )
     for noise_m in NOISES_M:
         scored = _scored(places, predictors, noise_m, seed, None if noise_m else on_case)
         for predictor, one in scored.items():

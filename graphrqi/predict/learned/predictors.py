@@ -41,7 +41,7 @@ def at_home(predictor: Predictor) -> Predictor:
     @functools.wraps(predictor)
     def predict(scene: Scene, posterior: Posterior) -> Prediction:
         if not knows_everything(scene):
-            return predict_recorded(scene.history, scene.steps)
+            return predict_recorded(scene.history, scene.steps, road=scene.road)
         return predictor(scene, posterior)
 
     return predict
@@ -75,7 +75,7 @@ def with_weights(folder: Path) -> Predictor:
     def predict(scene: Scene, posterior: Posterior) -> Prediction:
         if knows_everything(scene):
             return graphrqi_predict(scene, posterior)
-        return predict_recorded(scene.history, scene.steps, network)
+        return predict_recorded(scene.history, scene.steps, network, scene.road)
 
     return predict
 

@@ -28,6 +28,9 @@ FloatArray = NDArray[np.float64]
 
 Layers = tuple[NDArray[np.float32], ...]
 
+LayerArrays = tuple[FloatArray, FloatArray, Layers, Layers]
+"""Mean, scale, weights and biases of a network."""
+
 SCHEMA_VERSION: Final = 1
 
 
@@ -80,32 +83,55 @@ class Layered(Protocol):
         """One (out,) float32 vector per layer."""
 
 
-def save_layers(network: Layered, path: Path, metadata: dict[str, str]) -> None:
-    """Write a network's arrays in single precision, with the file's metadata."""
+def save_layers(
+    network: Layered, path: Path, metadata: dict[str, str], **others: Layered | None
+) -> None:
+    """Write a network's arrays in single precision, with the file's metadata.
+
+    Args:
+        network: what is written.
+        path: the file.
+        metadata: of the file.
+        others: networks written into the same file, by name; None is left out.
+    """
     from safetensors.numpy import save_file
 
-    arrays: dict[str, NDArray[np.floating]] = {"mean": network.mean, "scale": network.scale}
-    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-        arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
+    arrays: dict[str, NDArray[np.floating]] = {}
+    for prefix, one in {"": network, **{f"{name}_": one for name, one in others.items()}}.items():
+        if one is None:
+            continue
+        arrays |= {f"{prefix}mean": one.mean, f"{prefix}scale": one.scale}
+        for i, (weight, bias) in enumerate(zip(one.weights, one.biases, strict=True)):
+            arrays |= {f"{prefix}weight_{i}": weight, f"{prefix}bias_{i}": bias}
     save_file({k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}, path, metadata)
 
 
-def read_layers(path: Path) -> tuple[tuple[FloatArray, FloatArray, Layers, Layers], dict[str, Any]]:
-    """What `save_layers` wrote: mean, scale, weights and biases; and the metadata.
+def read_layers(path: Path) -> tuple[LayerArrays, dict[str, Any]]:
+    """What `save_layers` wrote: the network's arrays, and the metadata.
 
     Raises:
         InputError: if the file is missing, broken, of another network or newer than this version
             reads.
     """
     arrays, content = read_network(path, "np")
-    layers = sum(name.startswith("weight_") for name in arrays)
+    return layers_in(path, arrays), content
+
+
+def layers_in(path: Path, arrays: dict[str, Any], name: str = "") -> LayerArrays:
+    """Mean, scale, weights and biases of the network of this name among a file's arrays.
+
+    Raises:
+        InputError: if one is missing.
+    """
+    prefix = f"{name}_" if name else ""
+    layers = sum(key.startswith(f"{prefix}weight_") for key in arrays)
     try:
         return (
-            arrays["mean"].astype(np.float64),
-            arrays["scale"].astype(np.float64),
-            tuple(arrays[f"weight_{i}"] for i in range(layers)),
-            tuple(arrays[f"bias_{i}"] for i in range(layers)),
-        ), content
+            arrays[f"{prefix}mean"].astype(np.float64),
+            arrays[f"{prefix}scale"].astype(np.float64),
+            tuple(arrays[f"{prefix}weight_{i}"] for i in range(layers)),
+            tuple(arrays[f"{prefix}bias_{i}"] for i in range(layers)),
+        )
     except KeyError as error:
         raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
 

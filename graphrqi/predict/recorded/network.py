@@ -1,9 +1,13 @@
-"""The network that corrects the base on recordings, in numpy, and its file.
+"""The networks that predict recordings, in numpy, and their file.
 
 A small perceptron gives `MODES` futures per agent. Each is the base plus a polynomial of time along
 each axis of the agent's frame, times `scale_of` its speed. The first is the single best guess; the
 others cover what else may happen. Outside the range of speed, noise and rate that it was trained
 on, the futures come down to the base.
+
+Where there is a map, a second perceptron looks at each path that an agent may follow
+(`graphrqi.predict.recorded.lanes_ahead`), and once at leaving them all. It gives each path a
+score and `PER_PATH` futures, which `graphrqi.predict.recorded.along_lanes` joins with the others.
 
 References:
     Guzman-Rivera et al. (2012), "Multiple choice learning", NeurIPS (winner takes all).
@@ -22,16 +26,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.predict.networks.futures import Futures
 from graphrqi.predict.networks.perceptron import (
+    LayerArrays,
     Layers,
     about,
-    read_layers,
+    layers_in,
+    read_network,
     save_layers,
     standardized,
     through_layers,
     weights_file,
 )
 from graphrqi.predict.recorded.features import scale_of
+from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
 
 FloatArray = NDArray[np.float64]
 
@@ -46,6 +54,12 @@ HORIZON_S: Final = 5.0
 
 PER_MODE: Final = 2 * POWERS + 3
 """Numbers per future: coefficients, two for the spread, a score."""
+
+PER_PATH: Final = 6
+"""Futures along each path: the best guess, and five that cover what else may happen."""
+
+PATH_OUTPUTS: Final = PER_PATH * PER_MODE + 1
+"""Numbers for each path: its futures, and its score."""
 
 CLIP: Final = 3.0
 """Standardised inputs are cut off here: farther ones mislead at places never seen."""
@@ -93,6 +107,41 @@ class TrainedRange:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LaneNetwork:
+    """The trained network that looks at paths along lanes.
+
+    Attributes:
+        mean: (F + PATH_FEATURES,) of the training inputs: the agent's features, then the path's.
+        scale: (F + PATH_FEATURES,) their standard deviations.
+        weights: one (in, out) float32 matrix per layer.
+        biases: one (out,) float32 vector per layer.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    weights: Layers
+    biases: Layers
+
+    def __call__(self, features: NDArray[np.floating], ahead: LanesAhead) -> NDArray[np.float32]:
+        """(n, MOST + 1, PATH_OUTPUTS) raw numbers; the last path stands for leaving them all."""
+        inputs = lane_inputs(features, ahead, self.mean, self.scale)
+        raw = through_layers(inputs.reshape(-1, inputs.shape[-1]), self.weights, self.biases)
+        return raw.reshape(len(features), MOST + 1, PATH_OUTPUTS)
+
+
+def lane_inputs(
+    features: NDArray[np.floating], ahead: LanesAhead, mean: FloatArray, scale: FloatArray
+) -> NDArray[np.float32]:
+    """(n, MOST + 1, F + PATH_FEATURES) standardised inputs; a path that is not there has zeros."""
+    own = features.shape[1]
+    agent = standardized(features, mean[:own], scale[:own], CLIP)
+    path = standardized(ahead.features, mean[own:], scale[own:], CLIP)
+    path = np.where(ahead.exists[..., None], path, np.float32(0.0))
+    path = np.concatenate([path, np.zeros_like(path[:, :1])], axis=1)
+    return np.concatenate([np.repeat(agent[:, None], MOST + 1, axis=1), path], axis=2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RecordedNetwork:
     """A trained network.
 
@@ -103,6 +152,7 @@ class RecordedNetwork:
         biases: one (out,) float32 vector per layer.
         spread_scale: factor that makes the sets' coverage right, found on recordings apart.
         trained: the range that it was trained on.
+        lanes: the network that looks at paths along lanes; None where no map was trained on.
     """
 
     mean: FloatArray
@@ -111,6 +161,7 @@ class RecordedNetwork:
     biases: Layers
     spread_scale: float
     trained: TrainedRange
+    lanes: LaneNetwork | None = None
 
     def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
         """(n, MODES, PER_MODE) raw numbers."""
@@ -121,7 +172,8 @@ class RecordedNetwork:
     def save(self, path: Path, card: dict[str, Any]) -> None:
         """Write the network with its card (data, split, scores) in the file's metadata."""
         trained = {name: getattr(self.trained, name) for name in TrainedRange.__slots__}
-        save_layers(self, path, about(self.spread_scale, card, trained=trained))
+        metadata = about(self.spread_scale, card, trained=trained)
+        save_layers(self, path, metadata, lanes=self.lanes)
 
 
 def powers(time_s: FloatArray) -> FloatArray:
@@ -132,8 +184,8 @@ def powers(time_s: FloatArray) -> FloatArray:
 
 def decode(
     raw: NDArray[np.floating], base: FloatArray, speed: FloatArray, trust: FloatArray,
-    spread_scale: float, time_s: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    time_s: FloatArray,
+) -> Futures:  # fmt: skip
     """The network's numbers as futures in each agent's frame.
 
     Args:
@@ -141,28 +193,31 @@ def decode(
         base: (n, H, 2) the base, m.
         speed: (n,) m/s.
         trust: (n,) how much of each correction counts, 0 to 1.
-        spread_scale: factor of all spreads.
         time_s: (H,) s.
 
     Returns:
-        (n, MODES, H, 2) positions, m; (n, MODES, H) spreads, m; (n, MODES) probabilities, the
-        first future being the likeliest.
+        The futures at these times, the first being the likeliest; spreads are not scaled yet.
     """
     n = len(raw)
     size = scale_of(speed)[:, None, None, None] * trust[:, None, None, None]
     bend = raw[..., : 2 * POWERS].reshape(n, MODES, POWERS, 2).astype(np.float64)
     own = base[:, None] + size * np.einsum("nkpc,pt->nktc", bend, powers(time_s), optimize=True)
+    score = raw[..., 1:, -1].astype(np.float64)
+    other = np.exp(score - score.max(axis=1, keepdims=True))
+    other /= other.sum(axis=1, keepdims=True)
+    chance = np.concatenate([other.max(axis=1, keepdims=True), other], axis=1)
+    return Futures(own, spreads(raw, speed, time_s), chance / chance.sum(axis=1, keepdims=True))
+
+
+def spreads(raw: NDArray[np.floating], speed: FloatArray, time_s: FloatArray) -> FloatArray:
+    """(n, ..., H) spreads of futures, m, from a network's numbers (n, ..., PER_MODE)."""
     low, slope = raw[..., -3].astype(np.float64), raw[..., -2].astype(np.float64)
     log_time = np.log(np.maximum(time_s, 0.05) / HORIZON_S)
     spread = np.exp(
         np.clip(low, -4.0, 4.0)[..., None] + np.clip(1.2 + slope, 0.3, 3.0)[..., None] * log_time
     )
-    spread = np.maximum(spread * spread_scale * scale_of(speed)[:, None, None], LEAST_SPREAD_M)
-    score = raw[..., 1:, -1].astype(np.float64)
-    other = np.exp(score - score.max(axis=1, keepdims=True))
-    other /= other.sum(axis=1, keepdims=True)
-    chance = np.concatenate([other.max(axis=1, keepdims=True), other], axis=1)
-    return own, spread, chance / chance.sum(axis=1, keepdims=True)
+    size = scale_of(speed).reshape(-1, *(1,) * (spread.ndim - 1))
+    return np.asarray(np.maximum(spread * size, LEAST_SPREAD_M))
 
 
 def load_network(path: Path) -> RecordedNetwork:
@@ -171,7 +226,7 @@ def load_network(path: Path) -> RecordedNetwork:
     Raises:
         InputError: if the file is missing, broken or newer than this version reads.
     """
-    layers, content = read_layers(path)
+    arrays, content = read_network(path, "np")
     try:
         told = {name: float(value) for name, value in content["trained"].items()}
         trained = TrainedRange(**told)
@@ -180,22 +235,27 @@ def load_network(path: Path) -> RecordedNetwork:
     for name, value in told.items():
         if not 0.0 <= value < math.inf:
             raise InputError(f"{path}: trained.{name}: found {value:g}, expected 0 or more")
-    _check_shapes(path, *layers)
-    return RecordedNetwork(*layers, content["spread_scale"], trained)
+    layers = layers_in(path, arrays)
+    _check_shapes(path, layers, MODES * PER_MODE)
+    lanes = None
+    if "lanes_mean" in arrays:
+        found = layers_in(path, arrays, "lanes")
+        _check_shapes(path, found, PATH_OUTPUTS, layers[0].size + PATH_FEATURES)
+        lanes = LaneNetwork(*found)
+    return RecordedNetwork(*layers, content["spread_scale"], trained, lanes)
 
 
-def _check_shapes(
-    path: Path, mean: FloatArray, scale: FloatArray, weights: Layers, biases: Layers
-) -> None:
-    """Refuse layers that do not lead from one to the next, from features to futures."""
-    sizes = [mean.size, *(bias.size for bias in biases)]
+def _check_shapes(path: Path, layers: LayerArrays, answers: int, inputs: int | None = None) -> None:
+    """Refuse layers that do not lead from one to the next, from the inputs to the answers."""
+    mean, scale, weights, biases = layers
+    sizes = [mean.size if inputs is None else inputs, *(bias.size for bias in biases)]
     expected = [(sizes[0],), (sizes[0],), *((size,) for size in sizes[1:]), *pairwise(sizes)]
     arrays: tuple[NDArray[Any], ...] = (mean, scale, *biases, *weights)
     found = [array.shape for array in arrays]
-    if found != expected or sizes[-1] != MODES * PER_MODE or not (scale > 0.0).all():
+    if found != expected or sizes[-1] != answers or not (scale > 0.0).all():
         raise InputError(
-            f"{path}: found arrays of the shapes {found}"[:300] + ", expected layers of a network "
-            f"with {MODES * PER_MODE} answers"
+            f"{path}: found arrays of the shapes {found}"[:300]
+            + f", expected layers of a network with {answers} answers"
         )
 
 

@@ -1,8 +1,9 @@
-"""The predictor for recordings: a base that nobody has to train, and a network that corrects it.
+"""The predictor for recordings: a base that nobody has to train, and networks that correct it.
 
 The base lets acceleration and yaw rate fade (`graphrqi.predict.recorded.motion`). It is also the
-fallback: outside the range of speed, noise and rate that the network was trained on, the futures
-come down to it.
+fallback: outside the range of speed, noise and rate that the networks were trained on, the futures
+come down to it. Where there is a map, paths along its lanes are futures, too
+(`graphrqi.predict.recorded.along_lanes`).
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded import rivals
+from graphrqi.predict.recorded.along_lanes import join_lanes
 from graphrqi.predict.recorded.features import features_of
 from graphrqi.predict.recorded.gaps import plausible
+from graphrqi.predict.recorded.lanes_ahead import lanes_ahead
 from graphrqi.predict.recorded.motion import Motion, bent, fading
 from graphrqi.predict.recorded.network import (
     MODES,
@@ -26,6 +29,7 @@ from graphrqi.predict.recorded.network import (
     shipped_network,
 )
 from sim.frames import PEDESTRIAN, Tracks
+from sim.road import Road
 
 FloatArray = NDArray[np.float64]
 
@@ -70,33 +74,40 @@ def predict_unmapped(
 
 
 def predict_recorded(
-    history: Tracks, steps: int, network: RecordedNetwork | None = None
+    history: Tracks, steps: int, network: RecordedNetwork | None = None, road: Road | None = None
 ) -> Prediction:
-    """Futures from the past of the agents and their neighbours.
+    """Futures from the past of the agents and their neighbours, and from a map.
 
     Args:
         history: tracks whose last column is the present, everyone seen there.
         steps: how many predicted positions, `STEP_S` apart.
         network: which network; None for the one that ships.
+        road: the map; None where there is none.
     """
     network = network or shipped_network()
     time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
     motion = Motion.of(history)
     base = fading(motion, time_s)
-    raw = network(features_of(history, motion, plausible(history)))
+    features = features_of(history, motion, plausible(history))
     trust = network.trained.trust(
         motion.speed, motion.noise_m, motion.noise_mps,
         history.step_s if history.time_s.size > 1 else STEP_S,
     )  # fmt: skip
     drives = history.kind != PEDESTRIAN
     trust = np.where(drives, trust, 0.0)
-    own, spread, probability = decode(raw, base, motion.speed, trust, network.spread_scale, time_s)
+    futures = decode(network(features), base, motion.speed, trust, time_s)
+    if road is not None and network.lanes is not None:
+        ahead = lanes_ahead(history, motion, road, float(time_s[-1]))
+        raw = network.lanes(features, ahead)
+        futures = join_lanes(raw, ahead, futures, motion.speed, trust, time_s)
+    own, probability = futures.own, futures.probability
     doubt = 1.0 - trust
     if doubt.any():
         own += doubt[:, None, None, None] * (_fan(motion, time_s) - base[:, None])
         probability = trust[:, None] * probability + doubt[:, None] * np.asarray(FAN_PROBABILITY)
     aside = np.abs(own[..., 1]) > BACK_M
     own[..., 0] = np.where(aside, own[..., 0], np.maximum(own[..., 0], 0.0))
+    spread = network.spread_scale * futures.spread
     return Prediction(history.ids, time_s, motion.from_own_frame(own), probability, spread)
 
 
