@@ -318,6 +318,25 @@ def told_no_signals():
     return replace(road, knows=replace(road.knows, signals=False))
 
 
+@pytest.mark.parametrize("name", ["graphrqi-predict", "lstm", "mlp"])
+def test_drivers_on_fast_roads_are_predicted_as_recorded_ones(name):
+    """On a motorway all of them; on a fast road those who come to no light or crossing."""
+    road = SCENARIOS["motorway"](limit_mps=33.3).road
+    y = next(lane for lane in road.lanes if not lane.walking).centerline[0, 1]
+    tracks = recording([300, 360], [30, 25], y=[y, y])
+    expected = predict_recorded(tracks, 50, road=road)
+    told = predict(tracks, NOBODY, road, predictor=name)
+    assert np.array_equal(told.xy, expected.xy)
+    usual = SCENARIOS["straight_road"](limit_mps=13.89).road
+    fast = SCENARIOS["straight_road"](limit_mps=25.0).road
+    y = fast.lanes[fast.lane_index["east_in_2"]].centerline[0, 1]
+    tracks = recording([50, 300], [12, 12], y=[y, y])
+    for road, far_away in ((usual, False), (fast, True)):
+        recorded = predict_recorded(tracks, 50, road=road).xy
+        told = predict(tracks, NOBODY, road, predictor=name).xy
+        assert np.array_equal(told[0], recorded[0]) == far_away
+
+
 @pytest.mark.parametrize("name", ["graphrqi-predict", "graphrqi-predict-unlabelled", "lstm", "mlp"])
 def test_networks_for_home_leave_other_maps_to_the_one_for_recordings(
     name, told_no_limits, told_no_signals
