@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import importlib
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from experiments.cli.commands import main
+from sim.store import places
 
 
 def call(*arguments: object) -> int:
@@ -52,7 +54,16 @@ def object_store(bucket: str) -> Iterator[None]:
         patched.setenv("AWS_SECRET_ACCESS_KEY", "testing")
         patched.setenv("AWS_DEFAULT_REGION", "us-east-1")
         try:
+            _forget_clients()
             s3fs.S3FileSystem(skip_instance_cache=True).mkdir(bucket)
             yield
         finally:
             server.stop()
+            _forget_clients()
+
+
+def _forget_clients() -> None:
+    """Forget the clients that this process has: they ask the server that was there before."""
+    s3fs = importlib.import_module("s3fs")
+    places._filesystem.cache_clear()
+    s3fs.S3FileSystem.clear_instance_cache()
