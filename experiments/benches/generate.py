@@ -19,15 +19,23 @@ from experiments.data.episode import Task, make_episode
 from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel, processors
 from experiments.rows import Cell, Row, tidy_row
-from scenarios import get_scenario
 from sim.scenario import sample_agents
 from sim.store.schema import EpisodeEntry
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
+CITY: Final = "city"
+"""The scenario whose episodes are timed beside those, not written into the datasets."""
 
-def _config(episodes: int, duration_s: float) -> GenerateConfig:
-    return GenerateConfig(scenarios=SCENARIOS, episodes=episodes, seed=11, duration_s=duration_s)
+
+def _config(
+    episodes: int, duration_s: float, names: tuple[str, ...] = SCENARIOS, blocks: int | None = None
+) -> GenerateConfig:
+    options = None if blocks is None else {"blocks": blocks}
+    return GenerateConfig(
+        scenarios=names, episodes=episodes, seed=11, duration_s=duration_s,
+        scenario_options=options,
+    )  # fmt: skip
 
 
 def _cpu_s(call: Callable[[], object]) -> float:
@@ -59,11 +67,11 @@ class _Cost:
     size: int
 
 
-def _cost(scenario_name: str, index: int, duration_s: float) -> _Cost:
+def _cost(scenario_name: str, index: int, duration_s: float, blocks: int | None) -> _Cost:
     """What an episode at medium flow costs, part by part, in turns."""
     from sim.sumo.engine import step_bare
 
-    task = Task(_config(index + 1, duration_s), scenario_name, index)
+    task = Task(_config(index + 1, duration_s, (scenario_name,), blocks), scenario_name, index)
     scenario = task.config.scenario(scenario_name)
     agents = sample_agents(scenario, task.seed)
     entries: list[EpisodeEntry] = []
@@ -82,12 +90,15 @@ def _cost(scenario_name: str, index: int, duration_s: float) -> _Cost:
     return _Cost(bare, steered, read, both, everything, entries[0].agent_steps, size)
 
 
-def _frames(scenario_name: str, index: int, duration_s: float) -> dict[str, float]:
+def _frames(
+    scenario_name: str, index: int, duration_s: float, blocks: int | None
+) -> dict[str, float]:
     """What frames of dense traffic cost over bare stepping, without and with controllers."""
     from sim.sumo.engine import run, step_bare
 
     seed = 11 + index
-    scenario = get_scenario(scenario_name)(flow="dense", duration_s=duration_s)
+    config = _config(1, duration_s, (scenario_name,), blocks).model_copy(update={"flow": "dense"})
+    scenario = config.scenario(scenario_name)
     agents = sample_agents(scenario, seed)
     bare_s, read_s, steered_s, agent_steps = np.inf, np.inf, np.inf, 0
     for _ in range(3):  # the first warms up
@@ -144,6 +155,7 @@ class Settings:
         episodes: per scenario, of the dataset that is made with one job and with one per core.
         repeated: episodes that one process makes while its memory is watched.
         repeated_s: length of each of those, s.
+        blocks: junctions along each side of the city whose episodes are timed, too.
     """
 
     pairs: int = option(4, "Episodes per scenario whose parts are timed.")
@@ -151,6 +163,7 @@ class Settings:
     episodes: int = option(8, "Episodes per scenario of the dataset that is timed whole.")
     repeated: int = option(500, "Episodes made by one process whose memory is watched.")
     repeated_s: float = option(30.0, "Length of each of those, s.")
+    blocks: int = option(3, "Junctions along each side of the city; all but 3 need netgenerate.")
 
 
 def measure(settings: Settings) -> Iterator[list[Row]]:
@@ -163,7 +176,9 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         traffic), ``times_real_time``, ``agents_in_a_frame``, ``over_bare_stepping`` (of a whole
         written episode at medium flow) and its parts: ``..._steered`` (controllers, no frames),
         ``..._read`` (frames, nobody steers), ``..._steered_and_read`` (the engine as it is, but no
-        traits, events and files); ``bytes_per_agent_step``; then ``memory_growth_mb`` (of one
+        traits, events and files); ``bytes_per_agent_step``; ``us_per_agent_step`` of the whole
+        episode, and ``annotated_us_per_agent_step`` of its traits, events and files, CPU time;
+        then ``memory_growth_mb`` (of one
         process over many episodes); then ``agent_steps_per_s`` (wall clock) and ``speedup``.
     """
     yield _episode_rows(settings)
@@ -188,12 +203,17 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
 
 def _episode_rows(settings: Settings) -> list[Row]:
     """What frames and whole episodes cost over bare stepping."""
-    calls = [(name, i, settings.duration_s) for i in range(settings.pairs) for name in SCENARIOS]
-    warming = calls[: len(SCENARIOS)]
+    names = (*SCENARIOS, CITY)
+    calls = [
+        (name, i, settings.duration_s, settings.blocks if name == CITY else None)
+        for i in range(settings.pairs)
+        for name in names
+    ]
+    warming = calls[: len(names)]
     costs = list(in_parallel(_cost, [*warming, *calls], 1))[len(warming) :]
     frames = list(in_parallel(_frames, [*warming, *calls], 1))[len(warming) :]
     rows: list[Row] = []
-    for name in SCENARIOS:
+    for name in names:
         here = [cost for call, cost in zip(calls, frames, strict=True) if call[0] == name]
         rows += [_mean_row(name, 1, metric, [cost[metric] for cost in here]) for metric in here[0]]
         made = [cost for call, cost in zip(calls, costs, strict=True) if call[0] == name]
@@ -203,6 +223,10 @@ def _episode_rows(settings: Settings) -> list[Row]:
             rows.append(_mean_row(name, 1, metric, over))
         per_step = [cost.size / cost.agent_steps for cost in made]
         rows.append(_mean_row(name, 1, "bytes_per_agent_step", per_step))
+        whole = [1e6 * cost.whole / cost.agent_steps for cost in made]
+        rows.append(_mean_row(name, 1, "us_per_agent_step", whole))
+        after = [1e6 * (c.whole - c.steered_and_read) / c.agent_steps for c in made]
+        rows.append(_mean_row(name, 1, "annotated_us_per_agent_step", after))
     return rows
 
 

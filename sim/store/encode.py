@@ -16,13 +16,14 @@ from behaviors.errors import InputError
 from behaviors.profiles import PROFILE_FIELDS
 from sim.frames import SIGNALS, Event, Frame, Tracks
 from sim.scenario import AgentSpec
-from sim.store.parquet import MAX_TABLE_BYTES
+from sim.store.parquet import most_unpacked_bytes
 from sim.store.schema import (
     AGENTS,
     EVENTS,
     FRAMES,
     HEADING_QUANTUM,
     MAX_OBJECTS,
+    MAX_SHARD_STEPS,
     POSITION_QUANTUM,
     SIGNALS_TABLE,
     TRAITS_TABLE,
@@ -33,8 +34,9 @@ from sim.store.schema import (
 CHUNK_FRAMES: Final = 256
 """Frames collected before they are packed into arrays."""
 
-MAX_STEPS: Final = MAX_TABLE_BYTES // (8 * len(steps_schema(exact=False)))
-"""Most rows of ``steps.parquet``: readers refuse more, since they count 8 bytes for each value."""
+_ROW_BYTES: Final = 8 * (1 + len(steps_schema(exact=False)))
+"""What readers count for a row of ``steps.parquet``, bytes: 8 for each value, and in a shard the
+episode's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +147,18 @@ def collect(frames: Iterable[Frame], since_s: float | None = None) -> Steps:
 
 
 def _check_rows(rows: int) -> None:
-    if rows > MAX_STEPS:
-        raise InputError(f"steps.parquet: found {rows} rows, expected at most {MAX_STEPS}")
+    if rows > MAX_SHARD_STEPS:
+        raise InputError(f"steps.parquet: found {rows} rows, expected at most {MAX_SHARD_STEPS}")
+
+
+def _check_growth(rows: int, size: int) -> None:
+    """Refuse rows that take too few bytes for readers to trust them."""
+    most = most_unpacked_bytes(size) // _ROW_BYTES
+    if rows > most:
+        raise InputError(
+            f"steps.parquet: found {rows} rows in {size} bytes, of which readers take at most "
+            f"{most}: too many agents never move"
+        )
 
 
 def _no_agents() -> Frame:
@@ -214,6 +226,7 @@ def encode(
         "traits.parquet": _traits_table(shown_traits),
     }
     content = {name: _parquet_bytes(name, table) for name, table in tables.items()}
+    _check_growth(steps.agent.size, len(content["steps.parquet"]))
     return {**content, "agents.parquet": agents}
 
 

@@ -36,8 +36,16 @@ MAX_COLUMNS: Final = 1000
 """Most columns of a file (our choice; the widest of ours has 26)."""
 
 MAX_TABLE_BYTES: Final = 2**30
-"""Most bytes that the columns read may unpack to (our choice: 1 GiB, half of the budget of 2 GB
-that a file has)."""
+"""Most bytes that the columns read may unpack to, of files of any size (our choice: 1 GiB, half of
+the budget of 2 GB that a small file has)."""
+
+MAX_LARGE_TABLE_BYTES: Final = 2**32
+"""Most bytes that the columns read may unpack to, however large the file is (our choice: 4 GiB; an
+hour of 1,000 agents at 10 Hz takes 2.3)."""
+
+MAX_GROWTH: Final = 64
+"""How many times larger than its file the columns read may be, where they are larger than
+``MAX_TABLE_BYTES`` (our choice: trajectories grow 8 to 15 times, forged files a thousand times)."""
 
 _TAIL_BYTES: Final = 2**16
 """How much of a file's end is read at first (our choice: most footers fit)."""
@@ -84,10 +92,12 @@ class Layout:
     Attributes:
         rows: how many there are.
         columns: in the file's order.
+        size: bytes that they take in the file.
     """
 
     rows: int
     columns: tuple[StoredColumn, ...]
+    size: int
 
 
 @contextmanager
@@ -171,7 +181,7 @@ def _layout(data: Any) -> Layout:
         pages += _add_group(data, begin, columns, group)
         _require(pages <= MAX_PAGES, f"it has more than {MAX_PAGES} pages")
     _require(found == rows, "its row groups have other rows than the file")
-    return Layout(rows, tuple(columns))
+    return Layout(rows, tuple(columns), size)
 
 
 def _add_group(
@@ -321,7 +331,7 @@ def opened_group(
         data = read(first, end)
         _require(len(data) == end - first, "a row group lies outside of the file")
         _add_group(_Shifted(data, first), end, columns, group)
-        layout = Layout(group[3], tuple(columns))
+        layout = Layout(group[3], tuple(columns), end - first)
         parts = [(first, data), (footer.begin, footer.content)]
         with pa.PythonFile(_Parts(footer.size, parts), mode="r") as source:
             # Reading ahead would give Python's memory to Arrow's threads; one that frees it while
@@ -448,11 +458,25 @@ def check_budget(
                 )
             texts.append(column.name)
         total += max(column.size, 8 * column.values)
-    if total > MAX_TABLE_BYTES:
+    if total > most_unpacked_bytes(layout.size):
         raise InputError(
-            f"{path}: found columns of {total} bytes, expected at most {MAX_TABLE_BYTES}"
+            f"{path}: found columns of {total} bytes in {layout.size}, expected at most "
+            f"{most_unpacked_bytes(layout.size)}"
         )
     return texts
+
+
+def most_unpacked_bytes(size: int) -> int:
+    """Most bytes that the columns of a file may unpack to.
+
+    Args:
+        size: of the file, bytes.
+
+    Examples:
+        >>> [most_unpacked_bytes(size) // 2**20 for size in (10**3, 2**25, 10**9)]
+        [1024, 2048, 4096]
+    """
+    return min(max(MAX_TABLE_BYTES, MAX_GROWTH * size), MAX_LARGE_TABLE_BYTES)
 
 
 def read_packed(source: pa.NativeFile, texts: Sequence[str], columns: list[str] | None) -> pa.Table:

@@ -24,21 +24,21 @@ from sim.scenario import AgentSpec
 from sim.store.atomic import remove_partial, whole_folder, write_whole
 from sim.store.catalogue import altered_files, canonical, finished_episode
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.encode import MAX_STEPS
 from sim.store.parquet import Layout, StoredColumn, check_budget
 from sim.store.schema import (
     AGENTS,
     EVENTS,
     HEADING_QUANTUM,
     MAX_CELLS,
+    MAX_SHARD_STEPS,
     POSITION_QUANTUM,
     SIGNALS_TABLE,
     TABLES,
     TRAITS_TABLE,
     EpisodeMeta,
     Manifest,
+    shard_schema,
     split_of,
-    steps_schema,
 )
 from sim.store.sealing import write_manifest
 from sim.store.writing import episode_id, write_episode, write_recording
@@ -123,29 +123,50 @@ def test_too_many_rows_end_a_simulation_at_once(
             taken += 1
             yield frame
 
-    monkeypatch.setattr("sim.store.encode.MAX_STEPS", int(counts[19]))
+    monkeypatch.setattr("sim.store.encode.MAX_SHARD_STEPS", int(counts[19]))
     with pytest.raises(InputError, match=rf"steps\.parquet: found {counts[20]} rows, expected at"):
         write_episode(tmp_path, META, watched(), population())
     assert taken == 21
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
     # rows of the time before do not count: the last 20 frames have as many as may be
-    monkeypatch.setattr("sim.store.encode.MAX_STEPS", int(counts[-1] - counts[19]))
+    monkeypatch.setattr("sim.store.encode.MAX_SHARD_STEPS", int(counts[-1] - counts[19]))
     entry = write_episode(tmp_path, META, watched(), population(), since_s=2.0)
     assert entry.agent_steps == counts[-1] - counts[19]
 
 
+def unpacking(rows: int, size: int, exact: bool) -> Layout:
+    """What a shard's table of steps says of so many rows in so many bytes."""
+    columns = tuple(
+        StoredColumn(field.name, "DOUBLE", False, size=4 * rows, values=rows)
+        for field in shard_schema("steps.parquet", exact)
+    )
+    return Layout(rows, columns, size)
+
+
 @pytest.mark.parametrize("exact", [False, True])
 def test_as_many_rows_may_be_written_as_are_read(exact: bool, tmp_path: Path) -> None:
-    def layout(rows: int) -> Layout:
-        columns = tuple(
-            StoredColumn(field.name, "DOUBLE", False, size=4 * rows, values=rows)
-            for field in steps_schema(exact)
-        )
-        return Layout(rows, columns)
+    large = 5 * MAX_SHARD_STEPS  # bytes, 5 for each row
+    check_budget(tmp_path, unpacking(MAX_SHARD_STEPS, large, exact), None, MAX_CELLS)
+    with pytest.raises(InputError, match="found 50000001 rows"):
+        check_budget(tmp_path, unpacking(MAX_SHARD_STEPS + 1, large, exact), None, MAX_CELLS)
 
-    check_budget(tmp_path, layout(MAX_STEPS), None, MAX_CELLS)
-    with pytest.raises(InputError, match="found columns of"):
-        check_budget(tmp_path, layout(MAX_STEPS + 1), None, MAX_CELLS)
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_small_file_may_not_unpack_to_as_much_as_a_large_one(exact: bool, tmp_path: Path) -> None:
+    rows = 2**30 // 64  # eight columns of eight bytes
+    check_budget(tmp_path, unpacking(rows, 10**5, exact), None, MAX_CELLS)
+    with pytest.raises(InputError, match=r"found columns of \d+ bytes in 100000, expected at most"):
+        check_budget(tmp_path, unpacking(rows + 1, 10**5, exact), None, MAX_CELLS)
+
+
+def test_rows_that_readers_would_not_trust_are_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.store.parquet.MAX_TABLE_BYTES", 10**4)
+    monkeypatch.setattr("sim.store.parquet.MAX_GROWTH", 1)
+    with pytest.raises(InputError, match=r"rows in \d+ bytes, of which readers take at most"):
+        write_episode(tmp_path, META, frames(), population())
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_what_is_written_comes_back(tmp_path: Path) -> None:
