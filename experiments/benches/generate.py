@@ -31,7 +31,9 @@ CITY: Final = "city"
 def _config(
     episodes: int, duration_s: float, names: tuple[str, ...] = SCENARIOS, blocks: int | None = None
 ) -> GenerateConfig:
-    options = None if blocks is None else {"blocks": blocks}
+    options: dict[str, bool | int | float | str] | None = (
+        None if blocks is None else {"blocks": blocks}
+    )
     return GenerateConfig(
         scenarios=names, episodes=episodes, seed=11, duration_s=duration_s,
         scenario_options=options,

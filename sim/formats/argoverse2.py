@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from sim.arrow.budget import Layout, check_budget
+from sim.arrow.parquet import opened, read_packed
 from sim.formats.common.recording import (
     MAX_NAMES,
     Recording,
@@ -40,7 +42,6 @@ from sim.road import Road
 from sim.road.maps.argoverse2 import read_map, static_map
 from sim.store.atomic import whole_folder
 from sim.store.decode import check_number
-from sim.store.parquet import Layout, check_budget, opened, read_packed
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110

@@ -21,9 +21,10 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style, Trait
 from behaviors.profiles import PROFILE_FIELDS, Profile
 from behaviors.row_index import RowIndex
+from sim.arrow.budget import MAX_TEXT_BYTES, check_budget, check_spelled_out
+from sim.arrow.parquet import opened, read_packed
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
 from sim.scenario import AgentSpec
-from sim.store.parquet import MAX_TEXT_BYTES, check_budget, check_spelled_out, opened, read_packed
 from sim.store.schema import (
     AGENTS,
     EVENTS,

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.profiles import PROFILE_FIELDS
+from sim.arrow.budget import most_unpacked_bytes
 from sim.frames import SIGNALS, Event, Frame, Tracks
 from sim.scenario import AgentSpec
-from sim.store.parquet import most_unpacked_bytes
 from sim.store.schema import (
     AGENTS,
     EVENTS,

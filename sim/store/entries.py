@@ -20,17 +20,11 @@ from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
+from sim.arrow.budget import check_budget
+from sim.arrow.parquet import Footer, opened, opened_group, read_footer, read_packed
 from sim.frames import KINDS
 from sim.invalid_fields import first_wrong_field
 from sim.store.encode import parquet_options
-from sim.store.parquet import (
-    Footer,
-    check_budget,
-    opened,
-    opened_group,
-    read_footer,
-    read_packed,
-)
 from sim.store.places import Folder, Place, whole_file_at
 from sim.store.schema import (
     CATALOGUE,

@@ -19,18 +19,10 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict
 
 from behaviors.errors import InputError
+from sim.arrow.budget import MAX_TEXT_BYTES, check_budget, check_spelled_out
+from sim.arrow.parquet import Footer, opened, opened_group, read_footer, read_packed
 from sim.store.decode import check_columns
 from sim.store.entries import metadata_of, sorted_entries
-from sim.store.parquet import (
-    MAX_TEXT_BYTES,
-    Footer,
-    check_budget,
-    check_spelled_out,
-    opened,
-    opened_group,
-    read_footer,
-    read_packed,
-)
 from sim.store.places import Folder, Place, place_of
 from sim.store.schema import (
     BLOCK_EPISODES,

@@ -285,7 +285,7 @@ def test_texts_repeated_for_every_row_are_not_spelled_out(
 def test_texts_that_are_packed_too_well_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.store.parquet.MAX_TEXT_BYTES", 10**6)
+    monkeypatch.setattr("sim.arrow.budget.MAX_TEXT_BYTES", 10**6)
     ids = pa.array([f"{i:0900d}" for i in range(ROWS)])
     path = save(scenario(track_id=ids), tmp_path / "scenario_s.parquet")
     with pytest.raises(InputError, match=r"column track_id: found 18[0-9]+ bytes, expected"):

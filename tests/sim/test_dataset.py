@@ -19,12 +19,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError, sample_profile
+from sim.arrow.budget import Layout, StoredColumn, check_budget
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec
 from sim.store.atomic import remove_partial, whole_folder, write_whole
 from sim.store.catalogue import altered_files, canonical, finished_episode
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.parquet import Layout, StoredColumn, check_budget
 from sim.store.schema import (
     AGENTS,
     EVENTS,
@@ -162,8 +162,8 @@ def test_a_small_file_may_not_unpack_to_as_much_as_a_large_one(exact: bool, tmp_
 def test_rows_that_readers_would_not_trust_are_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.store.parquet.MAX_TABLE_BYTES", 10**4)
-    monkeypatch.setattr("sim.store.parquet.MAX_GROWTH", 1)
+    monkeypatch.setattr("sim.arrow.budget.MAX_TABLE_BYTES", 10**4)
+    monkeypatch.setattr("sim.arrow.budget.MAX_GROWTH", 1)
     with pytest.raises(InputError, match=r"rows in \d+ bytes, of which readers take at most"):
         write_episode(tmp_path, META, frames(), population())
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

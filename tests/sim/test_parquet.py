@@ -12,8 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors.errors import InputError
-from sim.store.parquet import check_budget, look_through, opened, read_packed
-from sim.store.thrift import ThriftError, read_struct
+from sim.arrow.budget import check_budget
+from sim.arrow.parquet import look_through, opened, read_packed
+from sim.arrow.thrift import ThriftError, read_struct
 
 
 def content(table: pa.Table, **options: object) -> bytes:
@@ -59,7 +60,8 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from behaviors.errors import InputError
-from sim.store.parquet import check_budget, opened, read_packed
+from sim.arrow.budget import check_budget
+from sim.arrow.parquet import opened, read_packed
 
 data = Path(sys.argv[1]).read_bytes()
 begin = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
@@ -118,7 +120,7 @@ def test_a_cut_file_is_refused(tmp_path: Path, cut: int) -> None:
 
 
 def test_what_unpacks_to_too_much_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim.store.parquet.MAX_TEXT_BYTES", 10**7)
+    monkeypatch.setattr("sim.arrow.budget.MAX_TEXT_BYTES", 10**7)
     text = pa.table({"name": pa.array(["a" * 10**5] * 300)})
     data = content(text, use_dictionary=False, compression="zstd")
     assert len(data) < 10**5
@@ -150,7 +152,7 @@ THREADS_SCRIPT = """
 import os
 import sys
 from pathlib import Path
-from sim.store.parquet import opened_group, read_footer
+from sim.arrow.parquet import opened_group, read_footer
 
 path = Path(sys.argv[1])
 data = path.read_bytes()

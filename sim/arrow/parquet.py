@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import io
 import mmap
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,32 +20,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
-from sim.store.thrift import ThriftError, read_struct
-
-MAX_TEXT_BYTES: Final = 2**28
-"""Most bytes that the texts of one column may take (our choice: 256 MiB)."""
+from sim.arrow.budget import Layout, StoredColumn
+from sim.arrow.thrift import ThriftError, read_struct
 
 MAX_PAGES: Final = 10**5
 """Most pages of a file (our choice; Arrow's own have up to 1 MiB each)."""
 
 MAX_COLUMNS: Final = 1000
 """Most columns of a file (our choice; the widest of ours has 26)."""
-
-MAX_TABLE_BYTES: Final = 2**30
-"""Most bytes that the columns read may unpack to, of files of any size (our choice: 1 GiB, half of
-the budget of 2 GB that a small file has)."""
-
-MAX_LARGE_TABLE_BYTES: Final = 2**32
-"""Most bytes that the columns read may unpack to, however large the file is (our choice: 4 GiB; an
-hour of 1,000 agents at 10 Hz takes 2.3)."""
-
-MAX_GROWTH: Final = 64
-"""How many times larger than its file the columns read may be, where they are larger than
-``MAX_TABLE_BYTES`` (our choice: trajectories grow 8 to 15 times, forged files a thousand times)."""
 
 _TAIL_BYTES: Final = 2**16
 """How much of a file's end is read at first (our choice: most footers fit)."""
@@ -60,44 +45,6 @@ _REPEATED: Final = 2
 _DATA_PAGE, _DICTIONARY_PAGE, _DATA_PAGE_V2 = 0, 2, 3
 _DELTA_BYTE_ARRAY: Final = 7
 """An encoding of texts by what they share with the one before: a few bytes make any number."""
-
-
-@dataclass(slots=True)
-class StoredColumn:
-    """One column as a file stores it.
-
-    Attributes:
-        name: with those of what it lies in, joined by dots.
-        physical: how its values are stored, in Parquet's words.
-        repeated: whether a row may have several values.
-        values: how many there are.
-        size: bytes that they take unpacked.
-        pages: how many pages hold them.
-        largest_page: bytes of the largest, unpacked.
-    """
-
-    name: str
-    physical: str
-    repeated: bool
-    values: int = 0
-    size: int = 0
-    pages: int = 0
-    largest_page: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """What a file holds, by its own headers, which agree with each other.
-
-    Attributes:
-        rows: how many there are.
-        columns: in the file's order.
-        size: bytes that they take in the file.
-    """
-
-    rows: int
-    columns: tuple[StoredColumn, ...]
-    size: int
 
 
 @contextmanager
@@ -206,7 +153,7 @@ class Footer:
         size: of the file, bytes.
         content: the footer's bytes with the length and the magic behind them.
         rows: how many rows there are.
-        groups: the row groups, as `sim.store.thrift.read_struct` gives them.
+        groups: the row groups, as `sim.arrow.thrift.read_struct` gives them.
         schema: the columns' tree, in the same form.
         metadata: what the file says of itself as a whole, by key.
     """
@@ -426,59 +373,6 @@ def _add_chunk(
     return pages
 
 
-def check_budget(
-    path: Path, layout: Layout, names: Collection[str] | None, max_values: int
-) -> list[str]:  # fmt: skip
-    """Refuse columns that have more values or bytes than there may be.
-
-    Args:
-        path: of the file, for messages.
-        layout: what `look_through` found.
-        names: the columns that are read; None for all.
-        max_values: most values that one may have.
-
-    Returns:
-        Those of them that are texts.
-
-    Raises:
-        InputError: naming what is too much.
-    """
-    texts: list[str] = []
-    total = 0
-    for column in layout.columns:
-        if names is not None and column.name.partition(".")[0] not in names:
-            continue
-        if column.values > max_values:
-            raise InputError(f"{path}: found {column.values} rows, expected at most {max_values}")
-        if column.physical == "BYTE_ARRAY":
-            if column.size > MAX_TEXT_BYTES:
-                raise InputError(
-                    f"{path}: column {column.name}: found {column.size} bytes, expected at most "
-                    f"{MAX_TEXT_BYTES}"
-                )
-            texts.append(column.name)
-        total += max(column.size, 8 * column.values)
-    if total > most_unpacked_bytes(layout.size):
-        raise InputError(
-            f"{path}: found columns of {total} bytes in {layout.size}, expected at most "
-            f"{most_unpacked_bytes(layout.size)}"
-        )
-    return texts
-
-
-def most_unpacked_bytes(size: int) -> int:
-    """Most bytes that the columns of a file may unpack to.
-
-    Args:
-        size: of the file, bytes.
-
-    Examples:
-        >>> [most_unpacked_bytes(size) // 2**20 for size in (10**3, 2**25, 10**9)]
-        [1024, 2048, 4096]
-    """
-    return min(max(MAX_TABLE_BYTES, MAX_GROWTH * size), MAX_LARGE_TABLE_BYTES)
-
-
 def read_packed(source: pa.NativeFile, texts: Sequence[str], columns: list[str] | None) -> pa.Table:
     """A table with every text in memory once, because a small file can repeat a long one.
 
@@ -499,26 +393,3 @@ def read_packed(source: pa.NativeFile, texts: Sequence[str], columns: list[str] 
     if missing := sorted({*(columns or ())} - {*table.column_names}):  # told otherwise before
         raise pa.ArrowInvalid(f"found no column {missing[0]}")
     return table
-
-
-def check_spelled_out(path: Path, column: pa.ChunkedArray, max_text_bytes: int) -> None:
-    """Refuse texts that would not fit into memory once there is one for every row.
-
-    Args:
-        path: of the file, for messages.
-        column: dictionaries of texts, or lists of them; others pass.
-        max_text_bytes: most bytes that they may take.
-
-    Raises:
-        InputError: naming the bytes.
-    """
-    flat = pc.list_flatten(column) if pa.types.is_list(column.type) else column
-    if not pa.types.is_dictionary(flat.type):
-        return
-    longest = [pc.max(pc.binary_length(part.dictionary)).as_py() for part in flat.chunks]
-    size = len(flat) * max((n or 0 for n in longest), default=0)
-    if size > max_text_bytes:
-        raise InputError(
-            f"{path}: found texts of up to {size} bytes in a column, expected at most "
-            f"{max_text_bytes}"
-        )

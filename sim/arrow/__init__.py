@@ -1,0 +1,1 @@
+"""Tables of unknown origin: looked through before Arrow reads them."""
