@@ -22,7 +22,7 @@ from experiments.scoring.prediction_errors import beliefs
 from graphrqi.model_files import load_model
 from graphrqi.predict import predict
 from graphrqi.predict.prediction import Prediction
-from sim.formats.argoverse2 import OBSERVED_STEPS
+from sim.formats.argoverse.forecasting2 import OBSERVED_STEPS
 from sim.store.atomic import whole_file
 from sim.store.dataset import open_dataset
 

@@ -90,15 +90,23 @@ FORMATS: Final[Registry[Format]] = Registry(
         "argoverse2": Format(
             ("scenario_*.parquet",),
             re.compile(rb"^par1"),
-            "sim.formats.argoverse2:read",
-            "sim.formats.argoverse2:write",
+            "sim.formats.argoverse.forecasting2:read",
+            "sim.formats.argoverse.forecasting2:write",
             own_names=True,
+        ),
+        "argoverse2-log": Format(
+            ("annotations.feather",),
+            re.compile(rb"^(?:arrow1|fea1)"),
+            "sim.formats.argoverse.sensor_log:read",
+            clock=True,
+            own_names=True,
+            beside=("map/*.json",),
         ),
         "argoverse1": Format(
             ("*.csv",),
             _columns("timestamp", "track_id", "object_type", "x", "y"),
-            "sim.formats.argoverse1:read",
-            "sim.formats.argoverse1:write",
+            "sim.formats.argoverse.forecasting1:read",
+            "sim.formats.argoverse.forecasting1:write",
         ),
         "ngsim": Format(
             ("*.csv", "*.txt"),
@@ -416,7 +424,8 @@ def read_recordings(
     Yields:
         The recordings, one at a time, in order of the files' names; see `recording_files` for
         what is left out. Files of one name in several folders make recordings that are called by
-        their folders, too: ``north/vehicle_tracks_000``.
+        their folders, too: ``north/vehicle_tracks_000``. One that is called like its file's own
+        folder keeps its name.
 
     Raises:
         InputError: if a file is broken, or there is none.
@@ -438,7 +447,7 @@ def read_recordings(
             tracks, found = with_true_times(recording.tracks, FORMATS[name].clock)
             yield replace(
                 recording,
-                name=folder + recording.name,
+                name=folder.removesuffix(f"{recording.name}/") + recording.name,
                 tracks=tracks,
                 notes=(*recording.notes, *found),
                 file=called,

@@ -12,7 +12,7 @@ from experiments.scoring.submission import STEPS, submit_dataset, write_submissi
 from graphrqi.predict.prediction import Prediction
 from scenarios import SCENARIOS
 from sim.engines import get_engine
-from sim.formats.argoverse2 import write
+from sim.formats.argoverse.forecasting2 import write
 from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
 from sim.store.dataset import open_dataset

@@ -14,7 +14,7 @@ import pytest
 from behaviors import InputError
 from experiments.data.exchange import export_dataset, import_recordings
 from sim.formats import get_reader, get_writer, read_recordings
-from sim.formats.argoverse2 import SCHEMA
+from sim.formats.argoverse.forecasting2 import SCHEMA
 from sim.formats.common.windows import NoWindowError, windows
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset

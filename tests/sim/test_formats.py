@@ -24,11 +24,12 @@ from experiments.benches.hostile.scenes import (
     KITTI_LABELS,
     KITTI_OXTS,
     scenarionet_scene,
+    sensor_log,
     waymo_record,
 )
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, sumo_fcd
-from sim.formats.argoverse2 import SCHEMA
+from sim.formats.argoverse.forecasting2 import SCHEMA
 from sim.formats.common.recording import hold_heading, motion
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road.maps.argoverse2 import offset_line
@@ -112,6 +113,7 @@ PAIRS = """pair,period,follower,leader,t,x_follower,v_follower,x_leader,v_leader
 
 SAMPLES: dict[str, tuple[str, bytes]] = {
     "argoverse2": ("scenario_s.parquet", argoverse2()),
+    "argoverse2-log": ("annotations.feather", sensor_log()["annotations.feather"]),
     "argoverse1": ("one.csv", AV1.encode()),
     "ngsim": ("trajectories.csv", NGSIM_CSV.encode()),
     "ind": ("07_tracks.csv", IND.encode()),
@@ -130,7 +132,10 @@ SAMPLES: dict[str, tuple[str, bytes]] = {
 for key, entry in FORMATS.items():
     if entry.example:  # formats added from outside bring their own sample
         SAMPLES[key] = (entry.files[0].replace("*", "example"), entry.example)
-BESIDE = {"kitti": {"oxts/0000.txt": KITTI_OXTS, "calib/0000.txt": KITTI_CALIB}}
+BESIDE = {
+    "kitti": {"oxts/0000.txt": KITTI_OXTS.encode(), "calib/0000.txt": KITTI_CALIB.encode()},
+    "argoverse2-log": {name: data for name, data in sensor_log().items() if "SE3" in name},
+}
 """Files that must lie beside a format's sample."""
 READABLE = [name for name, entry in FORMATS.items() if entry.reader]
 WRITABLE = [name for name, entry in FORMATS.items() if entry.writer]
@@ -142,7 +147,7 @@ def put(folder: Path, name: str, content: bytes | None = None) -> Path:
     file, sample = SAMPLES[name]
     for beside, text in BESIDE.get(name, {}).items():
         (folder / beside).parent.mkdir(exist_ok=True)
-        (folder / beside).write_text(text)
+        (folder / beside).write_bytes(text)
     path = folder / file
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(sample if content is None else content)
@@ -367,7 +372,7 @@ def test_the_order_of_rows_does_not_matter(tmp_path: Path, name: str) -> None:
     assert same(read(path, name), expected)
 
 
-TEXTS = [n for n in READABLE if n not in ("argoverse2", "womd", "scenarionet")]
+TEXTS = [n for n in READABLE if n not in ("argoverse2", "argoverse2-log", "womd", "scenarionet")]
 
 
 def refused(path: Path, name: str, *told: str) -> None:

@@ -14,7 +14,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from sim.episode.buffer import FrameBuffer
-from sim.formats.argoverse1 import write
+from sim.formats.argoverse.forecasting1 import write
 from sim.frames import Frame, Tracks
 
 

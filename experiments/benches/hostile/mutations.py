@@ -18,8 +18,10 @@ from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pyarrow import feather
 
 from experiments.benches.hostile.grammars import HOSTILE
+from experiments.benches.hostile.scenes import feather_bytes
 from sim.formats.waymo.tfrecord import write_record
 
 Files = Mapping[str, bytes]
@@ -75,11 +77,11 @@ def alter(name: str, data: bytes, choose: random.Random) -> bytes:
         return gzip.compress(inside, 1, mtime=0)
     if name.endswith(".xlsx"):
         return _of_archive(data, choose)
-    if name.endswith(".parquet") and choose.random() < 0.5:
-        return _of_table(data, choose)
+    if name.endswith((".parquet", ".feather")) and choose.random() < 0.5:
+        return _of_table(name, data, choose)
     if name.endswith(".tfrecord") and choose.random() < 0.8:
         return _of_record(data, choose)
-    if name.endswith((".parquet", ".safetensors", ".tfrecord", ".pkl")):
+    if name.endswith((".parquet", ".feather", ".safetensors", ".tfrecord", ".pkl")):
         return _of_bytes(data, choose)
     return _of_text(data, choose)
 
@@ -176,9 +178,11 @@ def _of_archive(data: bytes, choose: random.Random) -> bytes:
     return packed.getvalue()
 
 
-def _of_table(data: bytes, choose: random.Random) -> bytes:
-    """A Parquet table with other cells, rows, types or columns, written anew."""
-    table = pq.ParquetFile(io.BytesIO(data)).read()
+def _of_table(name: str, data: bytes, choose: random.Random) -> bytes:
+    """A Parquet or Feather table with other cells, rows, types or columns, written anew."""
+    packed = name.endswith(".feather")
+    source = io.BytesIO(data)
+    table = feather.read_table(source) if packed else pq.ParquetFile(source).read()
     for _ in range(choose.choice([1, 1, 2])):
         at = choose.randrange(table.num_columns)
         field, column = table.schema.field(at), table.column(at)
@@ -193,9 +197,24 @@ def _of_table(data: bytes, choose: random.Random) -> bytes:
             table = table.remove_column(at) if table.num_columns > 1 else table
         else:
             table = table.set_column(at, field.name, pa.array(column.to_pylist()).cast(pa.string()))
+    if packed:
+        return _of_feather(table, choose)
     sink = io.BytesIO()
     pq.write_table(table, sink, compression=choose.choice(["none", "zstd", "gzip"]))
     return sink.getvalue()
+
+
+def _of_feather(table: pa.Table, choose: random.Random) -> bytes:
+    """A table as a Feather file, packed, cut and encoded in any way, sometimes a few bytes altered.
+
+    So the heads of dictionaries and of several batches are altered, too.
+    """
+    for at, field in enumerate(table.schema):
+        if pa.types.is_string(field.type) and choose.random() < 0.3:
+            table = table.set_column(at, field.name, table.column(at).dictionary_encode())
+    compression = choose.choice(["uncompressed", "lz4", "zstd"])
+    data = feather_bytes(table, compression, choose.choice([3, 10**6]))
+    return _of_bytes(data, choose) if choose.random() < 0.3 else data
 
 
 def _with_cell(column: pa.ChunkedArray, choose: random.Random) -> pa.ChunkedArray:

@@ -56,7 +56,7 @@ def _traf() -> list[list[object]]:
 
 
 def _argoverse2() -> bytes:
-    from sim.formats.argoverse2 import SCHEMA
+    from sim.formats.argoverse.forecasting2 import SCHEMA
 
     rows = [
         {
@@ -114,6 +114,7 @@ def _recording_samples() -> dict[str, Sample]:
     recordings: dict[str, tuple[str, dict[str, bytes]]] = {
         "argoverse1": ("a.csv", {"a.csv": grown(TABLES["argoverse1"])}),
         "argoverse2": ("scenario_s.parquet", {"scenario_s.parquet": _argoverse2()}),
+        "argoverse2-log": ("annotations.feather", scenes.sensor_log()),
         "ngsim": ("a.csv", {"a.csv": csv_text(NGSIM_HEADER, _ngsim())}),
         "ind": ("00_tracks.csv", {"00_tracks.csv": grown(TABLES["ind"]),
                                   "00_tracksMeta.csv": ind_meta}),

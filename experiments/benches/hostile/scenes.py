@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import json
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import feather
 
 from sim.frames import FloatArray
 
@@ -167,3 +171,51 @@ def scenarionet_scene() -> dict[str, Any]:
                                              "TRAFFIC_LIGHT_GREEN", "LANE_STATE_CAUTION"]}},
         },
     }  # fmt: skip
+
+
+def feather_bytes(table: pa.Table, compression: str = "lz4", rows: int = 10**6) -> bytes:
+    """A table as a Feather file, so many rows in a batch."""
+    sink = io.BytesIO()
+    feather.write_feather(table, sink, compression=compression, chunksize=rows)
+    return sink.getvalue()
+
+
+def sensor_log() -> dict[str, bytes]:
+    """The files of an Argoverse 2 sensor log: three agents and a cone in four sweeps.
+
+    The car drives north-west and turns; there are poses between the sweeps, as in originals.
+    """
+    stamps = 315968112437425433 + np.array([0, 99_987_421, 200_010_113, 299_999_871])
+    half = np.array([0.9, 1.0, 1.1, 1.2])  # half of the heading, rad
+    turn = {"qw": -np.cos(half), "qx": 0 * half, "qy": 0 * half, "qz": -np.sin(half)}
+    places = {"tx_m": 747.4 - half, "ty_m": 1275.3 + 2 * half, "tz_m": -24.0 + half}
+    stamps_of_poses = np.append(stamps, stamps[:-1] + 50_000_017)
+    poses = {"timestamp_ns": stamps_of_poses} | {
+        name: np.append(values, values[:-1]) for name, values in (turn | places).items()
+    }
+    rows = [
+        {
+            "timestamp_ns": int(stamp), "track_uuid": f"{agent:08d}-0000", "category": category,
+            "length_m": 4.5, "width_m": 1.9, "height_m": 1.6,
+            "qw": float(np.cos(0.3 * agent)), "qx": 0.0, "qy": 0.0,
+            "qz": float(np.sin(0.3 * agent)), "tx_m": 10.0 * agent + k, "ty_m": -5.0 + agent,
+            "tz_m": 0.5, "num_interior_pts": 40 - k,
+        }
+        for k, stamp in enumerate(stamps)
+        for agent, category in enumerate(
+            ("REGULAR_VEHICLE", "PEDESTRIAN", "BICYCLIST", "CONSTRUCTION_CONE")
+        )
+    ]  # fmt: skip
+    line = [{"x": 740.0 + x, "y": 1270.0 + 2.0 * x, "z": 0.0} for x in range(0, 30, 10)]
+    lane: dict[str, Any] = {
+        "id": 7, "is_intersection": False, "lane_type": "VEHICLE",
+        "left_lane_boundary": [one | {"x": one["x"] - 3.5} for one in line],
+        "right_lane_boundary": line, "left_neighbor_id": None, "right_neighbor_id": None,
+        "predecessors": [], "successors": [],
+    }  # fmt: skip
+    archive = {"drivable_areas": {}, "lane_segments": {"7": lane}, "pedestrian_crossings": {}}
+    return {
+        "annotations.feather": feather_bytes(pa.Table.from_pylist(rows)),
+        "city_SE3_egovehicle.feather": feather_bytes(pa.table(poses)),
+        "map/log_map_archive_s____PIT_city_31785.json": json.dumps(archive).encode(),
+    }

@@ -1,6 +1,7 @@
 """Slow independent readers of the families of `grammars`: they share no code with ours.
 
-Python's `csv` and `ElementTree`, and pyarrow in a process of its own, read the same bytes.
+Python's `csv` and `ElementTree`, and pyarrow in a process of its own, read the same bytes; scipy
+turns what was seen from a car.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 from experiments.benches.hostile.grammars import Table
 
@@ -191,13 +195,16 @@ def read_traf(data: bytes) -> Rows:
 
 
 CHILD: Final = """
-import json, sys, pyarrow.parquet as pq
+import json, sys, pyarrow.feather as pf, pyarrow.parquet as pq
 def spelt(value):
     return value.decode() if isinstance(value, bytes) else str(value)
 for line in sys.stdin:
     try:
         path, columns = json.loads(line)
-        t = pq.read_table(path, columns=columns, partitioning=None, use_threads=False)
+        if path.endswith(".feather"):
+            t = pf.read_table(path, columns=columns, use_threads=False)
+        else:
+            t = pq.read_table(path, columns=columns, partitioning=None, use_threads=False)
         t.validate(full=True)
         told = json.dumps({c: t.column(c).to_pylist() for c in t.column_names}, default=spelt)
     except Exception:  # pyarrow refuses by errors of many kinds
@@ -213,7 +220,7 @@ def arrow_columns(path: Path, columns: Sequence[str]) -> dict[str, list[Any]] | 
     """What pyarrow reads of columns in a process of its own; None where it refuses or dies.
 
     Args:
-        path: a Parquet file.
+        path: a Parquet or Feather file.
         columns: which of its columns; those that are not there are left out.
     """
     if not _child:
@@ -253,6 +260,44 @@ def read_argoverse2(path: Path) -> Rows | None:
     kinds = ("vehicle", "bus", "motorcyclist", "cyclist", "pedestrian")
     rows = zip(*(columns[name] for name in names), strict=True)
     return {(t, k / 10.0): (x, y) for t, kind, k, x, y in rows if kind in kinds}
+
+
+RIDERS: Final = ("MOTORCYCLIST", "BICYCLIST", "WHEELED_RIDER", "PEDESTRIAN", "OFFICIAL_SIGNALER")
+VEHICLES: Final = (
+    "REGULAR_VEHICLE", "LARGE_VEHICLE", "TRUCK", "BOX_TRUCK", "TRUCK_CAB", "BUS", "SCHOOL_BUS",
+    "ARTICULATED_BUS", "RAILED_VEHICLE",
+)  # fmt: skip
+"""Categories of a sensor log that take part in traffic."""
+
+
+def read_sensor_log(path: Path) -> Rows:
+    """What pyarrow and scipy read of an Argoverse 2 sensor log."""
+    turn, place = ("qx", "qy", "qz", "qw"), ("tx_m", "ty_m", "tz_m")
+    boxes = arrow_columns(path, ("timestamp_ns", "track_uuid", "category", *turn, *place))
+    poses = arrow_columns(
+        path.with_name("city_SE3_egovehicle.feather"), ("timestamp_ns", *turn, *place)
+    )
+    if boxes is None or poses is None:
+        raise Refused("pyarrow refuses")
+
+    def each(table: dict[str, list[Any]], names: Sequence[str]) -> list[tuple[Any, ...]]:
+        return list(zip(*(table[name] for name in names), strict=True))
+
+    turns = zip(poses["timestamp_ns"], each(poses, turn), each(poses, place), strict=True)
+    at = {stamp: (Rotation.from_quat(q), np.array(p)) for stamp, q, p in turns}
+    start, found = min(boxes["timestamp_ns"]), dict[tuple[str, float], tuple[float, float]]()
+    for stamp, name, category, where in zip(
+        *(boxes[one] for one in ("timestamp_ns", "track_uuid", "category")), each(boxes, place),
+        strict=True,
+    ):  # fmt: skip
+        rotation, origin = at[stamp]
+        time_s = (stamp - start) / 1e9
+        x, y, _ = rotation.apply((1.34, 0.0, 0.0)) + origin
+        found["AV", time_s] = (x, y)
+        if category in (*VEHICLES, *RIDERS):
+            x, y, _ = rotation.apply(where) + origin
+            found[name, time_s] = (x, y)
+    return found
 
 
 def differ(one: Rows, other: Rows) -> str | None:

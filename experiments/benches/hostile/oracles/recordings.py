@@ -45,6 +45,8 @@ def rows_told(key: str, path: Path) -> Any:
         if found is None:
             raise Refused("pyarrow refuses")
         return found
+    if name == "argoverse2-log":
+        return grown.read_sensor_log(path)
     if name in ("sumo-fcd", "traf"):
         return {"sumo-fcd": grown.read_fcd, "traf": grown.read_traf}[name](content(path))
     return SEEN[name](path)

@@ -132,8 +132,8 @@ def read(path: Path) -> Iterator[Recording]:
         InputError: if a file is broken; the message names file and column.
     """
     table = _read_columns(path, _TEXTS, _NUMBERS, MAX_ROWS)
-    types, type_words = _texts(path, table, "object_type")
-    ids, id_words = _texts(path, table, "track_id")
+    types, type_words = text_codes(path, table, "object_type")
+    ids, id_words = text_codes(path, table, "track_id")
     road_agent = np.isin(type_words, list(OBJECT_TYPES))[types]
     left_out = sorted({type_words[code] for code in np.unique(types)} - set(OBJECT_TYPES))
     kept, agent = np.unique(ids[road_agent], return_inverse=True)
@@ -173,8 +173,8 @@ def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | Non
     if not path.is_file():
         return None
     table = _read_columns(path, ("track_id", "behavior"), (), MAX_NAMES, optional="behavior")
-    ids, id_words = _texts(path, table, "track_id")
-    codes, words = _texts(path, table, "behavior")
+    ids, id_words = text_codes(path, table, "track_id")
+    codes, words = text_codes(path, table, "behavior")
     labels = [None if code < 0 else words[code] for code in codes]
     return behavior_codes(path, names, [id_words[i] for i in ids], labels)
 
@@ -225,8 +225,20 @@ def _checked_type(path: Path, layout: Layout, name: str, allowed: Sequence[str])
     return column.physical
 
 
-def _texts(path: Path, table: pa.Table, name: str) -> tuple[NDArray[np.int64], list[str]]:
-    """Each row's place among the different texts of a column (-1: empty), and those texts."""
+def text_codes(path: Path, table: pa.Table, name: str) -> tuple[NDArray[np.int64], list[str]]:
+    """Texts of a column as codes.
+
+    Args:
+        path: the file that they come from, for messages.
+        table: its columns.
+        name: a column that is a dictionary of texts.
+
+    Returns:
+        (rows,) place among the different texts (-1: empty), and those texts.
+
+    Raises:
+        InputError: if a text is too long, or there are too many different ones.
+    """
     column = table.column(name).combine_chunks()
     longest = pc.max(pc.binary_length(column.dictionary)).as_py() or 0
     if longest > MAX_TEXT_BYTES:

@@ -1,0 +1,1 @@
+"""Argoverse: forecasting scenarios of both versions, and the sensor logs of the second."""

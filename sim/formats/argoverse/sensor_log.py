@@ -1,0 +1,216 @@
+"""Argoverse 2 sensor logs: boxes in the recording car's frame, its motion undone with its poses.
+
+A log is a folder. ``annotations.feather`` holds the boxes of each lidar sweep (10 Hz, ns) in the
+frame of the car, ``city_SE3_egovehicle.feather`` the car's poses in the city, and
+``map/log_map_archive_*.json`` the map (`sim.road.maps.argoverse2`). The recording car itself is
+the agent ``AV``, as in the motion forecasting scenarios.
+
+References:
+    Wilson et al. (2021), Argoverse 2, NeurIPS Datasets and Benchmarks; the sensor dataset's
+    overview in ``av2-api`` (columns, frames, taxonomy).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from sim.formats.argoverse.feather import read_feather
+from sim.formats.argoverse.forecasting2 import text_codes
+from sim.formats.common.packed import beside
+from sim.formats.common.recording import Recording, Rows, kind_codes, recordings
+from sim.frames import AgentKind
+from sim.road.maps.argoverse2 import read_map
+
+FloatArray = NDArray[np.float64]
+
+POSES: Final = "city_SE3_egovehicle.feather"
+"""The name of the file of the recording car's poses, beside that of the boxes."""
+
+CATEGORIES: Final[dict[str, AgentKind]] = {
+    "REGULAR_VEHICLE": AgentKind.CAR,
+    "LARGE_VEHICLE": AgentKind.TRUCK,
+    "TRUCK": AgentKind.TRUCK,
+    "BOX_TRUCK": AgentKind.TRUCK,
+    "TRUCK_CAB": AgentKind.TRUCK,
+    "BUS": AgentKind.BUS,
+    "SCHOOL_BUS": AgentKind.BUS,
+    "ARTICULATED_BUS": AgentKind.BUS,
+    "RAILED_VEHICLE": AgentKind.BUS,
+    "MOTORCYCLIST": AgentKind.MOTORCYCLE,
+    "BICYCLIST": AgentKind.BICYCLE,
+    "WHEELED_RIDER": AgentKind.BICYCLE,
+    "PEDESTRIAN": AgentKind.PEDESTRIAN,
+    "OFFICIAL_SIGNALER": AgentKind.PEDESTRIAN,
+}
+"""Categories that are road-agents (our choice). The others are left out: things, animals, trailers,
+and two-wheelers and devices, whose riders have boxes of their own."""
+
+EGO_NAME: Final = "AV"
+EGO_CATEGORY: Final = "EGO_VEHICLE"
+"""Category under which some copies of a log list the recording car; its poses tell the same."""
+
+EGO_SIZE_M: Final = (4.87, 1.85)
+"""Length and width of the recording car, a Ford Fusion Hybrid (191.8 by 72.9 inches by its maker);
+the format does not tell them."""
+
+EGO_CENTRE_M: Final = 1.34
+"""How far the car's centre is ahead of its frame's origin, which is the rear axle's centre (an
+estimate, since the format does not tell: py123d takes 1.339 m for this car)."""
+
+MAX_ROWS: Final = 10**6
+"""Most boxes, and most poses, of a log (our choice: logs have some 15 000 and 2 700)."""
+
+UNIT_TOLERANCE: Final = 0.01
+"""How far the length of a quaternion may be from one (our choice; rounding to six digits stays far
+below)."""
+
+_TURN: Final = ("qw", "qx", "qy", "qz")
+_PLACE: Final = ("tx_m", "ty_m", "tz_m")
+
+
+def read(path: Path) -> Iterator[Recording]:
+    """Read one log; sizes are those of an agent's first box, speeds follow from the motion.
+
+    Args:
+        path: ``annotations.feather`` (or ``.feather.gz``); the poses must lie beside it. The map
+            is looked for in the folder ``map`` there, and beside it.
+
+    Yields:
+        One recording in the city's frame, m, called like the log's folder. Its times are those of
+        the sweeps that have boxes, s from the first.
+
+    Raises:
+        InputError: if a file is missing or broken, or a sweep has no pose; the message names file
+            and column.
+    """
+    boxes = read_feather(
+        path, ("track_uuid", "category"), ("timestamp_ns",),
+        (*_TURN, *_PLACE, "length_m", "width_m"), MAX_ROWS,
+    )  # fmt: skip
+    if not boxes.num_rows:
+        raise InputError(f"{path}: found no rows, expected at least one")
+    poses = beside(path, POSES)
+    if poses is None:
+        raise InputError(
+            f"{path}: found no {POSES} beside it, expected it: without it the recording car's "
+            "motion cannot be undone"
+        )
+    codes, categories = text_codes(path, boxes, "category")
+    ids, words = text_codes(path, boxes, "track_uuid")
+    stamp = _stamps(path, boxes)
+    sweeps, sweep = np.unique(stamp, return_inverse=True)
+    turn, place = _poses_at(poses, sweeps)
+    time_s = (sweeps - sweeps[0]) / 1e9
+    box_turn, box_place = _rotations(path, boxes), _columns(boxes, _PLACE)
+
+    agents = np.flatnonzero(np.isin(categories, list(CATEGORIES))[codes])
+    at = sweep[agents]
+    kept, first, agent = np.unique(ids[agents], return_index=True, return_inverse=True)
+    names = tuple(words[code] for code in kept.tolist())
+    if EGO_NAME in names:
+        raise InputError(
+            f"{path}: column track_uuid: found {EGO_NAME}, expected other ids: it is the "
+            "recording car's"
+        )
+    xy = np.einsum("nij,nj->ni", turn[at, :2], box_place[agents]) + place[at, :2]
+    ahead = np.einsum("nij,nj->ni", turn[at, :2], box_turn[agents, :, 0])
+    ego = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
+    heading = np.concatenate([ahead, turn[:, :2, 0]])
+    kinds = [CATEGORIES[categories[code]] for code in codes[agents][first].tolist()]
+    sizes = _columns(boxes, ("length_m", "width_m"))[agents][first]
+    rows = Rows(
+        agent=np.append(agent, np.full(sweeps.size, len(names))),
+        names=(*names, EGO_NAME),
+        time_s=np.append(time_s[at], time_s),
+        x=np.append(xy[:, 0], ego[:, 0]),
+        y=np.append(xy[:, 1], ego[:, 1]),
+        heading=np.arctan2(heading[:, 1], heading[:, 0]),
+        speed=np.full(heading.shape[0], np.nan),
+        length=np.append(sizes[:, 0], EGO_SIZE_M[0]),
+        width=np.append(sizes[:, 1], EGO_SIZE_M[1]),
+        kind=kind_codes([*kinds, AgentKind.CAR]),
+    )
+    notes = [
+        f"the recording car's motion is undone with its poses; it is the agent {EGO_NAME}, a Ford "
+        f"Fusion of {EGO_SIZE_M[0]:g} by {EGO_SIZE_M[1]:g} m",
+        "speeds are taken from the motion",
+    ]
+    seen = {categories[code] for code in np.unique(codes).tolist()}
+    left_out = sorted(seen - {*CATEGORIES, EGO_CATEGORY})
+    if left_out:
+        notes.append(f"left out, because they are not road-agents: {', '.join(left_out)}")
+    maps = _maps_of(path)
+    if len(maps) > 1:
+        notes.append(f"found {len(maps)} maps: none is used")
+    road = maps[0] if len(maps) == 1 and read_map(maps[0]) is not None else None
+    if road is not None:
+        notes.append("limits, signals and who has priority are not in this format: unknown")
+    yield from recordings(path, path.absolute().parent.name, rows, notes, road)
+
+
+def _maps_of(path: Path) -> list[Path]:
+    """The maps of a log, in its folder ``map`` or beside its boxes."""
+    home = path.absolute().parent
+    return [*home.glob("map/log_map_archive_*.json"), *home.glob("log_map_archive_*.json")]
+
+
+def _stamps(path: Path, table: pa.Table) -> NDArray[np.int64]:
+    """(rows,) times, ns."""
+    stamps = table.column("timestamp_ns").to_numpy()
+    if stamps.min(initial=0) < 0:
+        raise InputError(
+            f"{path}: column timestamp_ns: found {stamps.min()}, expected no negative time"
+        )
+    return np.asarray(stamps, dtype=np.int64)
+
+
+def _columns(table: pa.Table, names: tuple[str, ...]) -> FloatArray:
+    """(rows, len(names)) numbers."""
+    return np.stack([table.column(name).to_numpy() for name in names], axis=1)
+
+
+def _rotations(path: Path, table: pa.Table) -> FloatArray:
+    """(rows, 3, 3) rotations of a table's unit quaternions."""
+    quaternion = _columns(table, _TURN)
+    length = np.sqrt((quaternion**2).sum(axis=1))
+    bad = np.flatnonzero(~(np.abs(length - 1) <= UNIT_TOLERANCE))
+    if bad.size:
+        raise InputError(
+            f"{path}: columns {', '.join(_TURN)}: found length {length[bad[0]]:g} in row "
+            f"{bad[0]}, expected 1"
+        )
+    w, x, y, z = (quaternion / length[:, None]).T
+    matrix = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(matrix), 2, 0)
+
+
+def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """(sweeps, 3, 3) rotation and (sweeps, 3) place of the recording car at each sweep, m."""
+    poses = read_feather(path, (), ("timestamp_ns",), (*_TURN, *_PLACE), MAX_ROWS)
+    stamp = _stamps(path, poses)
+    order = np.argsort(stamp, kind="stable")
+    first, last = (np.searchsorted(stamp[order], sweeps, side=side) for side in ("left", "right"))
+    missing = np.flatnonzero(first == last)
+    if missing.size:
+        raise InputError(
+            f"{path}: column timestamp_ns: found no pose at {sweeps[missing[0]]}, expected one at "
+            "each annotated sweep"
+        )
+    twice = np.flatnonzero(last - first > 1)
+    if twice.size:
+        raise InputError(
+            f"{path}: column timestamp_ns: found {sweeps[twice[0]]} twice, expected it once"
+        )
+    used = order[first]
+    return _rotations(path, poses)[used], _columns(poses, _PLACE)[used]

@@ -1,0 +1,405 @@
+"""Argoverse 2 sensor logs, written by the published schema and read by other readers, too."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import io
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from pyarrow import feather
+from scipy.spatial.transform import Rotation
+
+from behaviors import InputError
+from experiments.benches.hostile.scenes import feather_bytes, sensor_log
+from experiments.data.exchange import import_recordings
+from sim.formats import formats_in, left_out_files, read_recordings, recognise
+from sim.formats.argoverse import feather as guard
+from sim.formats.argoverse.feather import read_feather
+from sim.formats.argoverse.sensor_log import CATEGORIES, EGO_CENTRE_M, read
+from sim.formats.common.recording import Recording
+from sim.frames import KINDS
+from sim.road.files import read_road_file
+from sim.store.dataset import open_dataset
+
+POSES = "city_SE3_egovehicle.feather"
+
+
+def put(home: Path, **changed: bytes | None) -> Path:
+    """A log in a folder; files named by their first letters are others, or None: not there."""
+    for name, data in sensor_log().items():
+        key = next((key for key in changed if name.lower().startswith(key)), None)
+        content = data if key is None else changed[key]
+        if content is not None:
+            (home / name).parent.mkdir(parents=True, exist_ok=True)
+            (home / name).write_bytes(content)
+    return home / "annotations.feather"
+
+
+def table(name: str) -> pa.Table:
+    return feather.read_table(io.BytesIO(sensor_log()[name]))
+
+
+def only(path: Path) -> Recording:
+    (recording,) = read(path)
+    return recording
+
+
+def with_column(name: str, column: str, values: pa.Array) -> bytes:
+    old = table(name)
+    return feather_bytes(old.set_column(old.schema.get_field_index(column), column, values))
+
+
+def driven(home: Path, sweeps: int = 150, seed: int = 3) -> None:
+    """A log of 15 s as published: agents go straight, the car turns on a slope."""
+    draw = np.random.default_rng(seed)
+    stamps = 315966265259836000 + np.cumsum(draw.integers(99_900_000, 100_100_000, sweeps))
+    more = np.setdiff1d(draw.integers(stamps[0], stamps[-1], 2500), stamps)
+    every = np.sort(np.append(stamps, more))
+    time_s = (every - every[0]) / 1e9
+    yaw = 1.0 + 0.05 * time_s
+    slope = np.full(time_s.size, 0.03)
+    car = Rotation.from_euler("ZYX", np.stack([yaw, slope, -slope], axis=1))
+    along = np.cumsum(
+        np.stack([np.cos(yaw), np.sin(yaw)], axis=1) * np.gradient(time_s)[:, None], 0
+    )
+    place = np.column_stack([747.4 + 8 * along[:, 0], 1275.3 + 8 * along[:, 1], -24.0 + 0 * yaw])
+
+    def columns(turn: Rotation, at: np.ndarray) -> dict[str, np.ndarray]:
+        qx, qy, qz, qw = turn.as_quat().T
+        tx, ty, tz = at.T
+        return {"qw": qw, "qx": qx, "qy": qy, "qz": qz, "tx_m": tx, "ty_m": ty, "tz_m": tz}
+
+    home.mkdir(parents=True)
+    pd.DataFrame({"timestamp_ns": every} | columns(car, place)).to_feather(home / POSES)
+    seen, parts = np.searchsorted(every, stamps), []
+    for k, category in enumerate([*CATEGORIES, "BOLLARD", "BICYCLE"]):
+        course, speed = draw.uniform(-3, 3), draw.uniform(0, 12)
+        way = speed * (stamps - stamps[0]) / 1e9
+        start = place[0] + np.append(draw.uniform(-40, 40, 2), 0.5)
+        city = start + np.column_stack([np.cos(course) * way, np.sin(course) * way, 0 * way])
+        back = car[seen].inv()
+        box = columns(back * Rotation.from_euler("z", course), back.apply(city - place[seen]))
+        size = {"length_m": 4.5 + k, "width_m": 1.75, "height_m": 1.5}
+        about = {"timestamp_ns": stamps, "track_uuid": f"uuid-{k}", "category": category}
+        parts.append(pd.DataFrame(about | size | box | {"num_interior_pts": k}))
+    boxes = pd.concat(parts).sort_values("timestamp_ns", kind="stable", ignore_index=True)
+    boxes.to_feather(home / "annotations.feather")
+
+
+# --- what is read -------------------------------------------------------------------------------
+
+
+def test_boxes_by_hand(tmp_path: Path) -> None:
+    # the car stands at (100, 50) and looks north: what is ahead of it is north, what is left west
+    half = np.sqrt(0.5)
+    one = {"qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0}
+    box = {"timestamp_ns": 1000, "category": "BUS", "length_m": 12.0, "width_m": 2.5, **one}
+    boxes = [
+        {**box, "track_uuid": "ahead", "tx_m": 10.0, "ty_m": 0.0, "tz_m": 1.0},
+        {
+            **box,
+            "track_uuid": "left",
+            "tx_m": 0.0,
+            "ty_m": 10.0,
+            "tz_m": 1.0,
+            "qw": half,
+            "qz": half,
+        },
+    ]
+    pose = {"timestamp_ns": 1000, "qw": half, "qx": 0.0, "qy": 0.0, "qz": half}
+    pose |= {"tx_m": 100.0, "ty_m": 50.0, "tz_m": 3.0}
+    path = put(
+        tmp_path / "here",
+        annotations=feather_bytes(pa.Table.from_pylist(boxes)),
+        city=feather_bytes(pa.Table.from_pylist([pose])),
+    )
+    recording = only(path)
+    tracks = recording.tracks
+    assert recording.name == "here"
+    assert tracks.names == ("AV", "ahead", "left")
+    np.testing.assert_allclose(tracks.xy[:, 0], [[100, 50 + EGO_CENTRE_M], [100, 60], [90, 50]])
+    np.testing.assert_allclose(np.sin(tracks.heading[:, 0]), [1, 1, 0], atol=1e-9)
+    np.testing.assert_allclose(np.cos(tracks.heading[:, 0]), [0, 0, -1], atol=1e-9)
+    assert tracks.length.tolist() == [4.87, 12.0, 12.0]
+    assert tracks.width.tolist() == [1.85, 2.5, 2.5]
+    assert [KINDS[code].value for code in tracks.kind] == ["car", "bus", "bus"]
+
+
+def test_a_log_as_pandas_and_scipy_read_it(tmp_path: Path) -> None:
+    driven(tmp_path / "log")
+    boxes = pd.read_feather(tmp_path / "log" / "annotations.feather")
+    poses = pd.read_feather(tmp_path / "log" / POSES).set_index("timestamp_ns")
+    tracks = only(tmp_path / "log" / "annotations.feather").tracks
+    turn, place = ["qx", "qy", "qz", "qw"], ["tx_m", "ty_m", "tz_m"]
+    stamps = np.sort(boxes["timestamp_ns"].unique())
+    np.testing.assert_array_equal(tracks.time_s, (stamps - stamps[0]) / 1e9)
+    assert set(tracks.names) == {"AV", *(f"uuid-{k}" for k in range(len(CATEGORIES)))}
+    for name, rows in boxes.groupby("track_uuid"):
+        if rows["category"].iloc[0] not in CATEGORIES:
+            continue
+        agent, at = tracks.names.index(name), poses.loc[rows["timestamp_ns"]]
+        car = Rotation.from_quat(at[turn].to_numpy(copy=True))
+        city = car.apply(rows[place].to_numpy(copy=True)) + at[place].to_numpy()
+        ahead = (car * Rotation.from_quat(rows[turn].to_numpy(copy=True))).as_matrix()[:, :2, 0]
+        np.testing.assert_allclose(tracks.xy[agent], city[:, :2], atol=1e-9)
+        heading = np.arctan2(ahead[:, 1], ahead[:, 0])
+        np.testing.assert_allclose(tracks.heading[agent], heading, atol=1e-9)
+        way = np.hypot(*(city[-1] - city[0])[:2]) / tracks.time_s[-1]
+        np.testing.assert_allclose(tracks.speed[agent], way, atol=1e-6)
+    ego = tracks.names.index("AV")
+    yaw = Rotation.from_quat(poses.loc[stamps][turn].to_numpy(copy=True)).as_euler("ZYX")[:, 0]
+    np.testing.assert_allclose(tracks.heading[ego], yaw, atol=1e-9)
+    np.testing.assert_allclose(tracks.speed[ego], 8.0, atol=0.5)
+
+
+def test_a_log_as_the_official_package_reads_it(tmp_path: Path) -> None:
+    pytest.importorskip("av2")
+    from av2.structures.cuboid import CuboidList
+    from av2.utils.io import read_city_SE3_ego
+
+    driven(tmp_path / "log", sweeps=20)
+    cuboids = CuboidList.from_feather(tmp_path / "log" / "annotations.feather").cuboids
+    poses = read_city_SE3_ego(tmp_path / "log")
+    tracks = only(tmp_path / "log" / "annotations.feather").tracks
+    first, seen = min(one.timestamp_ns for one in cuboids), 0
+    at = {round(time_s * 1e9): step for step, time_s in enumerate(tracks.time_s)}
+    for cuboid in cuboids:
+        if cuboid.category in CATEGORIES:
+            there = cuboid.transform(poses[cuboid.timestamp_ns]).dst_SE3_object.translation[:2]
+            step = at[cuboid.timestamp_ns - first]
+            near = np.abs(tracks.xy[:, step] - there).max(axis=1) < 1e-6
+            assert near.sum() == 1
+            assert tracks.length[near.argmax()] == cuboid.length_m
+            seen += 1
+    assert seen == tracks.valid.sum() - len(tracks.time_s)  # all but the recording car
+
+
+def test_a_sweep_that_is_missing_leaves_a_gap(tmp_path: Path) -> None:
+    boxes = table("annotations.feather")
+    kept = boxes.filter(pa.compute.not_equal(boxes["timestamp_ns"], boxes["timestamp_ns"][4]))
+    tracks = only(put(tmp_path, annotations=feather_bytes(kept))).tracks
+    np.testing.assert_allclose(tracks.time_s, [0.0, 0.2, 0.3], atol=1e-4)
+
+
+def test_no_traffic_but_the_recording_car(tmp_path: Path) -> None:
+    boxes = table("annotations.feather")
+    cones = with_column("annotations.feather", "category", pa.array(["BOLLARD"] * len(boxes)))
+    recording = only(put(tmp_path, annotations=cones))
+    assert recording.tracks.names == ("AV",)
+    assert "left out, because they are not road-agents: BOLLARD" in recording.notes
+
+
+def test_a_listed_recording_car_is_there_once(tmp_path: Path) -> None:
+    boxes = table("annotations.feather")
+    words = ["EGO_VEHICLE" if w == "PEDESTRIAN" else w for w in boxes["category"].to_pylist()]
+    data = with_column("annotations.feather", "category", pa.array(words))
+    recording = only(put(tmp_path, annotations=data))
+    assert len(recording.tracks.names) == 3
+    assert not any("EGO_VEHICLE" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("compression", ["uncompressed", "lz4", "zstd"])
+@pytest.mark.parametrize("rows", [3, 1000])
+def test_every_way_to_write_a_table_is_read_alike(
+    tmp_path: Path, compression: str, rows: int
+) -> None:
+    boxes = table("annotations.feather")
+    for name in ("track_uuid", "category"):
+        place, values = boxes.schema.get_field_index(name), boxes[name]
+        new = values.dictionary_encode() if rows == 3 else values.cast(pa.large_string())
+        boxes = boxes.set_column(place, name, new)
+    expected = only(put(tmp_path / "log"))
+    path = put(tmp_path / "log", annotations=feather_bytes(boxes, compression, rows))
+    assert only(path).tracks.names == expected.tracks.names
+    np.testing.assert_array_equal(only(path).tracks.xy, expected.tracks.xy)
+
+
+def test_packed_files(tmp_path: Path) -> None:
+    for name, data in sensor_log().items():
+        if name.endswith(".feather"):
+            (tmp_path / f"{name}.gz").write_bytes(gzip.compress(data))
+    assert recognise(tmp_path) == "argoverse2-log"
+    (recording,) = read_recordings(tmp_path)
+    assert recording.tracks.valid.sum() == 16
+
+
+# --- folders ------------------------------------------------------------------------------------
+
+
+def test_logs_are_called_by_their_folders(tmp_path: Path) -> None:
+    for home in ("train/one", "val/one", "val/two"):
+        put(tmp_path / home)
+    found = list(read_recordings(tmp_path))
+    assert [one.name for one in found] == ["train/one", "val/one", "val/two"]
+    assert formats_in(tmp_path) == ["argoverse2-log"]
+    assert left_out_files(tmp_path, ["argoverse2-log"]) == []
+    (alone,) = read_recordings(tmp_path / "val" / "two")
+    assert alone.name == "two"
+
+
+def test_the_map_of_a_log_is_found(tmp_path: Path) -> None:
+    put(tmp_path / "log")
+    (recording,) = read_recordings(tmp_path)
+    assert isinstance(recording.road, Path)
+    assert [lane.id for lane in read_road_file(recording.road).lanes] == ["7"]
+    (tmp_path / "log" / "log_map_archive_other.json").write_text("{}")
+    (recording,) = read_recordings(tmp_path)
+    assert recording.road is None
+    assert any("2 maps" in note for note in recording.notes)
+
+
+def test_an_imported_log_has_its_road_and_every_digit(tmp_path: Path) -> None:
+    driven(tmp_path / "logs" / "one")
+    straight = json.loads(sensor_log()["map/log_map_archive_s____PIT_city_31785.json"])
+    (tmp_path / "logs" / "one" / "map").mkdir()
+    archive = tmp_path / "logs" / "one" / "map" / "log_map_archive_one____PIT_city_1.json"
+    archive.write_text(json.dumps(straight))
+    expected = only(tmp_path / "logs" / "one" / "annotations.feather").tracks
+    import_recordings(tmp_path / "logs", tmp_path / "data", quiet=True)
+    dataset = open_dataset(tmp_path / "data")
+    (entry,) = dataset.episodes()
+    tracks = dataset.read(entry).tracks
+    np.testing.assert_array_equal(tracks.xy[tracks.valid], expected.xy[expected.valid])
+    np.testing.assert_array_equal(tracks.time_s, expected.time_s)
+
+
+# --- what is refused ----------------------------------------------------------------------------
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        list(read(path))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "change", "told"),
+    [
+        ("annotations.feather", "qw", lambda v: [0.5] * len(v), "qw, qx, qy, qz: found length"),
+        ("annotations.feather", "tx_m", lambda v: [*v[:-1], np.nan], "column tx_m: found nan"),
+        ("annotations.feather", "ty_m", lambda v: [*v[:-1], None], "ty_m: found an empty field"),
+        ("annotations.feather", "tz_m", lambda v: [str(x) for x in v], "tz_m: found string"),
+        ("annotations.feather", "length_m", lambda v: [0.0] * len(v), "length of 00000000-0000"),
+        ("annotations.feather", "category", lambda v: [1] * len(v), "category: found int64"),
+        ("annotations.feather", "category", lambda v: [*v[:-1], None], "category: found an empty"),
+        ("annotations.feather", "track_uuid", lambda v: ["AV"] * len(v), "track_uuid: found AV"),
+        ("annotations.feather", "track_uuid", lambda v: ["a"] * len(v), "agent a twice at time"),
+        ("annotations.feather", "track_uuid", lambda v: ["a" * 2000] * len(v), "of 2000 bytes"),
+        ("annotations.feather", "timestamp_ns", lambda v: [-1] * len(v), "no negative time"),
+        ("annotations.feather", "timestamp_ns", lambda v: [7] * len(v), "found no pose at 7"),
+        ("annotations.feather", "timestamp_ns", lambda v: [0.5] * len(v), "found double"),
+        (POSES, "timestamp_ns", lambda v: [v[0]] * len(v), "found no pose at 3159681125"),
+        (POSES, "timestamp_ns", lambda v: [*v[:-1], v[0]], "found 315968112437425433 twice"),
+        (POSES, "qz", lambda v: [np.inf] * len(v), "column qz: found inf"),
+    ],
+)  # fmt: skip
+def test_columns_that_cannot_be(
+    tmp_path: Path,
+    name: str,
+    column: str,
+    change: Callable[[list[object]], list[object]],
+    told: str,
+) -> None:
+    data = with_column(name, column, pa.array(change(table(name)[column].to_pylist())))
+    message = refused(put(tmp_path, **{name[:4].lower(): data}))
+    assert told in message
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    assert "found no city_SE3_egovehicle.feather" in refused(put(tmp_path / "a", city=None))
+    assert "found no file" in refused(put(tmp_path / "b", annotations=None))
+    empty = feather_bytes(table("annotations.feather").slice(0, 0))
+    assert "found no rows" in refused(put(tmp_path / "c", annotations=empty))
+    without = feather_bytes(table("annotations.feather").drop_columns(["qy"]))
+    assert "found no column qy" in refused(put(tmp_path / "d", annotations=without))
+    twice = table("annotations.feather").append_column("qy", table("annotations.feather")["qx"])
+    sink = io.BytesIO()
+    with pa.ipc.new_file(sink, twice.schema) as writer:  # write_feather refuses such names
+        writer.write_table(twice)
+    assert "qy 2 times" in refused(put(tmp_path / "e", annotations=sink.getvalue()))
+
+
+def test_feather_of_version_1_is_named(tmp_path: Path) -> None:
+    path = put(tmp_path, annotations=b"FEA1" + bytes(100) + b"FEA1")
+    assert "Feather of version 1, expected version 2" in refused(path)
+    assert recognise(tmp_path) == "argoverse2-log"
+
+
+def test_texts_that_are_views_are_refused(tmp_path: Path) -> None:
+    # a few bytes of views repeat one long text in every row
+    old = table("annotations.feather")
+    views = old["category"].cast(pa.string_view())
+    data = feather_bytes(old.set_column(old.schema.get_field_index("category"), "category", views))
+    assert "category: found string_view, expected texts" in refused(put(tmp_path, annotations=data))
+
+
+# --- what a file says of its own sizes ----------------------------------------------------------
+
+
+def numbers(path: Path, data: bytes) -> pa.Table:
+    path.write_bytes(data)
+    return read_feather(path, (), (), ("a",), max_rows=10**6)
+
+
+def test_what_unpacks_to_too_much_is_refused_before_it_does(tmp_path: Path) -> None:
+    path = tmp_path / "a.feather"
+    bomb = feather_bytes(pa.table({"a": np.zeros(40_000_000)}), "zstd", 10**9)
+    assert len(bomb) < 20_000
+    before = pa.default_memory_pool().max_memory()
+    with pytest.raises(InputError, match="it has 40000000 rows, and 1000000 are allowed"):
+        numbers(path, bomb)
+    assert pa.default_memory_pool().max_memory() == before
+    text = feather_bytes(pa.table({"a": np.zeros(9), "b": ["x" * 2**25] * 9}), "zstd", 10**9)
+    with pytest.raises(InputError, match=f"it unpacks to more than {guard.MAX_UNPACKED} bytes"):
+        numbers(path, text)
+
+
+@pytest.mark.parametrize(
+    ("told", "reason"),
+    [
+        (9 << 30, "it unpacks to more than"),
+        (2**62, "it unpacks to more than"),
+        (-2, "a buffer has fewer than no bytes"),
+        (7999, "Destination buffer is too small"),
+        (8001, "Corrupt ZSTD"),
+    ],
+)
+def test_forged_sizes_of_a_buffer(tmp_path: Path, told: int, reason: str) -> None:
+    data = feather_bytes(pa.table({"a": np.arange(1000.0)}), "zstd")
+    size = struct.pack("<q", 8000)
+    assert data.count(size + b"\x28\xb5\x2f\xfd") == 1
+    with pytest.raises(InputError, match=reason):
+        numbers(tmp_path / "a.feather", data.replace(size, struct.pack("<q", told)))
+
+
+def test_every_cut_and_every_altered_byte(tmp_path: Path) -> None:
+    path, data = tmp_path / "a.feather", feather_bytes(pa.table({"a": np.arange(9.0)}), "lz4", 5)
+    read_whole = numbers(path, data)
+    assert read_whole["a"].to_pylist() == list(range(9))
+    for at in range(0, len(data), 3):
+        with pytest.raises(InputError):
+            numbers(path, data[:at])
+        altered = bytearray(data)
+        altered[at] ^= 255
+        with contextlib.suppress(InputError):
+            assert len(numbers(path, bytes(altered))) <= 10
+
+
+def test_batches_that_lie_on_each_other(tmp_path: Path) -> None:
+    # of two batches of 899 rows and 1, the footer says twice where the first is
+    data = feather_bytes(pa.table({"a": np.arange(900.0)}), "uncompressed", 899)
+    first = 16 + int.from_bytes(data[12:16], "little")  # behind the schema
+    blocks = data.rindex(struct.pack("<q", first))
+    forged = data[: blocks + 24] + data[blocks : blocks + 24] + data[blocks + 48 :]
+    with pytest.raises(InputError, match="its batches overlap"):
+        numbers(tmp_path / "a.feather", forged)
