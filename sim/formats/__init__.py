@@ -93,6 +93,7 @@ FORMATS: Final[Registry[Format]] = Registry(
             "sim.formats.argoverse.forecasting2:read",
             "sim.formats.argoverse.forecasting2:write",
             own_names=True,
+            beside=("log_map_archive_*.json",),
         ),
         "argoverse2-log": Format(
             ("annotations.feather",),
@@ -100,7 +101,7 @@ FORMATS: Final[Registry[Format]] = Registry(
             "sim.formats.argoverse.sensor_log:read",
             clock=True,
             own_names=True,
-            beside=("map/*.json",),
+            beside=("map/*.json", "log_map_archive_*.json"),
         ),
         "argoverse1": Format(
             ("*.csv",),

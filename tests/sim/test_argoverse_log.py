@@ -6,6 +6,7 @@ import contextlib
 import gzip
 import io
 import json
+import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -57,6 +58,12 @@ def with_column(name: str, column: str, values: pa.Array) -> bytes:
     return feather_bytes(old.set_column(old.schema.get_field_index(column), column, values))
 
 
+def columns(turn: Rotation, place: np.ndarray) -> dict[str, np.ndarray]:
+    """Poses as the format has them."""
+    names = ("qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m")
+    return dict(zip(names, (*turn.as_quat().T, *place.T), strict=True))
+
+
 def driven(home: Path, sweeps: int = 150, seed: int = 3) -> None:
     """A log of 15 s as published: agents go straight, the car turns on a slope."""
     draw = np.random.default_rng(seed)
@@ -71,11 +78,6 @@ def driven(home: Path, sweeps: int = 150, seed: int = 3) -> None:
         np.stack([np.cos(yaw), np.sin(yaw)], axis=1) * np.gradient(time_s)[:, None], 0
     )
     place = np.column_stack([747.4 + 8 * along[:, 0], 1275.3 + 8 * along[:, 1], -24.0 + 0 * yaw])
-
-    def columns(turn: Rotation, at: np.ndarray) -> dict[str, np.ndarray]:
-        qx, qy, qz, qw = turn.as_quat().T
-        tx, ty, tz = at.T
-        return {"qw": qw, "qx": qx, "qy": qy, "qz": qz, "tx_m": tx, "ty_m": ty, "tz_m": tz}
 
     home.mkdir(parents=True)
     pd.DataFrame({"timestamp_ns": every} | columns(car, place)).to_feather(home / POSES)
@@ -180,6 +182,39 @@ def test_a_log_as_the_official_package_reads_it(tmp_path: Path) -> None:
             assert tracks.length[near.argmax()] == cuboid.length_m
             seen += 1
     assert seen == tracks.valid.sum() - len(tracks.time_s)  # all but the recording car
+
+
+@pytest.mark.skipif("GRAPHRQI_DATA" not in os.environ, reason="GRAPHRQI_DATA is not set")
+def test_a_real_scenario_seen_from_its_recording_car(tmp_path: Path) -> None:
+    """A real motion forecasting scenario, written as a log, is read as the scenario is."""
+    source = Path(os.environ["GRAPHRQI_DATA"]) / "argoverse2"
+    assert left_out_files(source, ["argoverse2"]) == []  # its map is no recording
+    (scenario,) = read_recordings(source)
+    tracks = scenario.tracks
+    ego, stamps = tracks.names.index("AV"), 10**17 + np.arange(110) * 99_950_000
+    assert tracks.valid[ego].all()
+    car = Rotation.from_euler("z", tracks.heading[ego][:, None])
+    back = car.apply([EGO_CENTRE_M, 0.0, 0.0])
+    place = np.column_stack([tracks.xy[ego], np.zeros(110)]) - back
+
+    agent, step = np.nonzero(tracks.valid & (np.array(tracks.names) != "AV")[:, None])
+    turn = Rotation.from_euler("z", tracks.heading[agent, step][:, None])
+    inverse = car[step].inv()
+    there = np.column_stack([tracks.xy[agent, step], np.zeros(agent.size)])
+    boxes = columns(inverse * turn, inverse.apply(there - place[step]))
+    about = {
+        "timestamp_ns": stamps[step], "track_uuid": np.array(tracks.names)[agent],
+        "category": "REGULAR_VEHICLE", "length_m": 4.5, "width_m": 1.8,
+    }  # fmt: skip
+    pd.DataFrame(about | boxes).to_feather(tmp_path / "annotations.feather")
+    pd.DataFrame({"timestamp_ns": stamps} | columns(car, place)).to_feather(tmp_path / POSES)
+    read_back = only(tmp_path / "annotations.feather").tracks
+    assert read_back.names == tracks.names
+    np.testing.assert_array_equal(read_back.valid, tracks.valid)
+    seen = tracks.valid
+    np.testing.assert_allclose(read_back.xy[seen], tracks.xy[seen], atol=1e-6)
+    turned = read_back.heading[seen] - tracks.heading[seen]
+    np.testing.assert_allclose(np.cos(turned), 1.0, atol=1e-12)
 
 
 def test_a_sweep_that_is_missing_leaves_a_gap(tmp_path: Path) -> None:

@@ -286,17 +286,18 @@ def read_sensor_log(path: Path) -> Rows:
     turns = zip(poses["timestamp_ns"], each(poses, turn), each(poses, place), strict=True)
     at = {stamp: (Rotation.from_quat(q), np.array(p)) for stamp, q, p in turns}
     start, found = min(boxes["timestamp_ns"]), dict[tuple[str, float], tuple[float, float]]()
-    for stamp, name, category, where in zip(
-        *(boxes[one] for one in ("timestamp_ns", "track_uuid", "category")), each(boxes, place),
-        strict=True,
-    ):  # fmt: skip
-        rotation, origin = at[stamp]
-        time_s = (stamp - start) / 1e9
-        x, y, _ = rotation.apply((1.34, 0.0, 0.0)) + origin
-        found["AV", time_s] = (x, y)
-        if category in (*VEHICLES, *RIDERS):
-            x, y, _ = rotation.apply(where) + origin
-            found[name, time_s] = (x, y)
+    with np.errstate(invalid="ignore"):  # what is not finite is refused
+        for stamp, name, category, where in zip(
+            *(boxes[one] for one in ("timestamp_ns", "track_uuid", "category")), each(boxes, place),
+            strict=True,
+        ):  # fmt: skip
+            rotation, origin = at[stamp]
+            time_s = (stamp - start) / 1e9
+            x, y, _ = rotation.apply((1.34, 0.0, 0.0)) + origin
+            found["AV", time_s] = (x, y)
+            if category in (*VEHICLES, *RIDERS):
+                x, y, _ = rotation.apply(where) + origin
+                found[name, time_s] = (x, y)
     return found
 
 
