@@ -202,6 +202,7 @@ def test_the_edge_of_a_straight_road_is_beside_its_lanes(start: Start) -> None:
     y = np.array([right - 10.0, right - 2.0, right, right + 1.0, left - 1.0, left, left + 5.0])
     told = road_edge(start.scene.road).of(np.stack([np.full(7, middle[0]), y], axis=1))
     np.testing.assert_allclose(told, [10.0, 2.0, 0.0, -1.0, -1.0, 0.0, 5.0], atol=0.3)
+    np.testing.assert_allclose(told[1:6], [2.0, 0.0, -1.0, -1.0, 0.0], atol=0.02)
     assert np.isnan(road_edge(start.scene.road).of(np.array([[np.nan, 0.0]]))[0])
 
 
@@ -219,6 +220,32 @@ def test_the_law_drives_as_the_driver_models_say() -> None:
     x, v = drive_on(0, numbers, still, still, x0, v0, half, np.array([0, -1]), lanes, begins, 0.1)
     assert v[0, 0] == pytest.approx(12.0 + 0.1 * idm_free_acceleration(12.0, 20.0, 1.2))
     assert v[1, 0] == 8.0
+
+
+def standing_at_the_kerb(start: Start, moved_m: float) -> tuple[Start, int]:
+    """The start with one vehicle of an outermost lane over its border, which may have moved."""
+    scene = start.scene
+    side = np.where(scene.paths.beside[1, np.maximum(scene.lane, 0)] < 0, 1, 0)
+    row = int(np.flatnonzero(start.scored & (side == 1))[0])
+    tracks, offset = start.tracks, scene.offset.copy()
+    xy, speed = tracks.xy.copy(), scene.history.speed.copy()
+    xy[start.rows[row], : start.stop] = scene.xy[row]
+    xy[start.rows[row], start.stop - 3] += moved_m
+    speed[row] = 0.0
+    offset[row] = -scene.graph.width[scene.lane[row]] / 2.0 + start.recorded.width[row] / 2.0 - 0.1
+    history = dataclasses.replace(scene.history, speed=speed)
+    here = dataclasses.replace(tracks, xy=xy)
+    return Start(here, scene.but(history=history, offset=offset), start.stop, start.ahead), row
+
+
+@pytest.mark.parametrize("name", SIMULATORS[2:])
+def test_who_is_parked_stays_and_who_waits_at_the_kerb_drives_on(name: str, start: Start) -> None:
+    for moved_m, parked in ((0.0, True), (3.0, False)):
+        other, row = standing_at_the_kerb(start, moved_m)
+        assert np.flatnonzero(other.parked).tolist() == [row] * parked
+        for one in simulate(name, other, 2, 5):
+            ahead = one.xy[row, one.past :]
+            assert (np.linalg.norm(ahead - ahead[0], axis=1).max() < 0.05) == parked
 
 
 @pytest.mark.parametrize("name", SIMULATORS)

@@ -73,6 +73,9 @@ MARGIN_M: Final = 45.0
 SEAM_M: Final = 1.0
 """Gaps up to twice as wide are road: between lanes whose widths do not quite reach each other."""
 
+ROUGH_M: Final = 0.1
+"""Depths are found by the nearest cell, which is exact to so much, m."""
+
 BEYOND_M: Final = 300.0
 """Where lanes end without a next one, the road goes straight on for so long, m: maps are cut from
 the world, and who drives on for 8 s leaves them."""
@@ -202,14 +205,19 @@ def road_edge(road: Road) -> RoadEdge:
     points = np.concatenate(lines)
     corner = np.floor(points.min(axis=0) - MARGIN_M)
     size = np.ceil((points.max(axis=0) + MARGIN_M - corner) / CELL_M).astype(int) + 1
-    covered = np.zeros(size, dtype=bool)
+    beside = np.full(size, MARGIN_M)
     for lane, line in zip(lanes, lines, strict=True):
-        _cover(covered, corner, line, lane.width_m / 2.0)
-    closed = distance_transform_edt(~covered) * CELL_M <= SEAM_M
-    covered |= distance_transform_edt(closed) * CELL_M > SEAM_M
-    off = distance_transform_edt(~covered) - 0.5
-    on = distance_transform_edt(covered) - 0.5
-    return RoadEdge(corner, np.where(covered, -on, off) * CELL_M)
+        _approach(beside, corner, line, lane.width_m / 2.0)
+    seam = _depth(beside - SEAM_M) - SEAM_M
+    beside = np.where(seam > ROUGH_M, -seam, beside)
+    off = distance_transform_edt(beside > 0.0) * CELL_M
+    return RoadEdge(corner, np.where(beside > 0.0, np.minimum(beside, off), -_depth(beside)))
+
+
+def _depth(beside: FloatArray) -> FloatArray:
+    """How deep every cell lies within what others lie beside by so much, m; 0 in these."""
+    away, nearest = distance_transform_edt(beside <= 0.0, return_indices=True)
+    return np.asarray(np.where(beside <= 0.0, away * CELL_M - beside[tuple(nearest)], 0.0))
 
 
 def _longer(line: FloatArray) -> FloatArray:
@@ -220,17 +228,19 @@ def _longer(line: FloatArray) -> FloatArray:
     return np.concatenate([line, line[-1] + beyond[:, None] * ahead])
 
 
-def _cover(covered: BoolArray, corner: FloatArray, line: FloatArray, half_m: float) -> None:
-    """Mark the cells within half a width of a line."""
+def _approach(beside: FloatArray, corner: FloatArray, line: FloatArray, half_m: float) -> None:
+    """Lower the cells near a line to their distance from half a width around it, m."""
+    reach = half_m + 2.0 * SEAM_M
     for begin, end in pairwise(line):
-        low = np.floor((np.minimum(begin, end) - half_m - corner) / CELL_M).astype(int)
-        high = np.ceil((np.maximum(begin, end) + half_m - corner) / CELL_M).astype(int) + 1
+        low = np.floor((np.minimum(begin, end) - reach - corner) / CELL_M).astype(int)
+        high = np.ceil((np.maximum(begin, end) + reach - corner) / CELL_M).astype(int) + 1
         rows, columns = np.mgrid[low[0] : high[0], low[1] : high[1]]
         xy = np.stack([rows, columns], axis=-1) * CELL_M + corner - begin
         along = end - begin
         share = np.clip(xy @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
-        away = np.hypot(*np.moveaxis(xy - share[..., None] * along, -1, 0))
-        covered[low[0] : high[0], low[1] : high[1]] |= away <= half_m
+        away = np.hypot(*np.moveaxis(xy - share[..., None] * along, -1, 0)) - half_m
+        cells = beside[low[0] : high[0], low[1] : high[1]]
+        np.minimum(cells, away, out=cells)
 
 
 def features(motion: Motion, moved: Kinematics, edge: RoadEdge | None) -> dict[str, FloatArray]:

@@ -1,8 +1,8 @@
 """Who drives recorded vehicles on: constant velocity, laws with several numbers, six profiles.
 
 All laws steer alike: a vehicle follows its likeliest path and returns to its lane where it is
-between two; nobody changes lanes or stops at signals. Where a lane's limit is known, it stands for
-the desired speed of those whose numbers were not told from how they drove.
+between two; nobody changes lanes or stops at signals, and who is parked stays. Where a lane's limit
+is known, it stands for the desired speed of those whose numbers were not told from how they drove.
 """
 
 from __future__ import annotations
@@ -45,6 +45,9 @@ CANDIDATES: Final = 256
 
 OBSERVATIONS: Final = 4.0
 """As so many observations a vehicle's whole past counts (as in `graphrqi.calibrate.driving_on`)."""
+
+PARKED_MPS2: Final = 1e-4
+"""Acceleration of parked vehicles, m/s2: laws divide by it."""
 
 ROUNDS: Final = 10
 """Rounds in which the candidates' shares among all vehicles of the instant are estimated."""
@@ -193,8 +196,10 @@ def simulate(name: str, start: Start, futures: int, seed: int) -> Iterator[Motio
     drivers = LAWS[name](start, futures, rng)
     n, steps, h = scene.ids.size, start.ahead * sub, start.tracks.step_s / sub
     path = np.where(scene.on_path, scene.path, -1)
+    drivers.numbers[:, start.parked, NUMBERS.index("max_accel_mps2")] = PARKED_MPS2
     for numbers in drivers.numbers:
         noise = _residual(rng, n, steps, h) if drivers.law is Law.IDM else np.zeros((n, steps))
+        noise[start.parked] = 0.0
         dawdle = SIGMA * rng.random((n, steps))
         x, _ = drive_on(
             drivers.law.code, numbers, noise, dawdle, scene.s, start.speed,

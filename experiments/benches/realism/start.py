@@ -31,9 +31,20 @@ KEPT_M: Final = 0.5
 """Drivers stay so far to the side of the lane's middle, m; who is farther off returns (our choice:
 cars keep their own side of a lane, and nobody stays between two lanes)."""
 
-SETTLED_S: Final = 1.0
-"""In so long a vehicle's heading becomes that of its lane, but for 1/e of the difference, s (our
-choice)."""
+SETTLED_S, SETTLED_M = 1.0, 3.0
+"""In so long a vehicle's heading becomes that of its lane, but for 1/e of the difference, s, and no
+sooner than on so many metres (our choice, the latter about a car's wheelbase)."""
+
+STEEPEST: Final = 0.2
+"""A vehicle moves sideways by no more than this share of the way that it drives (our choice: at an
+angle of 11 degrees); who stands stays where it is."""
+
+STANDS_M: Final = 0.5
+"""Who has moved by less since it was first seen stands, m (our choice)."""
+
+KERB_M: Final = 0.25
+"""Who stands with its side so near to the border of an outermost lane, or over it, is parked, m
+(our choice: drivers who wait in a lane keep farther away)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +79,19 @@ class Start:
         seen = self.tracks.valid[self.rows, self.stop - self.past : self.stop].all(axis=1)
         return np.asarray(seen & (self.scene.history.kind != PEDESTRIAN) & self.scene.on_path)
 
+    @cached_property
+    def parked(self) -> BoolArray:
+        """(n,) vehicles that have stood at the kerb for as long as they were seen."""
+        scene, tracks = self.scene, self.tracks
+        seen = tracks.valid[self.rows, : self.stop, None]
+        places = np.where(seen, tracks.xy[self.rows, : self.stop], scene.xy[:, None])
+        stands = np.hypot(*np.moveaxis(places - scene.xy[:, None], -1, 0)).max(axis=1) < STANDS_M
+        lane, side = np.maximum(scene.lane, 0), np.where(scene.offset > 0.0, 0, 1)
+        margin = scene.graph.width[lane] / 2.0 - np.abs(scene.offset) - self.recorded.width / 2.0
+        outermost = scene.paths.beside[side, lane] < 0
+        aside = np.abs(scene.offset) > KEPT_M
+        return np.asarray(self.scored & stands & aside & outermost & (margin < KERB_M))
+
     @property
     def substeps(self) -> int:
         """Steps of the simulation from one frame of the recording to the next."""
@@ -100,13 +124,15 @@ class Start:
         """The recorded past, and a simulated future.
 
         Args:
-            x: (n, ahead) distances along their paths, m, of those on a path.
-            travelled: (n, ahead) distances since the present, m, of the others, who go straight on.
+            x: (n, ahead) distances along their paths, m, of those on a path; the others go straight
+                on.
+            travelled: (n, ahead) distances since the present, m.
         """
         scene, past = self.scene, self.past
         lane, s = along_path(scene.path, x, scene.paths.lane, scene.paths.start)
         time_s = np.arange(1, x.shape[1] + 1) * self.tracks.step_s
         pace = np.maximum(np.abs(scene.lateral_speed), RETURN_MPS)[:, None] * time_s
+        pace = np.minimum(pace, STEEPEST * travelled)
         away = np.abs(scene.offset)[:, None]
         side = np.sign(scene.offset)[:, None] * np.maximum(away - pace, np.minimum(away, KEPT_M))
         xy = on_lanes(scene, lane, s, side)
@@ -114,7 +140,8 @@ class Start:
         heading = np.arctan2(ahead[..., 1], ahead[..., 0])
         now = scene.heading
         off = (now - heading[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
-        heading = heading + off[:, None] * np.exp(-time_s / SETTLED_S)
+        settled = np.minimum(time_s / SETTLED_S, travelled / SETTLED_M)
+        heading = heading + off[:, None] * np.exp(-settled)
         straight = ~scene.on_path
         facing = np.stack([np.cos(now), np.sin(now)], axis=-1)[straight, None]
         xy[straight] = scene.xy[straight, None] + travelled[straight][..., None] * facing
