@@ -20,7 +20,7 @@ from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import Observables, observe
 from sim.episode.rows import TrajectoryRows
 from sim.episode.yielding import ROLLING_MPS, crossings_passed
-from sim.frames import Event, EventKind, FloatArray, Signal
+from sim.frames import Event, EventKind, FloatArray, IntArray, Signal
 from sim.road import Road
 
 NEAR_MISS_TTC_S: Final = 1.5
@@ -92,11 +92,11 @@ def _lines_passed(steps: TrajectoryRows, road: Road, observed: Observables) -> l
     grace = round(GRACE_S / steps.step_s)
     passed = (distance[:-1] >= 0) & (distance[:-1] < 10.0) & ~row_index.begins[1:]
     passed &= (distance[1:] < 0) | (distance[1:] > 30.0)
+    last = np.flatnonzero(passed)  # the last row before each line
     found = []
-    for row in np.flatnonzero(passed).tolist():  # the last row before the line
+    for row, zone in zip(last.tolist(), _zones(row_index, distance, last), strict=True):
         number, column = int(row_index.agent[row]), int(row_index.step[row])
         agent, time_s = int(steps.ids[number]), float(steps.time_s[column + 1])
-        zone = _zone(row_index, distance, row)
         if row_index.over(red, number, max(column - grace, 0), column + 1, False).all():
             found.append(Event(EventKind.RED_RUN, time_s, agent))
         elif _stood_at_red(steps, observed, zone):
@@ -108,12 +108,14 @@ def _lines_passed(steps: TrajectoryRows, road: Road, observed: Observables) -> l
     return found
 
 
-def _zone(row_index: RowIndex, distance: FloatArray, row: int) -> slice:
-    """The rows up to ``row`` from where the agent came within `STOP_ZONE_M` of the line."""
-    begin = row
-    while not row_index.begins[begin] and 0 <= distance[begin - 1] < STOP_ZONE_M:
-        begin -= 1
-    return slice(begin, row + 1)
+def _zones(row_index: RowIndex, distance: FloatArray, last: IntArray) -> list[slice]:
+    """The rows up to each of ``last`` from where its agent came near the line (`STOP_ZONE_M`)."""
+    outside = ~((distance >= 0) & (distance < STOP_ZONE_M))
+    comes_near = row_index.begins.copy()
+    comes_near[1:] |= outside[:-1]
+    first = np.flatnonzero(comes_near)
+    begins = first[np.searchsorted(first, last, side="right") - 1]
+    return [slice(b, row + 1) for b, row in zip(begins.tolist(), last.tolist(), strict=True)]
 
 
 def _stood_at_red(steps: TrajectoryRows, observed: Observables, zone: slice) -> bool:
