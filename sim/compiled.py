@@ -99,6 +99,18 @@ def reordered(function: F) -> F:
     return _compiled(function, fastmath=True, **_LEFT_OUT)
 
 
+def inner_reordered(function: F) -> F:
+    """Compile ``function`` for the calls of `reordered` kernels only.
+
+    Args:
+        function: a function in numba's subset of Python.
+
+    Returns:
+        As `reordered`; not to be called from Python.
+    """
+    return _compiled(function, fastmath=True, no_cpython_wrapper=True, **_LEFT_OUT)
+
+
 @cache
 def shared(function: F, *, reordered: bool = False) -> F:
     """Compile a scalar function that several kernels call, such as a driver model.

@@ -96,7 +96,7 @@ def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Inte
     found = np.full((len(motion.xy), 6), np.nan)
     found[:, 4] = 0.0
     find_neighbors(
-        graph.indptr, graph.indices, motion.xy, motion.velocity, motion.direction, drives,
+        graph.indptr, graph.indices, motion.xy.copy(), motion.velocity, motion.direction, drives,
         (SAME_PATH_M, BESIDE_M, ABREAST_M, PEDESTRIAN_AHEAD_M), nearest, found,
     )  # fmt: skip
     return Interaction(

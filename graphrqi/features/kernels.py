@@ -137,7 +137,8 @@ def signal_differences(
         out: (n, scales) receives the differences; NaN where the vertex does not count or has no
             neighbour that does.
     """
-    for scale in range(out.shape[1]):
+    _, scales = out.shape
+    for scale in range(scales):
         for i in range(level.size):
             total, weighted = 0.0, 0.0
             for e in range(indptr[i], indptr[i + 1]):
@@ -174,7 +175,7 @@ def spread_on_nodes(
     """
     for i in range(rows.size):
         row = rows[i]
-        for b in range(values.shape[0]):
+        for b in range(len(values)):
             if not counts[b, i]:
                 continue
             value, first, last = values[b, i], starts[b], starts[b + 1] - 1
@@ -221,7 +222,7 @@ def summarise(
     """
     quantiles = levels.size
     below = np.empty(nodes.size)
-    for i in range(sums.shape[0]):
+    for i in range(len(sums)):
         column = 0
         for b in range(starts.size - 1):
             first, size = starts[b], starts[b + 1] - starts[b]
@@ -264,7 +265,7 @@ def infer_law(
         prior_target: (3,) the prior's means times ``prior``.
         out: (n, 7) receives the numbers.
     """
-    for i in range(sums.shape[0]):
+    for i in range(len(sums)):
         r, s, t, u, w, x = sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3], sums[i, 4], sums[i, 5]
         p, q, z = sums[i, 6], sums[i, 7], sums[i, 8]
         a, b, c = weight * r + prior[0], weight * s, weight * t
@@ -309,7 +310,7 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
             residual across the velocity, m (NaN without spare positions), and the number of
             positions.
     """
-    for i in range(trail.shape[0]):
+    for i in range(len(trail)):
         n, first, last = 0, 0.0, 0.0
         s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
         x0, x1, x2, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -52,7 +52,7 @@ def cell_grid(xy: Floats, smallest: float) -> Grid:
         Origin x and y, cell width, columns, rows, rounding slack of cell borders (all m);
         (columns * rows + 1,) first item of each cell; (n,) points by cell.
     """
-    n = xy.shape[0]
+    n = len(xy)
     x0, x1, y0, y1 = -math.inf, math.inf, -math.inf, math.inf
     for _ in range(3):  # bounding box, drawn in to 3 sigma: a straggler must not set the scale
         m = 0
@@ -192,7 +192,7 @@ def within_radius(xy: Floats, radius_m: float, grid: Grid) -> tuple[Ints, Ints]:
     Returns:
         (n + 1,) starts and the positions of the vehicles within reach.
     """
-    n = xy.shape[0]
+    n = len(xy)
     starts = np.empty(n + 1, np.int32)
     starts[0] = 0
     x0, y0, h, columns, rows, slack, start, items = grid

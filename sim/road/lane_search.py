@@ -247,9 +247,9 @@ def _leaders(
     rows, lanes, at = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
     spare = np.empty(most, np.int64)
     length, onward = road.length, road.ahead
-    ahead = m >= 0  # not the literal True, for which the search would be compiled once more
+    ahead = m >= 0  # not the literal True: searches would be compiled once more for literals
     for t in range(begins.size - 1):
-        count = 0
+        count = 0 * m  # not the literal 0
         for j in range(begins[t], begins[t + 1]):
             i = by_time[j]
             if lane[i] >= 0:
@@ -395,7 +395,8 @@ def adjacent_vehicles(lane: Any, s: Any, length: Any, road: Any) -> tuple[Any, A
         (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
         bumper to bumper, m, or +inf.
     """
-    p, count = lane.size, 0
+    p = lane.size
+    count = 0 * p  # not the literal 0, for which the search would be compiled once more
     who, gap = np.empty((p, 4), np.int64), np.empty((p, 4))
     rows, lanes, at = np.empty(p, np.int64), np.empty(p, np.int64), np.empty(p)
     spare = np.empty(p, np.int64)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numba
 import numpy as np
 
+from sim.compiled import compiled
 from sim.frames import BoolArray, FloatArray, IntArray
 from sim.road.cells import Cells
 
@@ -30,7 +30,7 @@ STRAIGHTENING_M: Final = 6.0
 """A car is still straightening up this far after a turn (our choice: a car's length and more)."""
 
 
-@numba.njit(cache=True)
+@compiled
 def vehicle_poses(
     order: IntArray,
     rows: IntArray,
@@ -88,7 +88,7 @@ def vehicle_poses(
             heading_east = math.radians(90.0 - angle[at])
             east, north = math.cos(heading_east), math.sin(heading_east)
         else:
-            fx, fy, ax, ay = axles[row]
+            fx, fy, ax, ay = axles[row, 0], axles[row, 1], axles[row, 2], axles[row, 3]
             old_east, old_north = (fx - ax) / reach, (fy - ay) / reach
             ahead = (x - fx) * old_east + (y - fy) * old_north
             aside = (y - fy) * old_east - (x - fx) * old_north
@@ -97,10 +97,10 @@ def vehicle_poses(
             if 0 <= column < columns and 0 <= line < lines:
                 cell = int(line) * columns + int(column)
                 for p in range(first[cell], first[cell + 1]):
-                    area = areas[items[p]]
+                    a = items[p]
                     # how far outside the area the front is, and whether it drives away from it
-                    out_x = x - min(max(x, area[0]), area[2])
-                    out_y = y - min(max(y, area[1]), area[3])
+                    out_x = x - min(max(x, areas[a, 0]), areas[a, 2])
+                    out_y = y - min(max(y, areas[a, 1]), areas[a, 3])
                     leaves = out_x * old_east + out_y * old_north >= 0.0
                     turning |= leaves and max(abs(out_x), abs(out_y)) < STRAIGHTENING_M
             most = (TURNING if turning else KEEPING) * max(ahead, 0.0)

@@ -113,7 +113,7 @@ def _describe_own_states(past: Any, drivers: Any, states: Any, road: Any, out: A
 @inlined
 def _describe_past(past: Any, out: Any) -> None:
     valid, speed, heading, _, columns = past
-    for i in range(speed.shape[0]):
+    for i in range(len(speed)):
         c = STATE
         for k in range(columns.size):
             t = columns[k]
@@ -156,11 +156,12 @@ def _describe_paths(
 ) -> None:  # fmt: skip
     """The next stop constraints, the next lower limit, and which way the path turns."""
     stop_x, stop_row, turn, start, limit = paths
+    (_, stops), (_, lanes) = stop_x.shape, start.shape
     for i in range(s.size):
         if not on_path[i]:
             continue
         path, front, found, c = path_of[i], s[i] + length[i] / 2, 0, AROUND_END
-        for g in range(stop_x.shape[1]):
+        for g in range(stops):
             room = stop_x[path, g] - front
             if room <= -1.0:
                 continue
@@ -174,7 +175,7 @@ def _describe_paths(
                 out[i, first + STOPS] = state == STOP_IF_COMFORTABLE
             found += 1
         c += STOPS * (1 + 2 * shown.size)
-        for k in range(start.shape[1]):
+        for k in range(lanes):
             if limit[path, k] < limit[path, 0] - 0.1 and math.isfinite(start[path, k]):
                 out[i, c] = 1.0 - min(max(start[path, k] - s[i], 0.0), FAR_M) / FAR_M
                 out[i, c + 1] = limit[path, k] / 20.0

@@ -137,8 +137,8 @@ def _decode(raw: Any, anchors: Any, time_s: Any, spread_scale: float) -> tuple[A
         time_s: (J,) of the knots, s.
         spread_scale: factor of all spreads.
     """
-    n, modes = raw.shape[0], raw.shape[1]
-    count, knots = anchors.shape[1], anchors.shape[2]
+    n, modes, _ = raw.shape
+    _, count, knots, _ = anchors.shape
     own, spread = np.empty((n, modes, knots, 2)), np.empty((n, modes, knots))
     probability, weight = np.empty((n, modes)), np.empty(count)
     for i in range(n):

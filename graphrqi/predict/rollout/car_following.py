@@ -60,7 +60,7 @@ from graphrqi.predict.rollout.lane_changing import (
     choose_lanes,
 )
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
-from sim.compiled import inlined, reordered, shared
+from sim.compiled import inlined, inner_reordered, reordered, shared
 
 SIGHT_M = 4.5
 """Distance to a junction from which drivers see who comes, m (SUMO's default visibility distance at
@@ -74,7 +74,7 @@ _braking_speed = shared(driver_models.braking_speed, reordered=True)
 _krauss = shared(driver_models.krauss_safe_speed, reordered=True)
 
 
-@reordered
+@inner_reordered
 def safe_speed(gap: float, leader_speed: float, headway: float, decel: float) -> float:
     """Krauss's safe speed, m/s; nobody moves on once the gap at a standstill is used up."""
     return _krauss(gap, leader_speed, headway, decel) if gap > 0.0 else 0.0
@@ -125,16 +125,16 @@ def roll(
         ranking[i, LANE], ranking[i, RANK] = -1, 0
     for j in range(order.size):
         ranking[j, ORDER] = order[j]
-    for j in range(ends.shape[1]):
+    for j in range(paths.lane_length.size):
         ends[FIRST, j], ends[LAST, j] = 0, -1
     spare[order.size, USED] = 0
     moving = np.empty(order.size, np.int64)
-    may_change = changing.shape[0] == n and count > 1
+    may_change = len(changing) == n and count > 1
     every = max(1, round(DECIDE_S / step_s))
     for w in range(m):
         driven = 0
         for i in range(n):
-            v = min(w, lateral.shape[0] - 1)
+            v = min(w, len(lateral) - 1)
             motion[i, X], motion[i, SPEED] = present[i, START_S], present[i, START_SPEED]
             motion[i, OFFSET], motion[i, RETURN_SPEED] = lateral[v, i, 0], lateral[v, i, 1]
             motion[i, TRAVELLED], motion[i, RESIDUAL] = 0.0, 0.0
@@ -144,8 +144,8 @@ def roll(
                 moving[driven] = i
                 driven += 1
         who = moving[:driven]
-        drives = following[min(w, following.shape[0] - 1)]
-        passes = ignores[min(w, ignores.shape[0] - 1)]
+        drives = following[min(w, len(following) - 1)]
+        passes = ignores[min(w, len(ignores) - 1)]
         _locate(order, motion, route, paths, place, ranking)
         for h in range(count):
             if others[1].size > 0 and h > 0:
@@ -185,10 +185,11 @@ def roll(
 def _locate(who: Any, motion: Any, route: Any, paths: Any, place: Any, ranking: Any) -> None:
     """Write the lane that each driver has reached, its distance along it and its speed."""
     path_lane, path_start = paths.lane, paths.start
+    _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
         q, k, x = route[i, PATH], route[i, ON], motion[i, X]
-        while k + 1 < path_lane.shape[1] and path_lane[q, k + 1] >= 0 and path_start[q, k + 1] <= x:
+        while k + 1 < most and path_lane[q, k + 1] >= 0 and path_start[q, k + 1] <= x:
             k += 1
         route[i, ON] = k
         ranking[i, LANE], place[i, S] = path_lane[q, k], x - path_start[q, k]
@@ -254,13 +255,14 @@ def _look_ahead(
 ) -> None:  # fmt: skip
     """Write each driver's wished speed under the limits here and ahead, and its leader."""
     path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
+    _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
         q, k, here = route[i, PATH], route[i, ON], motion[i, X]
         factor, decel = following[i, 0], following[i, 4]
         wish = factor * path_limit[q, k]
         distance, leader = 1e9, -1
-        for a in range(k, path_lane.shape[1]):
+        for a in range(k, most):
             lane = path_lane[q, a]
             if lane < 0:
                 break
@@ -319,6 +321,7 @@ def _choose_accelerations(
 ) -> None:  # fmt: skip
     """Write the acceleration that each driver chooses, m/s2, before its residual."""
     stop_x, stop_row, kinds = paths.stop_x, paths.stop_row, paths.kinds
+    _, stops = stop_x.shape
     for j in range(who.size):
         i = who[j]
         headway, standstill = following[i, 1], following[i, 2]
@@ -331,7 +334,7 @@ def _choose_accelerations(
             more = 1.0 + caution[i, 0] * caution[leader, 1]
             target = min(target, safe_speed(gap, place[leader, V], headway * more, decel))
         front = motion[i, X] + half
-        for g in range(stop_x.shape[1]):
+        for g in range(stops):
             room = stop_x[q, g] - front
             if room > LOOK_AHEAD_M:
                 break

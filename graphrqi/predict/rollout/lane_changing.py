@@ -30,7 +30,7 @@ from graphrqi.predict.rollout.columns import (
     V,
     X,
 )  # fmt: skip
-from sim.compiled import inlined, reordered, shared
+from sim.compiled import inlined, inner_reordered, shared
 
 LOOK_AHEAD_M = 120.0
 """Drivers react to nothing farther ahead (our choice: 5 s at 24 m/s)."""
@@ -60,7 +60,7 @@ _mobil_incentive = shared(driver_models.mobil_incentive, reordered=True)
 _mobil_safe = shared(driver_models.mobil_safe, reordered=True)
 
 
-@reordered
+@inner_reordered
 def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: Any, i: Any) -> Any:
     """IDM's acceleration, m/s2, within what drivers see and how hard they brake."""
     accel = following[i, 3]
@@ -75,7 +75,7 @@ def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: 
     return max(free - accel * _interaction(gap, wanted), -HARD_DECEL)
 
 
-@reordered
+@inner_reordered
 def _neighbors(
     i: Any, along: Any, begin: Any, end: Any, place: Any, ranking: Any
 ) -> tuple[Any, Any, Any, Any]:
@@ -125,6 +125,7 @@ def choose_lanes(
     """
     path_lane, path_turn = paths.lane, paths.turn
     beside, by_turn = paths.beside, paths.by_turn
+    _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
         route[i, SIDE], speed = -1, motion[i, SPEED]
@@ -132,7 +133,7 @@ def choose_lanes(
             continue
         q, k = route[i, PATH], route[i, ON]
         lane, limit, along = path_lane[q, k], paths.limit[q, k], motion[i, X] - paths.start[q, k]
-        onward = path_lane[q, min(k + 1, path_lane.shape[1] - 1)]
+        onward = path_lane[q, min(k + 1, most - 1)]
         if paths.lane_length[lane] - along < CHANGE_ROOM_M and onward >= 0:
             continue
         wish, decel, half = following[i, 0] * limit, following[i, 4], present[i, HALF_LENGTH]

@@ -39,6 +39,7 @@ def lane_beside(
     new_offset, new_speed = offset.copy(), lateral_speed.copy()
     there = np.zeros(lane.size, np.bool_)
     sign = 1.0 - 2.0 * side
+    _, turns = by_turn.shape
     for i in range(lane.size):
         if not on_path[i]:
             continue
@@ -47,7 +48,7 @@ def lane_beside(
             continue
         onward = by_turn[to, path_turn[path[i]]]
         if onward < 0 and other_ways:
-            for turn in range(by_turn.shape[1]):
+            for turn in range(turns):
                 onward = max(onward, by_turn[to, turn])
         if onward < 0:
             continue
@@ -62,12 +63,13 @@ def lane_beside(
 def along_path(path: Any, x: Any, path_lane: Any, path_start: Any) -> tuple[Any, Any]:
     """(n, H) lanes and distances along them, m, of distances x (n, H) along paths (n,)."""
     n, steps = x.shape
+    _, most = path_lane.shape
     lane, s = np.empty((n, steps), np.int64), np.empty((n, steps))
     for i in range(n):
         q, k = path[i], 0
         for h in range(steps):
             while (
-                k + 1 < path_lane.shape[1]
+                k + 1 < most
                 and path_lane[q, k + 1] >= 0
                 and path_start[q, k + 1] <= x[i, h]
             ):
@@ -112,7 +114,8 @@ def in_own_frame(
 
     Drivers on no path go straight on.
     """
-    n, knots = now.shape[0], xy.shape[1] // every
+    n, steps, _ = xy.shape
+    knots = steps // every
     out = np.empty((n, knots, 2))
     for i in range(n):
         cos, sin = math.cos(heading[i]), math.sin(heading[i])

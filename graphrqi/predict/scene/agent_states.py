@@ -129,7 +129,7 @@ def _wished_speeds(
     on_lane, gap, stop, crossing = (
         view.lane, view.gap, view.stop_distance, view.crossing_distance
     )  # fmt: skip
-    n = valid.shape[0]
+    n = len(valid)
     total, count, least = np.zeros(n), np.zeros(n), np.zeros(n)
     for j in range(agent.size):
         if on_lane[j] < 0:
