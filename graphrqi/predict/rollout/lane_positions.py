@@ -68,11 +68,7 @@ def along_path(path: Any, x: Any, path_lane: Any, path_start: Any) -> tuple[Any,
     for i in range(n):
         q, k = path[i], 0
         for h in range(steps):
-            while (
-                k + 1 < most
-                and path_lane[q, k + 1] >= 0
-                and path_start[q, k + 1] <= x[i, h]
-            ):
+            while k + 1 < most and path_lane[q, k + 1] >= 0 and path_start[q, k + 1] <= x[i, h]:
                 k += 1
             lane[i, h], s[i, h] = path_lane[q, k], x[i, h] - path_start[q, k]
     return lane, s
