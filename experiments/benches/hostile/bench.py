@@ -59,6 +59,7 @@ FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "kitti": (32, 2000202, 4000561),
     "argo": (2000890,),
     "argoverse2": (10001370,),
+    "argoverse2-log": (1104310,),
     "argoverse2-grown": (3000285, 10002153, 10004656, 10006914),
     "pairs": (2002139,),
     "population": (30003344,),

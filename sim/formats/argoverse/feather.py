@@ -120,7 +120,8 @@ def _texts(path: Path, name: str, column: pa.ChunkedArray) -> pa.DictionaryArray
     if encoded.dictionary.null_count:
         raise InputError(f"{path}: column {name}: found an empty field, expected a value")
     words = encoded.dictionary.cast(pa.string())
-    return pa.DictionaryArray.from_arrays(encoded.indices, words)
+    # a file's own indices may be unsigned, as those of Polars are
+    return pa.DictionaryArray.from_arrays(encoded.indices.cast(pa.int64()), words)
 
 
 def _numbers(path: Path, name: str, column: pa.ChunkedArray, wanted: pa.DataType) -> pa.Array:
