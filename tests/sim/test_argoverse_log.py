@@ -376,7 +376,9 @@ def test_texts_that_are_views_are_refused(tmp_path: Path) -> None:
     old = table("annotations.feather")
     views = old["category"].cast(pa.string_view())
     data = feather_bytes(old.set_column(old.schema.get_field_index("category"), "category", views))
-    assert "category: found string_view, expected texts" in refused(put(tmp_path, annotations=data))
+    assert "category: found string_view, expected string" in refused(
+        put(tmp_path, annotations=data)
+    )
 
 
 # --- what a file says of its own sizes ----------------------------------------------------------

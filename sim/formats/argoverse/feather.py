@@ -114,7 +114,11 @@ def _columns(path: Path, data: bytes, names: Sequence[str]) -> pa.Table:
 def _texts(path: Path, name: str, column: pa.ChunkedArray) -> pa.DictionaryArray:
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
-        raise InputError(f"{path}: column {name}: found {column.type!s:.60}, expected texts")
+        # texts that are views may repeat a long one in every row, so that they cannot be bounded
+        raise InputError(
+            f"{path}: column {name}: found {column.type!s:.60}, expected string, large_string or a "
+            "dictionary of them"
+        )
     _check_full(path, name, column)
     encoded = column.unify_dictionaries().combine_chunks().dictionary_encode()
     if encoded.dictionary.null_count:
