@@ -259,6 +259,8 @@ def _follow_programs(
                         agree += seen[programs.group[g], t] == programs.state[at + g]
                 if agree > best:
                     best, late = agree, lag
+                if agree == frames * size:
+                    break  # nothing explains more than everything
             if best / (frames * size) < AGREEMENT:
                 continue  # the signals follow another programme or another clock
             now = time_s[frames - 1] - late
