@@ -69,6 +69,10 @@ class _Present:
     kind: NDArray[np.int8]
 
 
+TRAFFICLIGHT_TYPE_STATIC: Final = 0
+"""SUMO's number for lights with a fixed-time programme (``libsumo.constants``)."""
+
+
 class FrameReader:
     """Reads the state of the running simulation into frames.
 
@@ -98,8 +102,11 @@ class FrameReader:
         self._events: list[Event] = []
         self._names: tuple[Sequence[str], Sequence[str]] = ((), ())
         self._present = self._look_up(*self._names)
-        self._letters: tuple[str, ...] = ()
-        self._signals = self._codes()
+        self._letters = [""] * len(self._plans)
+        self._fixed = [self._is_fixed(plan.id) for plan in self._plans]
+        self._switch_s = np.full(len(self._plans), -np.inf)
+        self._signals = np.zeros(self._groups, dtype=np.int8)
+        self._signals.setflags(write=False)
 
     def note_collisions(self, time_s: float) -> None:
         """Record the collisions of the last simulation step as events."""
@@ -201,17 +208,25 @@ class FrameReader:
         return _Present(vehicles, persons, order, rows, angle, *constants)
 
     def _read_signals(self) -> NDArray[np.int8]:
-        read = self._sumo.trafficlight_getRedYellowGreenState
-        letters = tuple(read(plan.id) for plan in self._plans)
-        if letters != self._letters:
-            self._letters = letters
-            self._signals = self._codes()
-        return self._signals
-
-    def _codes(self) -> NDArray[np.int8]:
-        codes = np.zeros(self._groups, dtype=np.int8)
-        for plan, letters in zip(self._plans, self._letters, strict=False):
-            for group, link in zip(plan.groups, plan.links, strict=True):
-                codes[group] = signal_code(letters[link])
+        """Codes of all signal groups; only lights that may have switched are asked."""
+        sumo, codes = self._sumo, self._signals
+        now_s = sumo.simulation_getTime() + 1e-6
+        for i in np.flatnonzero(self._switch_s <= now_s).tolist():
+            plan = self._plans[i]
+            letters = sumo.trafficlight_getRedYellowGreenState(plan.id)
+            if letters != self._letters[i]:
+                self._letters[i] = letters
+                if codes is self._signals:
+                    codes = codes.copy()
+                for group, link in zip(plan.groups, plan.links, strict=True):
+                    codes[group] = signal_code(letters[link])
+            if self._fixed[i]:
+                self._switch_s[i] = sumo.trafficlight_getNextSwitch(plan.id)
         codes.setflags(write=False)
+        self._signals = codes
         return codes
+
+    def _is_fixed(self, lights: str) -> bool:
+        """Whether lights follow one fixed-time programme, so that SUMO knows their next switch."""
+        programmes = self._sumo.trafficlight_getAllProgramLogics(lights)
+        return len(programmes) == 1 and programmes[0].type == TRAFFICLIGHT_TYPE_STATIC

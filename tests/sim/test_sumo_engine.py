@@ -19,6 +19,7 @@ from sim.episode.incidents import incidents
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
+from sim.road.net import signal_code
 from sim.scenario import AgentSpec, sample_agents
 from sim.sumo.engine import SumoError, run
 from sim.sumo.frame_reader import turning_areas
@@ -102,6 +103,31 @@ def test_signals_follow_the_plan_of_the_road():
     for frame in run(scenario, [lone(scenario)], 0):
         expected = plan.state_at(frame.time_s - 0.05)
         assert tuple(frame.signals[list(plan.groups)]) == expected
+
+
+@pytest.mark.parametrize("kind", ["static", "actuated"])
+def test_signals_are_those_that_sumo_shows(kind, tmp_path):
+    from libsumo import trafficlight
+
+    net = get_scenario("four_way_intersection")().road.source.read_text()
+    phase = '<phase duration="19"'
+    assert net.count(phase) == 2
+    assert 'type="static"' in net
+    net = net.replace('type="static"', f'type="{kind}"')
+    net = net.replace(phase, f'{phase} minDur="5" maxDur="40"')
+    (tmp_path / "road.net.xml").write_text(net)
+    scenario = get_scenario(str(tmp_path / "road.net.xml"))(duration_s=90.0, flow=900.0)
+    (plan,) = scenario.road.signal_plans
+    switches = []
+    for frame in run(scenario, sample_agents(scenario, 0), 0):
+        letters = trafficlight.getRedYellowGreenState(plan.id)
+        shown = [signal_code(letters[link]) for link in plan.links]
+        assert frame.signals[list(plan.groups)].tolist() == shown
+        if shown != (switches[-1][1] if switches else None):
+            switches.append((frame.time_s, shown))
+    assert len(switches) > 5
+    on_time = all(frame_signals == list(plan.state_at(t - 0.1)) for t, frame_signals in switches)
+    assert on_time == (kind == "static")
 
 
 @pytest.mark.parametrize("step_s", [0.05, 0.1, 0.25, 0.5, 1.0])
