@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import functools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -40,6 +46,7 @@ class Settings:
         city: whether cities are measured (`experiments.benches.city`) rather than a straight road.
         blocks: sizes of the cities; all but that of 3 need netgenerate.
         vehicles: sizes of the crowds in them.
+        first_use: whether the first frame of a program is measured instead.
     """
 
     engines: tuple[str, ...] = option(("sumo", "highway"), "Simulators.")
@@ -51,6 +58,7 @@ class Settings:
     city: bool = option(False, "Measure in cities instead: grids of blocks of several sizes.")
     blocks: tuple[int, ...] = option((3, 8, 20, 60), "With --city: junctions along a grid's side.")
     vehicles: tuple[int, ...] = option((300, 1000, 3000), "With --city: vehicles at a time.")
+    first_use: bool = option(False, "Measure a program's first frame instead, kernel by kernel.")
 
 
 def measure(settings: Settings) -> Iterator[list[Row]]:
@@ -58,8 +66,13 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
 
     Yields:
         Rows of each engine: ms_median, ms_p99 and real_time_factor of each stage and of all
-        together; of cities as `experiments.benches.city` says.
+        together; of cities as `experiments.benches.city` says; of a first use as
+        `measure_first_use` says.
     """
+    if settings.first_use:
+        for engine in settings.engines:
+            yield measure_first_use(engine, settings.model, settings.predictor)
+        return
     if settings.city:
         yield from measure_cities(
             settings.engines, settings.blocks, settings.vehicles, settings.model,
@@ -123,6 +136,73 @@ def run_loop(
         if frame.time_s > warm_s:
             agents.append(len(frame))
             taken.append((simulate_ms, classify_ms, remember_ms, predict_ms))
+
+
+def measure_first_use(engine: str, model: str, predictor: str) -> list[Row]:
+    """CPU time of a new process until its first frame is predicted, imports included, s.
+
+    Args:
+        engine: a key of ``ENGINES``.
+        model: the classifier.
+        predictor: a key of ``PREDICTORS``.
+
+    Returns:
+        first_use_cpu_s with an empty cache of kernels, next_use_cpu_s with the cache that this
+        left, both with the number of kernels compiled, numba's own included; and the
+        compile_cpu_s of each kernel of the first use without those that it calls, dearest first.
+    """
+    unknown: dict[str, Cell] = {
+        "engine": engine, "agents": None, "lanes": None, "vehicles": None,
+    }  # fmt: skip
+    program = "import sys; from experiments.benches.loop import first_use; first_use(*sys.argv[1:])"
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        for metric in ("first_use_cpu_s", "next_use_cpu_s"):
+            said = subprocess.run(
+                [sys.executable, "-c", program, engine, model, predictor], env=environment,
+                stdout=subprocess.PIPE, text=True, check=True,
+            )  # fmt: skip
+            found = json.loads(said.stdout)
+            spent: dict[str, list[float]] = found["kernels"]
+            compiled = sum(map(len, spent.values()))
+            keys = {**unknown, "stage": "all"}
+            rows.append(tidy_row(keys, metric, found["cpu_s"], None, None, compiled))
+            for kernel in sorted(spent, key=lambda name: -sum(spent[name])):
+                keys = {**unknown, "stage": kernel}
+                total, times = sum(spent[kernel]), len(spent[kernel])
+                if metric == "first_use_cpu_s":
+                    rows.append(tidy_row(keys, "compile_cpu_s", total, None, None, times))
+    return rows
+
+
+def first_use(engine: str, model: str, predictor: str) -> None:
+    """Predict one frame and print as JSON this process's CPU time and that of each compilation."""
+    from numba.core import event
+
+    spent: dict[str, list[float]] = {}
+    begun: list[float] = []
+    within: list[float] = [0.0]
+
+    class Costs(event.Listener):
+        def on_start(self, _: Any) -> None:
+            begun.append(time.process_time())
+            within.append(0.0)
+
+        def on_end(self, event: Any) -> None:
+            whole, inner = time.process_time() - begun.pop(), within.pop()
+            within[-1] += whole
+            function = event.data["dispatcher"].py_func
+            name = f"{function.__module__}.{function.__qualname__}"
+            spent.setdefault(name, []).append(whole - inner)
+
+    event.register("numba:compile", Costs())  # type: ignore[no-untyped-call]
+    scenario = get_scenario(SCENARIO)(duration_s=20.0)
+    stream = load_stream(model)
+    frame = next(iter(get_engine(engine)(scenario, sample_agents(scenario, 0), 0)))
+    posterior = stream.update(frame)
+    predict(stream.history, posterior, scenario.road, predictor=predictor)
+    print(json.dumps({"cpu_s": time.process_time(), "kernels": spent}))
 
 
 BENCH: Final = Bench(

@@ -1,8 +1,9 @@
 """Compiles the kernels that classifying and predicting need, so that a first use need not wait.
 
 ``make install`` runs it as ``python -m experiments.cli.compile_kernels``. Either engine drives a
-four-way intersection for some seconds, and every frame is classified and predicted; what numba
-compiles on the way stays in its cache. Where everything is there already it takes some seconds.
+four-way intersection for some seconds, and every frame is classified and predicted, at the end as
+one of a recording, too; what numba compiles on the way stays in its cache. Where everything is
+there already it takes some seconds.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ class _Advance(logging.Handler):
 def compile_kernels() -> None:
     """Classify and predict the frames of both engines, and show how many kernels are compiled."""
     from graphrqi.predict import predict
+    from graphrqi.predict.recorded.predictor import predict_recorded
+    from graphrqi.predict.scene.scene import make_scene
     from graphrqi.stream import load_stream
     from scenarios import SCENARIOS
     from sim.engines import get_engine
@@ -52,6 +55,10 @@ def compile_kernels() -> None:
                 for frame in get_engine(engine)(scenario, agents, 0):
                     posterior = stream.update(frame)
                     predict(stream.history, posterior, scenario.road, horizon_s=5.0)
+                predict(stream.history, posterior, None, horizon_s=5.0)
+                predict_recorded(
+                    make_scene(stream.history, scenario.road).history, 50, None, scenario.road
+                )
         finally:
             logger.setLevel(before)
             logger.removeHandler(handler)
