@@ -79,9 +79,10 @@ def _log_ratios(
         wish: (B,) logarithm of each behaviour's wished speed over limit.
     """
     n, count = probability.shape
-    out, known = np.zeros((n, 3)), np.zeros(n, np.bool_)
+    out, known = np.empty((n, 3)), np.empty(n, np.bool_)
     lost = np.empty(count)
     for i in range(n):
+        out[i, 0], known[i] = 0.0, False
         for b in range(count):
             known[i] |= probability[i, b] > 1.0 / count + 1e-6
         if not known[i]:

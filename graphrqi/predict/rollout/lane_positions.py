@@ -37,10 +37,11 @@ def lane_beside(
     """
     new_lane, new_path = lane.copy(), path.copy()
     new_offset, new_speed = offset.copy(), lateral_speed.copy()
-    there = np.zeros(lane.size, np.bool_)
+    there = np.empty(lane.size, np.bool_)
     sign = 1.0 - 2.0 * side
     _, turns = by_turn.shape
     for i in range(lane.size):
+        there[i] = False
         if not on_path[i]:
             continue
         to = beside[side, lane[i]]

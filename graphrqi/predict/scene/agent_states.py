@@ -102,7 +102,8 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     return AgentStates(
         *_states(
             history.time_s, valid, xy, heading, speed, history.length.copy(), columns, instant,
-            agent, (found.lane, found.s, found.offset), limits(graph), LaneArrays.of(graph),
+            agent, (found.lane, found.s, found.offset), np.arange(agent.size),
+            np.ones(agent.size, np.bool_), limits(graph), LaneArrays.of(graph),
         )
     )  # fmt: skip
 
@@ -130,7 +131,10 @@ def _wished_speeds(
         view.lane, view.gap, view.stop_distance, view.crossing_distance
     )  # fmt: skip
     n = len(valid)
-    total, count, least = np.zeros(n), np.zeros(n), np.zeros(n)
+    total, count = np.empty(n), np.empty(n)
+    free, least = np.empty(n), np.empty(n)
+    for i in range(n):
+        total[i], count[i], free[i], least[i] = 0.0, 0.0, np.nan, 0.0
     for j in range(agent.size):
         if on_lane[j] < 0:
             continue
@@ -147,7 +151,6 @@ def _wished_speeds(
         if room > FREE_GAP_M and abs(change) < STEADY_MPS2:
             total[i] += ratio
             count[i] += 1.0
-    free = np.full(n, np.nan)
     for i in range(n):
         if count[i] > 0:
             free[i] = total[i] / count[i]
@@ -157,7 +160,8 @@ def _wished_speeds(
 @compiled
 def _states(
     time_s: Any, valid: Any, past_xy: Any, past_heading: Any, speed: Any, its_length: Any,
-    columns: Any, instant: Any, agent: Any, found: Any, limit: Any, road: Any,
+    columns: Any, instant: Any, agent: Any, found: Any, by_time: Any, drives: Any, limit: Any,
+    road: Any,
 ) -> Any:  # fmt: skip
     """The columns of `AgentStates`.
 
@@ -172,6 +176,8 @@ def _states(
         instant: (m,) moment of each vehicle seen, ascending.
         agent: (m,) its row in the history.
         found: (m,) the lane that fits it best, the distance along it and to its left, m.
+        by_time: (m,) 0 to m - 1.
+        drives: (m,) true.
         limit: (L,) speed limits, m/s.
         road: the `LaneArrays`.
     """
@@ -179,7 +185,9 @@ def _states(
     width, left, right = road.width, road.left, road.right
     direction = road.segment_direction
     n, m = its_length.size, agent.size
-    begins = np.zeros(columns.size + 1, np.int64)
+    begins = np.empty(columns.size + 1, np.int64)
+    for c in range(begins.size):  # no np.zeros or np.full: each takes long to compile
+        begins[c] = 0
     for j in range(m):
         begins[instant[j] + 1] = j + 1
     for c in range(columns.size):  # a moment at which nobody was seen has no rows
@@ -190,21 +198,25 @@ def _states(
         xy[j, 0], xy[j, 1] = past_xy[i, t, 0], past_xy[i, t, 1]
         heading[j], length[j] = past_heading[i, t], its_length[i]
     view = perceive(
-        xy, heading, length, np.ones(m, np.bool_), row_lane, row_s, row_offset, np.arange(m),
-        begins, road,
+        xy, heading, length, drives, row_lane, row_s, row_offset, by_time, begins, road,
     )  # fmt: skip
 
     seen_lane, seen_leader, seen_gap = view.lane, view.leader, view.gap
     seen_follower, segment, missed, turned = (
         view.follower, view.segment, view.missed, view.lane_heading
     )  # fmt: skip
-    lane, s, offset = np.full(n, -1), np.zeros(n), np.zeros(n)
-    lateral_speed, accel = np.zeros(n), np.zeros(n)
-    on_lane, lane_limit = np.full(n, -1), np.full(n, np.nan)
-    leader, gap, follower = np.full(n, -1), np.full(n, np.inf), np.full(n, -1)
-    adjacent, adjacent_gap = np.full((n, 4), -1), np.full((n, 4), np.inf)
-    for i in range(n):  # pedestrians too have an acceleration
-        if valid[i, -1]:
+    lane, s, offset = np.empty(n, np.int64), np.empty(n), np.empty(n)
+    lateral_speed, accel = np.empty(n), np.empty(n)
+    on_lane, lane_limit = np.empty(n, np.int64), np.empty(n)
+    leader, gap, follower = np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
+    adjacent, adjacent_gap = np.empty((n, 4), np.int64), np.empty((n, 4))
+    for i in range(n):
+        lane[i], on_lane[i], leader[i], follower[i] = -1, -1, -1, -1
+        s[i], offset[i], lateral_speed[i], accel[i] = 0.0, 0.0, 0.0, 0.0
+        lane_limit[i], gap[i] = np.nan, np.inf
+        for k in range(4):
+            adjacent[i, k], adjacent_gap[i, k] = -1, np.inf
+        if valid[i, -1]:  # pedestrians too have an acceleration
             accel[i] = _recent_motion(time_s, valid, speed, i)[0]
     present = begins[-2]
     beside, beside_gap = adjacent_vehicles(
