@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,3 +46,19 @@ def test_a_city_is_measured_and_costs_are_compared(engine):
     charts = sections({"loop": [*city_rows(small), *city_rows(large)]})[0].charts
     assert len(charts) == 1
     assert charts[0].lines[-1].name == "real time"
+
+
+def test_a_first_use_says_what_each_kernel_cost(tmp_path: Path) -> None:
+    program = (
+        "from experiments.benches.loop import first_use; "
+        "first_use('sumo', 'graphrqi-plus', 'constant-velocity')"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+    )  # fmt: skip
+    found = json.loads(said.stdout)
+    spent = {name: sum(times) for name, times in found["kernels"].items()}
+    assert "sim.sumo.vehicle_poses.vehicle_poses" in spent
+    assert min(spent.values()) > 0.0
+    assert sum(spent.values()) < found["cpu_s"]
