@@ -102,8 +102,8 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     return AgentStates(
         *_states(
             history.time_s, valid, xy, heading, speed, history.length.copy(), columns, instant,
-            agent, (found.lane, found.s, found.offset), np.arange(agent.size),
-            np.ones(agent.size, np.bool_), limits(graph), LaneArrays.of(graph),
+            agent, (found.lane, found.s, found.offset, np.arange(agent.size),
+            np.ones(agent.size, np.bool_)), limits(graph), LaneArrays.of(graph),
         )
     )  # fmt: skip
 
@@ -160,8 +160,7 @@ def _wished_speeds(
 @compiled
 def _states(
     time_s: Any, valid: Any, past_xy: Any, past_heading: Any, speed: Any, its_length: Any,
-    columns: Any, instant: Any, agent: Any, found: Any, by_time: Any, drives: Any, limit: Any,
-    road: Any,
+    columns: Any, instant: Any, agent: Any, found: Any, limit: Any, road: Any,
 ) -> Any:  # fmt: skip
     """The columns of `AgentStates`.
 
@@ -175,13 +174,12 @@ def _states(
         columns: (C,) the moments that are looked at, ascending; the last is the present.
         instant: (m,) moment of each vehicle seen, ascending.
         agent: (m,) its row in the history.
-        found: (m,) the lane that fits it best, the distance along it and to its left, m.
-        by_time: (m,) 0 to m - 1.
-        drives: (m,) true.
+        found: (m,) the lane that fits it best, the distance along it and to its left, m; 0 to
+            m - 1; and true, for each drives.
         limit: (L,) speed limits, m/s.
         road: the `LaneArrays`.
     """
-    row_lane, row_s, row_offset = found
+    row_lane, row_s, row_offset, by_time, drives = found
     width, left, right = road.width, road.left, road.right
     direction = road.segment_direction
     n, m = its_length.size, agent.size
