@@ -99,7 +99,7 @@ def test_one_style_alone_is_told_in_a_simulation_and_not_in_a_recording(elsewher
     one_sided[:, SCENE] = one_sided[0, SCENE]
     simulated = among(elsewhere, one_sided, FOREIGN)
     recorded = among(elsewhere, one_sided, RECORDED)
-    assert (simulated > 0.5).mean() > 0.9
+    assert (simulated > 0.5).mean() > 0.8
     assert 0.1 < (recorded[np.abs(recorded - 0.5) > 0.3] > 0.5).mean() < 0.75
 
 

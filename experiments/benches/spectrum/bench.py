@@ -161,7 +161,7 @@ BENCH: Final = Bench(
     summary="Measure every eigenvalue algorithm on the same graphs, in one process.",
     keys=("solver", "d", "graph", "kind", "end", "reason"),
     full=Settings(),
-    quick=Settings(sizes=(25, 50), steps=10, study=50, largest=50),
+    quick=Settings(sizes=(25,), steps=5, study=25, largest=25),
     measure=measure,
     table=spectrum_table,
     plot=plot_spectrum,
