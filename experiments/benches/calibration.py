@@ -5,9 +5,11 @@ autocorrelated noise on the acceleration and noise on every place; `coverage` is
 intervals that hold the true number, ``known`` the share of drivers of whom it is told, and
 ``drivers_per_s`` counts them by processor time. ``unknown`` is the share of drivers of whom a
 number is said to be unknown; ``unknown_width`` and ``unknown_shift`` compare their posteriors with
-the population by a longer run of draws, ``unknown_within`` and ``known_within`` are the shares of
-the unknown and of the known numbers whose posterior is the population's within 5 % (the latter
-among drivers of whom anything is unknown); ``counts`` is the power with which likelihoods counted.
+the population by a much longer run of draws, and ``unknown_within`` is the share of them whose
+posterior is the population's within 5 %. The longer run is made of all drivers with a posterior
+near the population's: of their numbers that are the population's, ``found_unknown`` is the share
+that is said to be unknown. ``counts`` is the power with which likelihoods counted. ``alone``: the
+same for fewer drivers, of whom half never follow anybody, so that nothing tells their headway.
 
 ``recorded``: of every driver in ``--data``, the first half of its longest stretch behind one
 leader is calibrated, and the second is driven behind the recorded leader. The errors of the gap are
@@ -66,6 +68,12 @@ WITHIN: Final = 0.05
 """A posterior is the population's if its spread differs by no more than this share, and its mean by
 no more than so many spreads."""
 
+NEAR: Final = 0.1
+"""Looked at more closely are posteriors whose draws differ by no more than this."""
+
+ALONE: Final = 5
+"""There are so many times fewer drivers of whom half are alone."""
+
 LEAST_HALF_S: Final = 5.0
 """Shorter second halves are not scored, s (our choice: they hardly leave the start)."""
 
@@ -97,6 +105,7 @@ def measure(settings: Settings) -> Iterator[Sequence[Row]]:
     if settings.drivers:
         for law in Law:
             yield list(simulated_rows(law, settings))
+            yield list(alone_rows(law, settings))
     if settings.data is not None:
         found: dict[str, list[Drive]] = {}
         for place in read_sources([settings.data]):
@@ -126,7 +135,7 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
     }  # fmt: skip
     yield tidy_row(keys, "drivers_per_s", len(drives) / max(spent_s, 1e-9), None, None, len(drives))
     yield tidy_row(keys, "counts", fitted.counts, None, None, len(drives))
-    yield from _unknown_rows(keys, fitted, drives, ~told.known)
+    yield from _unknown_rows(keys, fitted, drives)
     for k, number in enumerate(NUMBERS):
         for noise, who in (("", noisy | True), ("noisy", noisy), ("exact", ~noisy)):
             if who.any():
@@ -137,31 +146,63 @@ def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
                 )
 
 
+def alone_rows(law: Law, settings: Settings) -> Iterator[Row]:
+    """What is said to be unknown where every other driver never follows anybody."""
+    rng = np.random.default_rng((settings.seed, law.code, 1))
+    count = max(settings.drivers // ALONE, 2)
+    truth = np.exp(MEDIAN + SPREAD * rng.standard_normal((count, len(NUMBERS))))
+    drives = [
+        _simulated_drive(law, one, settings.seconds, i % 4 < 2, rng, alone=i % 2 == 0)
+        for i, one in enumerate(truth)
+    ]
+    keys = {
+        "part": "alone", "dataset": "", "law": str(law), "number": "", "noise": "", "numbers": "",
+    }  # fmt: skip
+    yield from _unknown_rows(keys, calibrate(law, drives), drives)
+
+
 def _unknown_rows(
-    keys: dict[str, Any], fitted: Calibration, drives: Sequence[Drive], unknown: BoolArray
+    keys: dict[str, Any], fitted: Calibration, drives: Sequence[Drive]
 ) -> Iterator[Row]:
     """Whether a number's posterior is the population's where it is said to be unknown.
 
-    By a longer run of draws of all drivers of whom anything is: their spread over the population's,
-    and how far their mean lies from the population's, in its spreads.
+    By a longer run of draws of all drivers with a posterior near it: their spread over the
+    population's, and how far their mean lies from the population's, in its spreads.
     """
-    who = np.flatnonzero(unknown.any(axis=1))
-    logs = drawn_again(fitted, [drives[int(i)] for i in who])
+    unknown = ~fitted.known
+    shift, width = _from_population(fitted, fitted.logs)
+    who = np.flatnonzero((unknown | _near(shift, width, NEAR)).any(axis=1))
+    if who.size:
+        longer = [_from_population(fitted, drawn_again(fitted, [drives[int(i)]])) for i in who]
+        shift, width = (np.concatenate(one) for one in zip(*longer, strict=True))
+        same = _near(shift, width, WITHIN)
     for k, number in enumerate(NUMBERS):
         named = {**keys, "number": number}
         yield tidy_row(named, "unknown", *_mean(unknown[:, k]), len(drives))
-        width = logs[:, :, k].std(axis=1) / fitted.spread[k]
-        shift = (logs[:, :, k].mean(axis=1) - fitted.mean[k]) / fitted.spread[k]
-        same = (np.abs(width - 1.0) <= WITHIN) & (np.abs(shift) <= WITHIN)
+        if not who.size:
+            continue
         here = unknown[who, k]
         for name, values in (
-            ("unknown_width", width[here]),
-            ("unknown_shift", shift[here]),
-            ("unknown_within", same[here]),
-            ("known_within", same[~here]),
+            ("unknown_width", width[here, k]),
+            ("unknown_shift", shift[here, k]),
+            ("unknown_within", same[here, k]),
+            ("found_unknown", here[same[:, k]]),
         ):
             if values.size:
                 yield tidy_row(named, name, *_mean(values), values.size)
+
+
+def _from_population(fitted: Calibration, logs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N, 5) how far draws' means lie from the population's, and their spreads over its."""
+    size = len(NUMBERS)
+    mean, spread = fitted.mean[:size], fitted.spread[:size]
+    numbers = logs[:, :, :size]
+    return (numbers.mean(axis=1) - mean) / spread, numbers.std(axis=1) / spread
+
+
+def _near(shift: FloatArray, width: FloatArray, within: float) -> BoolArray:
+    """(N, 5) whether posteriors are the population's within a share of its spread."""
+    return np.asarray((np.abs(shift) <= within) & (np.abs(width - 1.0) <= within))
 
 
 def _mean(values: FloatArray | BoolArray) -> tuple[float, float, float]:
@@ -170,9 +211,10 @@ def _mean(values: FloatArray | BoolArray) -> tuple[float, float, float]:
 
 
 def _simulated_drive(
-    law: Law, numbers: FloatArray, seconds: float, noisy: bool, rng: np.random.Generator
-) -> Drive:
-    """A driver behind a leader whose wished speed changes every 4 to 12 s.
+    law: Law, numbers: FloatArray, seconds: float, noisy: bool, rng: np.random.Generator, *,
+    alone: bool = False,
+) -> Drive:  # fmt: skip
+    """A driver behind a leader whose wished speed changes every 4 to 12 s, or alone on the road.
 
     The laws are written out once more: an error in those that calibrate would not show in drivers
     that were simulated by them.
@@ -190,6 +232,7 @@ def _simulated_drive(
         leading[i] = speed
     moved = leading[1:] if law is Law.KRAUSS else 0.5 * (leading[1:] + leading[:-1])
     rear = 60.0 + np.concatenate([[0.0], np.cumsum(moved)]) * STEP_S
+    behind = np.full(count, np.inf) if alone else rear
     v0, headway, s0, a, b = numbers
     v = min(leading[0], v0)
     x = rear[0] - (s0 + headway * v) * rng.uniform(1.0, 1.6)
@@ -198,7 +241,7 @@ def _simulated_drive(
     residual, place = 0.0, np.empty(count)
     for i in range(count):
         place[i] = x
-        gap, u = max(rear[i] - x, 0.1), leading[i]
+        gap, u = max(behind[i] - x, 0.1), leading[i]
         residual = kept * residual + pushed[i]
         if law is Law.IDM:
             wish = s0 + max(0.0, v * headway + v * (v - u) / (2.0 * np.sqrt(a * b)))
@@ -213,7 +256,7 @@ def _simulated_drive(
         v = faster
     errors = rng.normal(0.0, NOISE_M * noisy, (2, count))
     time_s = np.asarray(STEP_S * np.arange(count), dtype=np.float64)
-    drive = make_drive([Stretch(time_s, place + errors[0], rear + errors[1])])
+    drive = make_drive([Stretch(time_s, place + errors[0], behind + errors[1])])
     assert drive is not None
     return drive
 

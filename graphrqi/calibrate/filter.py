@@ -37,6 +37,10 @@ driver takes its speed from its leader's, so this adds to its residual there."""
 STARTS_SPEED_MPS: Final = 0.5
 """Standard deviation of the speed assumed at the start of a stretch, m/s."""
 
+FACTORS: Final = 8
+"""So many variances are multiplied before their logarithm is taken, which takes longer than all
+else that an observation asks for."""
+
 ROWS: Final = 32
 """Rows of the working array: a row for each quantity of a filter, a column for each filter."""
 
@@ -63,8 +67,8 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
             of its new speed it moves on, the rest being the old one's.
         out: (K,) takes them.
     """
-    # v0, T, s0, a, b | sigma^2, rho, q | root, relax, total | x, v, e | P | a, dv, dg | s | dawdle,
-    # share of the residual that counts
+    # v0, T, s0, a, b | sigma^2, rho, q | root, relax, total | x, v, e | P | a, dv, dg | product of
+    # variances | dawdle, share of the residual that counts | 1 / v0
     s = np.zeros((ROWS, LANES))
     blur = blur_m * blur_m
     h, own, newer = steps[0], steps[1], steps[2]
@@ -82,11 +86,13 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
             s[7, j] = s[5, j] * (1.0 - rho * rho)
             s[8, j] = 0.5 / math.sqrt(s[3, j] * s[4, j])
             s[9, j] = s[10, j] = s[24, j] = 0.0
+            s[23, j], s[27, j] = 1.0, 1.0 / s[0, j]
             if law == 1:
                 relax = math.exp(logs[begin + j, 7])
                 s[9, j] = 1.0 / math.sqrt(h * h + relax * relax)
                 s[24, j] = min(math.exp(logs[begin + j, 8]), 1.0)
             s[26, j] = 1.0
+        factors = 0
         for k in range(begins.size - 1):
             first, last = begins[k], begins[k + 1]
             r = drive[1, first]
@@ -122,7 +128,7 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
                 elif lead < 1e9:
                     for j in range(LANES):
                         v, a = s[12, j], s[3, j]
-                        ratio = v / s[0, j]
+                        ratio = v * s[27, j]
                         cube = ratio * ratio * ratio
                         gap = lead - s[11, j]
                         over = 1.0 / max(gap, LEAST_GAP_M)
@@ -131,7 +137,7 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
                         slope = slope if more > 0.0 else 0.0
                         share = (s[2, j] + max(more, 0.0)) * over
                         accel = a * (1.0 - cube * ratio - share * share)
-                        dv = -4.0 * a * cube / s[0, j] - 2.0 * a * share * over * slope
+                        dv = -4.0 * a * cube * s[27, j] - 2.0 * a * share * over * slope
                         dg = 2.0 * a * share * share * over
                         dg = dg if gap > LEAST_GAP_M else 0.0
                         hard = accel < -HARDEST_MPS2
@@ -140,10 +146,10 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
                         s[22, j] = 0.0 if hard else dg
                 else:
                     for j in range(LANES):
-                        ratio = s[12, j] / s[0, j]
+                        ratio = s[12, j] * s[27, j]
                         cube = ratio * ratio * ratio
                         s[20, j] = s[3, j] * (1.0 - cube * ratio)
-                        s[21, j] = -4.0 * s[3, j] * cube / s[0, j]
+                        s[21, j] = -4.0 * s[3, j] * cube * s[27, j]
                         s[22, j] = 0.0
                 for j in range(LANES):  # motion, and the covariance F P F' + Q with F written out
                     accel, dv, dg = s[20, j], s[21, j], s[22, j]
@@ -184,7 +190,7 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
                         over = 1.0 / variance
                         miss = drive[0, i] - s[11, j]
                         s[10, j] -= 0.5 * miss * miss * over
-                        s[23, j] = variance
+                        s[23, j] *= variance
                         kx, kv, ke = pxx * over, pxv * over, pxe * over
                         s[11, j] += kx * miss
                         s[12, j] = max(s[12, j] + kv * miss, 0.0)
@@ -195,7 +201,11 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
                         s[15, j] -= kx * pxv
                         s[16, j] -= kx * pxe
                         s[14, j] -= kx * pxx
-                    for j in range(LANES):
-                        s[10, j] -= 0.5 * math.log(s[23, j])
+                    factors += 1
+                    if factors == FACTORS:
+                        factors = 0
+                        for j in range(LANES):
+                            s[10, j] -= 0.5 * math.log(s[23, j])
+                            s[23, j] = 1.0
         for j in range(LANES):
-            out[begin + j] = s[10, j]
+            out[begin + j] = s[10, j] - 0.5 * math.log(s[23, j])

@@ -159,6 +159,24 @@ def test_always_free_says_nothing_of_the_headway() -> None:
     assert not told.known[0, [1, 2, 4]].any()
 
 
+def test_draws_of_unknown_numbers_are_the_populations() -> None:
+    rng = np.random.default_rng(12)
+    truth = np.exp(np.log([21.0, 1.3, 2.5, 1.5, 2.0]) + 0.3 * rng.standard_normal((6, 5)))
+    t = np.arange(0.0, 20.0, 0.1)
+    free = make_drive([Stretch(t, 20.0 * t + 0.01 * np.sin(t), np.full(t.size, np.inf))])
+    assert free is not None
+    followers = [_idm_drive(one, 700 + i) for i, one in enumerate(truth)]
+    fitted = calibrate(Law.IDM, [*followers, free, free])
+    unknown = ~fitted.known
+    assert not unknown[:6, 1].any()  # followers tell their headway
+    assert unknown[6:, 1:3].any()
+    numbers = fitted.logs[:, :, :5]
+    shift = (numbers.mean(axis=1) - fitted.mean[:5]) / fitted.spread[:5]
+    width = numbers.std(axis=1) / fitted.spread[:5]
+    np.testing.assert_allclose(shift[unknown], 0.0, atol=0.05)
+    np.testing.assert_allclose(width[unknown], 1.0, atol=0.05)
+
+
 def _idm_slowly(logs: np.ndarray, drive: Drive) -> float:
     """The filter in matrices, with derivatives by differences."""
     v0, headway, s0, a, b, sigma, forgotten = np.exp(logs)
