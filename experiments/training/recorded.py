@@ -1,8 +1,9 @@
 """Trains the predictor for recordings: ``graphrqi train-predictor DATA... --out FOLDER``.
 
 Every instant of a recording is learned from several times: as recorded, with noise added to the
-past, with fewer frames, and with a shorter past, so that what the network learns holds on
-recordings that are shakier, coarser or younger. Maps are moved a little, since those of other
+past, with fewer frames, with a shorter past, and with speeds that are constant between key frames,
+so that what the network learns holds on recordings that are shakier, coarser, younger or filled in.
+Maps are moved a little, since those of other
 places fit less well than a simulator's. The future is never altered.
 """
 
@@ -66,6 +67,10 @@ MAP_OFF_M: Final = 0.6
 """Standard deviation of each coordinate by which the map of an altered version is off, m (our
 choice: recorded vehicles drive beside the centre lines of their maps, simulated ones on them)."""
 
+KEY_FRAMES_S: Final = (1.0, 5.0)
+"""Range of the time between key frames, s, uniform (in NGSIM's Peachtree Street speeds are constant
+for 1 to 5 s, and then jump by up to 4 m/s: a third of its seconds is so)."""
+
 SHORTEST_PAST_S: Final = 0.4
 """The shortest past that is learned from, s."""
 
@@ -124,6 +129,35 @@ def with_noise(history: Tracks, deviation_m: float, rng: np.random.Generator, st
         speed=np.where(known, speed, history.speed),
         heading=np.where(turns, heading, history.heading),
     )
+
+
+def between_key_frames(tracks: Tracks, rng: np.random.Generator) -> Tracks:
+    """A recording in which each agent moves steadily from one of its key frames to the next.
+
+    Trackers and annotators fill in what they do not see: speeds are then constant for seconds, and
+    the acceleration cannot be seen.
+
+    Args:
+        tracks: a whole recording.
+        rng: draws each agent's key frames.
+    """
+    xy, speed = tracks.xy.copy(), tracks.speed.copy()
+    for row, seen in enumerate(tracks.valid):
+        columns = np.flatnonzero(seen)
+        if columns.size < 3:
+            continue
+        time_s = tracks.time_s[columns]
+        most = int(np.ceil((time_s[-1] - time_s[0]) / KEY_FRAMES_S[0])) + 1
+        due = time_s[0] + np.cumsum(rng.uniform(*KEY_FRAMES_S, most))
+        keys = np.unique([0, *np.searchsorted(time_s, due[due < time_s[-1]]), columns.size - 1])
+        place = tracks.xy[row, columns[keys]]
+        xy[row, columns] = np.stack(
+            [np.interp(time_s, time_s[keys], place[:, axis]) for axis in range(2)], axis=1
+        )
+        along = np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(time_s[keys])
+        piece = np.searchsorted(keys, np.arange(columns.size)).clip(1) - 1
+        speed[row, columns] = along[piece]
+    return dataclasses.replace(tracks, xy=xy, speed=speed)
 
 
 def coarser(history: Tracks, every: int) -> Tracks:
@@ -192,6 +226,9 @@ def examples_of(
 ) -> list[RecordedExamples]:
     """What is learned from one recording.
 
+    Between key frames places are interpolated, so the key frame to come shows in the past of that
+    version, as it does in recordings that were filled in.
+
     Args:
         one: the recording.
         every_s: time between instants, s.
@@ -200,6 +237,7 @@ def examples_of(
         versions: whether other versions than the recorded one are wanted.
     """
     found, tracks = [], one.tracks
+    filled_in = between_key_frames(tracks, rng) if versions else tracks
     for stop in recorded_instants(tracks, every_s):
         history = history_of(tracks, stop)
         truth = happened(tracks, history, stop)
@@ -207,7 +245,10 @@ def examples_of(
         if not counts.any():
             continue
         believable = plausible(history)
-        for number, seen in enumerate(_versions(history, rng) if versions else [history]):
+        seen_as = [history]
+        if versions:
+            seen_as = [*_versions(history, rng), history_of(filled_in, stop)]
+        for number, seen in enumerate(seen_as):
             near = believable and (not versions or rng.random() >= ALONE_SHARE)
             off = rng.normal(0.0, MAP_OFF_M, 2) if number else None
             found.append(recorded_examples(seen, truth, counts, group, near, one.road, off))

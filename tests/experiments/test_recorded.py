@@ -27,7 +27,14 @@ from experiments.scoring.recordings import (
     recorded_instants,
     steady_motion,
 )
-from experiments.training.recorded import coarser, shorter, train_on_recordings, with_noise
+from experiments.training.recorded import (
+    KEY_FRAMES_S,
+    between_key_frames,
+    coarser,
+    shorter,
+    train_on_recordings,
+    with_noise,
+)
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from graphrqi.predict.networks.futures import TIME_S
@@ -122,6 +129,21 @@ def test_only_the_past_is_altered():
     assert np.diff(coarser(history, 5).time_s) == pytest.approx(0.5)
     assert coarser(history, 5).time_s[-1] == history.time_s[-1]
     assert np.ptp(shorter(history, 1.0).time_s) == pytest.approx(1.0)
+
+
+def test_speeds_between_key_frames_are_constant():
+    tracks = traffic()
+    filled_in = between_key_frames(tracks, np.random.default_rng(0))
+    for row, seen in enumerate(tracks.valid):
+        time_s, speed = tracks.time_s[seen], filled_in.speed[row, seen]
+        moved = np.linalg.norm(np.diff(filled_in.xy[row, seen], axis=0), axis=1) / np.diff(time_s)
+        assert moved == pytest.approx(speed[1:])
+        jumps = time_s[1:][np.diff(speed) != 0.0]
+        assert (np.diff(jumps) > KEY_FRAMES_S[0] - 0.11).all()
+        assert (np.diff(jumps) < KEY_FRAMES_S[1] + 0.11).all()
+        ends = np.flatnonzero(seen)[[0, -1]]
+        assert filled_in.xy[row, ends] == pytest.approx(tracks.xy[row, ends])
+    np.testing.assert_array_equal(tracks.xy, traffic().xy)
 
 
 def test_folders_of_folders_are_read_and_unknown_ones_named(data, capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ from graphrqi.predict.recorded.predictor import predict_recorded
 from graphrqi.predict.training.recorded_lanes import PathExamples, along_paths, true_paths
 from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Tracks
+from sim.road import Connection, Lane, Road
 from sim.road.lane_graph import LaneGraph
 
 
@@ -103,6 +105,22 @@ def test_the_path_that_fits_best_is_the_own_lane(crossing):
     np.testing.assert_allclose(ahead.points[0, 0, 0], [0.0, -0.4], atol=0.05)
     step = np.linalg.norm(np.diff(ahead.points[0, 0], axis=0), axis=1)
     np.testing.assert_allclose(step[:4], ahead.spacing_m[0], rtol=0.02)
+
+
+def test_paths_of_fast_vehicles_do_not_end_before_the_vehicle():
+    """Short lanes along a circle of 500 m: after their end a path would leave it."""
+    angle = np.linspace(0.0, 1.5, 31)
+    points = 500.0 * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)])
+    lanes = tuple(
+        Lane(f"{i}_0", str(i), 0, points[i : i + 2], 3.5, np.nan) for i in range(len(points) - 1)
+    )
+    on = tuple(Connection(a.id, b.id, (), "straight") for a, b in itertools.pairwise(lanes))
+    road = Road("bend", lanes, on, (), (), Path("none"))
+    history = driving(road, 0, speed=50.0, back_m=5.0)
+    ahead = lanes_ahead(history, Motion.of(history), road)
+    centre = np.linalg.norm(ahead.points[0, 0] - [0.0, 500.0], axis=1)
+    assert along_way(ahead.points[0])[0, -1] > 300.0
+    assert np.abs(centre - 500.0).max() < 20.0
 
 
 def test_paths_are_all_different(crossing):

@@ -12,7 +12,12 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, get_predictor, predict
-from graphrqi.predict.recorded.features import feature_count, features_of, neighbour_slots
+from graphrqi.predict.recorded.features import (
+    QUEUE,
+    feature_count,
+    features_of,
+    neighbour_slots,
+)
 from graphrqi.predict.recorded.gaps import inferred_leaders, plausible
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
@@ -104,6 +109,32 @@ def test_a_vehicle_that_is_overtaken_by_nobody_has_no_neighbours():
     rows, gaps = neighbour_slots(recording([0.0], [10.0]), Motion.of(recording([0.0], [10.0])))
     assert (rows == -1).all()
     assert np.isinf(gaps).all()
+
+
+def test_a_queue_that_dissolves_is_seen_by_who_still_stands():
+    waiting = recording([0, 10, 20, 30], [0.0] * 4)
+    starting = recording([0, 10, 20, 30], [0, 0, 0, 3.0], accel=np.array([0, 0, 0, 1.0]))
+    queue = slice(-QUEUE, None)
+    stands, starts = (features_of(one, Motion.of(one))[0, queue] for one in (waiting, starting))
+    assert stands[[0, 1, 3, 6, 7, 8, 9]] == pytest.approx(0.0, abs=1e-6)
+    assert starts[3] == pytest.approx(1.0, abs=0.05)  # the third ahead gains speed,
+    assert starts[5] == pytest.approx(-3.0 / 5.0, abs=0.02)  # is faster,
+    assert starts[6] == pytest.approx(3.0 / 5.0, abs=0.02)  # and the fastest of them
+    assert starts[8] == pytest.approx(1.0 / 3.0, abs=0.02)
+    alone = features_of(starting, Motion.of(starting), believable=False)
+    assert not alone[:, queue].any()
+
+
+def test_weights_for_other_inputs_are_refused(tmp_path):
+    other = raw_network(np.zeros((MODES, PER_MODE)))
+    count = feature_count() - QUEUE
+    cut = replace(
+        other, mean=other.mean[:count], scale=other.scale[:count],
+        weights=(other.weights[0][:count],),
+    )  # fmt: skip
+    cut.save(tmp_path / "old.safetensors", {})
+    with pytest.raises(InputError, match=r"old.safetensors: found a network with .* train it anew"):
+        load_network(tmp_path / "old.safetensors")
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -149,13 +149,15 @@ def _model(method: str) -> dict[str, bytes]:
 
 def _weights() -> bytes:
     """A small network for recordings."""
+    from graphrqi.predict.recorded.features import feature_count
     from graphrqi.predict.recorded.network import MODES, PER_MODE, RecordedNetwork, TrainedRange
 
     numbers = np.random.default_rng(0)
-    sizes = (5, 4, MODES * PER_MODE)
+    inputs = feature_count()
+    sizes = (inputs, 4, MODES * PER_MODE)
     layers = [numbers.normal(size=pair).astype(np.float32) for pair in itertools.pairwise(sizes)]
     network = RecordedNetwork(
-        np.zeros(5), np.ones(5), tuple(layers),
+        np.zeros(inputs), np.ones(inputs), tuple(layers),
         tuple(np.zeros(size, np.float32) for size in sizes[1:]), 1.0,
         TrainedRange(30.0, 0.1, 0.2, 0.1),
     )  # fmt: skip

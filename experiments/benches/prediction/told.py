@@ -128,7 +128,7 @@ def what_is_left(places: Sequence[RecordedPlace], model: Model) -> Left | None:
             rows = np.flatnonzero(moving(history) & np.isfinite(truth).all(axis=(1, 2)))
             if not rows.size:
                 continue
-            told = predict_recorded(history, int(_AT[-1]) + 1)
+            told = predict_recorded(history, int(_AT[-1]) + 1, road=one.road)
             away = truth[rows] - told.best[rows][:, _AT]
             ahead = np.stack([np.cos(history.heading[rows, -1]), np.sin(history.heading[rows, -1])])
             posterior = stream.posterior()

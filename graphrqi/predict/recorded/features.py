@@ -34,8 +34,18 @@ LANE_M: Final = 3.5
 REACH_M: Final = 120.0
 """Neighbours count up to this distance, m (our choice)."""
 
+CHANGE_S, LEAST_CHANGE_S = 3.0, 0.3
+"""Past over which speeds of a queue are compared, and the shortest one that tells anything, s (our
+choice: speeds of some recordings are constant for seconds, and then jump)."""
+
+AHEAD: Final = 3
+"""How many vehicles ahead are described (our choice)."""
+
 SAME_WAY: Final = 0.7
 """Least cosine between the directions of neighbours in the six slots (45 degrees)."""
+
+QUEUE: Final = 3 * AHEAD + 1
+"""How many numbers describe the queue that an agent is in."""
 
 LONG_KINDS: Final = tuple(KINDS.index(k) for k in (AgentKind.BUS, AgentKind.TRUCK))
 TWO_WHEELS: Final = tuple(KINDS.index(k) for k in (AgentKind.MOTORCYCLE, AgentKind.BICYCLE))
@@ -215,10 +225,44 @@ def _neighbours(history: Tracks, motion: Motion) -> FloatArray:
         np.minimum(count, 15) / 5.0,
         np.where(count > 0, mean - speed, 0.0) / 5.0,
         mean_accel,
+        *_queue(history, motion, rows, gaps, alike),
     ]
     return np.stack(columns, axis=1)
 
 
+def _queue(
+    history: Tracks, motion: Motion, rows: IntArray, gaps: FloatArray, alike: BoolArray
+) -> list[FloatArray]:
+    """Whether a queue gathers or dissolves: who is ahead of the leader, and how speeds changed."""
+    speed, n = motion.speed, history.ids.size
+    ago = history.time_s - history.time_s[-1]
+    then = int(np.searchsorted(ago, -CHANGE_S - 1e-6))
+    passed_s = max(-ago[then], LEAST_CHANGE_S)
+    known = history.valid[:, then] & (-ago[then] >= LEAST_CHANGE_S)
+    change = np.where(known, speed - history.speed[:, then], 0.0) / passed_s
+    who, far, faster, columns = np.arange(n), np.zeros(n), np.zeros(n), []
+    for place in range(AHEAD):
+        far = far + np.where(who >= 0, gaps[who, 0], 0.0)
+        who = np.where(who >= 0, rows[who, 0], -1)
+        here = who >= 0
+        faster = np.where(here, np.maximum(faster, speed[who] - speed), faster)
+        columns.append(np.where(here, change[who], 0.0))
+        if place > 0:  # the leader's gap and speed, and the next one's speed, are told before
+            columns.append(np.where(here, np.exp(-np.maximum(far, 0.0) / 30.0), 0.0))
+        if place > 1:
+            columns.append(np.where(here, speed - speed[who], 0.0) / 5.0)
+    others = alike & known[None]
+    fastest = np.where(history.valid, history.speed, 0.0).max(axis=1, initial=0.0)
+    pace = np.where(alike, fastest[None], 0.0).max(axis=1, initial=0.0)
+    return [
+        *columns,
+        faster / 5.0,
+        change,
+        (others * change[None]).sum(axis=1) / np.maximum(others.sum(axis=1), 1),
+        np.where(pace > 0.0, pace - speed, 0.0) / 10.0,
+    ]
+
+
 def feature_count() -> int:
     """How many inputs the network has (F)."""
-    return 17 + 4 * len(AGES_S) + 6 * len(SLOTS) + 3 + 5 * NEAREST + 3
+    return 17 + 4 * len(AGES_S) + 6 * len(SLOTS) + 3 + 5 * NEAREST + 3 + QUEUE

@@ -22,7 +22,7 @@ from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.recorded.features import scale_of
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.rollout.lane_positions import along_path, positions
-from graphrqi.predict.scene.paths import PathTable
+from graphrqi.predict.scene.paths import REACH_M, PathTable
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
 from sim.road.cells import Cells, cells_of
@@ -41,6 +41,10 @@ SAME_WAY: Final = 0.5
 
 APART_M: Final = 1.2
 """Paths nearer to each other than this are one, m (our choice: a third of a lane's width)."""
+
+LONGEST: Final = 4
+"""Paths are at most so many times `REACH_M` long (our choice: 5 s at 120 m/s; recordings with wrong
+clocks show any speed)."""
 
 MOST: Final = 6
 """Paths per agent at most (our choice)."""
@@ -208,7 +212,9 @@ def lanes_ahead(
     near, lane = _near_lanes(road, motion, history.kind != PEDESTRIAN)
     if not lane.size:
         return found
-    graph, table = LaneGraph.of(road), PathTable.of(road)
+    farthest = stretches * float(steady.reach[near.agent].max())
+    graph = LaneGraph.of(road)
+    table = PathTable.of(road, REACH_M * max(1, math.ceil(min(farthest / REACH_M, LONGEST))))
     table.cover(np.unique(lane), 0.0)
     all_ = _paths_of(table, near, lane, near.s + stretches * steady.reach[near.agent])
     steady_at = _places(graph, table, all_.path, all_.s[:, None] + steady.gone[all_.agent])

@@ -38,7 +38,7 @@ from graphrqi.predict.networks.perceptron import (
     through_layers,
     weights_file,
 )
-from graphrqi.predict.recorded.features import scale_of
+from graphrqi.predict.recorded.features import feature_count, scale_of
 from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
 
 FloatArray = NDArray[np.float64]
@@ -236,6 +236,11 @@ def load_network(path: Path) -> RecordedNetwork:
         if not 0.0 <= value < math.inf:
             raise InputError(f"{path}: trained.{name}: found {value:g}, expected 0 or more")
     layers = layers_in(path, arrays)
+    if layers[0].size != feature_count():
+        raise InputError(
+            f"{path}: found a network with {layers[0].size} inputs, expected {feature_count()}: "
+            "train it anew"
+        )
     _check_shapes(path, layers, MODES * PER_MODE)
     lanes = None
     if "lanes_mean" in arrays:

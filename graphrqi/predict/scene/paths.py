@@ -21,10 +21,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 REACH_M: Final = 150.0
-"""Paths continue at least this far beyond their first lane (our choice: 5 s at 30 m/s)."""
+"""Paths continue at least this far beyond their first lane, unless more is asked for (our choice:
+5 s at 30 m/s)."""
 
 MOST_LANES: Final = 10
-"""Lanes per path at most (our choice)."""
+"""Lanes per path and `REACH_M` at most (our choice)."""
 
 MOST_PATHS: Final = 200
 """Paths per lane at most, straight ones first (our choice: a maze has any number)."""
@@ -78,6 +79,7 @@ class PathTable:
 
     Args:
         road: whose paths they are.
+        reach_m: how far they continue beyond their first lane, m.
 
     Attributes:
         lane: (Q, P) lanes in order, -1 after the end.
@@ -103,10 +105,11 @@ class PathTable:
         lane_length: (L,) m.
     """
 
-    def __init__(self, road: Road) -> None:
+    def __init__(self, road: Road, reach_m: float = REACH_M) -> None:
         graph = LaneGraph.of(road)
         lanes = graph.length.size
         self._lanes = _LaneLists.of(road, graph)
+        self._reach_m = reach_m
         self.groups = len(road.signal_groups)
         self.kinds = np.array([self.groups, self.groups + graph.cross_lane.size])
         self.priority = priority_of(road, graph)
@@ -131,9 +134,9 @@ class PathTable:
 
     @staticmethod
     @functools.lru_cache(maxsize=32)
-    def of(road: Road) -> PathTable:
+    def of(road: Road, reach_m: float = REACH_M) -> PathTable:
         """The paths of a road, kept with what has been worked out of them."""
-        return PathTable(road)
+        return PathTable(road, reach_m)
 
     @property
     def columns(self) -> PathColumns:
@@ -169,7 +172,7 @@ class PathTable:
         """Append the paths of some lanes."""
         lists, chains = self._lanes, []
         for lane in lanes:
-            chains += (found := lists.chains(lane))
+            chains += (found := lists.chains(lane, self._reach_m))
             self.first[lane], self.options[lane] = (
                 self._count + len(chains) - len(found),
                 len(found),
@@ -274,14 +277,15 @@ class _LaneLists:
             cross_s=graph.cross_s.tolist(),
         )
 
-    def chains(self, lane: int) -> list[list[int]]:
+    def chains(self, lane: int, reach_m: float) -> list[list[int]]:
         """The paths from a lane, each a list of lanes: depth first, `MOST_PATHS` at most."""
+        most = math.ceil(MOST_LANES * reach_m / REACH_M)
         found: list[list[int]] = []
         open_: list[tuple[list[int], float]] = [([lane], 0.0)]
         while open_ and len(found) < MOST_PATHS:
             chain, beyond_m = open_.pop()
             ways = self.onward[chain[-1]]
-            if not ways or len(chain) >= MOST_LANES or beyond_m >= REACH_M:
+            if not ways or len(chain) >= most or beyond_m >= reach_m:
                 found.append(chain)
                 continue
             open_ += [([*chain, way], beyond_m + self.length[way]) for way in reversed(ways)]
