@@ -2,7 +2,9 @@
 
 Left out are ``make`` and ``pip``, which install, and benches: ``test_benches`` runs each of those
 commands at ``--quick`` size, and here only their names and options are looked up. The cluster of
-the documentation has two workers, on this machine, and large datasets are made small.
+the documentation has two workers, on this machine, and large datasets are made small. A shell runs
+the scripts of the README and those that need one; in others, ``graphrqi`` runs in this process,
+which has its libraries imported already.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import ast
 import os
 import re
 import runpy
+import shlex
 import shutil
 import signal
 import subprocess
@@ -24,6 +27,9 @@ from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
 
 from experiments.benches.registry import BENCHES
 from experiments.cli.bench import bench_command
+from experiments.data.configuration import GenerateConfig
+from experiments.data.generate import generate
+from tests.experiments.shared import call
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
@@ -56,6 +62,27 @@ def run_commands(example: Example) -> None:
         for shown, here in SMALL_CLUSTER.items():
             assert shown in script
             script = script.replace(shown, here)
+    if written := re.fullmatch(r"bash (\S+)\n", script):
+        script = Path(written[1]).read_text()
+    commands = graphrqi_commands(script)
+    if commands is None or Path(example.path).name == "README.md":
+        run_in_a_shell(script)
+    else:
+        for arguments in commands:
+            assert call(*arguments) == 0, arguments
+
+
+def graphrqi_commands(script: str) -> list[list[str]] | None:
+    """The arguments of each ``graphrqi`` command; None if there is more than such commands."""
+    if re.search(r"[$|&;<>*]", script):
+        return None
+    lines = script.replace("\\\n", " ").splitlines()
+    commands = [words for line in lines if (words := shlex.split(line, comments=True))]
+    alone = all(words[0] == "graphrqi" for words in commands)
+    return [words[1:] for words in commands] if alone else None
+
+
+def run_in_a_shell(script: str) -> None:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     said = Path("said.txt")
     with said.open("w") as file:
@@ -87,21 +114,19 @@ SYBIL = Sybil(
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What pages call ``data`` that do not make it themselves."""
     folder = tmp_path_factory.mktemp("docs") / "data"
-    subprocess.run(
-        [sys.executable, "-m", "experiments.cli", "generate", "--out", str(folder), "--quiet",
-         "--scenario", "straight_road", "--episodes", "5", "--duration-s", "30"],
-        check=True, cwd=ROOT,
-    )  # fmt: skip
+    config = GenerateConfig(scenarios=("straight_road",), episodes=5, duration_s=30.0)
+    generate(config, folder, jobs=1, quiet=True)
     return folder
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_what_a_page_says_runs(
-    page: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     document = SYBIL.parse(ROOT / page)
-    if not re.search(r"--out \S*data\s", document.text):
-        shutil.copytree(dataset, tmp_path / "data")
+    code = [str(example.parsed) for example in document.examples()]
+    if not re.search(r"--out \S*data\s", document.text) and re.search(r"\bdata\b", str(code)):
+        shutil.copytree(request.getfixturevalue("dataset"), tmp_path / "data")
     monkeypatch.chdir(tmp_path)
     for example in document.examples():
         if "s3://" not in example.parsed:  # test_foreign_readers runs those, beside a server

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from behaviors.errors import InputError
 from experiments.cli.commands import main
+from experiments.data.processes import make_in_processes
 from sim.store import places
 
 
@@ -30,7 +32,20 @@ def content(folder: Path) -> dict[str, bytes]:
 
 def in_this_process(make, folder, tasks, jobs, shown):
     """As `make_in_processes`, without the seconds that starting workers takes."""
-    return [make(folder, task) for task in tasks], []
+    made, failed = [], []
+    for task in tasks:
+        try:
+            made.append(make(folder, task))
+            shown.advance(made[-1].agents, made[-1].agent_steps)
+        except InputError as error:
+            failed.append(f"{task}: {error}")
+    return made, failed
+
+
+def in_this_process_if_alone(make, folder, tasks, jobs, shown):
+    """As `make_in_processes`, which starts a worker for one job, too."""
+    made_by = in_this_process if jobs == 1 else make_in_processes
+    return made_by(make, folder, tasks, jobs, shown)
 
 
 @contextmanager

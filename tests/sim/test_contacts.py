@@ -64,7 +64,7 @@ def test_pedestrians_may_touch_each_other():
 @pytest.mark.parametrize("far_m", [0.0, 5000.0])
 def test_as_many_as_by_looking_at_every_pair(far_m):
     rng = np.random.default_rng(0)
-    n, t = 30, 20
+    n, t = 30, 8
     xy, heading = rng.uniform(0, 40, (n, t, 2)), rng.uniform(-3, 3, (n, t))
     xy[::2] += far_m  # two crowds a city apart
     found = {(*c.agents, k) for c in contacts(scene(xy, heading)) for k in range(c.begin, c.end)}
