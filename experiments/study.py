@@ -16,12 +16,11 @@ from experiments.console.notices import show_notices
 from experiments.rows import write_json
 
 
-def run_study(out: Path, quick: bool = False) -> list[Path]:
+def run_study(out: Path) -> list[Path]:
     """Run every bench that has no result yet.
 
     Args:
         out: folder of the results, ``<bench>.json`` each.
-        quick: small sizes, to see that it works.
 
     Returns:
         The files that there are now, old and new.
@@ -37,7 +36,7 @@ def run_study(out: Path, quick: bool = False) -> list[Path]:
             print(f"{path}: skipped, {bench.needs} names no recordings", file=sys.stderr)
             continue
         print(f"{path}: measuring", file=sys.stderr, flush=True)
-        write_json(bench.run(bench.quick if quick else bench.full), path)
+        write_json(bench.run(bench.full), path)
     return [path for path in paths.values() if path.exists()]
 
 

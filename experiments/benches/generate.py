@@ -180,8 +180,8 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
         ``..._read`` (frames, nobody steers), ``..._steered_and_read`` (the engine as it is, but no
         traits, events and files); ``bytes_per_agent_step``; ``us_per_agent_step`` of the whole
         episode, and ``annotated_us_per_agent_step`` of its traits, events and files, CPU time;
-        then ``memory_growth_mb`` (of one
-        process over many episodes); then ``agent_steps_per_s`` (wall clock) and ``speedup``.
+        then ``memory_growth_mb`` (of one process over many episodes); then ``agent_steps_per_s``
+        (wall clock) and ``speedup``.
     """
     yield _episode_rows(settings)
     repeated = settings.repeated

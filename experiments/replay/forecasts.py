@@ -23,6 +23,9 @@ from graphrqi.stream import HISTORY_STEPS
 from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 
+HORIZON_S: Final = 5.0
+"""How far ahead is shown, s."""
+
 EVERY_S: Final = 1.0
 """Time between two predictions, s (our choice: a horizon of 5 s is looked at five times)."""
 
@@ -65,7 +68,6 @@ def forecast(
     beliefs: Beliefs,
     road: Road | None,
     predictor: str,
-    horizon_s: float = 5.0,
 ) -> list[Forecast]:
     """Predict every agent again and again through an episode: every second, or less often a crowd.
 
@@ -74,7 +76,6 @@ def forecast(
         beliefs: about its drivers.
         road: where it happened; None if there is no map.
         predictor: a key of ``PREDICTORS``.
-        horizon_s: how far ahead, s.
 
     Returns:
         One entry per instant at which anybody is there.
@@ -87,7 +88,7 @@ def forecast(
         if not history.ids.size:
             continue
         time_s = float(tracks.time_s[step])
-        prediction = predict(history, beliefs.at(time_s), road, horizon_s, predictor)
+        prediction = predict(history, beliefs.at(time_s), road, HORIZON_S, predictor)
         rows = np.searchsorted(tracks.ids, prediction.ids)
         found.append(_kept(time_s, rows, prediction))
     return found

@@ -182,8 +182,8 @@ def _scored_beliefs(scene: ReplayScene) -> tuple[IntArray, IntArray]:
     return agent, sample
 
 
-def _link(page: str, time_s: float, agent: str = "", mode: str = "predicted") -> str:
-    query = {"t": f"{time_s:.1f}", "mode": mode} | ({"agent": agent} if agent else {})
+def _link(page: str, time_s: float, agent: str = "") -> str:
+    query = {"t": f"{time_s:.1f}", "mode": "predicted"} | ({"agent": agent} if agent else {})
     return f"{page}#{urlencode(query)}"
 
 

@@ -132,9 +132,7 @@ def number(value: float) -> str:
     return f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.2g}"
 
 
-def pivot(
-    rows: Sequence[Row], title: str, down: Sequence[str], across: Sequence[str], caption: str = ""
-) -> Table:
+def pivot(rows: Sequence[Row], title: str, down: Sequence[str], across: Sequence[str]) -> Table:
     """Arrange rows as a table.
 
     Args:
@@ -142,11 +140,10 @@ def pivot(
         title: the heading above the table.
         down: keys whose values distinguish the lines.
         across: keys whose values distinguish the columns; ``metric`` may be one of them.
-        caption: how the caption begins. The number of cases is added, and what intervals and bold
-            figures mean if the table has any.
 
     Returns:
-        The table. Keys of ``down`` that have the same value in all lines are not shown.
+        The table. Keys of ``down`` that have the same value in all lines are not shown. Its caption
+        says the number of cases, and what intervals and bold figures mean if there are any.
     """
     varying = [k for k in down if len({words(r.get(k)) for r in rows}) > 1] or list(down[:1])
     lines = list(dict.fromkeys(tuple(_line(k, r) for k in varying) for r in rows))
@@ -182,7 +179,6 @@ def pivot(
     split = {str(r["split"]) for r in rows if r.get("split") and "split" not in varying}
     cells = [cell for _, line in body for cell in line]
     said = [
-        caption,
         *(f"split: {s}" for s in sorted(split)),
         many,
         "small: 95 % intervals" if any(cell.interval for cell in cells) else "",

@@ -21,6 +21,9 @@ IntArray = NDArray[np.int64]
 RESAMPLES: Final = 2000
 """Bootstrap resamples (enough for two digits of a 95 % interval)."""
 
+RESAMPLING_SEED: Final = 0
+"""Of every bootstrap, so that the same data have the same interval."""
+
 _STYLE: Final = np.array([0 if b.style is Style.AGGRESSIVE else 1 for b in BEHAVIORS])
 
 
@@ -213,7 +216,7 @@ def pairs_won(up: FloatArray, down: FloatArray) -> FloatArray:
 
 
 def auc_within(
-    score: FloatArray, positive: NDArray[np.bool_], group: IntArray, seed: int = 0
+    score: FloatArray, positive: NDArray[np.bool_], group: IntArray
 ) -> tuple[float, float, float]:
     """Area under the ROC curve over pairs from the same group, with an interval over samples.
 
@@ -221,7 +224,6 @@ def auc_within(
         score: (n,) larger for positives.
         positive: (n,) truth.
         group: (n,) which video or episode each belongs to; only pairs inside one count.
-        seed: of the bootstrap over samples.
 
     Returns:
         Value, low, high; NaN where no group has both kinds.
@@ -232,7 +234,7 @@ def auc_within(
         >>> auc_within(np.array([0.9, 0.1, 0.95, 0.2, 0.1]), truth, where)[0].__round__(3)
         0.667
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(RESAMPLING_SEED)
     won, pairs = np.zeros(RESAMPLES + 1), np.zeros(RESAMPLES + 1)
     for each in np.unique(group):
         here = group == each
@@ -285,15 +287,12 @@ def summed(group: IntArray, above: NDArray[Any], below: NDArray[Any]) -> FloatAr
     return np.stack(columns, axis=1)
 
 
-def bootstrap(
-    statistic: Statistic, per_episode: FloatArray, seed: int = 0
-) -> tuple[float, float, float]:
+def bootstrap(statistic: Statistic, per_episode: FloatArray) -> tuple[float, float, float]:
     """A statistic of summed per-episode counts, with its 95 % interval over episodes.
 
     Args:
         statistic: of summed counts; takes a stack.
         per_episode: (E, ...) counts of each episode.
-        seed: of the resampling.
 
     Returns:
         Value, low, high; with a single episode nothing is known of the spread and low and high
@@ -306,19 +305,19 @@ def bootstrap(
     def weighted(weight: FloatArray) -> FloatArray:
         return statistic(np.tensordot(weight, per_episode, axes=1))
 
-    return value, *_interval(weighted, len(per_episode), seed)
+    return value, *_interval(weighted, len(per_episode))
 
 
-def _interval(weighted: Statistic, episodes: int, seed: int) -> tuple[float, float]:
+def _interval(weighted: Statistic, episodes: int) -> tuple[float, float]:
     """The 95 % interval of a statistic of (RESAMPLES, E) how often each episode is drawn."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(RESAMPLING_SEED)
     weight = rng.multinomial(episodes, np.full(episodes, 1.0 / episodes), size=RESAMPLES)
     low, high = np.nanquantile(weighted(weight.astype(np.float64)), [0.025, 0.975])
     return float(low), float(high)
 
 
 def auc_over_episodes(
-    score: FloatArray, positive: NDArray[np.bool_], episode: IntArray, seed: int = 0
+    score: FloatArray, positive: NDArray[np.bool_], episode: IntArray
 ) -> tuple[float, float, float]:
     """Area under the ROC curve over all pairs, with an interval over episodes.
 
@@ -326,7 +325,6 @@ def auc_over_episodes(
         score: (n,) larger for positives.
         positive: (n,) truth.
         episode: (n,) episode numbers.
-        seed: of the resampling.
 
     Returns:
         Value, low, high; NaN where there are no pairs, low and high with a single episode too.
@@ -354,7 +352,7 @@ def auc_over_episodes(
     value = float(area(np.ones(count))) if count else float("nan")
     if count < 2 or not np.isfinite(value):
         return value, float("nan"), float("nan")
-    return value, *_interval(area, count, seed)
+    return value, *_interval(area, count)
 
 
 def score(

@@ -14,7 +14,6 @@ from experiments.scoring.metrics import Estimate, confusion, score
 from graphrqi.methods import Model
 from graphrqi.samples import Samples
 from sim.store.dataset import Dataset
-from sim.store.schema import Split
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,17 +33,15 @@ def score_model(
     datasets: Sequence[Dataset],
     model: Model,
     majority: int,
-    split: Split = "test",
     jobs: int | None = None,
     quiet: bool = True,
 ) -> dict[str, Scored]:
-    """Scores after 10 s of observation on the episodes of one split.
+    """Scores after 10 s of observation on the test episodes.
 
     Args:
         datasets: labelled.
         model: a trained model.
         majority: the most frequent class of the training data.
-        split: which part of the data.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -56,7 +53,7 @@ def score_model(
     """
     samples = gather(
         datasets,
-        split,
+        "test",
         model.method.name,
         solver=model.solver,
         elsewhere=model.elsewhere is not None,
@@ -72,7 +69,7 @@ def score_model(
         probability = model.posterior(here.features.astype(np.float64))
         counts = confusion(here.codes, probability.argmax(axis=1), here.episode).sum(axis=0)
         found[name] = Scored(
-            score(here.codes, probability, here.episode, majority, split), counts.astype(np.int64)
+            score(here.codes, probability, here.episode, majority, "test"), counts.astype(np.int64)
         )
     return found
 

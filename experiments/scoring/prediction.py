@@ -35,7 +35,7 @@ from graphrqi.predict.scene.scene import LONGEST_S
 from graphrqi.stream import DEFAULT_MODEL
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset
-from sim.store.schema import EpisodeEntry, Split
+from sim.store.schema import EpisodeEntry
 
 
 class NothingToScore(InputError):
@@ -142,22 +142,20 @@ def predict_dataset(
     *,
     out: Path | None = None,
     weights: Path | None = None,
-    split: Split = "test",
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
-    """Predict every episode of a dataset's split and return the errors.
+    """Predict every episode of a dataset's test split and return the errors.
 
     Episodes that are too short are left out, each in a line on stderr.
 
     Args:
-        source: a dataset.
+        source: a dataset; all of a scenario is predicted that has no test split.
         predictors: keys of ``PREDICTORS``, or "module:function".
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         out: where to write the futures (`experiments.scoring.prediction_file`); None: nowhere.
         weights: as `experiments.scoring.prediction_errors.evaluate` takes them.
-        split: which part of the dataset; all of a scenario that has no such part.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -178,7 +176,7 @@ def predict_dataset(
     entries = [
         (scenario, entry)
         for scenario in dataset.scenarios
-        for entry in dataset.episodes(split, scenario) or dataset.episodes(None, scenario)
+        for entry in dataset.episodes("test", scenario) or dataset.episodes(None, scenario)
     ]
     if not entries:
         raise InputError(f"{source}: found no episode, expected at least 1")
@@ -220,8 +218,8 @@ def predict_dataset(
             entry.id, entry.name, length_s, least_s, horizon_s,
         )  # fmt: skip
     for scenario, episodes in found.items():
-        whole = not dataset.episodes(split, scenario)
-        rows += summarize(episodes, scenario, "all" if whole else split, horizons_s)
+        whole = not dataset.episodes("test", scenario)
+        rows += summarize(episodes, scenario, "all" if whole else "test", horizons_s)
     return of_bench("prediction", rows)
 
 

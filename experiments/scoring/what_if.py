@@ -27,13 +27,12 @@ SAME_S: Final = 3.0
 touches are of one collision)."""
 
 
-def same_incident(one: Event, other: Event, within_s: float = SAME_S) -> bool:
+def same_incident(one: Event, other: Event) -> bool:
     """Whether two events are the same incident of the same two agents.
 
     Args:
         one: an event.
         other: an event of another continuation.
-        within_s: how far apart they may begin, s.
 
     Examples:
         >>> before = Event(EventKind.NEAR_MISS, 20.0, agent=4, other=7)
@@ -43,7 +42,7 @@ def same_incident(one: Event, other: Event, within_s: float = SAME_S) -> bool:
     return (
         one.kind is other.kind
         and {one.agent, one.other} == {other.agent, other.other}
-        and abs(one.time_s - other.time_s) <= within_s
+        and abs(one.time_s - other.time_s) <= SAME_S
     )
 
 

@@ -41,6 +41,12 @@ CALIBRATE_EVERY_S: Final = 6.0
 EXAMPLES_EVERY_S: Final = 1.5
 """Time between instants that networks are trained on, s (our choice)."""
 
+EPOCHS: Final = 24
+"""Passes over the training examples (our choice)."""
+
+SEED: Final = 0
+"""Of searches, weights, order and which beliefs are left out or shuffled."""
+
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
 """Shares of instants at which, in an epoch, nobody is believed to be anything, and everybody what
 another driver is believed to be (our choice on episodes of a set apart)."""
@@ -73,9 +79,7 @@ def calibrate_drivers(
     source: Path,
     out: Path,
     *,
-    every_s: float = CALIBRATE_EVERY_S,
     iterations: int = 80,
-    seed: int = 0,
     quiet: bool = False,
 ) -> DriverTable:
     """Calibrate the car-following numbers on a dataset's training episodes and save them.
@@ -83,9 +87,7 @@ def calibrate_drivers(
     Args:
         source: a dataset.
         out: the file to write, with a card of data, split and scores.
-        every_s: time between the scenes of an episode, s.
         iterations: perturbations tried.
-        seed: of the search.
         quiet: whether to show no progress.
 
     Returns:
@@ -100,11 +102,11 @@ def calibrate_drivers(
         entries = dataset.episodes(split)
         with Progress(f"reading {split} scenes", len(entries), quiet) as progress:
             for entry in entries:
-                splits.setdefault(split, []).extend(samples_of(source, entry, every_s))
+                splits.setdefault(split, []).extend(samples_of(source, entry, CALIBRATE_EVERY_S))
                 progress.advance()
     if not splits.get("train"):
         raise InputError(f"{source}: found no training scene, expected at least 1")
-    table = calibrate(splits["train"], iterations, seed)
+    table = calibrate(splits["train"], iterations, SEED)
     scores = {
         split: {
             "behavior_known_ade_m": dict(
@@ -120,7 +122,7 @@ def calibrate_drivers(
         "data": dict(dataset.header.configuration),
         "split": "train",
         "iterations": iterations,
-        "seed": seed,
+        "seed": SEED,
         "scores": scores,
     }
     write_whole(out, table_to_json(table, card).encode())
@@ -226,10 +228,6 @@ def train_predictors(
     model: str,
     out: Path,
     *,
-    every_s: float = EXAMPLES_EVERY_S,
-    epochs: int = 24,
-    seed: int = 0,
-    jobs: int | None = None,
     quiet: bool = False,
 ) -> dict[str, float]:
     """Train the learned predictors on a dataset's training episodes and save them.
@@ -241,10 +239,6 @@ def train_predictors(
         source: a dataset.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         out: the folder to write into.
-        every_s: time between the instants of an episode, s.
-        epochs: passes over the training examples.
-        seed: of weights, order and which beliefs are left out or shuffled.
-        jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
     Returns:
@@ -261,29 +255,29 @@ def train_predictors(
         entries = dataset.episodes(split)
         if not entries:
             raise InputError(f"{source}: found no {split} episode, expected at least 1")
-        arguments = [(source, entry, model, every_s) for entry in entries]
+        arguments = [(source, entry, model, EXAMPLES_EVERY_S) for entry in entries]
         found = []
         with Progress(f"predictors: observing {split} episodes", len(entries), quiet) as progress:
-            for one in in_parallel(examples_of, arguments, jobs):
+            for one in in_parallel(examples_of, arguments, None):
                 found.append(one)
                 progress.advance()
         informed, label_free = (list(same) for same in zip(*found, strict=True))
         parts[split] = BeliefExamples.join(informed), Examples.join(label_free)
     card: dict[str, Any] = {
-        "data": dict(dataset.header.configuration), "split": "train", "epochs": epochs,
-        "examples": len(parts["train"][1].features), "seed": seed,
+        "data": dict(dataset.header.configuration), "split": "train", "epochs": EPOCHS,
+        "examples": len(parts["train"][1].features), "seed": SEED,
     }  # fmt: skip
     trained, train_free = parts["train"]
     checked, check_free = parts["validation"]
-    train, check = functools.partial(trained.draw, seed), checked.draw(seed, 0)
-    with Progress("predictors: training epochs", 3 * epochs, quiet) as progress:
+    train, check = functools.partial(trained.draw, SEED), checked.draw(SEED, 0)
+    with Progress("predictors: training epochs", 3 * EPOCHS, quiet) as progress:
 
         def advance(epoch: int, ade_m: float) -> None:
             progress.advance()
 
-        network = train_perceptron(train, check, epochs=epochs, seed=seed, on_epoch=advance)
-        rival = train_lstm(train_free, check_free, epochs=epochs, seed=seed, on_epoch=advance)
-        plain = train_perceptron(train_free, check_free, epochs=epochs, seed=seed, on_epoch=advance)
+        network = train_perceptron(train, check, epochs=EPOCHS, seed=SEED, on_epoch=advance)
+        rival = train_lstm(train_free, check_free, epochs=EPOCHS, seed=SEED, on_epoch=advance)
+        plain = train_perceptron(train_free, check_free, epochs=EPOCHS, seed=SEED, on_epoch=advance)
     scores = {
         "graphrqi-predict": guess_ade_m(network, check),
         "lstm": guess_ade_m(rival, check_free),

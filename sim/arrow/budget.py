@@ -25,7 +25,7 @@ hour of 1,000 agents at 10 Hz takes 2.3)."""
 
 MAX_GROWTH: Final = 64
 """How many times larger than its file the columns read may be, where they are larger than
-``MAX_TABLE_BYTES`` (our choice: trajectories grow 8 to 15 times, forged files a thousand times)."""
+``MAX_TABLE_BYTES`` (our choice: trajectories grow 14 to 25 times, forged files a thousand)."""
 
 
 @dataclass(slots=True)

@@ -44,6 +44,9 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
 }
 """The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
+JUMP_SIDES: Final = 1.5
+"""An agent that moves over a gap by more of its own sides is reported (our choice)."""
+
 MAX_XML_BYTES: Final = 2**24
 """Most bytes that a workbook may unpack to (our choice: 16 MiB; real ones have 60 kB)."""
 
@@ -235,13 +238,12 @@ def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArr
     return out
 
 
-def defects(tracks: Tracks, sheets: tuple[Sheet, ...], jump: float = 1.5) -> tuple[str, ...]:
+def defects(tracks: Tracks, sheets: tuple[Sheet, ...]) -> tuple[str, ...]:
     """What is wrong with a video's tracks and sheets, one sentence each.
 
     Args:
         tracks: of the video.
         sheets: of the same video.
-        jump: an agent that moves over a gap by more than this many of its own sides is reported.
 
     Returns:
         Sentences on double ids, gaps, jumps, unlabelled agents, and contradictions.
@@ -261,7 +263,7 @@ def defects(tracks: Tracks, sheets: tuple[Sheet, ...], jump: float = 1.5) -> tup
         longest = int(np.diff(seen).max()) - 1
         moved = np.hypot(*(tracks.xy[row, seen[holes + 1]] - tracks.xy[row, seen[holes]]).T)
         gaps.append(f"{name} ({longest} frames)")
-        if moved.max() > jump * max(tracks.length[row], tracks.width[row]):
+        if moved.max() > JUMP_SIDES * max(tracks.length[row], tracks.width[row]):
             jumps.append(f"{name} ({moved.max():.0f} pixels)")
     if gaps:
         found.append(f"agents lost and found again: {', '.join(gaps)}")

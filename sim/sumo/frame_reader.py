@@ -20,6 +20,9 @@ from sim.sumo.vehicle_poses import STRAIGHTENING_M, vehicle_poses
 AREA_CELL_M: Final = 50.0
 """Width of the cells in which junctions are looked up, m (our choice: a large junction's)."""
 
+TRAFFICLIGHT_TYPE_STATIC: Final = 0
+"""SUMO's number for lights with a fixed-time programme (``libsumo.constants``)."""
+
 
 def turning_areas(road: Road) -> tuple[FloatArray, Cells]:
     """Where the road turns: for each junction, the box round all turns in it.
@@ -67,10 +70,6 @@ class _Present:
     length: FloatArray
     width: FloatArray
     kind: NDArray[np.int8]
-
-
-TRAFFICLIGHT_TYPE_STATIC: Final = 0
-"""SUMO's number for lights with a fixed-time programme (``libsumo.constants``)."""
 
 
 class FrameReader:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
 from experiments.benches.spectrum.rows import Row, median_row
 from experiments.benches.spectrum.sequences import graph_sequence
 
+VECTORS: Final = 8
+"""Eigenvectors of each of five graphs that are followed: 40 in all (our choice)."""
 
-def convergence_rows(layout: str, d: int = 100, seed: int = 0, tries: int = 40) -> list[Row]:
+
+def convergence_rows(layout: str, d: int = 100) -> list[Row]:
     """Residuals of Rayleigh-quotient iterations, and the order they fall with.
 
     Plain iterations (one solution per shift) from eigenvectors of the graph before, on the graph
@@ -19,8 +23,6 @@ def convergence_rows(layout: str, d: int = 100, seed: int = 0, tries: int = 40) 
     Args:
         layout: one of `LAYOUTS`.
         d: vehicles.
-        seed: of the positions.
-        tries: vectors to follow.
 
     Returns:
         Rows of ``graphrqi``: ``residual_after_0`` to ``_6`` (medians) and
@@ -29,14 +31,14 @@ def convergence_rows(layout: str, d: int = 100, seed: int = 0, tries: int = 40) 
         largest eigenvalue: as near to the limit as rounding lets one see.
     """
     paths, orders = [], []
-    sequence = list(graph_sequence(layout, "instantaneous", d, 6, 0, seed))
+    sequence = list(graph_sequence(layout, "instantaneous", d, 6, 0, 0))
     for before, after in pairwise(sequence):
         if not np.array_equal(before.ids, after.ids):  # somebody left the city, others came
             continue
         matrix = after.laplacian.toarray()
         _, old = np.linalg.eigh(before.laplacian.toarray())
         size = float(np.linalg.norm(matrix, 2))
-        for column in range(d - 1, d - 1 - tries // 5, -1):
+        for column in range(d - 1, d - 1 - VECTORS, -1):
             x = old[:, column]
             path = []
             for _ in range(7):
