@@ -3,8 +3,8 @@
 Every instant of a recording is learned from several times: as recorded, with noise added to the
 past, with fewer frames, with a shorter past, and with speeds that are constant between key frames,
 so that what the network learns holds on recordings that are shakier, coarser, younger or filled in.
-Maps are moved a little, since those of other
-places fit less well than a simulator's. The future is never altered.
+Half of these are mirrored, so that traffic on the left is learned, too. Maps are moved a little,
+since those of other places fit less well than a simulator's. The future is never altered.
 """
 
 from __future__ import annotations
@@ -71,8 +71,15 @@ KEY_FRAMES_S: Final = (1.0, 5.0)
 """Range of the time between key frames, s, uniform (in NGSIM's Peachtree Street speeds are constant
 for 1 to 5 s, and then jump by up to 4 m/s: a third of its seconds is so)."""
 
+MIRROR: Final = np.array([1.0, -1.0])
+"""Swaps left and right."""
+
 SHORTEST_PAST_S: Final = 0.4
 """The shortest past that is learned from, s."""
+
+MIRRORED_SHARE: Final = 0.5
+"""Share of versions in which left and right are swapped (our choice: both sides are the same then).
+"""
 
 ALONE_SHARE: Final = 0.08
 """Share of versions without neighbours, as where gaps are implausible."""
@@ -172,6 +179,24 @@ def shorter(history: Tracks, past_s: float) -> Tracks:
     return history.part(np.arange(history.ids.size), slice(first, None))
 
 
+def mirrored(tracks: Tracks) -> Tracks:
+    """Tracks with left and right swapped."""
+    return dataclasses.replace(tracks, xy=tracks.xy * MIRROR, heading=-tracks.heading)
+
+
+def mirrored_road(road: Road) -> Road:
+    """A road with left and right swapped, as far as paths along its lanes tell."""
+    other = {"left": "right", "right": "left"}
+    replace = dataclasses.replace
+    lanes = (replace(one, centerline=one.centerline * MIRROR) for one in road.lanes)
+    ways = (
+        replace(one, direction=other.get(one.direction, one.direction)) for one in road.connections
+    )
+    return replace(
+        road, name=f"{road.name}, mirrored", lanes=tuple(lanes), connections=tuple(ways)
+    )
+
+
 def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:
     """The same instant as other sensors would have seen it."""
     low, high = np.log(NOISE_M)
@@ -238,6 +263,7 @@ def examples_of(
     """
     found, tracks = [], one.tracks
     filled_in = between_key_frames(tracks, rng) if versions else tracks
+    swapped = mirrored_road(one.road) if versions and one.road is not None else None
     for stop in recorded_instants(tracks, every_s):
         history = history_of(tracks, stop)
         truth = happened(tracks, history, stop)
@@ -251,7 +277,12 @@ def examples_of(
         for number, seen in enumerate(seen_as):
             near = believable and (not versions or rng.random() >= ALONE_SHARE)
             off = rng.normal(0.0, MAP_OFF_M, 2) if number else None
-            found.append(recorded_examples(seen, truth, counts, group, near, one.road, off))
+            if versions and rng.random() < MIRRORED_SHARE:
+                went = truth * MIRROR
+                given = (mirrored(seen), went, counts, group, near, swapped, off)
+            else:
+                given = (seen, truth, counts, group, near, one.road, off)
+            found.append(recorded_examples(*given))
     return found
 
 

@@ -29,8 +29,12 @@ from experiments.scoring.recordings import (
 )
 from experiments.training.recorded import (
     KEY_FRAMES_S,
+    MIRROR,
     between_key_frames,
     coarser,
+    mirrored,
+    mirrored_road,
+    recorded_examples,
     shorter,
     train_on_recordings,
     with_noise,
@@ -39,7 +43,9 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.recorded.network import SHIPPED
+from scenarios import SCENARIOS
 from sim.frames import Frame, Tracks
+from sim.road.lane_graph import DIRECTIONS, LaneGraph
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 
@@ -144,6 +150,46 @@ def test_speeds_between_key_frames_are_constant():
         ends = np.flatnonzero(seen)[[0, -1]]
         assert filled_in.xy[row, ends] == pytest.approx(tracks.xy[row, ends])
     np.testing.assert_array_equal(tracks.xy, traffic().xy)
+
+
+def test_a_mirrored_scene_is_seen_as_the_same_with_left_and_right_swapped():
+    """Numbers that tell left from right change sign or place; all others stay as they are."""
+    road = SCENARIOS["four_way_intersection"]().road
+    swapped = mirrored_road(road)
+    graph = LaneGraph.of(road)
+    ways = graph.drivable & ~graph.internal & ((graph.successors >= 0).sum(axis=1) > 1)
+    lanes = np.repeat(np.flatnonzero(ways), 2)
+    back = np.tile([30.0, 55.0], lanes.size // 2)
+    frames = []
+    for ago in np.arange(3.0, -1e-9, -0.1):
+        s = graph.length[lanes] - back - 8.0 * ago
+        aside = np.linspace(-1.2, 1.3, lanes.size)
+        xy, heading = graph.position(lanes, s, aside * (1.0 + 0.1 * np.cos(ago)))
+        n = lanes.size
+        frames.append(
+            Frame(time_s=10.0 - ago, ids=np.arange(n), xy=xy, heading=heading,
+                  speed=np.full(n, 8.0), length=np.full(n, 4.5), width=np.full(n, 1.8),
+                  kind=np.zeros(n))
+        )  # fmt: skip
+    history = Tracks.from_frames(frames)
+    truth = history.xy[:, -1, None] + 5.0 * TIME_S[None, :, None]
+    everyone = np.ones(lanes.size, bool)
+    one = recorded_examples(history, truth, everyone, 0, True, road)
+    other = recorded_examples(mirrored(history), truth * MIRROR, everyone, 0, True, swapped)
+    for name in ("base", "truth"):
+        np.testing.assert_allclose(
+            getattr(one, name) * MIRROR, getattr(other, name), atol=1e-3
+        )
+    assert one.ahead.exists.sum() > 2 * lanes.size
+    np.testing.assert_array_equal(one.ahead.exists, other.ahead.exists)
+    np.testing.assert_allclose(one.ahead.points * MIRROR, other.ahead.points, atol=1e-3)
+    np.testing.assert_allclose(one.ahead.offset_m, -other.ahead.offset_m, atol=1e-3)
+    share = 10 + 4 + len(DIRECTIONS)  # how many turn right, and left, is the same after mirroring
+    paths = (np.delete(each.ahead.features, share, axis=-1) for each in (one, other))
+    for before, after in ((one.features, other.features), tuple(paths)):
+        sizes = np.sort(np.abs(before), axis=-1), np.sort(np.abs(after), axis=-1)
+        np.testing.assert_allclose(*sizes, atol=1e-3)
+        assert (before != after).any()
 
 
 def test_folders_of_folders_are_read_and_unknown_ones_named(data, capsys):
