@@ -192,9 +192,7 @@ def mirrored_road(road: Road) -> Road:
     ways = (
         replace(one, direction=other.get(one.direction, one.direction)) for one in road.connections
     )
-    return replace(
-        road, name=f"{road.name}, mirrored", lanes=tuple(lanes), connections=tuple(ways)
-    )
+    return replace(road, name=f"{road.name}, mirrored", lanes=tuple(lanes), connections=tuple(ways))
 
 
 def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:

@@ -177,9 +177,7 @@ def test_a_mirrored_scene_is_seen_as_the_same_with_left_and_right_swapped():
     one = recorded_examples(history, truth, everyone, 0, True, road)
     other = recorded_examples(mirrored(history), truth * MIRROR, everyone, 0, True, swapped)
     for name in ("base", "truth"):
-        np.testing.assert_allclose(
-            getattr(one, name) * MIRROR, getattr(other, name), atol=1e-3
-        )
+        np.testing.assert_allclose(getattr(one, name) * MIRROR, getattr(other, name), atol=1e-3)
     assert one.ahead.exists.sum() > 2 * lanes.size
     np.testing.assert_array_equal(one.ahead.exists, other.ahead.exists)
     np.testing.assert_allclose(one.ahead.points * MIRROR, other.ahead.points, atol=1e-3)

@@ -255,16 +255,22 @@ def train_lstm(
     return TrajectoryLstm(module, mean, scale, right_spread(futures, validation.truth))
 
 
-def silu_module(sizes: Sequence[int]) -> torch.nn.Sequential:
-    """Fully connected layers of these widths with SiLU between them; the last one starts near 0."""
+def silu_module(sizes: Sequence[int], dropout: float = 0.0) -> torch.nn.Sequential:
+    """Fully connected layers of these widths with SiLU between them; the last one starts near 0.
+
+    Args:
+        sizes: widths of the inputs, the hidden layers, and the outputs.
+        dropout: share of each hidden layer's answers that are left out while it is trained.
+    """
     import torch
 
     linears = [torch.nn.Linear(inside, outside) for inside, outside in itertools.pairwise(sizes)]
     with torch.no_grad():
         linears[-1].weight.mul_(0.05)
         linears[-1].bias.zero_()
-    layers = [layer for linear in linears for layer in (linear, torch.nn.SiLU())]
-    return torch.nn.Sequential(*layers[:-1])
+    after = [torch.nn.SiLU(), *([torch.nn.Dropout(dropout)] if dropout else [])]
+    layers = [layer for linear in linears for layer in (linear, *after)]
+    return torch.nn.Sequential(*layers[: -len(after)])
 
 
 def layers_of(module: torch.nn.Sequential) -> tuple[Layers, Layers]:

@@ -74,11 +74,14 @@ class LaneTraining:
         mean: (F + PATH_FEATURES,) of the inputs.
         scale: (F + PATH_FEATURES,) their standard deviations.
         hidden: widths of the hidden layers.
+        dropout: share of each hidden layer's answers that are left out.
     """
 
-    def __init__(self, mean: FloatArray, scale: FloatArray, hidden: Sequence[int]) -> None:
+    def __init__(
+        self, mean: FloatArray, scale: FloatArray, hidden: Sequence[int], dropout: float
+    ) -> None:
         self.mean, self.scale = mean, scale
-        self.module = silu_module((mean.size, *hidden, PATH_OUTPUTS))
+        self.module = silu_module((mean.size, *hidden, PATH_OUTPUTS), dropout)
 
     def network(self) -> LaneNetwork:
         """What has been learned."""
