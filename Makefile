@@ -35,7 +35,7 @@ docs: $(VENV)/.installed-dev
 study: $(VENV)/.installed
 	$(BIN)/python -m experiments.study
 
-model: $(VENV)/.installed
+model: $(VENV)/.installed-dev
 	$(BIN)/python -m experiments.model
 
 $(BIN)/python:

@@ -26,6 +26,7 @@ from experiments.training.elsewhere import train_on_worlds
 from experiments.training.predictor import calibrate_drivers, train_predictors
 from experiments.training.recorded import train_on_recordings
 from experiments.training.recorded_scenes import OPEN_DATA
+from experiments.training.roads import generate_roads
 from graphrqi.model_files import MODELS, load_model, save_model
 from graphrqi.predict.rollout.driver_table import CARD
 from sim.store.dataset import open_dataset
@@ -143,7 +144,7 @@ def build_models(work: Path, quiet: bool = False) -> None:
 
 
 def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
-    """Train the predictor for recordings on random worlds, scenarios and open recordings.
+    """Train the predictor for recordings on random worlds, other roads and open recordings.
 
     Without the recordings, which are not part of the package, the weights that ship stay.
 
@@ -166,7 +167,8 @@ def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
         scenarios=SCENARIOS, episodes=HOME_EPISODES, seed=WORLDS_SEED, limits_mps=HOME_LIMITS_MPS
     )
     generate(config, home, None, quiet)
-    train_on_recordings([*recordings, worlds, home], out, quiet=quiet)
+    roads = generate_roads(work, WORLDS_SEED, quiet)
+    train_on_recordings([*recordings, worlds, home, *roads], out, quiet=quiet)
 
 
 if __name__ == "__main__":
