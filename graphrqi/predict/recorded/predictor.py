@@ -39,9 +39,6 @@ FAN_MPS2: Final = (0.0, 0.0, -1.0, 1.0, -2.5, 2.0)
 FAN_PROBABILITY: Final = (0.3, 0.3, 0.13, 0.13, 0.07, 0.07)
 """Probability of each (our choice)."""
 
-FAN_FADE_S: Final = 1.5
-"""Time in which the added acceleration falls to 1/e, s (as the base's)."""
-
 BACK_M: Final = 2.0
 """Futures that lead this far aside may also lead back; others do not reverse (our choice)."""
 

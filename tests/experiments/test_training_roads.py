@@ -1,0 +1,43 @@
+"""The roads that the predictor for recordings is trained on beside random worlds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.training import roads
+from sim.store.dataset import open_dataset
+
+
+def test_roundabouts_and_towns_have_bends_and_skew_junctions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(roads, "ROUNDABOUTS", ((13.0, 1), (30.0, 2)))
+    monkeypatch.setattr(roads, "ROUNDABOUT_EPISODES", 1)
+    monkeypatch.setattr(roads, "ROUNDABOUT_S", 20.0)
+    monkeypatch.setattr(roads, "TOWNS", 2)
+    monkeypatch.setattr(roads, "TOWN_S", 20.0)
+    monkeypatch.setattr(roads, "ENGINES", ("sumo",))
+    made = roads.generate_roads(tmp_path, 5, quiet=True)
+    assert [folder.name for folder in made] == ["recorded-roundabouts-sumo", "recorded-towns-sumo"]
+    rings, towns = (open_dataset(folder) for folder in made)
+    assert len(list(rings.episodes())) == len(list(towns.episodes())) == 2
+    shapes = set()
+    for entry in rings.episodes():
+        ring = [lane for lane in rings.road(entry).lanes if lane.edge == "east_north"]
+        radius_m = np.linalg.norm(ring[0].centerline, axis=1).mean()
+        shapes.add((10 * round(float(radius_m) / 10.0), len(ring)))
+    assert shapes == {(10, 1), (30, 2)}
+    first, second = (towns.road(entry) for entry in towns.episodes())
+    assert len(first.lanes) != len(second.lanes)
+    for road in (first, second):
+        ways = np.array([lane.centerline[-1] - lane.centerline[0] for lane in road.lanes])
+        angles = np.degrees(np.arctan2(ways[:, 1], ways[:, 0])) % 90.0
+        assert np.ptp(angles) > 45.0
+
+    nets = {file: file.stat().st_mtime_ns for file in tmp_path.glob("town-*.net.xml")}
+    assert len(nets) == 2
+    assert roads.generate_roads(tmp_path, 5, quiet=True) == made
+    assert nets == {file: file.stat().st_mtime_ns for file in nets}
