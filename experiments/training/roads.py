@@ -18,7 +18,7 @@ ROUNDABOUTS: Final = ((13.0, 1), (20.0, 1), (20.0, 2), (30.0, 2), (45.0, 2))
 pass to those of country roads)."""
 
 ROUNDABOUT_EPISODES, ROUNDABOUT_S = 4, 120.0
-"""Episodes of each roundabout by each engine, and their length, s."""
+"""Episodes of each roundabout, and their length, s."""
 
 ROUNDABOUT_LIMITS_MPS: Final = (13.89, 8.33, 11.11, 16.67)
 """Limits of the roundabouts' arms, which their episodes take in turn, m/s."""
@@ -42,8 +42,8 @@ TOWN_OPTIONS: Final = (
 """Streets of 60 to 220 m that meet at angles of 50 degrees and more (our choice: blocks of towns
 that were not planned)."""
 
-ENGINES: Final = ("sumo", "sumo-idm")
-"""Both laws drive on all of these roads."""
+ROUNDABOUT_ENGINE, TOWN_ENGINE = "sumo-idm", "sumo"
+"""Which law drives where (our choice: each of both)."""
 
 
 def generate_roads(work: Path, seed: int, quiet: bool = False) -> list[Path]:
@@ -55,7 +55,7 @@ def generate_roads(work: Path, seed: int, quiet: bool = False) -> list[Path]:
         quiet: whether to show no progress.
 
     Returns:
-        A dataset of each kind of road and engine.
+        The dataset of roundabouts, and that of towns.
 
     Raises:
         InputError: if a program is missing.
@@ -63,21 +63,20 @@ def generate_roads(work: Path, seed: int, quiet: bool = False) -> list[Path]:
     work.mkdir(parents=True, exist_ok=True)
     rings = [_roundabout(work, radius_m, lanes) for radius_m, lanes in ROUNDABOUTS]
     towns = [_town(work, seed + index, index) for index in range(TOWNS)]
+    kinds = {
+        "roundabouts": GenerateConfig(
+            scenarios=tuple(map(str, rings)), episodes=ROUNDABOUT_EPISODES, seed=seed,
+            engine=ROUNDABOUT_ENGINE, duration_s=ROUNDABOUT_S, limits_mps=ROUNDABOUT_LIMITS_MPS,
+        ),
+        "towns": GenerateConfig(
+            scenarios=tuple(map(str, towns)), episodes=1, seed=seed, engine=TOWN_ENGINE,
+            duration_s=TOWN_S, flow=TOWN_FLOW,
+        ),
+    }  # fmt: skip
     found = []
-    for engine in ENGINES:
-        kinds = {
-            "roundabouts": GenerateConfig(
-                scenarios=tuple(map(str, rings)), episodes=ROUNDABOUT_EPISODES, seed=seed,
-                engine=engine, duration_s=ROUNDABOUT_S, limits_mps=ROUNDABOUT_LIMITS_MPS,
-            ),
-            "towns": GenerateConfig(
-                scenarios=tuple(map(str, towns)), episodes=1, seed=seed, engine=engine,
-                duration_s=TOWN_S, flow=TOWN_FLOW,
-            ),
-        }  # fmt: skip
-        for kind, config in kinds.items():
-            found.append(work / f"recorded-{kind}-{engine}")
-            generate(config, found[-1], None, quiet)
+    for kind, config in kinds.items():
+        found.append(work / f"recorded-{kind}")
+        generate(config, found[-1], None, quiet)
     return found
 
 
