@@ -39,8 +39,9 @@ FAN_MPS2: Final = (0.0, 0.0, -1.0, 1.0, -2.5, 2.0)
 FAN_PROBABILITY: Final = (0.3, 0.3, 0.13, 0.13, 0.07, 0.07)
 """Probability of each (our choice)."""
 
-BACK_M: Final = 2.0
-"""Futures that lead this far aside may also lead back; others do not reverse (our choice)."""
+BACK_M: Final = 11.0
+"""Futures that lead this far aside may also lead back; others do not reverse (our choice: the usual
+circle in which a car turns)."""
 
 
 def predict_unmapped(
