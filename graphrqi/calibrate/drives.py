@@ -1,7 +1,8 @@
 """From measured places along a lane to the rows that the filter takes.
 
 Own places are averaged over half a second, so that what recordings smooth away or tremble by within
-that time does not count; the leader's motion is smoothed by local parabolas.
+that time does not count; exact ones are shaken first, so that their error is the one that the
+filter reckons with. The leader's motion is smoothed by local parabolas.
 """
 
 from __future__ import annotations
@@ -21,17 +22,19 @@ OBSERVED_S: Final = 0.5
 of acceleration that a driver makes, and hardly more than the laws describe)."""
 
 FINEST_S: Final = 0.1
-"""Longest step of the filter between observations, s (the usual step of simulators)."""
+"""Longest step of the filter between observations, s, unless frames are farther apart (the usual
+step of simulators; whose frames are rarer is taken to move by a step from one to the next)."""
 
-LEAST_HALF_S, MOST_HALF_S = 0.3, 0.8
-"""Half the stretch over which a motion is smoothed, s: for exact places, and from `FULL_NOISE_M`
-on."""
+LEAST_HALF_S, MOST_HALF_S = 0.1, 0.8
+"""Half the stretch over which a motion is smoothed, s: for exact places, which three then tell, and
+from `FULL_NOISE_M` on; in between it goes with the root of the noise."""
 
 FULL_NOISE_M: Final = 0.1
 """Noise from which the longest stretch is smoothed, m."""
 
 LEAST_NOISE_M: Final = 0.01
-"""Places count as no more exact, m (our choice: what cameras resolve at best)."""
+"""Places count as no more exact, m (our choice: what cameras resolve at best). More exact ones get
+random errors that bring them there."""
 
 LEAST_S: Final = 4.0
 """Shorter stretches are left out, s (our choice: they show no reaction from beginning to end)."""
@@ -107,10 +110,11 @@ def smoothed_half_s(noise_m: float, frame_s: float) -> float:
 
     Examples:
         >>> [round(smoothed_half_s(noise_m, 0.1), 2) for noise_m in (0.0, 0.05, 1.0)]
-        [0.3, 0.55, 0.8]
+        [0.1, 0.59, 0.8]
     """
-    half_s = LEAST_HALF_S + (MOST_HALF_S - LEAST_HALF_S) * min(noise_m / FULL_NOISE_M, 1.0)
-    return max(half_s, 2.0 * frame_s)
+    share = float(np.sqrt(min(noise_m / FULL_NOISE_M, 1.0)))
+    half_s = LEAST_HALF_S + (MOST_HALF_S - LEAST_HALF_S) * share
+    return max(half_s, frame_s)
 
 
 def make_drive(stretches: Sequence[Stretch]) -> Drive | None:
@@ -133,7 +137,7 @@ def make_drive(stretches: Sequence[Stretch]) -> Drive | None:
         return None
     frame_s = float(np.median(np.concatenate([np.diff(one.time_s) for one in long])))
     every = max(1, round(OBSERVED_S / frame_s))
-    steps = max(1, int(np.ceil(every * frame_s / FINEST_S - 1e-6)))
+    steps = min(max(1, int(np.ceil(every * frame_s / FINEST_S - 1e-6))), every)
     parts = [_rows(one, frame_s, every, steps) for one in long]
     return Drive(
         rows=np.ascontiguousarray(np.concatenate(parts, axis=1)),
@@ -153,14 +157,16 @@ def _rows(one: Stretch, frame_s: float, every: int, steps: int) -> FloatArray:
     at = begin + watched_s / steps * np.arange(count * steps + 1)
     noise_m = noise_of(one.place)
     rows = np.zeros((5, at.size))
+    place = _shaken(one.place, noise_m)
+    own_noise_m = max(noise_m, LEAST_NOISE_M)
     fitted = np.empty((4, at.size))
     if every > 2:
         own = np.empty((4, count + 1))
-        local_parabolas(one.time_s, one.place, at[::steps], 0.5 * watched_s - 1e-6, own)
-        rows[0, ::steps], rows[1, ::steps] = own[0], own[3] * max(noise_m, LEAST_NOISE_M)
+        local_parabolas(one.time_s, place, at[::steps], 0.5 * watched_s - 1e-6, own)
+        rows[0, ::steps], rows[1, ::steps] = own[0], own[3] * own_noise_m
     else:
-        rows[0, ::steps] = np.interp(at[::steps], one.time_s, one.place)
-        rows[1, ::steps] = max(noise_m, LEAST_NOISE_M)
+        rows[0, ::steps] = np.interp(at[::steps], one.time_s, place)
+        rows[1, ::steps] = own_noise_m
     half_s = smoothed_half_s(noise_m, frame_s)
     local_parabolas(one.time_s, one.place, at, half_s, fitted)
     rows[2] = np.maximum(fitted[1], 0.0)
@@ -169,3 +175,12 @@ def _rows(one: Stretch, frame_s: float, every: int, steps: int) -> FloatArray:
         local_parabolas(one.time_s, one.leader, at, half_s, fitted)
         rows[3], rows[4] = fitted[0], np.maximum(fitted[1], 0.0)
     return rows
+
+
+def _shaken(place: FloatArray, noise_m: float) -> FloatArray:
+    """Places whose error is `LEAST_NOISE_M` if it is smaller; the same ones for the same way."""
+    if noise_m >= LEAST_NOISE_M:
+        return place
+    rng = np.random.default_rng(int(1e3 * abs(float(place[-1] - place[0]))))
+    missing_m = (LEAST_NOISE_M**2 - noise_m**2) ** 0.5
+    return np.asarray(place + missing_m * rng.standard_normal(place.size))

@@ -19,20 +19,22 @@ from typing import Any, Final
 
 import numpy as np
 
+from graphrqi.calibrate.drives import LEAST_NOISE_M
 from graphrqi.calibrate.kernels import HARDEST_MPS2, LEAST_GAP_M
 from sim.compiled import reordered
 
 LANES: Final = 32
 """Filters that run side by side; the number of drivers is a multiple."""
 
-LEAST_RESIDUAL_MPS2: Final = 0.015
-"""The residual acceleration's standard deviation is no smaller, m/s2 (our choice: smoothing, and
-the unknown step and order of a simulator's own motion, leave about as much)."""
+LEAST_RESIDUAL_MPS2: Final = 0.003
+"""The residual acceleration's standard deviation is no smaller, m/s2 (our choice: what a leader's
+motion through three exact places is wrong by)."""
 
-LEADER_ERROR_MPS, LEADER_ERROR_S = 0.006, 1.7
-"""Error of the leader's smoothed speed: for exact places, m/s, and the time that divides the error
-of noisy ones, s (found for stretches of `drives.LEAST_HALF_S` to `drives.MOST_HALF_S`). Krauss's
-driver takes its speed from its leader's, so this adds to its residual there."""
+LEADER_ERROR_MPS, LEADER_ERROR_S = 0.0005, 1.7
+"""Error of the leader's smoothed speed: for exact places, m/s, and the time that divides what
+places err by more than exact ones do, s (found for stretches of `drives.LEAST_HALF_S` to
+`drives.MOST_HALF_S`). Krauss's driver takes its speed from its leader's, so this adds to its
+residual there."""
 
 STARTS_SPEED_MPS: Final = 0.5
 """Standard deviation of the speed assumed at the start of a stretch, m/s."""
@@ -96,7 +98,8 @@ def tell(law: Any, logs: Any, blur_m: Any, drive: Any, begins: Any, steps: Any, 
         for k in range(begins.size - 1):
             first, last = begins[k], begins[k + 1]
             r = drive[1, first]
-            unsure = (LEADER_ERROR_MPS + r / LEADER_ERROR_S) ** 2
+            errs = max(r * r - LEAST_NOISE_M**2, 0.0)  # exact places of its own are shaken
+            unsure = LEADER_ERROR_MPS**2 + errs / LEADER_ERROR_S**2
             for j in range(LANES):
                 s[25, j] = math.sqrt(1.0 + unsure * s[9, j] * s[9, j] / s[5, j])
                 s[11, j], s[12, j], s[13, j] = drive[0, first], drive[2, first], 0.0

@@ -48,14 +48,15 @@ PRIOR_MEDIAN: Final[dict[str, float]] = {
     "min_gap_m": 2.5,
     "max_accel_mps2": 1.5,
     "comfort_decel_mps2": 2.0,
-    "residual_mps2": 0.15,
+    "residual_mps2": 0.19,
     "correlation_s": 1.3,
-    "relaxation_s": 0.1,
-    "imperfection": 0.01,
+    "relaxation_s": 0.003,
+    "imperfection": 0.001,
 }
 """The median driver before anything is seen (Treiber and Kesting 2013, Traffic Flow Dynamics, table
-11.2, and fits to highD by Zhang and Sun 2024, Transportation Research Part C; noise and relaxation
-are our choice)."""
+11.2, and fits to highD by Zhang and Sun 2024, Transportation Research Part C, the residual's among
+them; relaxation and imperfection begin at hardly any, which is our choice: where there is none,
+drivers tell only that it is small)."""
 
 PRIOR_SPREAD: Final[dict[str, float]] = {
     "desired_speed_mps": 0.3,
@@ -63,9 +64,9 @@ PRIOR_SPREAD: Final[dict[str, float]] = {
     "min_gap_m": 0.4,
     "max_accel_mps2": 0.4,
     "comfort_decel_mps2": 0.4,
-    "residual_mps2": 1.0,
+    "residual_mps2": 0.7,
     "correlation_s": 0.4,
-    "relaxation_s": 1.0,
+    "relaxation_s": 1.5,
     "imperfection": 1.5,
 }
 """Spread of the logarithms between drivers before anything is seen (fits of single drivers: .3 to
@@ -79,8 +80,8 @@ PLACE_SPREAD: Final[dict[str, float]] = {
     "comfort_decel_mps2": 0.25,
     "residual_mps2": 1.0,
     "correlation_s": 0.4,
-    "relaxation_s": 1.0,
-    "imperfection": 2.0,
+    "relaxation_s": 3.0,
+    "imperfection": 3.0,
 }
 """Spread of the logarithms of places' medians around `PRIOR_MEDIAN`. Published fits of IDM lie at
 17 to 33 m/s, 1.1 to 1.8 s, 2 to 3.7 m, 0.7 to 2 m/s2 and 1.7 to 3 m/s2 (Treiber, Hennecke, Helbing
