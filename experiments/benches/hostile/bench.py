@@ -51,7 +51,7 @@ FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "labels": (800226,),
     "scenario": (801065, 801131, 1000028, 10009933),
     "commonroad": (10002175,),
-    "commonroad-map": (10005704,),
+    "commonroad-map": (10005704, 90032051),
     "commonroad.gz": (1000052, 10002368),
     "highd": (30013825,),
     "highd-grown": (2001246,),

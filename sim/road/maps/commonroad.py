@@ -175,12 +175,12 @@ def line_of(path: Path, element: Element | None, what: str) -> NDArray[np.float6
     Raises:
         InputError: if there are fewer than two, or a coordinate is missing or no number.
     """
-    x = [] if element is None else [e.text or "" for e in element.iter("x")]
-    y = [] if element is None else [e.text or "" for e in element.iter("y")]
-    if len(x) != len(y) or len(x) < 2:
-        raise InputError(f"{path}: {what}: found {len(x)} x and {len(y)} y, expected 2 or more")
+    points = [] if element is None else list(element.iter("point"))
+    if len(points) < 2:
+        raise InputError(f"{path}: {what}: found {len(points)} points, expected 2 or more")
+    told = [[point.findtext(axis) or "" for axis in "xy"] for point in points]
     try:
-        line = np.array([[written_numbers.real(one) for one in axis] for axis in (x, y)]).T
+        line = np.array([[written_numbers.real(one) for one in pair] for pair in told])
     except ValueError:
         raise InputError(f"{path}: {what}: found a point that is no number") from None
     if not (np.abs(line) <= MAX_COORDINATE_M).all():
