@@ -1,7 +1,8 @@
 """The roads that the predictor for recordings is trained on beside random worlds.
 
 Random worlds have straight roads, ramps and right-angled junctions. Recordings are made at
-roundabouts and in old towns, too, where lanes bend and streets meet at any angle.
+roundabouts and in old towns, too, where lanes bend and streets meet at any angle. Motorways are
+here so that all of these do not outweigh them.
 """
 
 from __future__ import annotations
@@ -42,12 +43,17 @@ TOWN_OPTIONS: Final = (
 """Streets of 60 to 220 m that meet at angles of 50 degrees and more (our choice: blocks of towns
 that were not planned)."""
 
+MOTORWAYS: Final = ("motorway", "motorway_ramps")
+MOTORWAY_EPISODES, MOTORWAY_S = 4, 120.0
+MOTORWAY_LIMITS_MPS: Final = (22.22, 36.11, 27.78, 33.33)
+"""Episodes of each motorway, their length, s, and the limits that they take in turn, m/s."""
+
 ROUNDABOUT_ENGINE, TOWN_ENGINE = "sumo-idm", "sumo"
 """Which law drives where (our choice: each of both)."""
 
 
 def generate_roads(work: Path, seed: int, quiet: bool = False) -> list[Path]:
-    """Generate the episodes of roundabouts and towns; needs netconvert and netgenerate.
+    """Generate the episodes of roundabouts, towns and motorways; needs netconvert and netgenerate.
 
     Args:
         work: folder for the data.
@@ -55,7 +61,7 @@ def generate_roads(work: Path, seed: int, quiet: bool = False) -> list[Path]:
         quiet: whether to show no progress.
 
     Returns:
-        The dataset of roundabouts, and that of towns.
+        The datasets of roundabouts, of towns, and of motorways.
 
     Raises:
         InputError: if a program is missing.
@@ -71,6 +77,10 @@ def generate_roads(work: Path, seed: int, quiet: bool = False) -> list[Path]:
         "towns": GenerateConfig(
             scenarios=tuple(map(str, towns)), episodes=1, seed=seed, engine=TOWN_ENGINE,
             duration_s=TOWN_S, flow=TOWN_FLOW,
+        ),
+        "motorways": GenerateConfig(
+            scenarios=MOTORWAYS, episodes=MOTORWAY_EPISODES, seed=seed, duration_s=MOTORWAY_S,
+            limits_mps=MOTORWAY_LIMITS_MPS,
         ),
     }  # fmt: skip
     found = []

@@ -19,10 +19,14 @@ def test_roundabouts_and_towns_have_bends_and_skew_junctions(
     monkeypatch.setattr(roads, "ROUNDABOUT_S", 20.0)
     monkeypatch.setattr(roads, "TOWNS", 2)
     monkeypatch.setattr(roads, "TOWN_S", 20.0)
+    monkeypatch.setattr(roads, "MOTORWAYS", ("motorway",))
+    monkeypatch.setattr(roads, "MOTORWAY_EPISODES", 1)
+    monkeypatch.setattr(roads, "MOTORWAY_S", 20.0)
     made = roads.generate_roads(tmp_path, 5, quiet=True)
-    assert [folder.name for folder in made] == ["recorded-roundabouts", "recorded-towns"]
-    rings, towns = (open_dataset(folder) for folder in made)
-    assert len(list(rings.episodes())) == len(list(towns.episodes())) == 2
+    kinds = ("roundabouts", "towns", "motorways")
+    assert [folder.name for folder in made] == [f"recorded-{kind}" for kind in kinds]
+    rings, towns, motorways = (open_dataset(folder) for folder in made)
+    assert [len(list(one.episodes())) for one in (rings, towns, motorways)] == [2, 2, 1]
     shapes = set()
     for entry in rings.episodes():
         ring = [lane for lane in rings.road(entry).lanes if lane.edge == "east_north"]
