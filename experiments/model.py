@@ -58,18 +58,19 @@ CLASSIFIER_PER_MOMENT: Final = 2
 
 
 ELSEWHERE_HOME: Final[dict[str, dict[str, Any]]] = {
-    "as-usual": {"episodes": 24, "limits_mps": TRAINING_LIMITS_MPS},
-    "light": {"episodes": 8, "flow": "light"},
-    "dense": {"episodes": 8, "flow": "dense"},
-    "idm": {"episodes": 10, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
+    "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
+    "light": {"episodes": 20, "flow": "light"},
+    "dense": {"episodes": 20, "flow": "dense"},
+    "idm": {"episodes": 20, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
 }
 """Home traffic that the classifier learns to tell from elsewhere: options of `GenerateConfig`."""
 
 ELSEWHERE_HOME_SEED, ELSEWHERE_HOME_S = 2023, 150.0
 """Seed of this home traffic, and the length of its episodes, s."""
 
-ELSEWHERE_WORLDS, ELSEWHERE_WORLDS_SEED = 700, 7000
-"""Random worlds that the classifier learns from, and their seed."""
+ELSEWHERE_WORLDS: Final = {7000: 700, 31000: 1500}
+"""Random worlds that the classifier learns from, by their seed: styles in unseen worlds are right
+for .885 of the drivers after learning from 700, and for .897 after 1,450."""
 
 
 def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
@@ -115,13 +116,17 @@ def learn_elsewhere(work: Path, quiet: bool = False, jobs: int | None = None) ->
             scenarios=SCENARIOS, seed=ELSEWHERE_HOME_SEED, duration_s=ELSEWHERE_HOME_S, **options
         )
         generate(config, home[-1], jobs, quiet)
-    worlds = work / "elsewhere-worlds"
-    drawn = read_worlds_config(None, ELSEWHERE_WORLDS, seed=ELSEWHERE_WORLDS_SEED)
-    generate(drawn, worlds, jobs, quiet)
-    learned = train_on_worlds(
-        [open_dataset(folder) for folder in home], [open_dataset(worlds)], jobs=jobs, quiet=quiet
-    )
+    worlds = []
+    for seed, count in ELSEWHERE_WORLDS.items():
+        worlds.append(work / f"elsewhere-worlds-{seed}")
+        generate(read_worlds_config(None, count, seed=seed), worlds[-1], jobs, quiet)
     model = load_model(BEST_METHOD)
+    learned = train_on_worlds(
+        [open_dataset(folder) for folder in home],
+        [open_dataset(folder) for folder in worlds],
+        jobs=jobs,
+        quiet=quiet,
+    )
     save_model(dataclasses.replace(model, elsewhere=learned), MODELS / BEST_METHOD)
 
 

@@ -2,14 +2,13 @@
 
 A classifier that is trained on one simulator is right at home and surely wrong elsewhere: it takes
 another law of driving, another limit or a noisy sensor for another behaviour. `Elsewhere` holds two
-more classifiers, on features that are relative to the scene and smoothed: one for home traffic that
-is seen badly (with noise, at other frame rates, with gaps), and one for foreign traffic, trained on
-many random worlds. A gate tells from the numbers of the whole scene how likely each of the three
-is, and whether the scene is simulated at all. The answer is the average of the classifiers with the
-gate's probabilities as weights. In foreign simulations the answer about a driver is corrected by
-what is said of all others there; among recorded people only their differences count
-(`graphrqi.place_level`). Where a scene lies outside everything that was trained on, the answer goes
-towards equal chances.
+networks that see each driver among all the drivers of its place (`graphrqi.places`), on features
+that are smoothed and relative to the scene: one for home traffic that is seen badly (with noise, at
+other frame rates, with gaps), and one for foreign traffic, trained on many random worlds. A gate
+tells from the numbers of the whole scene how likely each of the three is, and whether the scene is
+simulated at all. The answer is the average of home's classifier and the networks with the gate's
+probabilities as weights; among recorded people only the differences between drivers count. Where a
+scene lies outside everything that was trained on, the answer goes towards equal chances.
 
 References:
     Jacobs, Jordan, Nowlan, Hinton (1991), Adaptive mixtures of local experts, Neural Computation 3,
@@ -31,30 +30,20 @@ from graphrqi.classify import Classifier, make_classifier, restore_classifier
 from graphrqi.classify.checks import part_of, saved
 from graphrqi.classify.contract import CodeArray
 from graphrqi.features.observer import Observation
-from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
-from graphrqi.place_level import LEVEL_INPUTS, PlaceDrivers, level_inputs, log_odds_of, restyled
+from graphrqi.features.relative.observer import (
+    LEFT_OVER,
+    SCENE_NAMES,
+    UNKNOWN_SCENE,
+    RelativeObserver,
+)
+from graphrqi.places.drivers import PlaceDrivers
+from graphrqi.places.network import PlaceNetwork
+from graphrqi.places.people import beside_others, log_odds_of, restyled
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.samples import Samples
 
 FloatArray = NDArray[np.float64]
-
-NETWORK: Final[dict[str, Any]] = {
-    "hidden": (192, 96), "dropout": 0.3, "epochs": 14, "weight_decay": 1e-2,
-}  # fmt: skip
-"""Options of the perceptrons."""
-
-OPTIONS: Final[dict[str, Any]] = {
-    "trees": {"rounds": 300, "max_leaves": 15, "max_depth": 6, "feature_share": 0.15},
-    "network": NETWORK,
-}
-"""Options of the classifier of foreign traffic. Its trees are smaller than at home: these hold
-better in worlds that are not trained on."""
-
-SEEN_BADLY_OPTIONS: Final[dict[str, Any]] = {
-    "trees": {"rounds": 300, "max_leaves": 31, "max_depth": 7, "feature_share": 0.15},
-    "network": NETWORK,
-}
-"""Options of the classifier of home traffic that is seen badly."""
+IntArray = NDArray[np.int64]
 
 HOME, SEEN_BADLY, FOREIGN, RECORDED = range(4)
 """Kinds of traffic: as at home, home's seen badly, simulated by others, and recorded."""
@@ -69,19 +58,18 @@ GATE_OPTIONS: Final[dict[str, Any]] = {
 """Options of the classifier of the first three kinds: few numbers, some thousand scenes."""
 
 RECORDED_OPTIONS: Final[dict[str, Any]] = {
-    "rounds": 80, "max_leaves": 6, "min_leaf": 20, "feature_share": 0.4,
+    "rounds": 120, "max_leaves": 8, "min_leaf": 20, "feature_share": 0.4,
 }  # fmt: skip
 """Options of the classifier that tells recorded scenes from simulated ones. It is small: places
 that it was not trained on are then told from simulations, too."""
 
-LEVEL_OPTIONS: Final[dict[str, Any]] = {
-    "rounds": 120, "learning_rate": 0.05, "max_leaves": 8, "min_leaf": 100, "ridge": 10.0,
-    "feature_share": 0.5,
-}  # fmt: skip
-"""Options of the classifier of styles from log-odds and the place's numbers: some 200 worlds."""
+EARLY: Final = 0.15
+"""Share of the scenes, simulated and recorded, that it learns from before any course is known."""
 
-LEVEL_ROWS: Final = 20_000
-"""Drivers and moments that it learns from, drawn so that crowded worlds do not outweigh others."""
+DOUBTED, SURELY = 0.3, 0.7
+"""Probabilities of a recorded scene up to which it counts as simulated, and from which it counts as
+recorded (our choice). In between both ways of answering are averaged: an average in which one has a
+small share would still let that one decide about whole places."""
 
 SCENES_OF_A_KIND: Final = 6000
 """Most scenes of each kind that the gate learns from."""
@@ -125,33 +113,42 @@ _EVIDENCE_AT: Final = [
 _DRIVERS: Final = SCENE_NAMES.index("drivers")
 
 _OF_PEOPLE: Final = [
-    column
-    for column, name in enumerate(SCENE_NAMES)
-    if name not in ("frame interval", "drivers", "seconds")
-]
-"""Numbers of a scene that tell recorded from simulated traffic; the others are those of cameras."""
+    SCENE_NAMES.index(name)
+    for name in (
+        "noise", "mean weaving", "mean unrest", "deviation of weaving", "deviation of unrest",
+        *(f"{name} over noise" for name in LEFT_OVER),
+    )
+]  # fmt: skip
+"""Numbers of a scene that tell recorded from simulated traffic: how restless its drivers are beside
+the noise. Others, like the pace, tell the places that were trained on from simulations, and miss
+those that were not."""
+
+_COURSES: Final = SCENE_NAMES.index("mean weaving")
+
+
+_LEARNED: Final = ("seen_badly", "foreign", "gate", "recorded")
+"""Attributes of `Elsewhere` that have arrays."""
 
 
 @dataclass(frozen=True, slots=True)
 class Elsewhere:
-    """Classifiers for traffic that is not as at home, and what tells it from home.
+    """What answers in traffic that is not as at home, and what tells it from home.
 
     Attributes:
-        seen_badly: answers on relative features (n, F) of home traffic that is seen badly.
-        foreign: answers on those of foreign traffic.
+        seen_badly: answers about drivers with relative features (n, F) among those of their place,
+            in home traffic that is seen badly.
+        foreign: the same in foreign traffic.
         gate: answers on scenes (n, S) which of the first three kinds of traffic they show.
         recorded: answers on scenes whether they are simulated or recorded.
-        level: gives the style from `graphrqi.place_level.level_inputs`; None if it was not learned.
         low: (S,) lower ends of the range of the numbers of scenes in training.
         high: (S,) upper ends.
         card: training data and scores, as JSON values.
     """
 
-    seen_badly: Classifier
-    foreign: Classifier
+    seen_badly: PlaceNetwork
+    foreign: PlaceNetwork
     gate: Classifier
     recorded: Classifier
-    level: Classifier | None
     low: FloatArray
     high: FloatArray
     card: Mapping[str, Any]
@@ -166,12 +163,13 @@ class Elsewhere:
             return np.zeros((0, 4))
         scenes = _scene_of(relative)
         people = self.recorded.posterior(np.ascontiguousarray(scenes[:, _OF_PEOPLE]))[:, 1:]
+        people = np.clip((people - DOUBTED) / (SURELY - DOUBTED), 0.0, 1.0)
         simulated = (1.0 - people) * self.gate.posterior(scenes)
         found = np.concatenate([simulated, people], axis=1)
         found = np.where(found < SURE, 0.0, found)
         novelty = self._novelty(scenes)[:, None]
         found = (1.0 - novelty) * found / found.sum(axis=1, keepdims=True)
-        found[:, FOREIGN] += novelty[:, 0]
+        found[:, [FOREIGN, RECORDED]] += novelty * np.concatenate([1.0 - people, people], axis=1)
         return np.asarray(np.clip(found, 0.0, 1.0))
 
     def _novelty(self, scenes: FloatArray) -> FloatArray:
@@ -182,7 +180,7 @@ class Elsewhere:
         return np.asarray(np.minimum(far / FARTHEST, 1.0))
 
     def answers(self, relative: FloatArray, kinds: FloatArray) -> FloatArray:
-        """(n, 6) the sum of the classifiers' probabilities, each times that of its kind.
+        """(n, 6) the sum of the networks' probabilities, each times that of its kind of traffic.
 
         Of drivers one by one: what the others of their place are like is not used.
 
@@ -192,13 +190,11 @@ class Elsewhere:
         """
         out = np.zeros((len(relative), len(BEHAVIORS)))
         away = kinds[:, FOREIGN] + kinds[:, RECORDED]
-        for share, classifier in ((kinds[:, SEEN_BADLY], self.seen_badly), (away, self.foreign)):
+        for share, network in ((kinds[:, SEEN_BADLY], self.seen_badly), (away, self.foreign)):
             asked = share > 0.0
             if asked.any():
-                inputs = np.ascontiguousarray(relative[asked])
-                out[asked] += share[asked, None] * self._held_back(
-                    classifier.posterior(inputs), inputs
-                )
+                inputs = relative[asked]
+                out[asked] += share[asked, None] * self._held_back(network.alone(inputs), inputs)
         return out
 
     def answers_among(
@@ -207,8 +203,7 @@ class Elsewhere:
         kinds: FloatArray,
         seen: Observation,
         time_s: float,
-        place: PlaceDrivers,
-        people: PlaceDrivers,
+        place: KnownPlace,
     ) -> FloatArray:
         """(n, 6) as `answers`, of all drivers of one scene, each seen among the others.
 
@@ -217,34 +212,35 @@ class Elsewhere:
             kinds: (4,) probability of each kind of traffic.
             seen: the same drivers, and for how long each was watched.
             time_s: not earlier than at the call before.
-            place: the drivers of the place so far by the classifier alone; these are added.
-            people: the same by the classifier and by their deviations from the scene.
+            place: the drivers of the place so far; these are added.
         """
         out = np.zeros((len(relative), len(BEHAVIORS)))
         if not len(relative):
             return out
         if kinds[SEEN_BADLY] > 0.0:
-            out += kinds[SEEN_BADLY] * self.seen_badly.posterior(relative)
+            out += kinds[SEEN_BADLY] * _seen_among(
+                self.seen_badly, relative, seen, time_s, place.seen_badly
+            )
         away = float(kinds[FOREIGN] + kinds[RECORDED])
         if away > 0.0:
-            found = self.foreign.posterior(relative)
-            odds = log_odds_of(aggressive_share(found))
-            place.observe(time_s, seen.ids, odds, seen.seconds)
-            style = kinds[FOREIGN] * self._leveled(odds, seen.seconds, place)
-            unlike = odds + DEVIATIONS_WORTH * _deviation(relative)
-            people.observe(time_s, seen.ids, unlike, seen.seconds)
-            beside = people.beside_others(unlike, seen.seconds)
-            style += kinds[RECORDED] / (1.0 + np.exp(-beside))
-            out += away * restyled(found, style / away, AGGRESSIVE)
+            found = _seen_among(self.foreign, relative, seen, time_s, place.foreign)
+            if kinds[RECORDED] > 0.0:
+                aggressive = aggressive_share(found)
+                unlike = log_odds_of(aggressive) + DEVIATIONS_WORTH * _deviation(relative)
+                place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
+                beside = 1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people)))
+                style = (kinds[FOREIGN] * aggressive + kinds[RECORDED] * beside) / away
+                found = restyled(found, style, AGGRESSIVE)
+            out += away * found
         total = out.sum(axis=1, keepdims=True)
         held = self._held_back(out / np.where(total > 0.0, total, 1.0), relative)
         return np.asarray(held * total)
 
-    def _leveled(self, odds: FloatArray, seconds: FloatArray, place: PlaceDrivers) -> FloatArray:
-        """(n,) probability of the aggressive style in simulated traffic."""
-        if self.level is None:
-            return np.asarray(1.0 / (1.0 + np.exp(-odds)))
-        return self.level.posterior(level_inputs(odds, seconds, place.numbers()))[:, 1]
+    def empty_place(self) -> KnownPlace:
+        """A place of which nothing is known yet."""
+        return KnownPlace(
+            PlaceDrivers(self.seen_badly.width), PlaceDrivers(self.foreign.width), PlaceDrivers(1)
+        )
 
     def _held_back(self, found: FloatArray, relative: FloatArray) -> FloatArray:
         """(n, 6) probabilities that go towards equal chances outside the training's range."""
@@ -253,11 +249,7 @@ class Elsewhere:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What was learned, to be saved."""
-        parts = {
-            name: getattr(self, name) for name in ("seen_badly", "foreign", "gate", "recorded")
-        }
-        if self.level is not None:
-            parts["level"] = self.level
+        parts = {name: getattr(self, name) for name in _LEARNED}
         learned = {
             f"{part}.{name}": value
             for part, classifier in parts.items()
@@ -275,21 +267,34 @@ class Elsewhere:
         low, high = (saved(arrays, name, (len(SCENE_NAMES),)) for name in ("low", "high"))
         if not (low <= high).all():
             raise InputError("low, high: found ends in the wrong order, expected low <= high")
-        features, behaviors = len(RelativeObserver.feature_names), len(BEHAVIORS)
-        parts = (
-            ("seen_badly", "averaged", behaviors, features, SEEN_BADLY_OPTIONS),
-            ("foreign", "averaged", behaviors, features, OPTIONS),
-            ("gate", "boosted", 3, len(SCENE_NAMES), GATE_OPTIONS),
-            ("recorded", "boosted", 2, len(_OF_PEOPLE), RECORDED_OPTIONS),
-            ("level", "boosted", 2, LEVEL_INPUTS, LEVEL_OPTIONS),
+        features = len(RelativeObserver.feature_names)
+        seen_badly, foreign = (
+            PlaceNetwork.restored(part_of(arrays, name), features, len(BEHAVIORS))
+            for name in ("seen_badly", "foreign")
         )
-        found = {
-            name: restore_classifier(kind, classes, inputs, options, part_of(arrays, name))
-            for name, kind, classes, inputs, options in parts
-            if name != "level" or part_of(arrays, name)
-        }
-        level = found.pop("level", None)
-        return cls(**found, level=level, low=low, high=high, card=card)
+        gate, recorded = (
+            restore_classifier("boosted", classes, inputs, options, part_of(arrays, name))
+            for name, classes, inputs, options in (
+                ("gate", 3, len(SCENE_NAMES), GATE_OPTIONS),
+                ("recorded", 2, len(_OF_PEOPLE), RECORDED_OPTIONS),
+            )
+        )
+        return cls(seen_badly, foreign, gate, recorded, low, high, card)
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPlace:
+    """The drivers of a place so far.
+
+    Attributes:
+        seen_badly: what that network shows of each to the others.
+        foreign: the same of the network for foreign traffic.
+        people: how unlike the scene each is: log-odds of the aggressive style.
+    """
+
+    seen_badly: PlaceDrivers
+    foreign: PlaceDrivers
+    people: PlaceDrivers
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,74 +302,79 @@ class Lessons:
     """What there is to learn from.
 
     Attributes:
-        training: samples with the features of `RelativeObserver`.
+        training: samples with the features of `RelativeObserver`, of drivers that are each seen
+            since they appeared, several moments of each.
         kinds: (n,) the kind of traffic of each; each of the first three must occur.
-        validation: the same of other episodes, for early stopping and calibration.
-        validation_kinds: theirs.
-        lives: samples of drivers of worlds that are in none of these, each seen since it appeared;
-            the level of places is learned from them.
         sensed: (k, S) numbers of further scenes of home seen badly.
         recorded: (r, S) numbers of recorded scenes, as many of each place.
     """
 
     training: Samples
     kinds: CodeArray
-    validation: Samples | None
-    validation_kinds: CodeArray | None
-    lives: Samples | None
     sensed: FloatArray
     recorded: FloatArray
 
+    def without(self, episodes: IntArray) -> Lessons:
+        """The lessons without the samples of some episodes."""
+        kept = ~np.isin(self.training.episode, episodes)
+        return Lessons(self.training.where(kept), self.kinds[kept], self.sensed, self.recorded)
+
 
 def train_elsewhere(
-    lessons: Lessons, seed: int = 0, card: Mapping[str, Any] | None = None
+    lessons: Lessons,
+    seed: int = 0,
+    card: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Elsewhere:
     """Learn from samples of home, of home seen badly, of many worlds, and of recorded scenes.
-
-    The classifier of foreign traffic learns from all samples, that of home seen badly from home.
 
     Args:
         lessons: what there is to learn from.
         seed: the same seed and samples give the same answers.
         card: training data and scores.
+        options: of the networks, see `graphrqi.places.training.NetworkOptions`.
 
     Returns:
-        The classifiers and the gate.
+        The networks and the gate.
 
     Raises:
         InputError: if a kind of traffic is missing.
     """
-    training, kinds = lessons.training, lessons.kinds
-    found = set(kinds.tolist())
+    from graphrqi.places.training import NetworkOptions, train_place_network
+
+    found = set(lessons.kinds.tolist())
     if found != {HOME, SEEN_BADLY, FOREIGN}:
         raise InputError(f"kinds: found {sorted(found)}, expected samples of each of 0, 1, 2")
-    learned = []
-    for options, taught in (
-        (SEEN_BADLY_OPTIONS, (HOME, SEEN_BADLY)),
-        (OPTIONS, (HOME, SEEN_BADLY, FOREIGN)),
-    ):
-        held = None
-        validation, held_kinds = lessons.validation, lessons.validation_kinds
-        if validation is not None and held_kinds is not None and np.isin(held_kinds, taught).any():
-            part = validation.where(np.isin(held_kinds, taught))
-            held = (part.features.astype(np.float64), part.codes)
-        part = training.where(np.isin(kinds, taught))
-        classifier = make_classifier("averaged", len(BEHAVIORS), **options)
-        classifier.fit(part.features.astype(np.float64), part.codes, held, seed)
-        learned.append(classifier)
+    asked = NetworkOptions(**(options or {}))
+    at_home = lessons.training.where(lessons.kinds != FOREIGN)
+    seen_badly = train_place_network(at_home, seed, asked)
+    foreign = train_place_network(lessons.training, seed, asked)
     scenes, shown = _scenes(lessons, seed)
     gate = make_classifier("boosted", 3, **GATE_OPTIONS)
     gate.fit(scenes, shown, None, seed)
-    people = np.repeat(lessons.recorded, -(-len(scenes) // len(lessons.recorded)), axis=0)
+    people = _capped(lessons.recorded)
     recorded = make_classifier("boosted", 2, **RECORDED_OPTIONS)
-    both = np.concatenate([scenes, _capped(people)])
-    is_recorded = np.repeat(np.array([0, 1], dtype=np.int8), [len(scenes), len(people)])
-    recorded.fit(both[:, _OF_PEOPLE], is_recorded, None, seed)
+    rng = np.random.default_rng(seed)
+    parts = [_as_many_early(part, len(scenes), rng)[:, _OF_PEOPLE] for part in (scenes, people)]
+    is_recorded = np.repeat(np.array([0, 1], dtype=np.int8), [len(part) for part in parts])
+    recorded.fit(np.concatenate(parts), is_recorded, None, seed)
+    both = np.concatenate([scenes, people])
     low, high = np.quantile(both, [RANGE, 1.0 - RANGE], axis=0)
     low[SCENE_NAMES.index("seconds")] = 0.0  # windows end some seconds after the first frame
-    level = None if lessons.lives is None else _learned_level(learned[1], lessons.lives, seed)
-    seen_badly, foreign = learned
-    return Elsewhere(seen_badly, foreign, gate, recorded, level, low, high, dict(card or {}))
+    return Elsewhere(seen_badly, foreign, gate, recorded, low, high, dict(card or {}))
+
+
+def _seen_among(
+    network: PlaceNetwork,
+    relative: FloatArray,
+    seen: Observation,
+    time_s: float,
+    drivers: PlaceDrivers,
+) -> FloatArray:
+    """(n, 6) a network's answers; the drivers seen are added to those of the place."""
+    described = network.described(relative)
+    drivers.observe(time_s, seen.ids, network.shown(described), seen.seconds)
+    return network.among(described, drivers)
 
 
 def _scenes(lessons: Lessons, seed: int) -> tuple[FloatArray, CodeArray]:
@@ -379,6 +389,15 @@ def _scenes(lessons: Lessons, seed: int) -> tuple[FloatArray, CodeArray]:
     rng = np.random.default_rng(seed)
     drawn = [part[rng.choice(len(part), most, replace=len(part) < most)] for part in parts]
     return np.concatenate(drawn), np.repeat(np.arange(3, dtype=np.int8), most)
+
+
+def _as_many_early(scenes: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """Some ``count`` scenes drawn with repetition, the share ``EARLY`` before courses are known."""
+    early = scenes[:, _COURSES] == UNKNOWN_SCENE
+    parts = [scenes[early], scenes[~early]]
+    wanted = [round(EARLY * count), round((1.0 - EARLY) * count)]
+    drawn = [p[rng.choice(len(p), n)] for p, n in zip(parts, wanted, strict=True) if len(p)]
+    return np.concatenate(drawn)
 
 
 def _deviation(relative: FloatArray) -> FloatArray:
@@ -399,26 +418,3 @@ def _capped(scenes: FloatArray) -> FloatArray:
     out = np.array(scenes)
     out[:, _DRIVERS] = np.minimum(out[:, _DRIVERS], MOST_DRIVERS)
     return out
-
-
-def _learned_level(foreign: Classifier, lives: Samples, seed: int) -> Classifier | None:
-    """The classifier of styles from log-odds and the place's numbers; None for one style."""
-    odds = log_odds_of(aggressive_share(foreign.posterior(lives.features.astype(np.float64))))
-    inputs = np.zeros((len(lives), LEVEL_INPUTS))
-    for episode in np.unique(lives.episode):
-        rows, place = np.flatnonzero(lives.episode == episode), PlaceDrivers()
-        moments = np.round(lives.time_s[rows], 2)
-        for moment in np.unique(moments):
-            here = rows[moments == moment]
-            here = here[np.argsort(lives.agent[here], kind="stable")]
-            place.observe(float(moment), lives.agent[here], odds[here], lives.seconds[here])
-            inputs[here] = level_inputs(odds[here], lives.seconds[here], place.numbers())
-    style = AGGRESSIVE[lives.codes].astype(np.int8)
-    if np.unique(style).size < 2:
-        return None
-    _, world, count = np.unique(lives.episode, return_inverse=True, return_counts=True)
-    share = 1.0 / np.sqrt(count[world])
-    drawn = np.random.default_rng(seed).choice(len(lives), LEVEL_ROWS, p=share / share.sum())
-    level = make_classifier("boosted", 2, **LEVEL_OPTIONS)
-    level.fit(inputs[drawn], style[drawn], None, seed)
-    return level

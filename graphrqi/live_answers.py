@@ -15,7 +15,6 @@ from graphrqi.elsewhere import FOREIGN, HOME, RECORDED, Elsewhere
 from graphrqi.features.kinematics import align
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import Model, make_observer
-from graphrqi.place_level import PlaceDrivers
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -84,7 +83,7 @@ class _Away:
         self.observer = RelativeObserver()
         self._elsewhere = elsewhere
         self._asked_s = float("nan")
-        self._place, self._people = PlaceDrivers(), PlaceDrivers()
+        self._place = elsewhere.empty_place()
         self._kinds = _AT_HOME
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._known: FloatArray = np.empty((0, len(BEHAVIORS)))
@@ -104,7 +103,7 @@ class _Away:
             seen, features = self.observer.described()
             self._ids = seen.ids
             self._known = self._elsewhere.answers_among(
-                features, self._kinds, seen, self._asked_s, self._place, self._people
+                features, self._kinds, seen, self._asked_s, self._place
             )
 
     def kinds(self) -> FloatArray:

@@ -18,7 +18,7 @@ from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
 from graphrqi.adaptation import Adaptation
 from graphrqi.classify import Classifier, make_classifier
-from graphrqi.elsewhere import FOREIGN, HOME, OPTIONS, RECORDED, Elsewhere
+from graphrqi.elsewhere import FOREIGN, HOME, RECORDED, Elsewhere
 from graphrqi.features.baseline import BaselineObserver
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
@@ -131,7 +131,15 @@ METHODS: Final[Registry[Method]] = Registry(
             "trees and perceptron on smoothed motion and interaction relative to the scene",
             RelativeObserver,
             "averaged",
-            OPTIONS,
+            {
+                "trees": {"rounds": 300, "max_leaves": 15, "max_depth": 6, "feature_share": 0.15},
+                "network": {
+                    "hidden": (192, 96),
+                    "dropout": 0.3,
+                    "epochs": 14,
+                    "weight_decay": 1e-2,
+                },
+            },
         ),
         "graphrqi-plus": Method(
             "graphrqi-plus",

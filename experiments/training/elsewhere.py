@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
@@ -18,11 +19,11 @@ from experiments.data.worlds.sensor import seen_badly
 from experiments.scoring.metrics import score
 from experiments.scoring.models import majority_of
 from experiments.training.recorded_scenes import read_scenes, scenes_of
-from graphrqi.classify.contract import CodeArray
-from graphrqi.elsewhere import FOREIGN, HOME, Elsewhere, Lessons, train_elsewhere
+from graphrqi.elsewhere import FOREIGN, Elsewhere, KnownPlace, Lessons, train_elsewhere
+from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES
 from graphrqi.methods import make_observer
-from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples, collect
+from graphrqi.samples import NoSamplesError, Samples, collect
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -36,18 +37,18 @@ PARTS: Final = ("home", SEEN_THROUGH_SENSORS, "worlds")
 """The parts of the training, in the order of the kinds of traffic that they show."""
 
 EVERY_S: Final = 4.0
-"""Time between the ends of training windows of one driver, s."""
+"""Time between the moments at which every driver of a training episode is sampled, s. A moment of
+each place is drawn in each pass of the training. At the first one nobody's course is known yet."""
+
+LIFE_S: Final = (float("inf"),)
+"""Drivers are seen since they appeared, as in a stream."""
+
+LEARNED: Final[tuple[Split, ...]] = ("train", "validation")
+"""Splits that are learned from: nothing is chosen on validation episodes."""
 
 MORE_SENSORS: Final = 2
 """Further sensors through which the gate sees each training episode at home: with one alone, it
 takes some noises for foreign traffic."""
-
-PER_MOMENT: Final = 2
-"""Window lengths drawn for each driver and moment."""
-
-MOST_SAMPLES: Final = {"home": 25_000, "home, seen badly": 45_000, "worlds": 110_000}
-"""Most samples of each part: worlds are most of the training, and home stays known. Twice as many
-would double the time of training for less than .005 of style accuracy."""
 
 
 def train_on_worlds(
@@ -57,7 +58,7 @@ def train_on_worlds(
     jobs: int | None = None,
     quiet: bool = True,
 ) -> Elsewhere:
-    """Train the classifiers of traffic that is not as at home, and the gate.
+    """Train the networks for traffic that is not as at home, and the gate.
 
     Home episodes are used twice: as they are, and through a sensor that is drawn at random.
 
@@ -71,50 +72,77 @@ def train_on_worlds(
     Returns:
         What was learned, with the data in its card.
     """
-    found: dict[Split, list[tuple[str, Samples]]] = {"train": [], "validation": []}
-    lives: list[Samples] = []
-    for split, parts in found.items():
-        for part, datasets in zip(PARTS, (home, home, worlds), strict=True):
-            samples = _gathered(datasets, split, part, seed, jobs, quiet)
-            parts.append((part, _thinned(samples, MOST_SAMPLES[part], seed)))
-            if split == "validation" and part == PARTS[FOREIGN]:
-                lives.append(samples.where(np.isinf(samples.window_s)))
-    if any(dataset.episodes("test") for dataset in worlds):
-        test = _gathered(worlds, "test", PARTS[FOREIGN], seed, jobs, quiet)
-        lives.append(test.where(np.isinf(test.window_s)))
+    lessons = gather_lessons(home, worlds, seed, jobs, quiet)
+    counts = np.bincount(lessons.kinds, minlength=len(PARTS)).tolist()
     card: dict[str, Any] = {
         "data": {
             kind: [dict(dataset.header.configuration) for dataset in datasets]
             for kind, datasets in (("home", home), ("worlds", worlds))
         },
-        "training_windows": {part: len(samples) for part, samples in found["train"]},
+        "training_samples": dict(zip(PARTS, counts, strict=True)),
     }
-    training, kinds = _joined(found["train"])
-    held = _joined(found["validation"])
-    sensed = _sensed(home, seed, jobs, quiet)
-    lessons = Lessons(training, kinds, *held, Samples.join(lives), sensed, read_scenes())
     learned = train_elsewhere(lessons, seed, card)
-    if len(lives) < 2:
+    if not any(dataset.episodes("test") for dataset in worlds):
         return learned
-    scores = _scores(learned, lives[1], majority_of(training))
+    test = _gathered(worlds, "test", PARTS[FOREIGN], seed, jobs, quiet)
+    scores = _scores(learned, test, majority_of(lessons.training))
     return dataclasses.replace(learned, card={**card, "scores": scores})
 
 
-def _joined(parts: Sequence[tuple[str, Samples]]) -> tuple[Samples, CodeArray]:
-    """All samples, and the kind of traffic of each."""
+def gather_lessons(
+    home: Sequence[Dataset],
+    worlds: Sequence[Dataset],
+    seed: int = 0,
+    jobs: int | None = None,
+    quiet: bool = True,
+) -> Lessons:
+    """What `train_on_worlds` learns from; see there."""
+    parts = [
+        (part, _gathered(datasets, split, part, seed, jobs, quiet))
+        for split in LEARNED
+        for part, datasets in zip(PARTS, (home, home, worlds), strict=True)
+        if any(dataset.episodes(split) for dataset in datasets)
+    ]
     kinds = [np.full(len(s), PARTS.index(part), dtype=np.int8) for part, s in parts]
-    return Samples.join([samples for _, samples in parts]), np.concatenate(kinds)
+    training = Samples.join([samples for _, samples in parts])
+    sensed = _sensed(home, seed, jobs, quiet)
+    return Lessons(training, np.concatenate(kinds), sensed, read_scenes())
+
+
+def number_of(part: str, entry: EpisodeEntry) -> int:
+    """The number that the samples of an episode have as a part of the training."""
+    return zlib.crc32(f"{part} {entry.id}".encode())
 
 
 def _scores(learned: Elsewhere, life: Samples, majority: int) -> dict[str, Any]:
     """Scores on drivers of worlds that were not trained on, each seen since it appeared."""
-    features = life.features.astype(np.float64)
-    kinds = learned.kinds(features)
-    kinds[:, FOREIGN] += kinds[:, HOME]  # what home's own classifier would answer
-    kinds[:, HOME] = 0.0
-    answer = learned.answers(features, kinds)
+    foreign = np.eye(len(PARTS) + 1)[FOREIGN]  # whatever the gate says
+    answer = np.zeros((len(life), len(BEHAVIORS)))
+    for rows, place in _places(life, learned):
+        seen = Observation(
+            life.agent[rows], life.seconds[rows], np.zeros((rows.size, 0)), np.zeros((rows.size, 0))
+        )
+        answer[rows] = learned.answers_among(
+            life.features[rows].astype(np.float64),
+            foreign,
+            seen,
+            float(life.time_s[rows[0]]),
+            place,
+        )
     found = score(life.codes, answer, life.episode, majority, "test")
     return {name: value.as_dict() for name, value in found.items()}
+
+
+def _places(life: Samples, learned: Elsewhere) -> Iterator[tuple[NDArray[np.int64], KnownPlace]]:
+    """The rows of each moment of each episode, in order, and what is known of the place."""
+    order = np.lexsort((life.agent, life.time_s, life.episode))
+    episode, time_s = life.episode[order], life.time_s[order]
+    begins = np.flatnonzero(np.r_[True, (np.diff(episode) != 0) | (np.diff(time_s) > 0.0)])
+    place = learned.empty_place()
+    for rows in np.split(order, begins[1:]):
+        if life.time_s[rows[0]] == time_s[np.searchsorted(episode, life.episode[rows[0]])]:
+            place = learned.empty_place()
+        yield rows, place
 
 
 def _gathered(
@@ -137,15 +165,13 @@ def _gathered(
 
 def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Samples | None:
     """Samples of one episode; None where nobody is seen for long enough."""
-    number = zlib.crc32(f"{part} {entry.id}".encode())
+    number = number_of(part, entry)
     rng = np.random.default_rng([seed, number])
     tracks = measured(open_dataset(folder).read(entry))
     if part == SEEN_THROUGH_SENSORS:
         tracks = seen_badly(tracks, rng)
     try:
-        return collect(
-            tracks, make_observer(METHOD), number, WINDOWS_S, EVERY_S, PER_MOMENT, seed + number
-        )
+        return collect(tracks, make_observer(METHOD), number, LIFE_S, EVERY_S, seed=seed + number)
     except NoSamplesError:
         return None
 
@@ -175,15 +201,3 @@ def _scenes_seen_badly(
     rng = np.random.default_rng([seed, sensor, zlib.crc32(entry.id.encode())])
     tracks = seen_badly(measured(open_dataset(folder).read(entry)), rng)
     return np.array(list(scenes_of(tracks))).reshape(-1, len(SCENE_NAMES))
-
-
-def _thinned(samples: Samples, most: int, seed: int) -> Samples:
-    """At most so many samples, drawn so that long and crowded episodes do not outweigh others."""
-    if len(samples) <= most:
-        return samples
-    _, episode, count = np.unique(samples.episode, return_inverse=True, return_counts=True)
-    share: NDArray[np.float64] = 1.0 / np.sqrt(count[episode])
-    kept = np.zeros(len(samples), dtype=bool)
-    rng = np.random.default_rng(seed)
-    kept[rng.choice(len(samples), most, replace=False, p=share / share.sum())] = True
-    return samples.where(kept)

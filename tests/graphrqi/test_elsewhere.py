@@ -14,11 +14,13 @@ from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
-from graphrqi.place_level import PlaceDrivers
 from graphrqi.samples import Samples
 
 F = len(RelativeObserver.feature_names)
 SCENE = slice(-1 - len(SCENE_NAMES), -1)
+DRIVERS = 20
+"""Drivers of one place."""
+SMALL = {"members": 1, "own": 24, "shown": 8, "joint": 16, "dropout": 0.1, "passes": 40}
 
 
 def made(n: int, kind: int, seed: int) -> Samples:
@@ -28,9 +30,10 @@ def made(n: int, kind: int, seed: int) -> Samples:
     features = rng.normal(0.0, 1.0, (n, F)).astype(np.float32)
     features[:, 0] = codes + rng.normal(0.0, 0.3, n)
     features[:, SCENE] = rng.normal(5.0 * kind, 1.0, (n, len(SCENE_NAMES)))
+    places = np.arange(n) // DRIVERS
     return Samples(
-        features=features, codes=codes, episode=np.full(n, seed), agent=np.arange(n),
-        time_s=np.arange(n, dtype=float), seconds=np.full(n, 10.0), window_s=np.full(n, 10.0),
+        features=features, codes=codes, episode=1000 * seed + places, agent=np.arange(n),
+        time_s=places.astype(float), seconds=np.full(n, 10.0), window_s=np.full(n, np.inf),
         moving=np.ones(n, dtype=bool),
     )  # fmt: skip
 
@@ -38,15 +41,12 @@ def made(n: int, kind: int, seed: int) -> Samples:
 @pytest.fixture(scope="module")
 def elsewhere():
     training = Samples.join([made(1200, kind, kind) for kind in range(3)])
-    validation = Samples.join([made(200, kind, 10 + kind) for kind in range(3)])
-    kinds = np.arange(3, dtype=np.int8)
     lessons = Lessons(
-        training, kinds.repeat(1200), validation, kinds.repeat(200),
-        Samples.join([made(300, FOREIGN, seed) for seed in range(30, 36)]),
+        training, np.arange(3, dtype=np.int8).repeat(1200),
         made(100, SEEN_BADLY, 19).features[:, SCENE].astype(float),
         made(400, RECORDED, 20).features[:, SCENE].astype(float),
     )  # fmt: skip
-    return train_elsewhere(lessons)
+    return train_elsewhere(lessons, options=SMALL)
 
 
 @pytest.mark.parametrize("kind", range(4))
@@ -77,7 +77,7 @@ def test_far_outside_the_training_nothing_is_known(elsewhere):
 def test_every_kind_of_traffic_is_needed():
     with pytest.raises(InputError, match="kinds: found \\[2\\]"):
         train_elsewhere(
-            Lessons(made(100, FOREIGN, 8), np.full(100, FOREIGN, np.int8), None, None, None,
+            Lessons(made(100, FOREIGN, 8), np.full(100, FOREIGN, np.int8),
                     np.zeros((0, len(SCENE_NAMES))), np.zeros((1, len(SCENE_NAMES))))
         )  # fmt: skip
 
@@ -87,7 +87,7 @@ def among(elsewhere, features, kind, seconds=20.0):
     n = len(features)
     kinds = np.eye(4)[kind]
     seen = Observation(np.arange(n), np.full(n, seconds), np.zeros((n, 0)), np.zeros((n, 0)))
-    answer = elsewhere.answers_among(features, kinds, seen, 0.0, PlaceDrivers(), PlaceDrivers())
+    answer = elsewhere.answers_among(features, kinds, seen, 0.0, elsewhere.empty_place())
     assert np.allclose(answer.sum(axis=1), 1.0)
     return answer[:, :3].sum(axis=1)
 
@@ -111,6 +111,14 @@ def test_both_styles_are_told_apart_in_a_recording(elsewhere):
     assert ((style > 0.5) == (drivers.codes < 3)).mean() > 0.8
     shortly = among(elsewhere, features, RECORDED, seconds=1.0)
     assert np.abs(shortly - 0.5).mean() < np.abs(style - 0.5).mean()
+
+
+def test_lessons_without_some_episodes():
+    none = np.zeros((0, len(SCENE_NAMES)))
+    lessons = Lessons(made(60, FOREIGN, 1), np.full(60, FOREIGN, np.int8), none, none)
+    fewer = lessons.without(np.array([1001]))
+    assert np.unique(fewer.training.episode).tolist() == [1000, 1002]
+    assert len(fewer.kinds) == len(fewer.training) == 40
 
 
 def test_a_saved_model_answers_as_before(elsewhere, tmp_path):

@@ -31,7 +31,7 @@ from experiments.benches.classification.recorded import recorded_rows
 from experiments.benches.classification.recordings import MAIN_S, OURS, SCORED_S, Recordings
 from experiments.benches.classification.robustness import robustness
 from experiments.benches.classification.speed import speed_rows
-from experiments.benches.classification.worlds import AXES, Learned, worlds_rows
+from experiments.benches.classification.worlds import AXES, learn, worlds_rows
 from experiments.benches.classification.zero_shot import zero_shot_rows
 from experiments.benches.contract import Bench, option
 from experiments.benches.real_data import DATA_VARIABLE
@@ -244,7 +244,7 @@ def _noise(data: Datasets) -> list[Row]:
     models: dict[str, tuple[str, Model]] = {}
     for method in settings.main:
         models["trained at home"] = method, data.base.fitted(method)[0]
-        learned = Learned([data.base.dataset], data.worlds, method, settings.jobs)
+        learned = learn([data.base.dataset], data.worlds, method, settings.jobs)
         models["trained on worlds too"] = method, learned.model()
         if method == OURS:
             models["shipped"] = method, load_model(method)

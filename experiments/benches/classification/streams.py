@@ -13,6 +13,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recordings import UNDISTURBED, Disturbed, FloatArray
 from experiments.benches.classification.rows import score_rows
 from experiments.data.parallel import in_parallel
+from experiments.data.windows import measured
 from experiments.rows import Cell, Row, tidy_row
 from experiments.scoring.metrics import (
     bootstrap,
@@ -59,7 +60,7 @@ def streamed(
         reaches, and (n, 6) the answers. The life of a driver is scored if it lasts ``LOOKS_S[0]``,
         so that all ages are scored on the same drivers or fewer.
     """
-    tracks = disturbed.applied(open_dataset(folder).read(entry).tracks, number)
+    tracks = disturbed.applied(measured(open_dataset(folder).read(entry)), number)
     return look(tracks, BehaviorStream(model), number)
 
 

@@ -1,12 +1,14 @@
 """Worlds that training did not know: each law, lane discipline, noise and road left out in turn.
 
 A method is trained at home and on the worlds of all groups but one, and answers on all worlds of
-that group, as its stream does: after 3 s, after 10 s, and at the end of each driver's life. The
-model that ships was trained on other worlds, none of them left out.
+that group, as its stream does: after 3 s, after 10 s, and at the end of each driver's life. Of the
+method that ships, what answers elsewhere is trained anew; home's classifier never saw a world. The
+model that ships was trained on other and more worlds, none of them left out.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Final
 
@@ -18,6 +20,8 @@ from experiments.benches.classification.streams import answer_rows, by_age, stre
 from experiments.data.windows import gather
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
+from experiments.training.elsewhere import PARTS, gather_lessons, number_of
+from graphrqi.elsewhere import FOREIGN, train_elsewhere
 from graphrqi.methods import Model, train
 from graphrqi.model_files import load_model
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
@@ -69,6 +73,27 @@ AXES: Final[dict[str, Callable[[Mapping[str, Any]], str]]] = {
 """What is left out, and the group that a world belongs to, from its episode's options."""
 
 
+class LearnedElsewhere:
+    """What the model that ships learns for traffic elsewhere, gathered once, learned on parts.
+
+    Args:
+        home: datasets of usual traffic.
+        worlds: a dataset of worlds.
+        jobs: processes; None for one per core.
+    """
+
+    def __init__(self, home: Sequence[Dataset], worlds: Dataset, jobs: int | None) -> None:
+        self._shipped, self._worlds = load_model(OURS), worlds
+        self._lessons = gather_lessons(home, [worlds], jobs=jobs)
+
+    def model(self, left_out: Collection[str] = ()) -> Model:
+        """The model that ships, elsewhere trained without the worlds of these ids."""
+        entries = self._worlds.manifest.episodes
+        numbers = [number_of(PARTS[FOREIGN], e) for e in entries if e.id in left_out]
+        lessons = self._lessons.without(np.array(numbers, dtype=np.int64))
+        return dataclasses.replace(self._shipped, elsewhere=train_elsewhere(lessons))
+
+
 class Learned:
     """The training windows of home and of worlds, gathered once; models are trained on parts.
 
@@ -110,6 +135,15 @@ class Learned:
         return train(self._method, training, validation)
 
 
+def learn(
+    home: Sequence[Dataset], worlds: Dataset, method: str, jobs: int | None
+) -> Learned | LearnedElsewhere:
+    """What a method learns at home and on worlds; arguments as of `Learned`."""
+    if method == OURS:
+        return LearnedElsewhere(home, worlds, jobs)
+    return Learned(home, worlds, method, jobs)
+
+
 def worlds_rows(
     home: Sequence[Dataset],
     worlds: Dataset,
@@ -138,7 +172,7 @@ def worlds_rows(
 
     rows: list[Row] = []
     for method in methods:
-        learned = Learned(home, worlds, method, jobs)
+        learned = learn(home, worlds, method, jobs)
         for axis in axes:
             group_of = AXES[axis]
             groups: dict[str, list[EpisodeEntry]] = {}

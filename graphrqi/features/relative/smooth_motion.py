@@ -62,6 +62,7 @@ class SmoothedMotion:
         direction: (n, 2) unit vectors of travel.
         speed: (n,) m/s along the direction.
         acceleration: (n,) m/s2 along the direction.
+        sideways: (n,) m/s2 across the direction, to the left.
     """
 
     time_s: float
@@ -72,6 +73,7 @@ class SmoothedMotion:
     direction: FloatArray
     speed: FloatArray
     acceleration: FloatArray
+    sideways: FloatArray
 
 
 class SmoothMotion:
@@ -150,6 +152,7 @@ class SmoothMotion:
             direction=direction,
             speed=speed,
             acceleration=(fitted[:, 4:6] * direction).sum(axis=1),
+            sideways=direction[:, 0] * fitted[:, 5] - direction[:, 1] * fitted[:, 4],
         )
 
     def _directions(self, ids: IntArray, velocity: FloatArray) -> FloatArray:

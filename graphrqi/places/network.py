@@ -1,0 +1,174 @@
+"""A perceptron that sees each driver among all the drivers of its place.
+
+One layer describes a driver, a second one says what of it matters to others. The weighted mean and
+deviation of that over the drivers of the place stand beside each driver's own layer in a third one,
+whatever the number and the order of the drivers. The network is trained by PyTorch
+(`graphrqi.places.training`) and answers in numpy: a stream needs no PyTorch.
+
+References:
+    Zaheer, Kottur, Ravanbakhsh, Poczos, Salakhutdinov, Smola (2017), Deep sets, NeurIPS.
+    Lakshminarayanan, Pritzel, Blundell (2017), Simple and scalable predictive uncertainty
+    estimation using deep ensembles, NeurIPS: the members.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from graphrqi.classify.checks import saved
+from graphrqi.classify.softmax import softmax
+from graphrqi.classify.standardisation import Standardisation
+from graphrqi.places.drivers import PlaceDrivers
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+
+CLIP: Final = 4.0
+"""Standardised inputs are held within this, so that no feature far outside the training leads."""
+
+LEAST_VARIANCE: Final = 1e-4
+"""Added to a variance before its root is taken: the root of zero has no slope to learn from."""
+
+LOG_DRIVERS: Final = 4.0
+"""Divides the logarithm of the number of drivers, which then is about one (e^4 is 55)."""
+
+LAYERS: Final = ("own", "shown", "joint", "answer")
+"""A driver's description, what others see of it, both together, and the scores of the classes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One network: weights (inputs, outputs) and biases (outputs,) of each of ``LAYERS``."""
+
+    weights: tuple[SingleArray, ...]
+    biases: tuple[SingleArray, ...]
+
+    @property
+    def width(self) -> int:
+        """How many numbers of a driver others see."""
+        return int(self.biases[1].size)
+
+
+class PlaceNetwork:
+    """The mean answer of several networks.
+
+    Args:
+        inputs: standardises the features.
+        members: the networks.
+    """
+
+    def __init__(self, inputs: Standardisation, members: tuple[Member, ...]) -> None:
+        self._inputs, self._members = inputs, members
+
+    @property
+    def width(self) -> int:
+        """How many numbers `observe` keeps of a driver."""
+        return sum(member.width for member in self._members)
+
+    def described(self, features: FloatArray) -> list[SingleArray]:
+        """Each member's own description (n, H) of drivers with features (n, F)."""
+        x = np.clip(self._inputs.apply(features), -CLIP, CLIP).astype(np.float32)
+        return [_rectified(x @ m.weights[0] + m.biases[0]) for m in self._members]
+
+    def shown(self, described: list[SingleArray]) -> FloatArray:
+        """(n, width) what others see of drivers, from `described`."""
+        parts = [
+            _rectified(own @ m.weights[1] + m.biases[1])
+            for own, m in zip(described, self._members, strict=True)
+        ]
+        return np.concatenate(parts, axis=1).astype(np.float64)
+
+    def among(self, described: list[SingleArray], place: PlaceDrivers) -> FloatArray:
+        """Probabilities of drivers among those of their place.
+
+        Args:
+            described: of n drivers, from `described`.
+            place: all the drivers of the place, these included, with the numbers of `shown`.
+
+        Returns:
+            (n, C) that sum to one.
+        """
+        share = place.weights / place.weights.sum()
+        mean = share @ place.values
+        variance = share @ (place.values - mean) ** 2
+        crowd = np.log(len(place.values)) / LOG_DRIVERS
+        return self._answer(described, mean[None], variance[None], crowd)
+
+    def alone(self, features: FloatArray) -> FloatArray:
+        """(n, C) probabilities of drivers with features (n, F), each as if alone at its place."""
+        described = self.described(features)
+        shown = self.shown(described)
+        return self._answer(described, shown, np.zeros_like(shown), 0.0)
+
+    def _answer(
+        self, described: list[SingleArray], mean: FloatArray, variance: FloatArray, crowd: float
+    ) -> FloatArray:
+        """(n, C) probabilities; ``mean`` and ``variance`` have n rows or one."""
+        out, at = np.zeros(1), 0
+        for own, member in zip(described, self._members, strict=True):
+            part = slice(at, at + member.width)
+            at += member.width
+            around = [mean[:, part], np.sqrt(variance[:, part] + LEAST_VARIANCE)]
+            around.append(np.full((len(mean), 1), crowd))
+            context = np.concatenate(around, axis=1).astype(np.float32)
+            joint, weights = member.weights[2], own.shape[1]
+            hidden = own @ joint[:weights] + (context @ joint[weights:] + member.biases[2])
+            scores = _rectified(hidden) @ member.weights[3] + member.biases[3]
+            out = out + softmax(scores.astype(np.float64))
+        return np.asarray(out / len(self._members))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What was learned, to be saved."""
+        out: dict[str, NDArray[Any]] = {
+            name: value.astype(np.float32) for name, value in self._inputs.arrays().items()
+        }
+        for number, member in enumerate(self._members):
+            for name, weight, bias in zip(LAYERS, member.weights, member.biases, strict=True):
+                out[f"member{number}.{name}.weight"] = weight
+                out[f"member{number}.{name}.bias"] = bias
+        return out
+
+    @classmethod
+    def restored(
+        cls, arrays: Mapping[str, NDArray[Any]], num_features: int, num_classes: int
+    ) -> PlaceNetwork:
+        """From what was saved.
+
+        Raises:
+            InputError: if the arrays are not those of `arrays`.
+        """
+        named = {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}
+        members: list[Member] = []
+        while f"member{len(members)}.own.weight" in named:
+            prefix = f"member{len(members)}"
+            weights, biases, inputs = [], [], num_features
+            for layer in LAYERS:
+                weight = saved(named, f"{prefix}.{layer}.weight", (inputs, None))
+                weights.append(_single(weight))
+                biases.append(_single(saved(named, f"{prefix}.{layer}.bias", (weight.shape[1],))))
+                own, shown = biases[0].size, biases[-1].size
+                inputs = own if layer == "own" else own + 2 * shown + 1
+                if layer == "joint":
+                    inputs = shown
+            if biases[-1].size != num_classes:
+                raise InputError(
+                    f"{prefix}: found {biases[-1].size} outputs, expected {num_classes}"
+                )
+            members.append(Member(tuple(weights), tuple(biases)))
+        if not members:
+            raise InputError("members: found none, expected at least one network")
+        return cls(Standardisation.restored(named, num_features), tuple(members))
+
+
+def _rectified(values: SingleArray) -> SingleArray:
+    return np.maximum(values, 0.0)
+
+
+def _single(values: NDArray[Any]) -> SingleArray:
+    return np.ascontiguousarray(values, dtype=np.float32)

@@ -1,0 +1,237 @@
+"""Teaches `graphrqi.places.network.PlaceNetwork` from places whose drivers' behaviours are known.
+
+An example is a place at one moment: all drivers seen there so far, each by the last that is known
+of it. Every pass over the places draws a moment of each and leaves some of its drivers out, so that
+the network meets few drivers as well as many. Classes and styles both count in the loss.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from graphrqi.classify.mlp import one_thread
+from graphrqi.classify.standardisation import Standardisation
+from graphrqi.places.drivers import weights_of
+from graphrqi.places.network import (
+    CLIP,
+    LAYERS,
+    LEAST_VARIANCE,
+    LOG_DRIVERS,
+    Member,
+    PlaceNetwork,
+)
+from graphrqi.posterior import AGGRESSIVE
+from graphrqi.samples import Samples
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+KEPT: Final = (0.4, 1.0)
+"""Least and largest share of a place's drivers that an example has."""
+
+MOST_DRIVERS: Final = 150
+"""Most drivers of an example; more teach little about the level of one place."""
+
+SAME_TIME_S: Final = 1e-6
+"""Times that differ by less are the same, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkOptions:
+    """How large the networks are, and how they are trained.
+
+    Attributes:
+        members: networks whose answers are averaged.
+        own: numbers that describe a driver.
+        shown: numbers of a driver that others see.
+        joint: numbers of a driver among the others.
+        dropout: share of numbers silenced while training.
+        passes: how often each place is an example.
+        places_a_step: examples of a step of the optimiser.
+        learning_rate: peak of a one-cycle schedule (Smith 2018) for AdamW.
+        weight_decay: AdamW's.
+    """
+
+    members: int = 2
+    own: int = 160
+    shown: int = 48
+    joint: int = 96
+    dropout: float = 0.3
+    passes: int = 160
+    places_a_step: int = 16
+    learning_rate: float = 4e-3
+    weight_decay: float = 1e-2
+
+
+class Examples:
+    """Places at all moments that were sampled.
+
+    Args:
+        samples: of drivers that are each seen since they appeared; several moments of each.
+
+    Raises:
+        InputError: if there is no labelled sample.
+    """
+
+    def __init__(self, samples: Samples) -> None:
+        if not (samples.codes >= 0).any():
+            raise InputError("samples: found no labelled driver, expected at least one")
+        order = np.lexsort((samples.time_s, samples.agent, samples.episode))
+        features = samples.features[order]
+        mean = features.mean(axis=0, dtype=np.float64)
+        spread = features.std(axis=0, dtype=np.float64)
+        self.inputs = Standardisation(mean, np.where(spread > 1e-6, spread, 1.0))
+        features -= self.inputs.mean.astype(np.float32)  # in place: they take gigabytes
+        features /= self.inputs.scale.astype(np.float32)
+        self.x = torch.from_numpy(np.clip(features, -CLIP, CLIP, out=features))
+        self.codes = torch.from_numpy(samples.codes[order].astype(np.int64))
+        self.weights = torch.from_numpy(weights_of(samples.seconds[order]).astype(np.float32))
+        self._agent, self._time_s = samples.agent[order], samples.time_s[order]
+        episode = samples.episode[order]
+        starts = np.flatnonzero(np.r_[True, episode[1:] != episode[:-1], True])
+        self.places = [(int(a), int(b)) for a, b in itertools.pairwise(starts)]
+
+    def moments(self, place: tuple[int, int]) -> FloatArray:
+        """(M,) the times at which drivers of the place were sampled, s."""
+        return np.unique(self._time_s[slice(*place)])
+
+    def latest(self, place: tuple[int, int], time_s: float) -> IntArray:
+        """(n,) rows of the last that is known, at a time, of each driver of the place so far."""
+        here = slice(*place)
+        known = self._time_s[here] <= time_s + SAME_TIME_S
+        agent = self._agent[here]
+        older = np.zeros(known.size, dtype=bool)
+        older[:-1] = (agent[:-1] == agent[1:]) & known[1:]
+        return place[0] + np.flatnonzero(known & ~older)
+
+    def drawn(self, rng: np.random.Generator, at_once: int) -> Iterator[tuple[IntArray, IntArray]]:
+        """One moment of every place, some places at a time.
+
+        Args:
+            rng: source of the order, the moments and the drivers that are left out.
+            at_once: places.
+
+        Yields:
+            Rows (n,) of drivers, and the number of the place of each, from 0 on without gaps.
+        """
+        order = rng.permutation(len(self.places))
+        for at in range(0, len(order), at_once):
+            rows: list[IntArray] = []
+            for number in order[at : at + at_once]:
+                place = self.places[number]
+                known = self.latest(place, float(rng.choice(self.moments(place))))
+                kept = known[rng.random(known.size) < rng.uniform(*KEPT)]
+                if kept.size > MOST_DRIVERS:
+                    kept = rng.choice(kept, MOST_DRIVERS, replace=False)
+                rows.append(kept if kept.size else known[:1])
+            yield np.concatenate(rows), np.repeat(np.arange(len(rows)), [r.size for r in rows])
+
+
+class _Network(nn.Module):
+    """As `graphrqi.places.network.Member`, to be trained."""
+
+    def __init__(self, inputs: int, options: NetworkOptions) -> None:
+        super().__init__()
+        self.own = nn.Linear(inputs, options.own)
+        self.shown = nn.Linear(options.own, options.shown)
+        self.joint = nn.Linear(options.own + 2 * options.shown + 1, options.joint)
+        self.answer = nn.Linear(options.joint, len(BEHAVIORS))
+        self.dropout = nn.Dropout(options.dropout)
+
+    def forward(self, x: Tensor, weights: Tensor, place: Tensor) -> Tensor:
+        """(n, C) scores of drivers (n, F) with weights (n,) at places (n,)."""
+        own = self.dropout(torch.relu(self.own(x)))
+        shown = torch.relu(self.shown(own))
+        count = int(place[-1]) + 1
+
+        def summed(values: Tensor) -> Tensor:
+            return torch.zeros(count, values.shape[1]).index_add(0, place, values)
+
+        total = summed(weights[:, None])
+        mean = summed(weights[:, None] * shown) / total
+        variance = summed(weights[:, None] * (shown - mean[place]) ** 2) / total
+        crowd = torch.log(summed(torch.ones_like(weights)[:, None])) / LOG_DRIVERS
+        around = torch.cat([mean, torch.sqrt(variance + LEAST_VARIANCE), crowd], dim=1)
+        joint = torch.relu(self.joint(torch.cat([own, around[place]], dim=1)))
+        return torch.as_tensor(self.answer(self.dropout(joint)))
+
+    def member(self) -> Member:
+        """What was learned."""
+        layers = [getattr(self, name) for name in LAYERS]
+        return Member(
+            tuple(np.ascontiguousarray(layer.weight.detach().numpy().T) for layer in layers),
+            tuple(layer.bias.detach().numpy().copy() for layer in layers),
+        )
+
+
+def train_place_network(
+    training: Samples,
+    seed: int = 0,
+    options: NetworkOptions | None = None,
+) -> PlaceNetwork:
+    """Learn from places.
+
+    Args:
+        training: samples of drivers that are each seen since they appeared, several moments of
+            each; those without a behaviour (a negative code) count for the others only.
+        seed: the same seed and samples give the same network.
+        options: None for the usual ones.
+
+    Returns:
+        The network.
+
+    Raises:
+        InputError: if nobody has a behaviour.
+    """
+    options = options or NetworkOptions()
+    examples = Examples(training)
+    with torch.random.fork_rng(devices=[]), one_thread():
+        torch.manual_seed(seed)
+        rng = np.random.default_rng(seed)
+        members = [_trained(examples, rng, options).member() for _ in range(options.members)]
+    return PlaceNetwork(examples.inputs, tuple(members))
+
+
+def _trained(examples: Examples, rng: np.random.Generator, options: NetworkOptions) -> _Network:
+    """One network."""
+    network = _Network(examples.x.shape[1], options)
+    optimizer = torch.optim.AdamW(
+        network.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay
+    )
+    steps = options.passes * -(-len(examples.places) // options.places_a_step)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, options.learning_rate, total_steps=steps
+    )
+    for _ in range(options.passes):
+        for rows, place in examples.drawn(rng, options.places_a_step):
+            optimizer.zero_grad()
+            _loss(network, examples, rows, place).backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            schedule.step()
+    return network.eval()
+
+
+def _loss(network: _Network, examples: Examples, rows: IntArray, place: IntArray) -> Tensor:
+    """Cross entropy of classes and of styles; a crowded place counts as the root of its drivers."""
+    at = torch.from_numpy(place)
+    scores = network(examples.x[rows], examples.weights[rows], at)
+    codes = examples.codes[rows]
+    known, true = codes >= 0, codes.clamp(min=0)
+    worth = known / torch.bincount(at).float().sqrt()[at]
+    aggressive = torch.from_numpy(AGGRESSIVE)
+    style = scores[:, aggressive].logsumexp(dim=1) - scores[:, ~aggressive].logsumexp(dim=1)
+    losses = nn.functional.cross_entropy(scores, true, reduction="none")
+    losses = losses + nn.functional.binary_cross_entropy_with_logits(
+        style, aggressive[true].float(), reduction="none"
+    )
+    return (losses * worth).sum() / worth.sum().clamp(min=1e-9)
