@@ -18,9 +18,9 @@ from graphrqi.samples import Samples
 
 F = len(RelativeObserver.feature_names)
 SCENE = slice(-1 - len(SCENE_NAMES), -1)
-DRIVERS = 20
+DRIVERS = 4
 """Drivers of one place."""
-SMALL = {"members": 1, "own": 24, "shown": 8, "joint": 16, "dropout": 0.1, "passes": 40}
+SMALL = {"members": 1, "own": 24, "shown": 8, "joint": 16, "dropout": 0.3, "passes": 40}
 
 
 def made(n: int, kind: int, seed: int) -> Samples:
@@ -70,7 +70,7 @@ def test_far_outside_the_training_nothing_is_known(elsewhere):
     far = made(50, FOREIGN, 7).features.astype(float)
     far[:, SCENE] += 100.0
     kinds = elsewhere.kinds(far)
-    assert (kinds[:, FOREIGN] == 1.0).all()
+    assert np.allclose(kinds[:, [FOREIGN, RECORDED]].sum(axis=1), 1.0)
     assert np.allclose(elsewhere.answers(far, kinds), 1.0 / len(BEHAVIORS))
 
 
@@ -116,9 +116,9 @@ def test_both_styles_are_told_apart_in_a_recording(elsewhere):
 def test_lessons_without_some_episodes():
     none = np.zeros((0, len(SCENE_NAMES)))
     lessons = Lessons(made(60, FOREIGN, 1), np.full(60, FOREIGN, np.int8), none, none)
-    fewer = lessons.without(np.array([1001]))
-    assert np.unique(fewer.training.episode).tolist() == [1000, 1002]
-    assert len(fewer.kinds) == len(fewer.training) == 40
+    fewer = lessons.without(np.array([1001, 2001]))
+    assert np.unique(fewer.training.episode).tolist() == [1000, *range(1002, 1015)]
+    assert len(fewer.kinds) == len(fewer.training) == 56
 
 
 def test_a_saved_model_answers_as_before(elsewhere, tmp_path):
