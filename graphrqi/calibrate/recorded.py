@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.calibrate.drives import Drive, Stretch, make_drive, noise_of, smoothed_half_s
+from graphrqi.calibrate.drives import MOST_HALF_S, Drive, Stretch, make_drive
 from graphrqi.predict.recorded.gaps import inferred_leaders
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
@@ -131,12 +131,12 @@ def _along(time_s: FloatArray, xy: FloatArray, frame_s: float) -> tuple[FloatArr
     """(n,) measured distance along a vehicle's own smoothed path, m, and yaw rate, rad/s.
 
     The smoothed path gives the direction; the measured places are projected on it, so that their
-    errors stay what they are.
+    errors stay what they are. It is always smoothed over the longest stretch: a yaw rate that three
+    places tell trembles far beyond `TURNING_RADPS`, however smooth a recording is along the lane.
     """
     from graphrqi.calibrate.kernels import local_parabolas
 
-    noise_m = max(noise_of(xy[:, 0]), noise_of(xy[:, 1]))
-    half_s = smoothed_half_s(noise_m, frame_s)
+    half_s = max(MOST_HALF_S, frame_s)
     fitted = np.empty((2, 4, time_s.size))
     for axis in range(2):
         local_parabolas(time_s, np.ascontiguousarray(xy[:, axis]), time_s, half_s, fitted[axis])
