@@ -325,3 +325,35 @@ def test_a_recording_that_trembles_is_one_drive() -> None:
     assert driver.name == "a"
     assert driver.drive.begins.size == 2
     assert driver.drive.seconds > 11.0
+
+
+def test_a_leader_that_jumps_is_two_stretches() -> None:
+    """Where the leader's place is off by a frame at first, as on US-101, speeds would be wrong."""
+    time_s = np.linspace(0.0, 11.9, 120)
+    x = np.stack([12.0 * time_s, 12.0 * time_s + 25.0])
+    x[1, :50] -= 1.2
+    tracks = Tracks(
+        ids=np.arange(2), names=("a", "b"), kind=np.full(2, KINDS.index(AgentKind.CAR)),
+        length=np.full(2, 4.5), width=np.full(2, 1.8), time_s=time_s,
+        xy=np.stack([x, np.zeros((2, 120))], axis=2), heading=np.zeros((2, 120)),
+        speed=np.full((2, 120), 12.0), valid=np.ones((2, 120), dtype=bool),
+        signals=np.zeros((0, 120), dtype=np.int8),
+    )  # fmt: skip
+    (driver,) = recorded_drivers(tracks)
+    assert driver.drive.begins.size == 3
+    np.testing.assert_allclose(driver.drive.rows[4], 12.0, atol=0.05)
+
+
+def test_everybody_is_heard_of_the_population() -> None:
+    """Drivers beside those among whom the population is sought correct it."""
+    rng = np.random.default_rng(2)
+    drives = [
+        _idm_drive(np.array([22.0, headway, 2.5, 1.5, 2.0]), seed)
+        for seed, headway in enumerate(np.exp(rng.normal(np.log(1.3), 0.2, 6)))
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("graphrqi.calibrate.posterior.MOST_FIRST", 2)
+        some = calibrate(Law.IDM, drives)
+    told = calibrate(Law.IDM, drives)
+    few = calibrate(Law.IDM, [drives[i] for i in np.random.default_rng(0).permutation(6)[:2]])
+    assert abs(some.mean[1] - told.mean[1]) < abs(few.mean[1] - told.mean[1])
