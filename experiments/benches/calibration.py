@@ -14,8 +14,9 @@ same for fewer drivers, of whom half never follow anybody, so that nothing tells
 ``recorded``: of every driver in ``--data``, the first half of its longest stretch behind one
 leader is calibrated, and the second is driven behind the recorded leader. The errors of the gap are
 divided by those of one pooled driver (fitted to the same first halves), and by those of a driver
-from the literature; beside it stands the same with numbers of another driver (``permuted``).
-Intervals are over drivers.
+from the literature; beside it stands the same with numbers of another driver (``permuted``), and
+that of the pooled driver if it, too, carries on what each driver lately did beside its law
+(``pooled, carried on``). Intervals are over drivers.
 """
 
 from __future__ import annotations
@@ -39,10 +40,11 @@ from graphrqi.calibrate.drives import Drive, Stretch, make_drive
 from graphrqi.calibrate.driving_on import (
     candidate_weights,
     candidates,
-    driven_places,
     errors_of,
+    foretold_places,
     gap_errors,
     halves,
+    past_errors,
     pooled_driver,
 )
 from graphrqi.calibrate.laws import Law
@@ -272,17 +274,24 @@ def recorded_rows(name: str, drives: Sequence[Drive], seed: int) -> Iterator[Row
     idm_pooled = pooled_driver(Law.IDM, first)
     pooled = errors_of(Law.IDM, idm_pooled, second)
     keys = {"part": "recorded", "dataset": name, "number": "", "noise": ""}
-    for label, errors in (("pooled", pooled), ("literature", usual)):
+    carried = [foretold_places(Law.IDM, idm_pooled[None], np.ones(1), *two)[None] for two in cut]
+    pooled_carried = np.array(
+        [gap_errors(one, drive)[0] for one, drive in zip(carried, second, strict=True)]
+    )
+    for label, errors in (
+        ("pooled", pooled),
+        ("pooled, carried on", pooled_carried),
+        ("literature", usual),
+    ):
         yield from _ratio_rows({**keys, "law": "idm", "numbers": label}, errors, pooled, usual)
     for law in Law:
         tried = candidates(law, idm_pooled if law is Law.IDM else pooled_driver(law, first), seed)
-        weight = candidate_weights(
-            np.stack([gap_errors(driven_places(law, tried, one), one) for one in first])
-        )
-        other = np.roll(np.random.default_rng(seed).permutation(len(cut)), 1)
-        ahead = [driven_places(law, tried, one) for one in second]
+        weight = candidate_weights(np.stack([past_errors(law, tried, one) for one in first]))
+        order = np.random.default_rng(seed).permutation(len(cut))
+        other = np.empty_like(order)
+        other[order] = np.roll(order, 1)
         for label, share in (("own", weight), ("permuted", weight[other])):
-            told = [w @ places for w, places in zip(share, ahead, strict=True)]
+            told = [foretold_places(law, tried, w, *two) for w, two in zip(share, cut, strict=True)]
             errors = np.array(
                 [gap_errors(one[None], drive)[0] for one, drive in zip(told, second, strict=True)]
             )

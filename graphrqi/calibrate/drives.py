@@ -32,6 +32,13 @@ from `FULL_NOISE_M` on; in between it goes with the root of the noise."""
 FULL_NOISE_M: Final = 0.1
 """Noise from which the longest stretch is smoothed, m."""
 
+LASTS_S: Final = 0.2
+"""Time for which errors last that `trembling_of` finds, s (NGSIM's do)."""
+
+BEYOND: Final = 1.5
+"""So many times as large as independent errors they have to be (our choice: estimates of the same
+errors differ by a tenth)."""
+
 LEAST_NOISE_M: Final = 0.01
 """Places count as no more exact, m (our choice: what cameras resolve at best). More exact ones get
 random errors that bring them there."""
@@ -99,10 +106,36 @@ def noise_of(values: FloatArray) -> float:
         >>> bool(0.08 < noise_of(np.arange(400.0) ** 1.5 / 50 + rng.normal(0, 0.1, 400)) < 0.12)
         True
     """
-    if values.size < 8:
-        return 0.0
-    third = np.diff(values, 3)
+    return noise_of_lag(values, 1) if values.size >= 8 else 0.0
+
+
+def noise_of_lag(values: FloatArray, lag: int) -> float:
+    """The same from differences between values that are so many apart."""
+    third = values
+    for _ in range(3):
+        third = third[lag:] - third[:-lag]
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0))  # 1 + 9 + 9 + 1 variances
+
+
+def trembling_of(values: FloatArray, frame_s: float) -> float:
+    """Standard deviation of errors that last for `LASTS_S`, from third differences over that time.
+
+    Those of a smooth motion are eight times as large over twice the time, those of errors are not.
+    Where independent errors account for it, it is 0; see `noise_of`.
+
+    Examples:
+        >>> t, rng = np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)
+        >>> smooth = 30.0 * np.sin(0.3 * t)
+        >>> slow = np.interp(t, t[::2], rng.normal(0, 0.02, 200))
+        >>> [round(trembling_of(one, 0.1), 3) for one in (smooth, smooth + slow)]
+        [0.0, 0.01]
+    """
+    lag = max(1, round(LASTS_S / frame_s))
+    if values.size < 8 * lag:
+        return 0.0
+    once, twice = (noise_of_lag(values, every) for every in (lag, 2 * lag))
+    found = float(np.sqrt(max(once**2 - (twice / 8.0) ** 2, 0.0) / (1.0 - 8.0**-2)))
+    return found if found > BEYOND * noise_of(values) else 0.0
 
 
 def smoothed_half_s(noise_m: float, frame_s: float) -> float:
@@ -159,19 +192,22 @@ def _rows(one: Stretch, frame_s: float, every: int, steps: int) -> FloatArray:
     rows = np.zeros((5, at.size))
     place = _shaken(one.place, noise_m)
     own_noise_m = max(noise_m, LEAST_NOISE_M)
+    own_trembles_m = trembling_of(one.place, frame_s)
     fitted = np.empty((4, at.size))
     if every > 2:
         own = np.empty((4, count + 1))
         local_parabolas(one.time_s, place, at[::steps], 0.5 * watched_s - 1e-6, own)
-        rows[0, ::steps], rows[1, ::steps] = own[0], own[3] * own_noise_m
+        rows[0, ::steps], rows[1, ::steps] = own[0], np.hypot(own[3] * own_noise_m, own_trembles_m)
     else:
         rows[0, ::steps] = np.interp(at[::steps], one.time_s, place)
-        rows[1, ::steps] = own_noise_m
-    half_s = smoothed_half_s(noise_m, frame_s)
+        rows[1, ::steps] = np.hypot(own_noise_m, own_trembles_m)
+    half_s = smoothed_half_s(max(noise_m, own_trembles_m), frame_s)
     local_parabolas(one.time_s, one.place, at, half_s, fitted)
     rows[2] = np.maximum(fitted[1], 0.0)
     rows[3] = np.inf
     if np.isfinite(one.leader).all():
+        trembles_m = trembling_of(one.leader, frame_s)
+        half_s = smoothed_half_s(max(noise_m, trembles_m), frame_s)
         local_parabolas(one.time_s, one.leader, at, half_s, fitted)
         rows[3], rows[4] = fitted[0], np.maximum(fitted[1], 0.0)
     return rows

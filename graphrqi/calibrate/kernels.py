@@ -21,6 +21,10 @@ HARDEST_MPS2: Final = 10.0
 LEAST_GAP_M: Final = 0.2
 """Gaps count as no smaller, m (our choice: measured ones may be negative)."""
 
+PRESSES_MPS2: Final = 1.0
+"""Who brakes harder by its law does not press forward beside it, m/s2 (our choice: hardly any
+foretold gap differs by it, but one of I-80's training pairs would collide under Krauss's law)."""
+
 FREE: Final = shared(idm_free_acceleration)
 DESIRED_GAP: Final = shared(idm_desired_gap)
 INTERACTION: Final = shared(idm_interaction)
@@ -53,7 +57,7 @@ def accelerate(law: Any, n: Any, v: Any, u: Any, gap: Any, h: Any) -> Any:
 
 
 @compiled
-def drive_on(law: Any, n: Any, drive: Any, h: Any) -> Any:
+def drive_on(law: Any, n: Any, drive: Any, h: Any, residual: Any, kept: Any) -> Any:
     """Drive behind a recorded leader by a law, from where the driver was first seen.
 
     Args:
@@ -61,6 +65,8 @@ def drive_on(law: Any, n: Any, drive: Any, h: Any) -> Any:
         n: (D,) the driver's numbers.
         drive: (5, T) as in `filter.tell`: one stretch.
         h: time between rows, s.
+        residual: acceleration beside the law's at first, m/s2.
+        kept: which share of it is left after one row.
 
     Returns:
         (T,) places, m.
@@ -73,11 +79,35 @@ def drive_on(law: Any, n: Any, drive: Any, h: Any) -> Any:
         if law == 1 and i > 1:
             u = 0.5 * (u + drive[4, i - 2])
         accel = accelerate(law, n, v, u, drive[3, i - 1] - x, h)
+        if residual <= 0.0 or accel > -PRESSES_MPS2:
+            accel += residual
+        residual *= kept
         faster = max(v + h * accel, 0.0)
         x += 0.5 * h * (v + faster) if law == 0 else h * faster
         v = faster
         out[i] = x
     return out
+
+
+@compiled
+def mean_residual(law: Any, n: Any, drive: Any, places: Any, h: Any) -> Any:
+    """By how much more than a law says somebody accelerates, on average.
+
+    Args:
+        law: code of the law.
+        n: (D,) the driver's numbers.
+        drive: (5, T) as in `filter.tell`: one stretch.
+        places: (T,) of the driver, m.
+        h: time between rows, s.
+
+    Returns:
+        The mean over the rows, m/s2.
+    """
+    count = places.size - 1
+    total = (drive[2, count] - drive[2, 0]) / h
+    for i in range(count):
+        total -= accelerate(law, n, drive[2, i], drive[4, i], drive[3, i] - places[i], h)
+    return total / count
 
 
 @compiled

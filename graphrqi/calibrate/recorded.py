@@ -12,8 +12,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
-from graphrqi.calibrate.drives import Drive, Stretch, make_drive, noise_of, smoothed_half_s
+from graphrqi.calibrate.drives import MOST_HALF_S, Drive, Stretch, make_drive, noise_of
 from graphrqi.predict.recorded.gaps import inferred_leaders
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
@@ -36,6 +37,10 @@ MOVING_MPS: Final = 1.0
 
 LONGEST_GAP: Final = 1.6
 """A longer time between two frames is a break, in frames."""
+
+JUMPS_MPS: Final = 5.0
+"""A leader that seems to be so much faster or slower than just before and after has jumped, m/s
+(our choice: who brakes at 10 m/s2 changes by half of it in a quarter of a second)."""
 
 DRIVES: Final = (AgentKind.CAR, AgentKind.BUS, AgentKind.TRUCK, AgentKind.MOTORCYCLE)
 """Kinds whose drivers are calibrated."""
@@ -117,6 +122,7 @@ def _stretches(
     good = counts[columns] & (turning < TURNING_RADPS)
     who = np.where(good, leader[columns], -2)
     breaks = (np.diff(who) != 0) | (np.diff(time_s) > LONGEST_GAP * frame_s)
+    breaks |= _jumps(place + gap[columns], frame_s)
     edges = np.concatenate([[0], np.flatnonzero(breaks) + 1, [columns.size]])
     parts: list[Stretch] = []
     for first, last in pairwise(edges.tolist()):
@@ -127,16 +133,28 @@ def _stretches(
     return parts
 
 
+def _jumps(rear: FloatArray, frame_s: float) -> BoolArray:
+    """(n - 1,) whether a leader jumps between two frames; see `JUMPS_MPS`.
+
+    Args:
+        rear: (n,) its rear, m; infinite without a leader.
+        frame_s: time between frames, s.
+    """
+    steps = np.diff(np.where(np.isfinite(rear), rear, 0.0))
+    away = np.abs(steps - median_filter(steps, 5, mode="nearest"))
+    return np.asarray(away > JUMPS_MPS * frame_s + 6.0 * noise_of(rear[np.isfinite(rear)]))
+
+
 def _along(time_s: FloatArray, xy: FloatArray, frame_s: float) -> tuple[FloatArray, FloatArray]:
     """(n,) measured distance along a vehicle's own smoothed path, m, and yaw rate, rad/s.
 
     The smoothed path gives the direction; the measured places are projected on it, so that their
-    errors stay what they are.
+    errors stay what they are. It is always smoothed over the longest stretch: a yaw rate that three
+    places tell trembles far beyond `TURNING_RADPS`, however smooth a recording is along the lane.
     """
     from graphrqi.calibrate.kernels import local_parabolas
 
-    noise_m = max(noise_of(xy[:, 0]), noise_of(xy[:, 1]))
-    half_s = smoothed_half_s(noise_m, frame_s)
+    half_s = max(MOST_HALF_S, frame_s)
     fitted = np.empty((2, 4, time_s.size))
     for axis in range(2):
         local_parabolas(time_s, np.ascontiguousarray(xy[:, axis]), time_s, half_s, fitted[axis])

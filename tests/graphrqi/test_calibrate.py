@@ -16,16 +16,23 @@ from behaviors.driver_models import (
 from behaviors.populations import NUMBERS, Population
 from graphrqi.calibrate.drives import Drive, Stretch, make_drive
 from graphrqi.calibrate.driving_on import (
+    CARRIED,
     candidate_weights,
+    carried_on,
     driven_places,
+    foretold_places,
     gap_errors,
     halves,
+    longest_led,
+    past_errors,
 )
 from graphrqi.calibrate.filter import LANES, LEAST_RESIDUAL_MPS2, STARTS_SPEED_MPS, tell
 from graphrqi.calibrate.kernels import HARDEST_MPS2, drive_on
 from graphrqi.calibrate.laws import FIELDS, Law, prior
 from graphrqi.calibrate.posterior import calibrate, moving_on
+from graphrqi.calibrate.recorded import recorded_drivers
 from graphrqi.calibrate.sampling import sample
+from sim.frames import KINDS, AgentKind, Tracks
 
 
 @pytest.mark.parametrize("law", Law)
@@ -47,7 +54,9 @@ def test_drivers_are_calibrated_under_the_laws_of_the_driver_models(law: Law) ->
             expected = h * max(reached, v - h * HARDEST_MPS2, 0.0)
         rows = np.array([[0.0] * 2, [0.0] * 2, [v] * 2, [gap] * 2, [u] * 2])
         numbers = np.array([v0, headway, s0, a, b, 0.2, 1.3, 0.0, 0.0])[: len(FIELDS[law])]
-        assert drive_on(law.code, numbers, rows, h)[1] == pytest.approx(expected, abs=1e-9)
+        assert drive_on(law.code, numbers, rows, h, 0.0, 1.0)[1] == pytest.approx(
+            expected, abs=1e-9
+        )
 
 
 def _leader(rng: np.random.Generator, steps: int, stops: bool) -> np.ndarray:
@@ -260,5 +269,91 @@ def test_the_true_numbers_drive_on_best() -> None:
     tried = np.log(np.stack([numbers, numbers * 1.3, numbers * 0.7]))
     errors = gap_errors(driven_places(Law.IDM, tried, first), first)
     assert errors[0] < 0.1 < errors[1:].min()
-    assert candidate_weights(errors)[0] > 0.99
+    assert past_errors(Law.IDM, tried, first).argmin() == 0
+    weight = candidate_weights(errors[None])[0]
+    assert weight[0] > 0.99
     assert gap_errors(driven_places(Law.IDM, tried, second), second).argmin() == 0
+    told = foretold_places(Law.IDM, tried, weight, first, second)
+    assert gap_errors(told[None], second)[0] < 0.3
+
+
+def test_what_a_driver_does_beside_its_law_is_carried_on_and_fades() -> None:
+    numbers = np.array([21.0, 1.2, 2.5, 1.6, 2.0])
+    cut = halves(_idm_drive(numbers, 11))
+    assert cut is not None
+    first, second = cut
+    logs = np.log(numbers)[None]
+    assert carried_on(Law.IDM, logs, first)[0] == pytest.approx(0.0, abs=0.1)
+    wished = first.rows.copy()
+    wished[2] += 0.4 * first.step_s * np.arange(wished.shape[1])  # gains .4 m/s2 on what it does
+    pressed = carried_on(Law.IDM, logs, Drive(wished, first.begins, first.step_s, first.frame_s))
+    assert pressed[0] > 0.2 * CARRIED
+    law, pushed = (driven_places(Law.IDM, logs, second, r)[0] for r in (0.0, 0.4))
+    ahead = pushed - law
+    assert ahead[round(2.0 / second.step_s)] > 0.3
+    assert abs(ahead[-1]) < 0.5 * ahead.max()
+
+
+def test_rare_frames_are_driven_in_fine_steps() -> None:
+    time_s = np.arange(0.0, 20.0, 0.5)
+    leader = 30.0 + 12.0 * time_s + 10.0 * np.cos(0.3 * time_s)
+    drive = make_drive([Stretch(time_s, 12.0 * time_s, leader)])
+    assert drive is not None
+    found = longest_led(drive)
+    assert found is not None
+    assert found.step_s == pytest.approx(0.1)
+    at_s = 0.1 * np.arange(found.rows.shape[1])
+    exact = 30.0 + 12.0 * at_s + 10.0 * np.cos(0.3 * at_s)
+    np.testing.assert_allclose(found.rows[3], exact, atol=0.1)
+    np.testing.assert_array_equal(found.rows[1, 1::5], 0.0)
+
+
+def test_a_recording_that_trembles_is_one_drive() -> None:
+    """Places to .01 m at 10 Hz, as NGSIM's are: no moment counts as a bend."""
+    rng = np.random.default_rng(4)
+    time_s = np.linspace(0.0, 11.9, 120)
+    x = np.stack([12.0 * time_s, 12.0 * time_s + 25.0])
+    y = 0.06 * np.cumsum(rng.normal(0.0, 0.2, (2, 120)), axis=1)
+    xy = np.stack([x, y], axis=2).round(2)
+    tracks = Tracks(
+        ids=np.arange(2), names=("a", "b"), kind=np.full(2, KINDS.index(AgentKind.CAR)),
+        length=np.full(2, 4.5), width=np.full(2, 1.8), time_s=time_s, xy=xy,
+        heading=np.zeros((2, 120)), speed=np.full((2, 120), 12.0),
+        valid=np.ones((2, 120), dtype=bool), signals=np.zeros((0, 120), dtype=np.int8),
+    )  # fmt: skip
+    (driver,) = recorded_drivers(tracks)
+    assert driver.name == "a"
+    assert driver.drive.begins.size == 2
+    assert driver.drive.seconds > 11.0
+
+
+def test_a_leader_that_jumps_is_two_stretches() -> None:
+    """Where the leader's place is off by a frame at first, as on US-101, speeds would be wrong."""
+    time_s = np.linspace(0.0, 11.9, 120)
+    x = np.stack([12.0 * time_s, 12.0 * time_s + 25.0])
+    x[1, :50] -= 1.2
+    tracks = Tracks(
+        ids=np.arange(2), names=("a", "b"), kind=np.full(2, KINDS.index(AgentKind.CAR)),
+        length=np.full(2, 4.5), width=np.full(2, 1.8), time_s=time_s,
+        xy=np.stack([x, np.zeros((2, 120))], axis=2), heading=np.zeros((2, 120)),
+        speed=np.full((2, 120), 12.0), valid=np.ones((2, 120), dtype=bool),
+        signals=np.zeros((0, 120), dtype=np.int8),
+    )  # fmt: skip
+    (driver,) = recorded_drivers(tracks)
+    assert driver.drive.begins.size == 3
+    np.testing.assert_allclose(driver.drive.rows[4], 12.0, atol=0.05)
+
+
+def test_everybody_is_heard_of_the_population() -> None:
+    """Drivers beside those among whom the population is sought correct it."""
+    rng = np.random.default_rng(2)
+    drives = [
+        _idm_drive(np.array([22.0, headway, 2.5, 1.5, 2.0]), seed)
+        for seed, headway in enumerate(np.exp(rng.normal(np.log(1.3), 0.2, 6)))
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("graphrqi.calibrate.posterior.MOST_FIRST", 2)
+        some = calibrate(Law.IDM, drives)
+    told = calibrate(Law.IDM, drives)
+    few = calibrate(Law.IDM, [drives[i] for i in np.random.default_rng(0).permutation(6)[:2]])
+    assert abs(some.mean[1] - told.mean[1]) < abs(few.mean[1] - told.mean[1])
