@@ -111,6 +111,28 @@ def inner_reordered(function: F) -> F:
     return _compiled(function, fastmath=True, no_cpython_wrapper=True, **_LEFT_OUT)
 
 
+def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F]:
+    """Compile a function that makes no array and returns none, but writes into its arguments.
+
+    No references to its arrays need to be counted, neither inside it nor in its calls of other such
+    functions: it takes a third less time to compile, and short functions may be called with many
+    arrays.
+
+    Args:
+        inner: whether only other kernels call it, as of `inner`.
+        reordered: whether sums and products may be reordered, as of `reordered`.
+
+    Returns:
+        A decorator for functions in numba's subset of Python.
+    """
+    options = {"_nrt": False, "no_cpython_wrapper": inner, "fastmath": reordered, **_LEFT_OUT}
+
+    def decorate(function: F) -> F:
+        return _compiled(function, **options)
+
+    return decorate
+
+
 @cache
 def shared(function: F, *, reordered: bool = False) -> F:
     """Compile a scalar function that several kernels call, such as a driver model.

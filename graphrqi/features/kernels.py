@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import compiled
+from sim.compiled import in_place
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 IndexArray = NDArray[np.int32]
 
 
-@compiled
+@in_place()
 def change_since(
     rows: IntArray,
     times: FloatArray,
@@ -56,7 +56,7 @@ def change_since(
         elapsed_s[i] = times[now] - times[at]
 
 
-@compiled
+@in_place()
 def find_neighbors(
     indptr: IndexArray,
     indices: IndexArray,
@@ -115,7 +115,7 @@ def find_neighbors(
                 out[i, 4] += 1.0
 
 
-@compiled
+@in_place()
 def signal_differences(
     indptr: IndexArray,
     indices: IndexArray,
@@ -152,7 +152,7 @@ def signal_differences(
             level[i] = mean[i]
 
 
-@compiled
+@in_place()
 def spread_on_nodes(
     values: FloatArray,
     counts: BoolArray,
@@ -192,7 +192,7 @@ def spread_on_nodes(
                 sums[row, upper] += share * step_s
 
 
-@compiled
+@in_place()
 def summarise(
     sums: FloatArray,
     nodes: FloatArray,
@@ -201,6 +201,7 @@ def summarise(
     levels: FloatArray,
     least: float,
     unknown: float,
+    below: FloatArray,
     out: FloatArray,
 ) -> None:
     """Quantiles, mean and evidence of each block.
@@ -218,10 +219,10 @@ def summarise(
         levels: (Q,) of the quantiles, above 0 and below 1.
         least: total below which a block counts as unobserved, s.
         unknown: distance of an unobserved block's quantiles and mean below its lowest node.
+        below: (S,) room to work in.
         out: (n, at least B (Q + 2)) receives block by block the quantiles, the mean, the evidence.
     """
     quantiles = levels.size
-    below = np.empty(nodes.size)
     for i in range(len(sums)):
         column = 0
         for b in range(starts.size - 1):
@@ -250,7 +251,7 @@ def summarise(
             column += quantiles + 2
 
 
-@compiled
+@in_place()
 def infer_law(
     sums: FloatArray, weight: float, prior: FloatArray, prior_target: FloatArray, out: FloatArray
 ) -> None:
@@ -295,7 +296,7 @@ def infer_law(
         out[i, 6] = math.sqrt(max(error, 0.0) / max(sums[i, 10], 1.0))
 
 
-@compiled
+@in_place()
 def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: FloatArray) -> None:
     """Fit a parabola to each agent's positions about time zero, by least squares.
 
@@ -376,7 +377,7 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
         out[i, 6] = math.sqrt(total / (n - 3))
 
 
-@compiled
+@in_place()
 def speed_of_neighbors(
     indptr: IndexArray,
     indices: IndexArray,

@@ -151,7 +151,7 @@ def _perceive(
     place = project(road, xy, heading)
     view = lane_search.perceive(
         xy, heading, length, driving, place.lane, place.s, place.offset, by_time, begins,
-        lane_search.LaneArrays.of(LaneGraph.of(road)),
+        LaneGraph.of(road),
     )  # fmt: skip
     return place, view
 

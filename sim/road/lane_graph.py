@@ -114,9 +114,11 @@ class LaneGraph:
         """
         from sim.road.lane_coordinates import place  # compiled: only who asks pays for loading it
 
-        xy, piece = place(
+        xy, piece = np.empty((lane.size, 2)), np.empty(lane.size, np.int64)
+        place(
             lane, s, np.zeros(lane.size) if offset is None else offset, self.segment_first,
-            self.segment_last, self.segment_at, self.segment_start, self.segment_direction,
+            self.segment_last, self.segment_at, self.segment_start, self.segment_direction, xy,
+            piece,
         )  # fmt: skip
         return xy, self.segment_heading[piece]
 

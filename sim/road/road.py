@@ -390,9 +390,11 @@ class Road:
         from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
 
         start, direction, length, lane, at, turn_cost_m = self._drivable_segments
-        best, along, across = fit(
+        n = len(xy)
+        best, along, across = np.empty(n, np.int64), np.empty(n), np.empty(n)
+        fit(
             np.ascontiguousarray(xy, dtype=np.float64),
             np.ascontiguousarray(heading, dtype=np.float64),
-            start, direction, length, turn_cost_m, self._segment_cells,
+            start, direction, length, turn_cost_m, self._segment_cells, best, along, across,
         )  # fmt: skip
         return LanePosition(lane=lane[best], s=at[best] + along, offset=across)

@@ -18,7 +18,7 @@ from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
-from sim.compiled import compiled, inlined
+from sim.compiled import in_place
 from sim.road.lane_graph import DIRECTIONS
 
 FloatArray = NDArray[np.float64]
@@ -81,7 +81,10 @@ def features(scene: Scene) -> FloatArray:
         past,
         (scene.on_path, scene.lane, scene.s, scene.offset, scene.lateral_speed, scene.accel),
         (states.free_factor, states.least_factor, states.on_lane),
-        (states.leader, states.gap, states.follower, states.adjacent, states.adjacent_gap),
+        (
+            states.leader, states.gap, states.follower, states.adjacent, states.adjacent_gap,
+            np.empty(NEIGHBORS, np.int64), np.empty(NEIGHBORS),
+        ),
         scene.stop_state, shown, scene.path,
         (paths.stop_x, paths.stop_row, paths.turn, paths.start, paths.limit),
         (graph.left, graph.right, graph.internal, graph.length, limits(graph)), out,
@@ -89,7 +92,7 @@ def features(scene: Scene) -> FloatArray:
     return out
 
 
-@inlined
+@in_place(inner=True)
 def _describe_own_states(past: Any, drivers: Any, states: Any, road: Any, out: Any) -> None:
     _, speed, _, length, _ = past
     on_path, lane, s, offset, lateral_speed, accel = drivers
@@ -110,7 +113,7 @@ def _describe_own_states(past: Any, drivers: Any, states: Any, road: Any, out: A
             out[i, 12] = min(max(lane_length[on] - s[i], 0.0), FAR_M) / FAR_M
 
 
-@inlined
+@in_place(inner=True)
 def _describe_past(past: Any, out: Any) -> None:
     valid, speed, heading, _, columns = past
     for i in range(len(speed)):
@@ -124,11 +127,10 @@ def _describe_past(past: Any, out: Any) -> None:
             c += 3
 
 
-@inlined
+@in_place(inner=True)
 def _describe_neighbors(past: Any, accel: Any, neighbors: Any, out: Any) -> None:
     _, speed, _, length, _ = past
-    leader, gap, follower, adjacent, adjacent_gap = neighbors
-    who, far = np.empty(NEIGHBORS, np.int64), np.empty(NEIGHBORS)
+    leader, gap, follower, adjacent, adjacent_gap, who, far = neighbors
     for i in range(leader.size):
         who[0], far[0] = leader[i], gap[i]
         who[1] = who[2] = -1
@@ -149,7 +151,7 @@ def _describe_neighbors(past: Any, accel: Any, neighbors: Any, out: Any) -> None
             c += PER_NEIGHBOR
 
 
-@inlined
+@in_place(inner=True)
 def _describe_paths(
     on_path: Any, s: Any, length: Any, stop_state: Any, shown: Any, path_of: Any, paths: Any,
     out: Any,
@@ -183,7 +185,7 @@ def _describe_paths(
         out[i, c + 2 + turn[path]] = 1.0
 
 
-@compiled
+@in_place()
 def _describe_drivers(
     past: Any, drivers: Any, states: Any, neighbors: Any, stop_state: Any, shown: Any, path: Any,
     paths: Any, road: Any, out: Any,
@@ -194,7 +196,8 @@ def _describe_drivers(
         past: the history, and the columns of it that are described, -1: before it begins.
         drivers: columns of the `Scene`.
         states: columns of the `graphrqi.predict.scene.agent_states.AgentStates`.
-        neighbors: those of its columns that say who drives around each.
+        neighbors: those of its columns that say who drives around each, and room for the
+            neighbours of one and their distances.
         stop_state: (R, steps + 1) states of the stop constraints.
         shown: (A,) columns of them that are described.
         path: (n,) path of each.
@@ -202,7 +205,9 @@ def _describe_drivers(
         road: columns of the `LaneGraph`, and the (L,) speed limits, m/s.
         out: (n, F) receives them; must be zero before.
     """
+    on_path, _, s, _, _, accel = drivers
+    _, _, _, length, _ = past
     _describe_own_states(past, drivers, states, road, out)
     _describe_past(past, out)
-    _describe_neighbors(past, drivers[5], neighbors, out)
-    _describe_paths(drivers[0], drivers[2], past[3], stop_state, shown, path, paths, out)
+    _describe_neighbors(past, accel, neighbors, out)
+    _describe_paths(on_path, s, length, stop_state, shown, path, paths, out)

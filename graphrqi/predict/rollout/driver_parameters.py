@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS, Style
 from graphrqi.predict.rollout.driver_table import RUNS_RED, YIELDS, DriverTable
 from graphrqi.predict.scene.scene import Scene
-from sim.compiled import compiled
+from sim.compiled import in_place
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -154,26 +154,27 @@ def _personal(scene: Scene, following: FloatArray) -> FloatArray:
     Where limits are unknown or do not rule, nobody wishes more than it was seen driving.
     """
     states = scene.states
-    found = np.asarray(_corrected(following, states.free_factor, states.least_factor))
+    found = np.empty((len(following), states.free_factor.size, following.shape[2]))
+    _correct(following, states.free_factor, states.least_factor, found)
     knows = scene.road.knows
     if not (knows.limits and knows.limits_rule):  # the speeds seen are all that is known of wishes
         found[..., 0] = np.maximum(states.least_factor, LEAST_FACTOR)
     return found
 
 
-@compiled
-def _corrected(following: Any, free_factor: Any, least_factor: Any) -> Any:
-    """(M, n, F) parameters with corrected wished speeds.
+@in_place()
+def _correct(following: Any, free_factor: Any, least_factor: Any, out: Any) -> None:
+    """Correct the wished speeds among parameters.
 
     Args:
         following: (M, n, F), or (M, 1, F) if the same for all; the first is the wished speed over
             the limit.
         free_factor: (n,) speed over limit driven freely; NaN if never.
         least_factor: (n,) largest speed over limit.
+        out: (M, n, F) receives the parameters.
     """
     ways, given, fields = following.shape
     n = free_factor.size
-    out = np.empty((ways, n, fields))
     for m in range(ways):
         for i in range(n):
             of = i if given == n else 0
@@ -184,4 +185,3 @@ def _corrected(following: Any, free_factor: Any, least_factor: Any) -> Any:
                 wished = math.log(following[m, of, 0])
                 out[m, i, 0] = math.exp((FREE_WEIGHT * wished + shown) / (1.0 + FREE_WEIGHT))
             out[m, i, 0] = max(out[m, i, 0], least_factor[i])
-    return out

@@ -30,7 +30,7 @@ from graphrqi.predict.rollout.columns import (
     V,
     X,
 )  # fmt: skip
-from sim.compiled import inlined, inner_reordered, shared
+from sim.compiled import in_place, shared
 
 LOOK_AHEAD_M = 120.0
 """Drivers react to nothing farther ahead (our choice: 5 s at 24 m/s)."""
@@ -60,7 +60,7 @@ _mobil_incentive = shared(driver_models.mobil_incentive, reordered=True)
 _mobil_safe = shared(driver_models.mobil_safe, reordered=True)
 
 
-@inner_reordered
+@in_place(inner=True, reordered=True)
 def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: Any, i: Any) -> Any:
     """IDM's acceleration, m/s2, within what drivers see and how hard they brake."""
     accel = following[i, 3]
@@ -75,7 +75,7 @@ def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: 
     return max(free - accel * _interaction(gap, wanted), -HARD_DECEL)
 
 
-@inner_reordered
+@in_place(inner=True, reordered=True)
 def _neighbors(
     i: Any, along: Any, begin: Any, end: Any, place: Any, ranking: Any
 ) -> tuple[Any, Any, Any, Any]:
@@ -102,7 +102,7 @@ def _neighbors(
     return front, front_far, rear, rear_far
 
 
-@inlined
+@in_place(inner=True, reordered=True)
 def choose_lanes(
     who: Any, h: int, motion: Any, route: Any, present: Any, following: Any, changing: Any,
     caution: Any, place: Any, ranking: Any, ends: Any, paths: Any,

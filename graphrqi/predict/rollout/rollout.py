@@ -210,9 +210,12 @@ def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Sc
         The scene, and (n,) who has such a lane; the others are left where they are.
     """
     paths = scene.paths
-    lane, path, offset, lateral_speed, there = lane_positions.lane_beside(
-        0 if side > 0 else 1, other_ways, scene.lane, scene.path, scene.on_path, scene.offset,
-        scene.lateral_speed, paths.beside, paths.lane_spacing, paths.by_turn, paths.turn,
+    lane, path = scene.lane.copy(), scene.path.copy()
+    offset, lateral_speed = scene.offset.copy(), scene.lateral_speed.copy()
+    there = np.zeros(lane.size, np.bool_)
+    lane_positions.turn_to_lane_beside(
+        0 if side > 0 else 1, other_ways, scene.on_path, lane, path, offset, lateral_speed, there,
+        paths.beside, paths.lane_spacing, paths.by_turn, paths.turn,
     )  # fmt: skip
     moving = scene.but(lane=lane, path=path, offset=offset, lateral_speed=lateral_speed)
     return moving, there
