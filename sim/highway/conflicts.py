@@ -11,7 +11,7 @@ import numpy as np
 from highway_env.road.lane import AbstractLane
 from numpy.typing import NDArray
 
-from sim.compiled import compiled
+from sim.compiled import in_place
 from sim.highway.lanes import LaneIndex, places_along
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import CELL_M
@@ -90,7 +90,7 @@ def find_conflicts(
     return found
 
 
-@compiled
+@in_place()
 def _first_and_last_close(xy: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray) -> None:
     """Find the first and the last point of each path that is too close to another path.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from behaviors import driver_models
 from behaviors.profiles import Profile
-from sim.compiled import compiled, shared
+from sim.compiled import in_place, shared
 from sim.frames import AgentKind
 from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
 
@@ -166,7 +166,7 @@ def driver_parameters(profile: Profile, kind: AgentKind, law: CarFollowing = "ID
     return row
 
 
-@compiled
+@in_place()
 def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float) -> float:
     """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
 
@@ -187,7 +187,7 @@ def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_spe
     return float(free - accel * _interaction(gap, wanted))
 
 
-@compiled
+@in_place()
 def krauss(
     driver: FloatArray, speed: float, desired: float, room: float, leader_speed: float
 ) -> float:
@@ -218,7 +218,7 @@ def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
     return IMPERFECTION * chance * min(float(driver[MAX_ACCEL]), speed / KRAUSS_STEP_S)
 
 
-@compiled
+@in_place()
 def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> float:
     """Bound a deceleration by the comfortable one or, if greater, by what the gap demands.
 
@@ -234,7 +234,7 @@ def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> fl
     return float(max(wanted, -min(limit, driver[EMERGENCY_DECEL])))
 
 
-@compiled
+@in_place()
 def follow(
     driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
 ) -> float:
@@ -246,7 +246,7 @@ def follow(
     return bounded(driver, raw, gap, speed - leader_speed)
 
 
-@compiled
+@in_place()
 def approach(driver: FloatArray, speed: float, gap: float) -> float:
     """The acceleration towards a line at which to stop, m/s2.
 
@@ -267,7 +267,7 @@ def approach(driver: FloatArray, speed: float, gap: float) -> float:
     return bounded(driver, raw, gap - 0.5 * STOP_MARGIN_M, speed)
 
 
-@compiled
+@in_place()
 def start_up(
     driver: FloatArray, speed: float, accel: float, clock: float, go_at: float
 ) -> tuple[float, float]:
@@ -292,7 +292,7 @@ def start_up(
     return (accel if clock >= go_at else 0.0), go_at
 
 
-@compiled
+@in_place()
 def change_incentive(
     driver: FloatArray,
     speed: float,
@@ -350,7 +350,7 @@ def change_incentive(
     return float(incentive - threshold)
 
 
-@compiled
+@in_place()
 def may_cut_in(
     driver: FloatArray,
     speed: float,
@@ -381,7 +381,7 @@ def may_cut_in(
     return left_ahead > 0.0 and ahead * ahead <= 2.0 * CUT_IN_BRAKING_MPS2 * left_ahead
 
 
-@compiled
+@in_place()
 def steer(
     lateral: float,
     lane_heading: float,

@@ -219,7 +219,10 @@ class CompiledTraffic:
         )
         self._ask_at_lines(who, found, out.held)
         meetings = self._ask_at_crossings(who, found, walkers, out.stop_gap)
-        demand(who, lanes, places, road.signals, found, out)
+        demand(
+            who, lanes, places, road.signals, found, self.tables.has_paths,
+            np.full(lanes.length.size, -1), np.full(2 * who.lane.size, -1), out,
+        )  # fmt: skip
         self._hand_out(out, meetings)
         self._force_lanes(who, found)
         arrivals: dict[tuple[int, int], list[Arrival]] = {}

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, TypeAlias
 from highway_env.vehicle.kinematics import Vehicle
 
 from behaviors import driver_models
-from sim.compiled import compiled, inner, shared
+from sim.compiled import in_place, shared
 from sim.frames import Signal
 from sim.highway import driving
 from sim.highway.conflicts import Conflict
@@ -172,7 +172,7 @@ def _rank(road: RoadState, vehicle: Vehicle, path: LaneInfo, *, entered: bool) -
     return 1 if path.must_yield else 0
 
 
-@compiled
+@in_place()
 def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
     """Time to cover a distance while speeding up to a top speed, s."""
     if distance <= 0.0:
@@ -314,7 +314,7 @@ def _foe(road: RoadState, conflict: Conflict, foe: ApproachingVehicle) -> Foe:
     )
 
 
-@compiled
+@in_place()
 def must_wait(own: Passage, foe: Foe) -> bool:
     """Whether a driver has to wait for another one before a conflict."""
     if foe.end < 0.0:
@@ -345,7 +345,7 @@ def must_wait(own: Passage, foe: Foe) -> bool:
     return not (lets_in and own.leave_s < foe_leaves_s)
 
 
-@inner
+@in_place(inner=True)
 def _goes_first(own: Passage, foe: Foe) -> bool:
     """Whether a driver has the right of way over another one: by rank, place, then number."""
     if own.rank != foe.rank:
