@@ -29,7 +29,7 @@ LOGGER: Final = logging.getLogger("graphrqi")
 Python shows neither by itself, as befits a library; the command line shows the first."""
 
 NOTICE: Final = (
-    "compiling numerical kernels that are used for the first time, up to 30 s; later runs find "
+    "compiling numerical kernels that are used for the first time, up to 20 s; later runs find "
     "them compiled ..."
 )
 """What a first use waits for."""
@@ -148,7 +148,8 @@ def shared(function: F, *, reordered: bool = False) -> F:
     Returns:
         The same function, compiled.
     """
-    kernel = njit(error_model="numpy", fastmath=reordered, **_LEFT_OUT)(function)
+    options = {"no_cpython_wrapper": True, "fastmath": reordered, **_LEFT_OUT}
+    kernel = njit(error_model="numpy", **options)(function)
     _FOLDERS[kernel] = _folders(function)
     return cast(F, kernel)
 

@@ -162,14 +162,12 @@ def _find_nearest(ids: Ids, xy: Floats, k: int, grid: Grid, distance: Floats, ta
                                 continue
                             # behind the k-th is room for one that is not among them
                             q = base + found
-                            while q > base and (
-                                square < distance[q - base - 1]
-                                or (
-                                    square == distance[q - base - 1] and ids[j] < ids[target[q - 1]]
-                                )
-                            ):
-                                distance[q - base] = distance[q - base - 1]
-                                target[q] = target[q - 1]
+                            while q > base:
+                                nearer, other = distance[q - base - 1], target[q - 1]
+                                if square > nearer or (square == nearer and ids[j] > ids[other]):
+                                    break
+                                distance[q - base] = nearer
+                                target[q] = other
                                 q -= 1
                             distance[q - base] = square
                             target[q] = j

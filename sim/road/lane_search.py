@@ -143,12 +143,9 @@ def perceive(
         ),
         (on_lane, forward, segment, missed, turned, front),
     )  # fmt: skip
-    leader, follower, gap = np.full(m, -1), np.full(m, -1), np.full(m, np.inf)
-    most = int(np.diff(begins).max(initial=0))
-    _find_leaders(
-        by_time, begins, on_lane, forward, s, length, graph.length, graph.ahead,
-        np.empty((3, most), np.int64), np.empty(most), (leader, follower, gap),
-    )  # fmt: skip
+    leader, gap = _search(by_time, begins, on_lane, s, length, forward[:, None], graph)
+    follower = np.full(m, -1)
+    _find_followers(leader, gap, follower)
     group, crossing = np.full(m, -1), np.full(m, -1)
     stop, to_crossing = np.full(m, np.inf), np.full(m, np.inf)
     _find_stops(
@@ -156,7 +153,17 @@ def perceive(
         graph.cross_id, graph.cross_s, graph.cross_exit_s, (stop, group, crossing, to_crossing),
     )  # fmt: skip
     return LaneView(
-        on_lane, segment, missed, turned, leader, gap, follower, stop, group, crossing, to_crossing
+        on_lane,
+        segment,
+        missed,
+        turned,
+        leader[:, 0],
+        gap[:, 0],
+        follower,
+        stop,
+        group,
+        crossing,
+        to_crossing,
     )
 
 
@@ -176,10 +183,35 @@ def adjacent_vehicles(
         bumper to bumper, m, or +inf.
     """
     p = lane.size
-    who, gap = np.full((p, 4), -1), np.full((p, 4), np.inf)
-    _find_adjacent(
-        lane, s, length, graph.left, graph.right, graph.length, graph.ahead, graph.behind,
-        np.empty((3, p), np.int64), np.empty(p), who, gap,
+    on_road = lane >= 0
+    left, right = np.where(on_road, graph.left[lane], -1), np.where(on_road, graph.right[lane], -1)
+    begin = np.stack([left, left, right, right], axis=1)
+    return _search(np.arange(p), np.array([0, p]), lane, s, length, begin, graph)
+
+
+def _search(
+    by_time: IntArray, begins: IntArray, lane: IntArray, s: FloatArray, length: FloatArray,
+    begin: IntArray, graph: LaneGraph,
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    """Who is next along K ways from each vehicle, ahead on the first and third, else behind.
+
+    Args:
+        by_time: (m,) and the next as of `perceive`.
+        begins: (T + 1,).
+        lane: (m,) lane that each is on, -1: none.
+        s: (m,) distance along it, m.
+        length: (m,) m.
+        begin: (m, K) lane on which each search begins beside the vehicle, -1: none.
+        graph: the road.
+
+    Returns:
+        (m, K) rows or -1, and (m, K) gaps bumper to bumper, m, or +inf.
+    """
+    who, gap = np.full(begin.shape, -1), np.full(begin.shape, np.inf)
+    most = int(np.diff(begins).max(initial=0))
+    _find_neighbors(
+        by_time, begins, lane, s, length, begin, (graph.length, graph.ahead, graph.behind),
+        np.empty((3, most), np.int64), np.empty(most), who, gap,
     )  # fmt: skip
     return who, gap
 
@@ -323,31 +355,30 @@ def next_vehicle(
 
 
 @in_place()
-def _find_leaders(
-    by_time: Any, begins: Any, lane: Any, forward: Any, s: Any, length: Any, lane_length: Any,
-    onward: Any, room: Any, at: Any, out: Any,
+def _find_neighbors(
+    by_time: Any, begins: Any, lane: Any, s: Any, length: Any, begin: Any, road: Any, room: Any,
+    at: Any, who: Any, gap: Any,
 ) -> None:  # fmt: skip
-    """Find the vehicles ahead, and the nearest behind; of several at the same distance the last.
+    """Find who is next along K ways.
 
     Args:
-        by_time: (m,) and the next as of `perceive`.
+        by_time: (m,) and the next five as of `_search`.
         begins: (T + 1,).
-        lane: (m,) lane that each is on, -1: none.
-        forward: (m,) the same if it drives along it.
-        s: (m,) distance along it, m.
-        length: (m,) m.
-        lane_length: (L,) m.
-        onward: (L,) the lane after each, -1: none.
+        lane: (m,).
+        s: (m,).
+        length: (m,).
+        begin: (m, K).
+        road: (L,) lengths of the lanes, m, and the lanes ahead and behind, -1: none.
         room: (3, p) room to work in, for as many as there are at one time.
         at: (p,) likewise.
-        out: receives the (m,) leader and follower, both -1 before, and the gap to the leader, m,
-            +inf before.
+        who: (m, K) receives the rows; must be -1 before.
+        gap: (m, K) receives the gaps, m; must be +inf before.
     """
-    leader, follower, gap = out
+    lane_length, ahead, behind = road
     rows, spare, lanes = room[0], room[1], room[2]
-    ahead = s.size >= 0  # not the literal True: searches would be compiled once more for literals
+    _, ways = begin.shape
     for t in range(begins.size - 1):
-        count = 0 * begins.size  # not the literal 0
+        count = 0 * begins.size  # not the literal 0: searches would be compiled once more for it
         for j in range(begins[t], begins[t + 1]):
             i = by_time[j]
             if lane[i] >= 0:
@@ -358,14 +389,29 @@ def _find_leaders(
             lanes[j], at[j] = lane[rows[j]], s[rows[j]]
         for q in range(begins[t], begins[t + 1]):
             i = by_time[q]
-            j, far = next_vehicle(lanes, at, count, forward[i], s[i], ahead, lane_length, onward)
-            if j >= 0:
-                leader[i] = rows[j]
-                gap[i] = far - (length[i] + length[rows[j]]) / 2
-    for i in range(leader.size):
-        ahead_of = leader[i]
-        if ahead_of >= 0 and (follower[ahead_of] < 0 or gap[i] <= gap[follower[ahead_of]]):
-            follower[ahead_of] = i
+            for k in range(ways):
+                forward = k % 2 == 0
+                onward = ahead if forward else behind
+                j, far = next_vehicle(
+                    lanes, at, count, begin[i, k], s[i], forward, lane_length, onward
+                )
+                if j >= 0:
+                    who[i, k], gap[i, k] = rows[j], far - (length[i] + length[rows[j]]) / 2
+
+
+@in_place()
+def _find_followers(leader: Any, gap: Any, follower: Any) -> None:
+    """Find who is nearest behind each; of several at the same distance the last.
+
+    Args:
+        leader: (m, 1) the vehicle ahead of each, or -1.
+        gap: (m, 1) the gap to it, m.
+        follower: (m,) receives them; must be -1 before.
+    """
+    for i in range(follower.size):
+        ahead = leader[i, 0]
+        if ahead >= 0 and (follower[ahead] < 0 or gap[i, 0] <= gap[follower[ahead], 0]):
+            follower[ahead] = i
 
 
 @in_place()
@@ -408,46 +454,3 @@ def _find_stops(
                     crossing[i], to_crossing[i] = cross_id[z], to
             travelled += length[now]
             now = onward[now]
-
-
-@in_place()
-def _find_adjacent(
-    lane: Any, s: Any, length: Any, left: Any, right: Any, lane_length: Any, ahead: Any,
-    behind: Any, room: Any, at: Any, who: Any, gap: Any,
-) -> None:  # fmt: skip
-    """Find those ahead and behind on the lanes beside.
-
-    Args:
-        lane: (p,) and the next two as of `adjacent_vehicles`.
-        s: (p,).
-        length: (p,).
-        left: (L,) and the next four: columns of the `sim.road.lane_graph.LaneGraph`.
-        right: (L,).
-        lane_length: (L,).
-        ahead: (L,).
-        behind: (L,).
-        room: (3, p) room to work in.
-        at: (p,) likewise.
-        who: (p, 4) receives the rows; must be -1 before.
-        gap: (p, 4) receives the gaps, m; must be +inf before.
-    """
-    p = lane.size
-    count = 0 * p  # not the literal 0, for which the search would be compiled once more
-    rows, spare, lanes = room[0], room[1], room[2]
-    for i in range(p):
-        if lane[i] >= 0:
-            rows[count] = i
-            count += 1
-    _sort(rows, spare, count, lane, s)
-    for j in range(count):
-        lanes[j], at[j] = lane[rows[j]], s[rows[j]]
-    for i in range(p):
-        if lane[i] < 0:
-            continue
-        for k in range(4):
-            beside = left[lane[i]] if k < 2 else right[lane[i]]
-            forward = k % 2 == 0
-            onward = ahead if forward else behind
-            j, far = next_vehicle(lanes, at, count, beside, s[i], forward, lane_length, onward)
-            if j >= 0:
-                who[i, k], gap[i, k] = rows[j], far - (length[i] + length[rows[j]]) / 2

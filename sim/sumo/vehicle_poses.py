@@ -112,7 +112,7 @@ def _find_poses(
             column, line = math.floor((x - x0) / size), math.floor((y - y0) / size)
             turning = False
             if 0 <= column < columns and 0 <= line < lines:
-                cell = int(line) * columns + int(column)
+                cell = line * columns + column
                 for p in range(first[cell], first[cell + 1]):
                     a = items[p]
                     # how far outside the area the front is, and whether it drives away from it

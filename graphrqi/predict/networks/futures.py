@@ -80,7 +80,8 @@ def decode(raw: NDArray[np.floating], anchors: FloatArray, spread_scale: float) 
         anchors: (n, ANCHORS, KNOTS, 2) anchor trajectories, m.
         spread_scale: factor that makes the sets' coverage right, found on validation episodes.
     """
-    each = raw.reshape(len(raw), MODES, PER_MODE)
+    # in double precision: kernels are compiled again for single precision
+    each = raw.astype(np.float64, copy=False).reshape(len(raw), MODES, PER_MODE)
     n, knots = len(raw), TIME_S.size
     own, spread = np.empty((n, MODES, knots, 2)), np.empty((n, MODES, knots))
     probability = np.empty((n, MODES))

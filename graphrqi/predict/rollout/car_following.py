@@ -353,7 +353,7 @@ def _choose_accelerations(
             if room > LOOK_AHEAD_M:
                 break
             row = stop_row[q, g]
-            if room < -1.0 or (row < kinds[1] and ignores[i, int(row >= kinds[0])]):
+            if room < -1.0 or (row < kinds[1] and ignores[i, 1 if row >= kinds[0] else 0]):
                 continue
             state = stop_state[row, column]
             if state == PROCEED or (state == PREPARE_TO_STOP and room < SIGHT_M):

@@ -126,9 +126,18 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     since = np.zeros(n, np.int64)
     _measure_accelerations(history.time_s, valid, speed, since, states.accel)
     _describe_present(
-        now, (agent, found.lane, found.s, found.offset, past_xy), view, (adjacent, adjacent_gap),
-        (history.time_s, since, xy),
-        (graph.width, graph.left, graph.right, graph.segment_direction, limit), states,
+        now, (agent, found.lane, found.s, found.offset, past_xy),
+        (
+            view.lane, view.segment, view.missed, view.lane_heading, view.leader, view.gap,
+            view.follower,
+        ),
+        (adjacent, adjacent_gap), (history.time_s, since, xy),
+        (graph.width, graph.left, graph.right, graph.segment_direction, limit),
+        (states.lane, states.s, states.offset, states.lateral_speed),
+        (
+            states.on_lane, states.limit, states.leader, states.gap, states.follower,
+            states.adjacent, states.adjacent_gap,
+        ),
     )  # fmt: skip
     return states
 
@@ -193,7 +202,7 @@ def _find_wished_speeds(
         before = columns[now - 1]
         change = (speed[i, t] - speed[i, before]) / (time_s[t] - time_s[before])
         clear = max(FREE_HEADWAY_S * speed[i, t], FREE_GAP_M)
-        room = min(gap[j] / clear * FREE_GAP_M, stop[j], crossing[j])
+        room = min(min(gap[j] / clear * FREE_GAP_M, stop[j]), crossing[j])
         if room > FREE_GAP_M and abs(change) < STEADY_MPS2:
             sums[0, i] += ratio
             sums[1, i] += 1.0
@@ -204,7 +213,7 @@ def _find_wished_speeds(
 
 @in_place()
 def _describe_present(
-    now: int, found: Any, view: Any, adjacent: Any, history: Any, road: Any, out: Any
+    now: int, found: Any, view: Any, beside: Any, history: Any, road: Any, place: Any, around: Any
 ) -> None:
     """Write what was found of the vehicles that are seen at present.
 
@@ -212,52 +221,52 @@ def _describe_present(
         now: where those rows begin.
         found: (m,) agent, lane, distances along it and to its left, m, and (m, 2) position of each
             row.
-        view: the `sim.road.lane_search.LaneView` of the rows.
-        adjacent: (p, 4) each, of the present rows: those beside and gaps to them, m.
+        view: (m,) each: columns of the `sim.road.lane_search.LaneView` of the rows.
+        beside: (p, 4) each, of the present rows: those beside and gaps to them, m.
         history: (T,) times, s, (n,) first column of recent motion, (n, T, 2) positions, m.
         road: (L,) widths, m, lanes to the left and right, (S, 2) directions of the straight pieces,
             (L,) speed limits, m/s.
-        out: the `AgentStates` that receive it; as of agents off the road before.
+        place: (n,) each: columns of the `AgentStates` that receive the places of agents.
+        around: (n,) or (n, 4) each: those that receive the lanes they are on and their neighbours;
+            all as of agents off the road before.
     """
     agent, row_lane, row_s, row_offset, row_xy = found
-    beside, beside_gap = adjacent
+    seen_lane, segment, missed, turned, seen_leader, seen_gap, seen_follower = view
+    beside_row, beside_gap = beside
     time_s, since, xy = history
     width, left, right, direction, limit = road
-    seen_leader, seen_follower = view.leader, view.follower
-    lane, s, offset, leader, follower = out.lane, out.s, out.offset, out.leader, out.follower
+    lane, s, offset, lateral_speed = place
+    on_lane, lane_limit, leader, gap, follower, adjacent, adjacent_gap = around
     for j in range(now, agent.size):
         i, on = agent[j], row_lane[j]
         s[i], offset[i] = row_s[j], row_offset[j]
-        if view.lane[j] >= 0:
-            out.on_lane[i], out.limit[i] = on, limit[on]
+        if seen_lane[j] >= 0:
+            on_lane[i], lane_limit[i] = on, limit[on]
         if seen_leader[j] >= 0:
-            leader[i], out.gap[i] = agent[seen_leader[j]], view.gap[j]
+            leader[i], gap[i] = agent[seen_leader[j]], seen_gap[j]
         if seen_follower[j] >= 0:
             follower[i] = agent[seen_follower[j]]
         for k in range(4):
-            if beside[j - now, k] >= 0:
-                out.adjacent[i, k] = agent[now + beside[j - now, k]]
-                out.adjacent_gap[i, k] = beside_gap[j - now, k]
+            if beside_row[j - now, k] >= 0:
+                adjacent[i, k] = agent[now + beside_row[j - now, k]]
+                adjacent_gap[i, k] = beside_gap[j - now, k]
         first = since[i]
         span, sideways = time_s[time_s.size - 1] - time_s[first], 0.0
         if span > 1e-6:
-            g = view.segment[j]
+            g = segment[j]
             ux, uy = direction[g, 0], direction[g, 1]
             east, north = row_xy[j, 0] - xy[i, first, 0], row_xy[j, 1] - xy[i, first, 1]
             sideways = (north * ux - east * uy) / span
-            out.lateral_speed[i] = sideways
+            lateral_speed[i] = sideways
         outside = abs(offset[i]) > width[on] / 2 + NEAR_LANE_M
-        if outside or view.missed[j] >= BEYOND_M or math.cos(view.lane_heading[j]) <= 0.5:
+        if outside or missed[j] >= BEYOND_M or math.cos(turned[j]) <= 0.5:
             continue
         lane[i] = on
         for side in range(2):
             to, sign = left[on], 1.0
             if side == 1:
                 to, sign = right[on], -1.0
-            if (
-                to >= 0
-                and sign * sideways > CHANGING_MPS
-                and (sign * row_offset[j] > -CHANGING_FROM_M)
-            ):
+            going = to >= 0 and sign * sideways > CHANGING_MPS
+            if going and sign * row_offset[j] > -CHANGING_FROM_M:
                 lane[i] = to
                 offset[i] = row_offset[j] - sign * (width[on] + width[to]) / 2
