@@ -267,7 +267,8 @@ def infer_law(
         out: (n, 7) receives the numbers.
     """
     for i in range(len(sums)):
-        r, s, t, u, w, x = sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3], sums[i, 4], sums[i, 5]
+        r, s, t = sums[i, 0], sums[i, 1], sums[i, 2]
+        u, w, x = sums[i, 3], sums[i, 4], sums[i, 5]
         p, q, z = sums[i, 6], sums[i, 7], sums[i, 8]
         a, b, c = weight * r + prior[0], weight * s, weight * t
         d, e, f = weight * u + prior[1], weight * w, weight * x + prior[2]
@@ -312,10 +313,11 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
             positions.
     """
     for i in range(len(trail)):
-        n, first, last = 0, 0.0, 0.0
-        s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
-        x0, x1, x2, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        east, north = 0.0, 0.0
+        n = 0
+        first = last = 0.0
+        s1 = s2 = s3 = s4 = 0.0
+        x0 = x1 = x2 = y0 = y1 = y2 = 0.0
+        east = north = 0.0
         for k in range(times.size):
             if np.isnan(trail[i, k, 0]):
                 continue
@@ -337,7 +339,7 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
         if n < 2 or first > 1e-6 or last < -1e-6 or last - first < 0.5 * half_s:
             continue
         curved = n >= 4 and -first >= 0.5 * half_s and last >= 0.5 * half_s
-        ax, bx, cx, ay, by, cy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        ax = bx = cx = ay = by = cy = 0.0
         if curved:
             # Cofactors of the symmetric matrix of moments [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]]
             aa, bb, cc = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
@@ -358,7 +360,8 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
                 continue
             ax, bx = (s2 * x0 - s1 * x1) / determinant, (n * x1 - s1 * x0) / determinant
             ay, by = (s2 * y0 - s1 * y1) / determinant, (n * y1 - s1 * y0) / determinant
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = ax + east, ay + north, bx, by
+        out[i, 0], out[i, 1] = ax + east, ay + north
+        out[i, 2], out[i, 3] = bx, by
         if not curved:
             continue
         out[i, 4], out[i, 5] = 2.0 * cx, 2.0 * cy
