@@ -20,16 +20,16 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 LOOK_AHEAD_M = 200.0
-"""Leaders, signals and crossings farther than this are not seen (our choice: 14 s at 14 m/s)."""
+"""Leaders, signals and crossings farther than this are not seen (14 s at 14 m/s)."""
 
 MAX_LANES_AHEAD = 8
-"""How many lanes onward are searched at most: junction paths are short (our choice)."""
+"""How many lanes onward are searched at most: junction paths are short."""
 
 BESIDE_LANE_M = 0.5
-"""A vehicle whose centre is this far outside a lane still drives on it (our choice)."""
+"""A vehicle whose centre is this far outside a lane still drives on it."""
 
 OFF_END_M = 5.0
-"""A vehicle this far beyond a lane's end is not on the lane (our choice)."""
+"""A vehicle this far beyond a lane's end is not on the lane."""
 
 
 class LaneView(NamedTuple):
@@ -62,7 +62,7 @@ class LaneView(NamedTuple):
     crossing_distance: FloatArray
 
 
-@compiled
+@in_place()
 def along_at(line: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
     """`along` of one place (x, y)."""
     begin, nearest, found, left = 0.0, np.inf, 0.0, 0.0
