@@ -29,10 +29,10 @@ from sim.frames import Event, EventKind, Tracks
 from sim.scenario import sample_agents
 
 FREE_HEADWAY_S: Final = 6.0
-"""A road is free for who has this much headway or more (our choice)."""
+"""A road is free for who has this much headway or more."""
 
 STEADY_MPS2: Final = 0.3
-"""Who accelerates or brakes more is not yet at the speed chosen (our choice)."""
+"""Who accelerates or brakes more is not yet at the speed chosen."""
 
 LONGEST_STAND_S: Final = 180.0
 """Standing longer is standing for good."""

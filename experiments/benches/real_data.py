@@ -78,13 +78,13 @@ TASKS: Final[dict[int, tuple[int, ...]]] = {
 """Classes of each task, by number of classes: the style; the aggressive ones and the rest; all."""
 
 EVERY_FRAMES: Final = 3
-"""Frames of video per step of an observer (our choice: 8 steps a second)."""
+"""Frames of video per step of an observer (8 steps a second)."""
 
 MOST_CASES: Final = 1000
 """When so many cases are kept, all but the worst of each family are let go."""
 
 LOOK_STEPS: Final = 5
-"""Steps between looks at what an observer has gathered (our choice)."""
+"""Steps between looks at what an observer has gathered."""
 
 
 @dataclass(frozen=True, slots=True)

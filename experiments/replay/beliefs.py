@@ -25,25 +25,24 @@ from sim.frames import FloatArray, IntArray, Tracks
 from sim.store.decode import check_number
 
 EVERY_S: Final = 0.5
-"""Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""
+"""Time between two beliefs that are kept, s (evidence gathers over seconds)."""
 
 MAX_LOOKS: Final = 3_000_000
-"""Most agents times looks that are kept; of longer recordings there are fewer looks (our choice: a
-page of some megabytes)."""
+"""Most agents times looks that are kept; of longer recordings there are fewer looks (a page of some
+megabytes)."""
 
 MAX_ROWS: Final = 10**8
-"""Most rows of a labels file that are read (our choice)."""
+"""Most rows of a labels file that are read."""
 
 MAX_KEPT: Final = 10**7
-"""Most of them that may be of one episode (our choice: an hour of 250 drivers at 10 Hz; in memory
-some 1 GB)."""
+"""Most of them that may be of one episode (an hour of 250 drivers at 10 Hz; in memory some 1
+GB)."""
 
 BATCH_ROWS: Final = 2**16
-"""Rows that are read at a time (our choice)."""
+"""Rows that are read at a time."""
 
 MAX_BATCH_BYTES: Final = 2**26
-"""Most bytes that the texts of one column may take in so many rows (our choice: 64 MiB, 1 kB for
-each)."""
+"""Most bytes that the texts of one column may take in so many rows (64 MiB, 1 kB for each)."""
 
 
 BELIEFS: Final = pa.schema(

@@ -27,15 +27,14 @@ HORIZON_S: Final = 5.0
 """How far ahead is shown, s."""
 
 EVERY_S: Final = 1.0
-"""Time between two predictions, s (our choice: a horizon of 5 s is looked at five times)."""
+"""Time between two predictions, s (a horizon of 5 s is looked at five times)."""
 
 LEAST_PROBABILITY: Final = 0.02
-"""Futures less likely than this are not kept (our choice)."""
+"""Futures less likely than this are not kept."""
 
 MAX_FUTURES: Final = 1_000_000
-"""Most futures that a page keeps (our choice: some 15 MB). Of more, each agent's likeliest are
-kept, then the likeliest of the others; where even the former are more, there are fewer
-predictions."""
+"""Most futures that a page keeps (some 15 MB). Of more, each agent's likeliest are kept, then the
+likeliest of the others; where even the former are more, there are fewer predictions."""
 
 
 FORECASTS: Final = pa.schema(

@@ -16,8 +16,8 @@ from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
 APART_M: Final = 0.5
-"""A ghost is shown where an agent is farther than this from where it was, m (our choice: less does
-not show)."""
+"""A ghost is shown where an agent is farther than this from where it was, m (less does not
+show)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

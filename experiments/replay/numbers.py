@@ -15,10 +15,10 @@ from graphrqi.calibrate.live import LiveNumbers
 from sim.frames import FloatArray, IntArray, Tracks
 
 EVERY_S: Final = 5.0
-"""Time between two looks, s (our choice: numbers are told over tens of seconds)."""
+"""Time between two looks, s (numbers are told over tens of seconds)."""
 
 MAX_LOOKS: Final = 200_000
-"""Most agents times looks that are kept (our choice: a page of some megabytes)."""
+"""Most agents times looks that are kept (a page of some megabytes)."""
 
 WORDS: Final[dict[str, tuple[str, str]]] = {
     "desired_speed_mps": ("desired speed", "m/s"),

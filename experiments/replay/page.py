@@ -36,16 +36,16 @@ SCRIPTS: Final = (
 """In the order in which they are joined."""
 
 POSITION_QUANTUM: Final = 0.01
-"""Places are kept to this, m or pixels (our choice: a twentieth of a pixel on a screen)."""
+"""Places are kept to this, m or pixels (a twentieth of a pixel on a screen)."""
 
 FUTURE_QUANTUM: Final = 0.1
-"""Places of futures are kept to this, m or pixels (our choice: they are not known so well)."""
+"""Places of futures are kept to this, m or pixels (they are not known so well)."""
 
 TURN: Final = 4096
-"""Headings are kept as this many parts of a circle (our choice: 0.09 degrees)."""
+"""Headings are kept as this many parts of a circle (0.09 degrees)."""
 
 SPEED_QUANTUM: Final = 0.05
-"""Speeds are kept to this, m/s (our choice: more than the panel shows)."""
+"""Speeds are kept to this, m/s (more than the panel shows)."""
 
 MODES: Final = ("true", "predicted", "confidence", "speed", "w")
 """What agents can be coloured by."""

@@ -35,15 +35,15 @@ SHOWN_EVERY_S: Final = 0.1
 """Time between two places that are kept of an agent, s; between them it moves straight."""
 
 MAX_PLACES: Final = 1_000_000
-"""Most places of agents in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
+"""Most places of agents in a page (some 4 MB); of longer episodes fewer are kept."""
 
 NAMED: Final = 6
-"""Most episodes that a message names (our choice)."""
+"""Most episodes that a message names."""
 
 DEFAULT_PREDICTOR: Final = "graphrqi-predict"
 
 MAX_AGENTS: Final = 2**15
-"""Most agents that are shown (our choice; a page numbers them in 16 bits)."""
+"""Most agents that are shown (a page numbers them in 16 bits)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,10 +30,10 @@ from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 
 EPISODES: Final = 4
-"""Unseen episodes of each scenario that are shown (our choice)."""
+"""Unseen episodes of each scenario that are shown."""
 
 CASES: Final = 3
-"""Worst cases of each sort that are shown for each scenario (our choice)."""
+"""Worst cases of each sort that are shown for each scenario."""
 
 SECONDS: Final = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0)
 """Lengths of observation after which answers are scored, s."""

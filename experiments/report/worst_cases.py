@@ -19,10 +19,10 @@ WORST: Final = 10
 """So many cases of each family are shown, at most one of each vehicle."""
 
 MARGIN_M: Final = 12.0
-"""How much is shown around what a case is about, m (our choice)."""
+"""How much is shown around what a case is about, m."""
 
 LEAST_SHARE: Final = 0.03
-"""Futures that are less likely are not drawn (our choice)."""
+"""Futures that are less likely are not drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -54,7 +54,7 @@ FAMILIES: Final[tuple[tuple[str, str], ...]] = (
 OTHER: Final = "other"
 
 MOST_NOISE_M: Final = 0.2
-"""Episodes that say that they are shakier are left out (our choice)."""
+"""Episodes that say that they are shakier are left out."""
 
 FAMILY_FILE: Final = "family.txt"
 """A dataset's folder may name its family in this file."""

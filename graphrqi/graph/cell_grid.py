@@ -26,9 +26,9 @@ Ids = NDArray[np.int64]
 Grid: TypeAlias = tuple[float, float, float, int, int, float, Ints, Ints]
 
 CROWDED = 8.0
-"""Vehicles in a vehicle's cell, on average, above which cells are halved (our choice)."""
+"""Vehicles in a vehicle's cell, on average, above which cells are halved."""
 MAX_CELLS_PER_VEHICLE = 16
-"""Bound on the grid's memory (our choice)."""
+"""Bound on the grid's memory."""
 
 
 @in_place(inner=True)

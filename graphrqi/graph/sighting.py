@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from behaviors.errors import InputError
 
 MAX_COORDINATE_M = 1e9
-"""Positions beyond this are refused: doubles there are 0.1 um apart (our choice)."""
+"""Positions beyond this are refused: doubles there are 0.1 um apart."""
 
 
 @dataclass(frozen=True, eq=False)

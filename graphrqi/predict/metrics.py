@@ -127,7 +127,7 @@ COVERAGE: Final = 0.9
 """Nominal coverage of the predicted sets."""
 
 _SET_SAMPLES: Final = 40
-"""Points per future from which a set's density threshold is taken (our choice)."""
+"""Points per future from which a set's density threshold is taken."""
 
 
 def log_density(

@@ -34,43 +34,43 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 WISHES: Final = ((0.0, 1.0), (0.5, 1.0), (1.0, 0.8), (1.0, 1.4), (1.0, 2.2))
-"""Wished speeds, as shares of the limit, and time headways, s, that are tried (our choice)."""
+"""Wished speeds, as shares of the limit, and time headways, s, that are tried."""
 
 EGO_FOLLOWING: Final = (2.0, 2.5, 4.0)
-"""The planned vehicle's own standstill gap m, acceleration and deceleration m/s2 (our choice: an
-attentive average driver)."""
+"""The planned vehicle's own standstill gap m, acceleration and deceleration m/s2 (an attentive
+average driver)."""
 
 STOP_MARGIN_M: Final = 1.5
 """The planned vehicle is driven as if it were this much longer at either end, so that it stops
-before lines, not on them (our choice)."""
+before lines, not on them."""
 
 NEAR_S: Final = 3.0
-"""Times to collision below this count as risk, the more the shorter (our choice: twice what is
-called a near miss)."""
+"""Times to collision below this count as risk, the more the shorter (twice what is called a near
+miss)."""
 
 EVERY: Final = 2
 """Risk is looked at in every so many steps."""
 
 MARGIN_M: Final = 0.3
-"""Who passes this near to the side is in the way (our choice)."""
+"""Who passes this near to the side is in the way."""
 
 RISK_WEIGHT, OVERLAP_WEIGHT, CHANGE_WEIGHT, SURPRISE_WEIGHT = 1.5, 20.0, 0.05, 1.0
 """What a second at no time to collision, a second of overlap, a lane change and an expected near
-miss cost against the way gone, as a share of what the limit allows (our choice on other seeds than
+miss cost against the way gone, as a share of what the limit allows (chosen on other seeds than
 are reported)."""
 
 CUT_IN_GAP_M: Final = (2.0, 15.0)
-"""Who is cut in front of is this far behind (our choice: nearer is a collision, farther none)."""
+"""Who is cut in front of is this far behind (nearer is a collision, farther none)."""
 
 CUT_IN_SIDE_M: Final = (1.5, 5.0)
 """... and this far aside: a lane."""
 
 CUT_IN_SEVERITY: Final = 0.2
-"""How much of a near miss a cut-in is even at equal speeds (our choice)."""
+"""How much of a near miss a cut-in is even at equal speeds."""
 
 CALM_HEADWAY_S: Final = 2.5
-"""A leader that stops without a reason is no danger from this headway on, s (our choice: a second
-to react, and braking as hard as the leader)."""
+"""A leader that stops without a reason is no danger from this headway on, s (a second to react, and
+braking as hard as the leader)."""
 
 CUTS_IN: Final = np.array([PROFILES[b].cut_in_rate_per_min / 60.0 for b in BEHAVIORS])
 STOPS: Final = np.array([PROFILES[b].stop_rate_per_min / 60.0 for b in BEHAVIORS])

@@ -26,11 +26,11 @@ from sim.road import LanePosition, Road, lane_search
 from sim.road.lane_graph import LaneGraph, project
 
 MIN_SPEED_MPS: Final = 0.1
-"""Below this a headway in seconds means nothing; it is infinite (our choice)."""
+"""Below this a headway in seconds means nothing; it is infinite."""
 
 CROSSING_MARGIN_M: Final = 2.0
-"""A pedestrian this close beside a crossing or its end counts as near it (our choice: one stride
-and the width of the kerb)."""
+"""A pedestrian this close beside a crossing or its end counts as near it (one stride and the width
+of the kerb)."""
 
 
 @dataclass(frozen=True, slots=True)

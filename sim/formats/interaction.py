@@ -48,12 +48,12 @@ TYPES: Final[dict[str, AgentKind]] = {
 """``agent_type``, in lower case."""
 
 FREE_CASES, LEAST_ROWS = 100, 10
-"""Of more cases than the first, each must have as many rows as the second on average (our choice:
-the dataset's have 40 and more), since each becomes a recording with files of its own."""
+"""Of more cases than the first, each must have as many rows as the second on average (the dataset's
+have 40 and more), since each becomes a recording with files of its own."""
 
 MAX_REPEATED: Final = 0.02
-"""Share of rows that may repeat an agent at one time (our choice; a tracker that splits vehicles
-makes some .5 %): the first counts. With more, ids or times are not what they seem."""
+"""Share of rows that may repeat an agent at one time (a tracker that splits vehicles makes some .5
+%): the first counts. With more, ids or times are not what they seem."""
 
 _COMMON: Final = ("timestamp_ms", "x", "y", "vx", "vy")
 _BOX: Final = ("psi_rad", "length", "width")

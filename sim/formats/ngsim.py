@@ -44,14 +44,14 @@ CLASSES: Final[dict[int, AgentKind]] = {
 """``v_Class``."""
 
 BREAK_S: Final = 60.0
-"""After a break longer than this, in all rows or in those of an id, the id is another vehicle (our
-choice: vehicles are seen without a break, and periods of recording have 15 minutes)."""
+"""After a break longer than this, in all rows or in those of an id, the id is another vehicle
+(vehicles are seen without a break, and periods of recording have 15 minutes)."""
 
 MAX_PERIODS: Final = 1000
-"""Most periods of recording at one place (our choice; NGSIM has up to three)."""
+"""Most periods of recording at one place (NGSIM has up to three)."""
 
 MAX_PLACES: Final = 100
-"""Most places of recording in a file (our choice; NGSIM has four)."""
+"""Most places of recording in a file (NGSIM has four)."""
 
 NUMBERS: Final = (
     "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",

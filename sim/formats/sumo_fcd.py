@@ -41,7 +41,7 @@ CHUNK_BYTES: Final = 2**20
 MAX_DEPTH: Final = 16
 """Deepest nesting (FCD has 3)."""
 MAX_TOKEN_BYTES: Final = 2**23
-"""Longest single piece of XML (our choice; an element of FCD has some 200 bytes)."""
+"""Longest single piece of XML (an element of FCD has some 200 bytes)."""
 
 CLASSES: Final[dict[str, AgentKind]] = {
     "passenger": AgentKind.CAR,

@@ -45,17 +45,17 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
 """The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 JUMP_SIDES: Final = 1.5
-"""An agent that moves over a gap by more of its own sides is reported (our choice)."""
+"""An agent that moves over a gap by more of its own sides is reported."""
 
 MAX_XML_BYTES: Final = 2**24
-"""Most bytes that a workbook may unpack to (our choice: 16 MiB; real ones have 60 kB)."""
+"""Most bytes that a workbook may unpack to (16 MiB; real ones have 60 kB)."""
 
 MAX_SHEET_ROWS: Final = 2**20
 """Most rows of a sheet, empty ones included (as many as Excel has)."""
 
 MAX_TRAITS: Final = 20
 MAX_COLUMNS: Final = 4 + MAX_TRAITS
-"""Most traits of one agent, and the columns that they take (our choice: there are 15 traits)."""
+"""Most traits of one agent, and the columns that they take (there are 15 traits)."""
 
 _BROKEN: Final = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, OSError, RuntimeError,

@@ -23,7 +23,7 @@ SAMPLE_M: Final = 0.5
 """Junction paths are compared at points this far apart to find where they conflict."""
 
 CONFLICT_M: Final = 2.2
-"""Junction paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
+"""Junction paths nearer than this conflict (a car's width and 0.4 m)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,8 +57,7 @@ IMPOSED_BRAKING_MPS2: Final = 2.0
 """Braking that an average driver imposes on a new follower at most, m/s2 (highway-env's)."""
 
 MOST_IMPOSED_MPS2: Final = 6.0
-"""The most braking that any driver imposes, m/s2 (our choice: hard braking without locking
-wheels)."""
+"""The most braking that any driver imposes, m/s2 (hard braking without locking wheels)."""
 
 LEAST_CHANGE_GAP_M: Final = 0.5
 """The smallest gap that any driver changes into, m."""
@@ -71,8 +70,8 @@ STOP_MARGIN_M: Final = 1.0
 """A driver comes to rest this far before a stop line or a crossing, m."""
 
 BRAKING_RESERVE: Final = 2.0
-"""A driver brakes harder than comfortably only as far as the distance left demands, times this (our
-choice: IDM alone brakes to a standstill whenever someone cuts in)."""
+"""A driver brakes harder than comfortably only as far as the distance left demands, times this (IDM
+alone brakes to a standstill whenever someone cuts in)."""
 
 STANDING_MPS: Final = 0.2
 """A slower vehicle counts as standing, m/s."""
@@ -81,7 +80,7 @@ LATERAL_GAIN_PER_S: Final = 1.0 / 0.6
 """Lateral speed wanted per metre from the lane's centre (highway-env's KP_LATERAL)."""
 
 LATERAL_SPEED_MPS: Final = 1.5
-"""Largest lateral speed, m/s: a lane change takes about 3 s (our choice, as in the SUMO engine)."""
+"""Largest lateral speed, m/s: a lane change takes about 3 s (as in the SUMO engine)."""
 
 HEADING_GAIN_PER_S: Final = 5.0
 """Heading rate wanted per radian of error (highway-env's KP_HEADING)."""

@@ -32,11 +32,11 @@ ALIGNED: Final = 0.5
 unlike on junction paths, one that faces the other way is."""
 
 CELL_M: Final = 50.0
-"""Width of the cells in which lanes are looked for, m (our choice: `BEHIND_M` and a lane)."""
+"""Width of the cells in which lanes are looked for, m (`BEHIND_M` and a lane)."""
 
 LONGEST_M: Final = 40.0
-"""Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (our
-choice: twice a lorry's)."""
+"""Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (twice a
+lorry's)."""
 
 ROUNDING_M: Final = 1e-3
 """Lanes are looked for this much farther than vehicles can be from them."""

@@ -37,7 +37,7 @@ OPPOSITE_M: Final = 1.2
 """An opposite lane is a neighbour if its centre line is within this many lane widths."""
 
 CELL_M: Final = 50.0
-"""Width of the cells in which opposite lanes are looked for, m (our choice: half a block)."""
+"""Width of the cells in which opposite lanes are looked for, m (half a block)."""
 
 
 def is_wrong_side(lane: LaneIndex) -> bool:

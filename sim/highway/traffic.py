@@ -18,8 +18,8 @@ from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Walker
 
 CLEAR_AFTER_S: Final = 8.0
-"""Crashed vehicles and struck pedestrians stay on the road this long (our choice: traffic behind
-sees them and queues, and pile-ups clear)."""
+"""Crashed vehicles and struck pedestrians stay on the road this long (traffic behind sees them and
+queues, and pile-ups clear)."""
 
 
 class TrafficRoad(RoadState):

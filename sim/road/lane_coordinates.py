@@ -10,7 +10,7 @@ from sim.compiled import in_place
 
 FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
 """Pieces of lane are sorted into cells of this width, m, and each cell lists those within the
-margin, m (our choice: a driver is nearly always within 4 m of its lane, so one cell suffices)."""
+margin, m (a driver is nearly always within 4 m of its lane, so one cell suffices)."""
 
 
 @in_place(inner=True)

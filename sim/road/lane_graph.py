@@ -27,7 +27,7 @@ code order of ``LaneGraph.direction``."""
 
 NEAR_M, CELL_M = 0.01, 30.0
 """Lines whose boxes are farther apart than this do not meet; width of the cells in which such boxes
-are looked for, m (our choice: beyond rounding errors, and about the size of a junction)."""
+are looked for, m (beyond rounding errors, and about the size of a junction)."""
 
 _PROJECT_CHUNK: Final = 2048
 """Points projected at once, so that memory stays small however long a recording is."""

@@ -318,7 +318,7 @@ class Road:
             np.concatenate(length),
             np.concatenate(lane),
             np.concatenate(at),
-            # our choice: a lane is some 3 m wide
+            # a lane is some 3 m wide
             np.where(
                 np.array([one.internal for one in self.lanes])[np.concatenate(lane)], 4.0, 0.7
             ),

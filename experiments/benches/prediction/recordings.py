@@ -57,7 +57,7 @@ NOISES_M: Final = (0.0, 0.1)
 """Noise added to the past, standard deviation of each coordinate, m."""
 
 SCORED_PER_DATASET: Final = 1_500
-"""About so many vehicles at instants are scored in each dataset (our choice)."""
+"""About so many vehicles at instants are scored in each dataset."""
 
 NEAR_M: Final = 30.0
 """Lanes and others are part of a case as far as its vehicle goes, and by this much farther, m."""

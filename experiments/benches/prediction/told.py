@@ -53,7 +53,7 @@ MOST_M: Final = 20.0
 """Larger residuals count as this one: a few vehicles that stop or turn would rule the fit."""
 
 SPEED_MPS: Final = 10.0
-"""Corrections may grow with speed; this is the unit of speed (our choice)."""
+"""Corrections may grow with speed; this is the unit of speed."""
 
 PLACEBOS: Final = 5
 """Permutations over which the placebo's errors are averaged."""

@@ -59,7 +59,7 @@ EVENT_S: Final = 1.5
 
 
 SCALE_PX: Final = 110
-"""Longest bar of a scale, pixels (our choice)."""
+"""Longest bar of a scale, pixels."""
 
 
 class Painter:

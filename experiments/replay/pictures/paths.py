@@ -20,10 +20,10 @@ from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
 AFFECTED_M: Final = 1.0
-"""Agents that are ever this far from where they factually were are drawn, m (our choice)."""
+"""Agents that are ever this far from where they factually were are drawn, m."""
 
 DRAWN_OTHERS: Final = 8
-"""Most others that are drawn: those that differ most (our choice)."""
+"""Most others that are drawn: those that differ most."""
 
 FACTUAL: Final = "#7A8390"
 """Colour of what happened."""

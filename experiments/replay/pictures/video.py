@@ -22,7 +22,7 @@ SIZE: Final = {".mp4": (1280, 720), ".gif": (960, 540)}
 """Width and height by the file's ending, pixels."""
 
 MAX_FRAMES: Final = 20_000
-"""Most frames of a film (our choice: a quarter of an hour)."""
+"""Most frames of a film (a quarter of an hour)."""
 
 
 def check_video(path: Path) -> None:

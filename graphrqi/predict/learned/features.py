@@ -26,7 +26,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 FAR_M = 100.0
-"""Distances are cut off here and divided by it (our choice)."""
+"""Distances are cut off here and divided by it."""
 
 PAST_S: Final = tuple(0.5 * i for i in range(1, 10))
 """Ages of the moments of the own past that are described, s."""

@@ -41,7 +41,7 @@ PER_MODE: Final = ANCHORS + 3 * KNOTS + 1
 """Numbers that a network gives per future: weights of the anchors, residuals, spreads, a score."""
 
 LEAST_SPREAD_M = 0.05
-"""Spreads are no smaller, m (our choice: lane centres are not known better)."""
+"""Spreads are no smaller, m (lane centres are not known better)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

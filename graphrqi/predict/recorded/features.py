@@ -32,14 +32,14 @@ LANE_M: Final = 3.5
 """Width of a lane where none is known, m."""
 
 REACH_M: Final = 120.0
-"""Neighbours count up to this distance, m (our choice)."""
+"""Neighbours count up to this distance, m."""
 
 CHANGE_S, LEAST_CHANGE_S = 3.0, 0.3
-"""Past over which speeds of a queue are compared, and the shortest one that tells anything, s (our
-choice: speeds of some recordings are constant for seconds, and then jump)."""
+"""Past over which speeds of a queue are compared, and the shortest one that tells anything, s
+(speeds of some recordings are constant for seconds, and then jump)."""
 
 AHEAD: Final = 3
-"""How many vehicles ahead are described (our choice)."""
+"""How many vehicles ahead are described."""
 
 SAME_WAY: Final = 0.7
 """Least cosine between the directions of neighbours in the six slots (45 degrees)."""

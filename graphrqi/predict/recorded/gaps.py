@@ -20,14 +20,13 @@ HALF_LANE_M: Final = 1.5
 """A vehicle this close to one's own line is in one's lane (half of a 3 m lane)."""
 
 AHEAD_M: Final = 100.0
-"""Leaders count up to this distance, m (our choice)."""
+"""Leaders count up to this distance, m."""
 
 MOST_OVERLAPS: Final = 0.01
-"""Share of followers that may overlap their leader before gaps count as implausible (our
-choice)."""
+"""Share of followers that may overlap their leader before gaps count as implausible."""
 
 STANDING_MPS: Final = 0.5
-"""Vehicles slower than this stand (our choice)."""
+"""Vehicles slower than this stand."""
 
 
 def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, FloatArray]:

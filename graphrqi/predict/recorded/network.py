@@ -65,10 +65,10 @@ CLIP: Final = 3.0
 """Standardised inputs are cut off here: farther ones mislead at places never seen."""
 
 LEAST_SPREAD_M: Final = 0.05
-"""Spreads are no smaller, m (our choice)."""
+"""Spreads are no smaller, m."""
 
 MARGIN: Final = 0.15
-"""Share of a range's end over which the network gives way to the base beyond it (our choice)."""
+"""Share of a range's end over which the network gives way to the base beyond it."""
 
 
 LEAST: Final = 1e-9

@@ -22,20 +22,20 @@ from sim.compiled import in_place
 FloatArray = NDArray[np.float64]
 
 WISH_SD = 0.18
-"""Standard deviation of the logarithm of wished speeds within a behaviour (our choice: the
-scenarios' spread of 15 %, and the error of the estimate)."""
+"""Standard deviation of the logarithm of wished speeds within a behaviour (the scenarios' spread of
+15 %, and the error of the estimate)."""
 
 OVER = 0.03
-"""Excess over the wished speed, as its logarithm, that counts as none (our choice)."""
+"""Excess over the wished speed, as its logarithm, that counts as none."""
 
 MOST_ACCELERATION, MOST_WISH = 4.0, 8.0
-"""Log-likelihood lost at most for one acceleration and for a wish (our choice)."""
+"""Log-likelihood lost at most for one acceleration and for a wish."""
 
 LEAST_BELIEF = 1e-4
 """Least probability given to a behaviour, so that one error does not exclude it."""
 
 SUM_SCALE = 5.0
-"""Divisor and bound of the sum over the other drivers (our choice)."""
+"""Divisor and bound of the sum over the other drivers."""
 
 
 def agreement(

@@ -20,14 +20,14 @@ BoolArray = NDArray[np.bool_]
 
 FREE_WEIGHT: Final = 0.1
 """Weight of the behaviour's wished speed against the speed at which the driver was seen driving
-freely (our choice: within a behaviour wishes differ by 15 %, a driver's own by little)."""
+freely (within a behaviour wishes differ by 15 %, a driver's own by little)."""
 
 AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS], dtype=np.float64)
 """(6,) 1 for the aggressive behaviours."""
 
 LEAST_FACTOR: Final = 0.05
-"""Wished speed over limit of those that stand where limits are unknown (our choice: 0.7 m/s; the
-laws of motion divide by it)."""
+"""Wished speed over limit of those that stand where limits are unknown (0.7 m/s; the laws of motion
+divide by it)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -83,10 +83,10 @@ IMPOSED_BRAKING_MPS2: Final = 2.0
 use 4)."""
 
 MOST_IMPOSED_MPS2: Final = 6.0
-"""Nobody imposes more, m/s2 (our choice: hard braking without locking wheels)."""
+"""Nobody imposes more, m/s2 (hard braking without locking wheels)."""
 
 LEAST_CHANGE_GAP_M: Final = 0.5
-"""Nobody changes into a smaller gap, m (our choice)."""
+"""Nobody changes into a smaller gap, m."""
 
 LEAST_GAIN: Final = 0.01
 """Eagerness and assertiveness count as no less, so that there are scales to combine (ours)."""

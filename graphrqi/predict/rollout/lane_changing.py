@@ -33,7 +33,7 @@ from graphrqi.predict.rollout.columns import (
 from sim.compiled import in_place, shared
 
 LOOK_AHEAD_M = 120.0
-"""Drivers react to nothing farther ahead (our choice: 5 s at 24 m/s)."""
+"""Drivers react to nothing farther ahead (5 s at 24 m/s)."""
 
 HARD_DECEL = 8.0
 """Nobody brakes harder, m/s2 (dry asphalt)."""
@@ -43,14 +43,13 @@ DECIDE_S = 1.0
 step)."""
 
 CHANGE_S = 3.0
-"""Duration of a lane change, s (our choice: 3 to 6 s are observed)."""
+"""Duration of a lane change, s (3 to 6 s are observed)."""
 
 CHANGE_ROOM_M = 20.0
-"""No lane change starts this close to a junction, m (our choice)."""
+"""No lane change starts this close to a junction, m."""
 
 CAUTION_M = 30.0
-"""Distance within which cautious drivers mind threatening neighbours, m (our choice: 2 s in
-town)."""
+"""Distance within which cautious drivers mind threatening neighbours, m (2 s in town)."""
 
 
 _free_acceleration = shared(driver_models.idm_free_acceleration, reordered=True)

@@ -21,11 +21,11 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 ACCELERATION_SD: Final = 0.8
-"""How far drivers' acceleration strays from the law's, m/s2 (our choice after training episodes:
+"""How far drivers' acceleration strays from the law's, m/s2 (chosen by training episodes:
 the median absolute residual is 0.5)."""
 
 LARGEST_EVIDENCE: Final = 6.0
-"""Log-likelihood ratio at most, so that one odd moment does not decide alone (our choice)."""
+"""Log-likelihood ratio at most, so that one odd moment does not decide alone."""
 
 
 def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:

@@ -25,29 +25,27 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 PAST_EVERY_S: Final = 1.0
-"""Time between the moments of the past from which wished speeds are estimated, s (our choice)."""
+"""Time between the moments of the past from which wished speeds are estimated, s."""
 
 RECENT_S = 0.5
-"""Time over which the present acceleration and lateral speed are measured, s (our choice: shorter
-is noise)."""
+"""Time over which the present acceleration and lateral speed are measured, s (shorter is noise)."""
 
 NEAR_LANE_M = 1.0
-"""A vehicle this far outside a lane still drives along it (our choice)."""
+"""A vehicle this far outside a lane still drives along it."""
 
 BEYOND_M = 2.0
-"""A vehicle this far beyond a lane's end still drives along it (our choice)."""
+"""A vehicle this far beyond a lane's end still drives along it."""
 
 CHANGING_MPS = 0.25
-"""A vehicle with a higher lateral speed is changing lanes (our choice; a change of 3.2 m takes 3 to
-6 s, and drivers who keep their lane drift at less than 0.2 m/s)."""
+"""A vehicle with a higher lateral speed is changing lanes (a change of 3.2 m takes 3 to 6 s, and
+drivers who keep their lane drift at less than 0.2 m/s)."""
 
 CHANGING_FROM_M = 0.3
-"""A vehicle this far on the other side of its lane's centre is returning to the centre instead (our
-choice)."""
+"""A vehicle this far on the other side of its lane's centre is returning to the centre instead."""
 
 FREE_HEADWAY_S, FREE_GAP_M, STEADY_MPS2 = 4.0, 40.0, 0.4
 """A driver drives freely with this headway, this distance to anything ahead and at most this
-acceleration (our choice; HCM calls a headway over 3 to 4 s free)."""
+acceleration (HCM calls a headway over 3 to 4 s free)."""
 
 
 class AgentStates(NamedTuple):

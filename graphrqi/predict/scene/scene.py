@@ -30,17 +30,17 @@ LEARNED_S: Final = 5.0
 """Horizon that the learned predictors are made for, s."""
 
 LONGEST_S: Final = 30.0
-"""Longest horizon answered, s (our choice: farther ahead no predictor is better than a guess)."""
+"""Longest horizon answered, s (farther ahead no predictor is better than a guess)."""
 
 BREAK_S: Final = 5.0
-"""A time between two frames longer than this is a break (our choice: as long as the past that
-predictions are made from)."""
+"""A time between two frames longer than this is a break (as long as the past that predictions are
+made from)."""
 
 FASTEST_MPS: Final = 60.0
-"""Nobody is foreseen to drive faster, m/s (our choice: more than any vehicle here can)."""
+"""Nobody is foreseen to drive faster, m/s (more than any vehicle here can)."""
 
 RETURN_MPS: Final = 0.5
-"""Least lateral speed at which a driver returns to its lane's centre (our choice)."""
+"""Least lateral speed at which a driver returns to its lane's centre."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

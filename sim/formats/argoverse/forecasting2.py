@@ -104,10 +104,10 @@ BEHAVIOR_SCHEMA: Final = pa.schema(
 """Columns of our file beside the official ones: what the format has no place for."""
 
 MAX_ROWS: Final = 5 * 10**6
-"""Most rows of a scenario (our choice: 45 000 agents seen in all of its 11 s)."""
+"""Most rows of a scenario (45 000 agents seen in all of its 11 s)."""
 
 MAX_TEXT_BYTES: Final = 1000
-"""Longest track id, object type or behaviour (our choice; a UUID has 36)."""
+"""Longest track id, object type or behaviour (a UUID has 36)."""
 
 _TEXT_TYPES: Final = ("BYTE_ARRAY", "INT32", "INT64")
 _NUMBER_TYPES: Final = ("INT32", "INT64", "FLOAT", "DOUBLE")

@@ -25,7 +25,7 @@ from sim.road import Connection, Crossing, Lane, Road
 
 PARALLEL_M: Final = 0.25
 """Lanes of an edge that are nowhere further than this from where their widths place them share a
-road, m (our choice: a vehicle is then on its lane)."""
+road, m (a vehicle is then on its lane)."""
 
 SHORTEST_M: Final = 0.01
 """Pieces of a line shorter than this are left out, m."""
@@ -45,7 +45,7 @@ SIGNAL_TYPE: Final = "1000001"
 """A traffic light with three colours, in OpenDRIVE's own catalogue of signals."""
 
 FAST_MPS: Final = 22.3
-"""Roads with a higher limit are motorways, others lie in a town (our choice: 80 km/h)."""
+"""Roads with a higher limit are motorways, others lie in a town (80 km/h)."""
 
 NO_DATE: Final = "1970-01-01T00:00:00"
 """The date in headers: files of the same episode are the same to the byte."""

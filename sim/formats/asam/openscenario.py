@@ -38,10 +38,10 @@ CATEGORIES: Final[dict[AgentKind, str]] = {
 """OpenSCENARIO's categories of vehicles."""
 
 MAX_SPEED_MPS, MAX_ACCEL_MPS2, MAX_DECEL_MPS2 = 70.0, 10.0, 10.0
-"""Limits of vehicles, which the format asks for (our choice: no recorded motion exceeds them)."""
+"""Limits of vehicles, which the format asks for (no recorded motion exceeds them)."""
 
 AXLE_SHARE: Final = 0.3
-"""Axles lie this share of the length before and behind the middle (our choice, a car's)."""
+"""Axles lie this share of the length before and behind the middle (a car's)."""
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:

@@ -22,10 +22,10 @@ from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size
 from sim.written_numbers import real
 
 MAX_HEADER_BYTES: Final = 65536
-"""Longest first line (our choice; the longest known has 300)."""
+"""Longest first line (the longest known has 300)."""
 
 MAX_LINE_BYTES: Final = 2**22
-"""Longest line (our choice: as much as is parsed at a time)."""
+"""Longest line (as much as is parsed at a time)."""
 
 CHUNK_BYTES: Final = 2**22
 NEWLINE: Final = b"\n"

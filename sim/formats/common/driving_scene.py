@@ -30,10 +30,10 @@ STATES: Final = (
 flashing stop and caution."""
 
 MAX_OBJECTS: Final = 10_000
-"""Most objects of a scenario (our choice; scenarios have some 100)."""
+"""Most objects of a scenario (scenarios have some 100)."""
 
 MAX_STEPS: Final = 10_000
-"""Most steps of a scenario (our choice; scenarios have 91, or 198)."""
+"""Most steps of a scenario (scenarios have 91, or 198)."""
 
 ROWS: Final = ("x", "y", "heading", "speed", "length", "width")
 

@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 MAX_INSTRUCTIONS: Final = 5_000_000
-"""Most instructions of a file (our choice: a large scenario has some 100,000)."""
+"""Most instructions of a file (a large scenario has some 100,000)."""
 
 FRAME_BYTES: Final = 9
 """Bytes of the instruction that begins a frame."""

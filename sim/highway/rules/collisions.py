@@ -32,8 +32,8 @@ CROSSWISE: Final = 0.5
 """Sine of the angle between two headings above which the ways cross: 30 degrees."""
 
 FROM_JUNCTION_M: Final = 15.0
-"""Ways that cross this far from the ends of both do not meet in a junction, m (our choice: more
-than the longest vehicle)."""
+"""Ways that cross this far from the ends of both do not meet in a junction, m (more than the
+longest vehicle)."""
 
 Pair: TypeAlias = tuple[Vehicle, Vehicle | Walker]
 

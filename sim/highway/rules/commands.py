@@ -31,8 +31,8 @@ from sim.highway.state import Arrival, RoadState, agent_of
 from sim.highway.vehicle import DriverCommands, ProfileVehicle
 
 BEND_FACTOR: Final = 1.2
-"""The most by which a driver exceeds the limit of a junction path (our choice: these limits follow
-from lateral acceleration)."""
+"""The most by which a driver exceeds the limit of a junction path (these limits follow from lateral
+acceleration)."""
 
 BEND_BRAKING: Final = 0.7
 """Share of the comfortable braking that drivers use ahead of a bend."""

@@ -52,8 +52,8 @@ WAITING_S: Final = 1.0
 to wait."""
 
 PATIENCE_S: Final = 20.0
-"""After standing this long, drivers ignore others that stand too (our choice, after SUMO's ignored
-junction blockers)."""
+"""After standing this long, drivers ignore others that stand too (after SUMO's ignored junction
+blockers)."""
 
 BLOCKED_MPS: Final = 2.0
 """A leader slower than this may come to a stand in the way."""

@@ -30,11 +30,10 @@ GENTLE_MPS2: Final = 2.0
 (highway-env's bound for ordinary changes)."""
 
 URGENT_MPS2: Final = 4.5
-"""The same at the end of its lane (our choice: hard, and held by any tyre)."""
+"""The same at the end of its lane (hard, and held by any tyre)."""
 
 GIVES_UP_S: Final = 4.0
-"""A driver that has stood this long at the end of a wrong lane goes on where it leads (our
-choice)."""
+"""A driver that has stood this long at the end of a wrong lane goes on where it leads."""
 
 AT_END_M: Final = 12.0
 """Only those this near the end of their lane give up, m."""
