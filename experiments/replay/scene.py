@@ -214,13 +214,13 @@ def gather(
 
 
 def _stride(tracks: Tracks) -> int:
-    """Every how many-th frame is kept."""
+    """Frames from one that is kept to the next."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
     return max(wanted, -(-tracks.as_rows().speed.size // MAX_PLACES))
 
 
 def _left_out(told: int, forecasts: Sequence[Forecast]) -> tuple[str, ...]:
-    """What to say of futures that are not kept."""
+    """A note on futures that are not kept."""
     kept = sum(one.agent.size for one in forecasts)
     if kept == told:
         return ()

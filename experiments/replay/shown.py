@@ -1,4 +1,4 @@
-"""What a replay shows differently from the data: moments of near misses, sizes in images."""
+"""Where a replay differs from the data: moments of near misses, and sizes in images."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _row(tracks: Tracks, agent: int | None) -> int | None:
 
 
 def _parked(tracks: Tracks) -> list[bool]:
-    """Who is never seen to move."""
+    """Whether each vehicle is parked: it is never seen to move."""
     found = []
     rows = tracks.as_rows()
     for agent in range(tracks.ids.size):

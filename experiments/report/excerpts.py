@@ -1,4 +1,4 @@
-"""Excerpts of a run's unseen episodes: how early and how sure it was, and where it failed.
+"""Excerpts of a run's unseen episodes: how early and how sure its answers were, and its errors.
 
 Each of these episodes gets its replay beside the report, and the worst cases link to it.
 """
@@ -212,7 +212,7 @@ def _wrongly_classified(scene: ReplayScene, truth: NDArray[np.int8], page: str) 
 
 
 def _badly_predicted(scene: ReplayScene, page: str) -> list[WorstCase]:
-    """Agents that ended farthest from their likeliest future, one case for each agent."""
+    """Agents that ended farthest from their likeliest future, each at most once."""
     tracks = scene.tracks
     worst: dict[int, tuple[float, float]] = {}
     for forecast in scene.forecasts:

@@ -26,7 +26,7 @@ MAX_FRAMES: Final = 20_000
 
 
 def check_video(path: Path) -> None:
-    """Say at once what is wrong with the name of a film, or missing to make it.
+    """Refuse a name of a film that cannot be made, before anything is computed.
 
     Raises:
         InputError: if it does not end in .mp4 or .gif, or MP4 cannot be made here.

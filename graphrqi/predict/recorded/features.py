@@ -1,6 +1,6 @@
-"""What the network of recordings knows of each agent: its own past, its neighbours, the noise.
+"""Inputs of the network for recordings: each agent's past, its neighbours, and the noise.
 
-Everything is told in the agent's own frame and as the difference from what the base says, so that
+Everything is given in the agent's own frame and as the difference from what the base says, so that
 an agent that moves as the base expects looks the same at any speed.
 """
 
@@ -102,7 +102,7 @@ def _own(history: Tracks, motion: Motion) -> FloatArray:
 
 
 def _past(history: Tracks, motion: Motion) -> FloatArray:
-    """(n, 4 AGES) where each was against steady motion, over the scale, its speed, and if known."""
+    """(n, 4 AGES) place against steady motion over the scale, speed, and whether it is known."""
     ago = history.time_s - history.time_s[-1]
     n = history.ids.size
     scale = scale_of(motion.speed)

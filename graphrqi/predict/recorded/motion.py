@@ -27,7 +27,7 @@ YAW_S, YAW_SHARE, YAW_FADE_S = 1.2, 0.5, 1.0
 """The same for the yaw rate."""
 
 LEAST_NOISE_M, LEAST_NOISE_MPS = 0.01, 0.05
-"""No recording is taken to be more precise than this (video and lidar tracks are not)."""
+"""The noise of a recording is taken to be at least this (video and lidar tracks are not)."""
 
 USUAL_TURN_MPS2: Final = 0.7
 """The same across the direction of travel (comfortable turns)."""
@@ -150,7 +150,7 @@ def bent(
 ) -> FloatArray:  # fmt: skip
     """(n, H, 2) where agents come whose acceleration and yaw rate fade; in their frames, m.
 
-    Nobody reverses: who brakes stops and stays.
+    Nobody reverses: vehicles that brake to a standstill stay there.
 
     Args:
         speed: (n,) m/s.

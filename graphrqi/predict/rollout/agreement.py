@@ -29,7 +29,7 @@ OVER = 0.03
 """Excess over the wished speed, as its logarithm, that counts as none."""
 
 MOST_ACCELERATION, MOST_WISH = 4.0, 8.0
-"""Log-likelihood lost at most for one acceleration and for a wish."""
+"""Largest log-likelihoods that one acceleration and a wished speed can cost."""
 
 LEAST_BELIEF = 1e-4
 """Least probability given to a behaviour, so that one error does not exclude it."""

@@ -70,8 +70,8 @@ BoolArray = NDArray[np.bool_]
 CodeArray = NDArray[np.int8]
 
 SIGHT_M = 4.5
-"""Distance to a junction from which drivers see who comes, m (SUMO's default visibility distance at
-minor links)."""
+"""Distance to a junction from which drivers see the traffic on the crossing road, m (SUMO's default
+visibility distance at minor links)."""
 
 UNKNOWN_ACCELERATION = -2e3
 """A present acceleration that is not known: the driver has no residual."""
@@ -83,7 +83,7 @@ _krauss = shared(driver_models.krauss_safe_speed, reordered=True)
 
 @in_place(inner=True, reordered=True)
 def safe_speed(gap: float, leader_speed: float, headway: float, decel: float) -> float:
-    """Krauss's safe speed, m/s; nobody moves on once the gap at a standstill is used up."""
+    """Krauss's safe speed, m/s; 0 once the gap at a standstill is used up."""
     return _krauss(gap, leader_speed, headway, decel) if gap > 0.0 else 0.0
 
 

@@ -26,8 +26,8 @@ AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS], d
 """(6,) 1 for the aggressive behaviours."""
 
 LEAST_FACTOR: Final = 0.05
-"""Wished speed over limit of those that stand where limits are unknown (0.7 m/s; the laws of motion
-divide by it)."""
+"""Least wished speed over limit where limits are unknown, also of vehicles that stand (0.7 m/s; the
+laws of motion divide by it)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,15 +118,15 @@ class OwnNumbers(Protocol):
 def with_own_numbers(
     parameters: DriverParameters, ids: NDArray[np.int64], own: OwnNumbers
 ) -> DriverParameters:
-    """The same, but each driver keeps its own distance to the usual driver.
+    """The same, scaled by each driver's own numbers over the usual driver's.
 
-    Numbers of one law put into another predict badly, so that ratios are carried over, not the
-    numbers. The wished speed stays what the driver was seen driving.
+    Ratios are carried over because the numbers of one law predict badly in another. The wished
+    speed is not scaled: it is the one that the driver was seen driving.
 
     Args:
         parameters: of the scene's drivers.
         ids: (n,) who they are.
-        own: what is known; who is not in it drives as before.
+        own: what is known; drivers that are not in it keep their parameters.
     """
     row = np.searchsorted(own.ids, ids)
     there = np.minimum(row, max(own.ids.size - 1, 0))
@@ -151,7 +151,7 @@ def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
 def _personal(scene: Scene, following: FloatArray) -> FloatArray:
     """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving.
 
-    Where limits are unknown or do not rule, nobody wishes more than it was seen driving.
+    Where limits are unknown or do not rule, the wished speed is the highest one seen.
     """
     states = scene.states
     found = np.empty((len(following), states.free_factor.size, following.shape[2]))

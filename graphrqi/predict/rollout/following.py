@@ -1,4 +1,4 @@
-"""Predictors that drive everyone on by a car-following law: blind, and knowing who drives how."""
+"""Predictors that drive everyone on by a car-following law, with and without beliefs."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Predicti
 
 
 def by_own_numbers(scene: Scene, posterior: Posterior, own: OwnNumbers) -> Prediction:
-    """Everyone drives as `car-following` says, and as far from it as its own numbers are.
+    """As `car-following`, with parameters scaled by each driver's own numbers.
 
     Args:
         scene: the present.
@@ -125,7 +125,7 @@ def shuffled(scene: Scene, posterior: Posterior) -> Prediction:
 def shuffled_posterior(scene: Scene, posterior: Posterior) -> Posterior:
     """The beliefs about the drivers of a scene, each given to another one.
 
-    Who gets whose is the same whenever the same agents are present.
+    The exchange is the same whenever the same agents are present.
     """
     drives = np.flatnonzero(scene.history.kind != PEDESTRIAN)
     probability = posterior.worth(scene.ids)

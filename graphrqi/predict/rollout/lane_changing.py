@@ -33,10 +33,10 @@ from graphrqi.predict.rollout.columns import (
 from sim.compiled import in_place, shared
 
 LOOK_AHEAD_M = 120.0
-"""Drivers react to nothing farther ahead (5 s at 24 m/s)."""
+"""Distance beyond which drivers react to nothing ahead, m (5 s at 24 m/s)."""
 
 HARD_DECEL = 8.0
-"""Nobody brakes harder, m/s2 (dry asphalt)."""
+"""Largest deceleration, m/s2 (dry asphalt)."""
 
 DECIDE_S = 1.0
 """Time between a driver's decisions about lane changes, s (SUMO's own is 1 s at the default

@@ -37,7 +37,7 @@ BREAK_S: Final = 5.0
 made from)."""
 
 FASTEST_MPS: Final = 60.0
-"""Nobody is foreseen to drive faster, m/s (more than any vehicle here can)."""
+"""Largest speed that is predicted, m/s (more than any vehicle here can drive)."""
 
 RETURN_MPS: Final = 0.5
 """Least lateral speed at which a driver returns to its lane's centre."""
@@ -203,7 +203,7 @@ def check_history(history: Tracks) -> None:
 
 
 def since_break(history: Tracks) -> Tracks:
-    """A history without what lies before its last break: what was seen then tells nothing of now.
+    """The part of a history after its last break: earlier frames say nothing about the present.
 
     Args:
         history: tracks whose last column is the present.
