@@ -72,8 +72,8 @@ def inner(function: F) -> F:
 def inlined(function: F) -> F:
     """Make ``function`` a part of each kernel that calls it, under that kernel's options.
 
-    For functions that take many arrays: a call would count the references to each of them, which
-    takes longer than a short function does.
+    For a function that one kernel calls, and for one that would round otherwise by itself: where
+    sums and products may be reordered, they are so within one kernel.
 
     Args:
         function: a function in numba's subset of Python.
@@ -99,18 +99,6 @@ def reordered(function: F) -> F:
     return _compiled(function, fastmath=True, **_LEFT_OUT)
 
 
-def inner_reordered(function: F) -> F:
-    """Compile ``function`` for the calls of `reordered` kernels only.
-
-    Args:
-        function: a function in numba's subset of Python.
-
-    Returns:
-        As `reordered`; not to be called from Python.
-    """
-    return _compiled(function, fastmath=True, no_cpython_wrapper=True, **_LEFT_OUT)
-
-
 def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F]:
     """Compile a function that makes no array and returns none, but writes into its arguments.
 
@@ -134,7 +122,7 @@ def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F
 
 
 @cache
-def shared(function: F, *, reordered: bool = False) -> F:
+def shared(function: F) -> F:
     """Compile a scalar function that several kernels call, such as a driver model.
 
     It has no cache file of its own, because numba names that file after the function alone and
@@ -143,13 +131,11 @@ def shared(function: F, *, reordered: bool = False) -> F:
 
     Args:
         function: a function in numba's subset of Python that calls no other one of this project.
-        reordered: whether sums and products may be reordered, as in the kernel that calls it.
 
     Returns:
         The same function, compiled.
     """
-    options = {"no_cpython_wrapper": True, "fastmath": reordered, **_LEFT_OUT}
-    kernel = njit(error_model="numpy", **options)(function)
+    kernel = njit(error_model="numpy", no_cpython_wrapper=True, **_LEFT_OUT)(function)
     _FOLDERS[kernel] = _folders(function)
     return cast(F, kernel)
 

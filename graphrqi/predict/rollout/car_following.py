@@ -62,7 +62,7 @@ from graphrqi.predict.rollout.lane_changing import (
 )
 from graphrqi.predict.scene.paths import PathColumns
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
-from sim.compiled import in_place, inlined, shared
+from sim.compiled import in_place, inlined
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -77,8 +77,8 @@ UNKNOWN_ACCELERATION = -2e3
 """A present acceleration that is not known: the driver has no residual."""
 
 
-_braking_speed = shared(driver_models.braking_speed, reordered=True)
-_krauss = shared(driver_models.krauss_safe_speed, reordered=True)
+_braking_speed = inlined(driver_models.braking_speed)
+_krauss = inlined(driver_models.krauss_safe_speed)
 
 
 @in_place(inner=True, reordered=True)

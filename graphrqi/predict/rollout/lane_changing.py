@@ -30,7 +30,7 @@ from graphrqi.predict.rollout.columns import (
     V,
     X,
 )  # fmt: skip
-from sim.compiled import in_place, shared
+from sim.compiled import in_place, inlined
 
 LOOK_AHEAD_M = 120.0
 """Distance beyond which drivers react to nothing ahead, m (5 s at 24 m/s)."""
@@ -52,11 +52,11 @@ CAUTION_M = 30.0
 """Distance within which cautious drivers mind threatening neighbours, m (2 s in town)."""
 
 
-_free_acceleration = shared(driver_models.idm_free_acceleration, reordered=True)
-_desired_gap = shared(driver_models.idm_desired_gap, reordered=True)
-_interaction = shared(driver_models.idm_interaction, reordered=True)
-_mobil_incentive = shared(driver_models.mobil_incentive, reordered=True)
-_mobil_safe = shared(driver_models.mobil_safe, reordered=True)
+_free_acceleration = inlined(driver_models.idm_free_acceleration)
+_desired_gap = inlined(driver_models.idm_desired_gap)
+_interaction = inlined(driver_models.idm_interaction)
+_mobil_incentive = inlined(driver_models.mobil_incentive)
+_mobil_safe = inlined(driver_models.mobil_safe)
 
 
 @in_place(inner=True, reordered=True)
