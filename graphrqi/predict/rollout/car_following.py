@@ -149,6 +149,7 @@ def _roll(
     others_lane, others_s, others_speed = others
     m, n = path.shape
     count, step_s, states, decay_s = steps
+    path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
     may_change = len(changing) == n and count > 1
     every = max(1, round(DECIDE_S / step_s))
     for w in range(m):
@@ -166,7 +167,7 @@ def _roll(
         who = moving[:driven]
         drives = following[min(w, len(following) - 1)]
         passes = ignores[min(w, len(ignores) - 1)]
-        _locate(order, motion, route, paths, place, ranking)
+        _locate(order, motion, route, path_lane, path_start, place, ranking)
         for h in range(count):
             if others_s.size > 0 and h > 0:
                 for j in range(order.size):
@@ -174,7 +175,9 @@ def _roll(
                     ranking[i, LANE], place[i, S] = others_lane[i, h - 1], others_s[i, h - 1]
                     place[i, V] = others_speed[i, h - 1]
             _rank(place, ranking, ends, spare, order.size)
-            _look_ahead(who, motion, route, drives, place, ranking, ends, paths)
+            _look_ahead(
+                who, motion, route, drives, place, ranking, ends, path_lane, path_start, path_limit
+            )
             if may_change and h % every == 0:
                 choose_lanes(
                     who, h, motion, route, present, drives, changing, caution, place, ranking, ends,
@@ -195,7 +198,7 @@ def _roll(
                         motion[i, RESIDUAL] = present[i, START_ACCEL] - asked[w, i]
             fade = math.exp(-h * step_s / decay_s) if decay_s > 0.0 else 0.0
             _advance(who, motion, fade, step_s)
-            _locate(who, motion, route, paths, place, ranking)
+            _locate(who, motion, route, path_lane, path_start, place, ranking)
             for j in range(driven):
                 i = who[j]
                 lane[w, i, h] = ranking[i, LANE]
@@ -204,9 +207,10 @@ def _roll(
 
 
 @in_place(inner=True, reordered=True)
-def _locate(who: Any, motion: Any, route: Any, paths: Any, place: Any, ranking: Any) -> None:
+def _locate(
+    who: Any, motion: Any, route: Any, path_lane: Any, path_start: Any, place: Any, ranking: Any
+) -> None:
     """Write the lane that each driver has reached, its distance along it and its speed."""
-    path_lane, path_start = paths.lane, paths.start
     _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
@@ -262,10 +266,9 @@ def _rank(place: Any, ranking: Any, ends: Any, spare: Any, drivers: int) -> None
 @in_place(inner=True, reordered=True)
 def _look_ahead(
     who: Any, motion: Any, route: Any, following: Any, place: Any, ranking: Any, ends: Any,
-    paths: Any,
+    path_lane: Any, path_start: Any, path_limit: Any,
 ) -> None:  # fmt: skip
     """Write each driver's wished speed under the limits here and ahead, and its leader."""
-    path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
     _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
