@@ -135,7 +135,8 @@ def shared(function: F) -> F:
     Returns:
         The same function, compiled.
     """
-    kernel = njit(error_model="numpy", no_cpython_wrapper=True, **_LEFT_OUT)(function)
+    options: dict[str, Any] = {"no_cpython_wrapper": True, **_LEFT_OUT}
+    kernel = njit(error_model="numpy", **options)(function)
     _FOLDERS[kernel] = _folders(function)
     return cast(F, kernel)
 

@@ -158,7 +158,7 @@ def _neighbour(path: Path, folder: str) -> Path:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[bytes]]]:
-    """The fields of every line that has any, and its number.
+    """The number and the fields of every line that is not blank.
 
     Raises:
         InputError: if there are too many.
@@ -251,7 +251,7 @@ def _poses(path: Path) -> FloatArray:
 
 
 def _turned(angle: FloatArray, axis: int) -> FloatArray:
-    """(n, 3, 3) rotations about an axis, rad."""
+    """(n, 3, 3) matrices of rotations about an axis by angles in rad."""
     one, other = [(1, 2), (2, 0), (0, 1)][axis]
     matrix = np.zeros((angle.size, 3, 3))
     matrix[:, axis, axis] = 1.0

@@ -38,7 +38,7 @@ MAX_LINE_BYTES: Final = 2**20
 
 
 MAX_NUMBER: Final = 10**6
-"""Largest absolute number that is a place, a size or an id."""
+"""Largest absolute value of a place, a size or an id."""
 
 
 MAX_TWINS: Final = 32

@@ -358,7 +358,7 @@ def may_cut_in(
     rear_gap: float,
     rear_speed: float,
 ) -> bool:
-    """Whether there is a vehicle to cut in front of, and room for it.
+    """Whether there is a vehicle to cut in front of, and enough room to do so.
 
     Args:
         driver: the driver's parameters.

@@ -39,7 +39,7 @@ LONGEST_M: Final = 40.0
 lorry's)."""
 
 ROUNDING_M: Final = 1e-3
-"""Lanes are looked for this much farther than vehicles can be from them."""
+"""Lanes are searched this much farther from vehicles than they can be, m."""
 
 
 class LaneLines(NamedTuple):
@@ -73,7 +73,7 @@ class LaneLines(NamedTuple):
 
 
 class OnLanes(NamedTuple):
-    """Who is on each of K lanes; E entries, lane by lane, by distance along the lane.
+    """The vehicles on each of K lanes: E entries, by lane, then by distance along it.
 
     Attributes:
         first: (K + 1,) where each lane's entries begin, and E.
@@ -175,7 +175,7 @@ def _find_distances(xy: FloatArray, lane: IntArray, lines: LaneLines, s: FloatAr
 def find_on_lanes(
     xy: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, lines: LaneLines
 ) -> OnLanes:
-    """Everybody on each lane, those at the same place in the order of rows.
+    """The vehicles on each lane; those at the same place are in the order of rows.
 
     Args:
         xy: (n, 2) m.
@@ -208,7 +208,7 @@ def _find_entries(
     s: FloatArray,
     along: FloatArray,
 ) -> int:
-    """Find who is on which lane.
+    """Find the lanes that each vehicle is on.
 
     Args:
         xy: (n, 2) and the next four as of `find_on_lanes`.

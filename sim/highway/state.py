@@ -254,7 +254,7 @@ class RoadState(Road):  # type: ignore[misc]
         return 0.0 if since == math.inf else clock - since
 
     def update_standing(self) -> None:
-        """Record since when vehicles without a profile, such as an ego vehicle, have stood."""
+        """Record since when vehicles without a profile have stood, such as an ego vehicle."""
         for vehicle in self.vehicles:
             if isinstance(vehicle, ProfileVehicle):
                 continue

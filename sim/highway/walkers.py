@@ -149,7 +149,7 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
 
 
 def _orient(lines: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
-    """Begin and end of each sidewalk, turned so that the route hangs together."""
+    """Beginning and end of each sidewalk, in the order that connects the route."""
     if len(lines) == 1:
         return [(lines[0][0], lines[0][-1])]
     found = []

@@ -169,7 +169,7 @@ def _on_nearest_lanes(scene: Scene) -> Scene:
         if beside >= 0 and abs(offset[i]) > apart / 2.0 and paths.options[beside] > 0:
             lane[i], path[i] = beside, paths.likeliest[beside]
             offset[i] -= apart if side == 0 else -apart
-    return scene.but(lane=lane, path=path, offset=offset)
+    return scene.replaced(lane=lane, path=path, offset=offset)
 
 
 def starts(place: RecordedPlace, seconds: float, every_s: float) -> Iterator[Start]:

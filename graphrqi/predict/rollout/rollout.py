@@ -217,7 +217,7 @@ def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Sc
         0 if side > 0 else 1, other_ways, scene.on_path, lane, path, offset, lateral_speed, there,
         paths.beside, paths.lane_spacing, paths.by_turn, paths.turn,
     )  # fmt: skip
-    moving = scene.but(lane=lane, path=path, offset=offset, lateral_speed=lateral_speed)
+    moving = scene.replaced(lane=lane, path=path, offset=offset, lateral_speed=lateral_speed)
     return moving, there
 
 

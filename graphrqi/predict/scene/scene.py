@@ -148,7 +148,7 @@ class Scene:
             probability = np.full(futures.shape[:2], 1.0 / futures.shape[1])
         return Prediction(self.ids, self.time_s, futures, probability)
 
-    def but(self, **changed: IntArray | FloatArray) -> Scene:
+    def replaced(self, **changed: IntArray | FloatArray) -> Scene:
         """The same scene with other paths, lanes, offsets or lateral speeds.
 
         Unlike `dataclasses.replace` it keeps the cached properties.
@@ -159,7 +159,7 @@ class Scene:
 
     def with_path(self, path: IntArray) -> Scene:
         """The same scene with other paths taken."""
-        return self.but(path=np.ascontiguousarray(path))
+        return self.replaced(path=np.ascontiguousarray(path))
 
 
 def check_horizon(horizon_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Feather files of unknown origin: looked through before Arrow reads them.
+"""Feather files of unknown origin, which are checked before Arrow reads them.
 
 A Feather file is a file of Arrow record batches with a footer. Arrow unpacks a compressed buffer
 into as many bytes as the buffer says of itself, and 13 KB can unpack to 400 MB. So the footer and

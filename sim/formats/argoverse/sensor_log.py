@@ -54,7 +54,7 @@ two-wheelers and devices, whose riders have boxes of their own."""
 
 EGO_NAME: Final = "AV"
 EGO_CATEGORY: Final = "EGO_VEHICLE"
-"""Category under which some copies of a log list the recording car; its poses tell the same."""
+"""Category under which some copies of a log list the recording car, whose poses are read anyway."""
 
 EGO_SIZE_M: Final = (4.87, 1.85)
 """Length and width of the recording car, a Ford Fusion Hybrid (191.8 by 72.9 inches by its maker);

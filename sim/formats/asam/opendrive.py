@@ -79,7 +79,7 @@ class _Part:
         return float(np.hypot(*np.diff(self.line, axis=0).T).sum())
 
     def end_of(self, lane: int, *, after: bool) -> tuple[FloatArray, FloatArray, float]:
-        """Where a lane ends (or begins): the middle, the direction and the lane's width there.
+        """The middle, the direction and the width of a lane at its end (or beginning).
 
         Args:
             lane: its number, -1 for the leftmost.
@@ -110,7 +110,7 @@ class _Meeting:
 
 @dataclass
 class _Roads:
-    """The roads so far, and where each lane is among them: its road and its number there."""
+    """The roads made so far, and the road of each lane with the lane's number on it."""
 
     parts: list[_Part] = field(default_factory=list)
     place: dict[str, tuple[_Part, int]] = field(default_factory=dict)
@@ -124,7 +124,7 @@ class _Roads:
 
 @dataclass(frozen=True)
 class RoadFile:
-    """What a road became.
+    """A road's file.
 
     Attributes:
         content: the XML.

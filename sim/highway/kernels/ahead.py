@@ -145,7 +145,7 @@ def look_ahead(
     used: BoolArray,
     found: Ahead,
 ) -> None:
-    """Fill in where everybody is on its way.
+    """Fill in where each vehicle is on its route.
 
     Args:
         who: everybody.

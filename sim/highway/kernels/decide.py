@@ -1,4 +1,4 @@
-"""What drivers decide: which lane they head for, how they accelerate and steer.
+"""The drivers' decisions: the lane to head for, the acceleration and the steering angle.
 
 Kernels over all drivers that call the functions of `sim.highway.driving`, as `ProfileVehicle.act`
 does for one.

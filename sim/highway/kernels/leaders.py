@@ -23,7 +23,7 @@ MOST_LANES = 4
 
 
 class Places(NamedTuple):
-    """Who is where on the road's lanes now; n vehicles.
+    """The vehicles' present places on the road's lanes; n vehicles.
 
     Attributes:
         xy: (n, 2) m.

@@ -1,4 +1,4 @@
-"""Collisions: who touches whom, who caused it by the rules of the road, and why.
+"""Collisions: which vehicles touch, which one caused it by the rules of the road, and why.
 
 Causes are tried in order: running a red light, driving on the wrong side, cutting in, not keeping
 the gap to the vehicle ahead, not giving way. A pedestrian never counts as the cause.

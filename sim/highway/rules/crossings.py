@@ -221,7 +221,7 @@ def _may_start(road: RoadState, walker: Walker, way: Crossover) -> bool:
 
 
 def _is_safe(road: RoadState, walker: Walker, strip: tuple[float, float, tuple[int, int]]) -> bool:
-    """Whether no vehicle comes on a lane while a pedestrian crosses it.
+    """Whether a pedestrian can cross a lane before any vehicle reaches it.
 
     A vehicle that waits before the crossing holds those behind it back.
     """

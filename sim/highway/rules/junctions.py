@@ -1,4 +1,4 @@
-"""Junctions: stop lines, and waiting for those whose way crosses one's own.
+"""Junctions: stop lines, and waiting for vehicles on crossing paths.
 
 A driver waits by signals, priority and the gap that it demands; whether it obeys a red light or a
 stop sign is drawn once per encounter from the driver's own random numbers.
@@ -42,7 +42,7 @@ FOE_ACCEL_MPS2: Final = 2.0
 """Acceleration that drivers expect of others."""
 
 INSISTED_BRAKING_MPS2: Final = 4.5
-"""Braking that the most insistent driver makes others with priority do."""
+"""Braking that the most insistent driver imposes on others with priority, m/s2."""
 
 AT_LINE_M: Final = 5.0
 """Drivers wait at the line for a conflict that begins this soon after it."""
@@ -234,7 +234,7 @@ def stops_at_sign(vehicle: ProfileVehicle, path: LaneIndex | None, to_line: floa
 
 
 def _exit_blocked(road: RoadState, way: WayAhead) -> bool:
-    """Whether the driver would come to a stand inside the junction behind a standing leader."""
+    """Whether the driver would have to stop inside the junction, behind a standing leader."""
     vehicle = way.vehicle
     assert way.path is not None
     lead = road.neighbours(vehicle, way.lane)

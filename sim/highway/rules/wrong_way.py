@@ -1,4 +1,4 @@
-"""Overtaking on the wrong side: when a driver pulls out, and when it goes back.
+"""Overtaking on the wrong side: when a driver pulls out, and when it returns.
 
 A driver whose time for it has come pulls out behind a slow leader onto the nearest lane of the
 opposite direction if no oncoming vehicle is within sight. It goes back as soon as there is room on
