@@ -72,7 +72,7 @@ NEAR: Final = 0.1
 """Looked at more closely are posteriors whose draws differ by no more than this."""
 
 ALONE: Final = 5
-"""There are so many times fewer drivers of whom half are alone."""
+"""Factor by which the sample in which half of the drivers are alone is smaller."""
 
 LEAST_HALF_S: Final = 5.0
 """Shorter second halves are not scored, s (they hardly leave the start)."""

@@ -81,7 +81,7 @@ EVERY_FRAMES: Final = 3
 """Frames of video per step of an observer (8 steps a second)."""
 
 MOST_CASES: Final = 1000
-"""When so many cases are kept, all but the worst of each family are let go."""
+"""Most cases that are kept; when there are more, all but the worst of each family are dropped."""
 
 LOOK_STEPS: Final = 5
 """Steps between looks at what an observer has gathered."""

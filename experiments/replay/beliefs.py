@@ -42,7 +42,7 @@ BATCH_ROWS: Final = 2**16
 """Rows that are read at a time."""
 
 MAX_BATCH_BYTES: Final = 2**26
-"""Most bytes that the texts of one column may take in so many rows (64 MiB, 1 kB for each)."""
+"""Most bytes that the texts of one column may take in a batch (64 MiB, 1 kB for each row)."""
 
 
 BELIEFS: Final = pa.schema(

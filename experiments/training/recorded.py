@@ -46,7 +46,7 @@ from sim.road import Road
 from sim.store.atomic import whole_file
 
 PER_DATASET: Final = 6_000
-"""About so many moving agents at instants are taken from each dataset."""
+"""Number of examples, a moving agent at an instant each, that are taken from a dataset, about."""
 
 LEAST_EVERY_S, MOST_EVERY_S = 0.4, 30.0
 """Shortest and longest time between the instants of a recording, s."""

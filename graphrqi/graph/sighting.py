@@ -18,7 +18,7 @@ MAX_COORDINATE_M = 1e9
 class Sighting:
     """Vehicles at one moment; make one with `of`, which checks them.
 
-    The nearest neighbours are searched once. Who asks for fewer of them gets the first ones.
+    The nearest neighbours are searched once; a later call for fewer of them returns the first ones.
 
     Attributes:
         ids: (n,) different ids.

@@ -32,8 +32,8 @@ ONCOMING_M: Final = 2.4
 """Lanes of opposite directions are at least this far apart, m (two cars pass)."""
 
 BESIDE_M: Final = 1.1
-"""They are at least half a lane's width and this far apart, m: in highway-env, who is up to 1 m
-beside a lane is on it."""
+"""They are at least half a lane's width and this far apart, m: highway-env puts a vehicle that is
+up to 1 m beside a lane on it."""
 
 OPPOSED: Final = -0.8
 """Cosine of the angle between two directions below which they are opposite: 143 degrees."""

@@ -40,11 +40,11 @@ YIELDING_SHARE: Final = 0.35
 moderate traffic)."""
 
 MOST_ROUTES: Final = 600
-"""Most routes of a demand: of more pairs, so many are drawn, by their weight."""
+"""Most routes of a demand; if there are more pairs, this many are drawn by their weight."""
 
 MOST_EDGES: Final = 120
-"""Most edges at which vehicles enter, and most at which they leave: of more, so many are taken,
-those with most lanes first."""
+"""Most edges at which vehicles enter, and most at which they leave; if there are more, those with
+most lanes are taken."""
 
 SLOWEST_MPS: Final = 0.5
 """Lanes with a lower limit are on no way (nobody would leave within an episode)."""

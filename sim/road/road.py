@@ -359,7 +359,7 @@ class Road:
         return any(states[first] == green == states[second] for states in plan.states)
 
     def first_come(self, one: int, two: int) -> bool:
-        """Whether of two connections neither has priority: who comes first goes first.
+        """Whether neither of two connections has priority: the vehicle that comes first goes first.
 
         So it is where signals never let both go, and where each yields to the other (all-way
         stops).

@@ -67,17 +67,18 @@ MAX_OBJECTS: Final = 10**6
 many agents as a recording may have; as Python objects they take up to 3 GB)."""
 
 BLOCK_EPISODES: Final = 5000
-"""A shard holds episodes of one block of so many indices of a scenario. What is in a shard follows
-from the episodes of its block alone, so blocks can be made in any order, and a dataset that grows
-keeps its whole blocks (with 10 to 120 s per episode, shards have 60 to 250 MB)."""
+"""Number of episodes of a block; a shard holds episodes of one block of a scenario. What is in a
+shard follows from the episodes of its block alone, so blocks can be made in any order, and a
+dataset that grows keeps its whole blocks (with 10 to 120 s per episode, shards have 60 to 250
+MB)."""
 
 MAX_SHARD_STEPS: Final = 5 * 10**7
-"""A shard ends before the episode that would bring it above so many agent-steps (some 250 MB at 5
+"""Most agent-steps of a shard: it ends before the episode that would exceed this (some 250 MB at 5
 bytes each)."""
 
 MAX_SHARD_ROWS: Final = 10**6
-"""A shard ends before the episode that would bring it above so many agents or frames (its smaller
-tables are read as a whole)."""
+"""Most agents and most frames of a shard: it ends before the episode that would exceed this (its
+smaller tables are read as a whole)."""
 
 Split = Literal["train", "validation", "test"]
 

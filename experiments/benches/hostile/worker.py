@@ -28,7 +28,7 @@ WORKER_INPUTS: Final = 20_000
 code takes a hundredth of the time)."""
 
 WAITS: Final = 4.0
-"""An input that waits is given up after so many times its limit."""
+"""An input that waits without computing is given up after this many times its time limit."""
 
 PEAK: Final = Path("/proc/self/clear_refs")
 """Linux forgets the peak of a process's memory when 5 is written here."""

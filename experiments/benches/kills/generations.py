@@ -1,9 +1,10 @@
 """Generations whose run, workers and object server are killed until they come through.
 
 A run with two workers writes to a folder of this machine, or to an S3 server that is killed and
-started again with what it kept. Whoever is killed, and when, is random; the same command goes on
-until it ends by itself. The dataset must then have the bytes of an undisturbed one, and nothing
-else may be left: no file, no staging folder, no process, no semaphore. Then it begins anew.
+started again with what it kept. The process that is killed, and the time, are random; the same
+command goes on until it ends by itself. The dataset must then have the bytes of an undisturbed one,
+and nothing else may be left: no file, no staging folder, no process, no semaphore. Then it begins
+anew.
 
 Workers are forked (`experiments.benches.kills.forked`), where users' are started anew.
 """

@@ -23,7 +23,7 @@ AGES_S: Final = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 
 SLOTS: Final = ("leader", "follower", "left leader", "left follower", "right leader",
                 "right follower")  # fmt: skip
-"""The neighbours that are told apart."""
+"""The neighbours that are described one by one."""
 
 NEAREST: Final = 3
 """Further agents, pedestrians included, by their distance."""

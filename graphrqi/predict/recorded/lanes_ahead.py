@@ -43,8 +43,8 @@ APART_M: Final = 1.2
 """Paths nearer to each other than this are one, m (a third of a lane's width)."""
 
 LONGEST: Final = 4
-"""Paths are at most so many times `REACH_M` long (5 s at 120 m/s; recordings with wrong clocks show
-any speed)."""
+"""Longest paths, in units of `REACH_M` (5 s at 120 m/s; recordings with wrong clocks show any
+speed)."""
 
 MOST: Final = 6
 """Paths per agent at most."""

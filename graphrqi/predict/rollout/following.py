@@ -39,7 +39,8 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
 
     The numbers are the posterior's expectation over the behaviours' calibrated ones, not those of
     the most likely behaviour alone: with a classifier that is often wrong, the latter loses what
-    knowing the behaviour gains. Who is unknown yet drives as the mean of all behaviours.
+    knowing the behaviour gains. Drivers about whom there are no beliefs drive as the mean of all
+    behaviours.
     """
     return aware_with(scene, posterior.worth(scene.ids), default_table())
 

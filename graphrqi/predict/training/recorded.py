@@ -63,8 +63,8 @@ where small recordings weigh most, AV2 left out has .79 of constant velocity, at
 .75)."""
 
 MOST_EXAMPLES: Final = 12_000
-"""Datasets with more examples are drawn from as if they had so many (chosen on datasets left
-out: else long simulations and drives in pairs decide most of it)."""
+"""Datasets with more examples than this are drawn from as if they had this many (chosen on
+datasets left out: else long simulations and drives in pairs decide most of it)."""
 
 DROPOUT: Final = 0.1
 """Share of each hidden layer's answers left out in training (chosen on datasets left out; what

@@ -23,7 +23,7 @@ MAX_RATIO: Final = 200
 algorithm's limit is 1032)."""
 
 FREE_BYTES: Final = 2**26
-"""A file may always unpack to so many (64 MiB)."""
+"""Bytes that any file may unpack to, however small it is (64 MiB)."""
 
 BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
 """What reading a file that is not packed as its name says raises."""

@@ -32,10 +32,10 @@ NEAR: Final = 0.08
 """A step this close, relatively, to a usual one is that one."""
 
 UNITS: Final = {"km/h": 1 / 3.6, "miles/h": 0.44704, "feet/s": 0.3048}
-"""Speeds in these units look like a wrong step; they are told by their exact factor."""
+"""Speeds in these units look like a wrong step; they are recognised by their exact factor."""
 
 BREAK_STEPS: Final = 3.0
-"""A time between two frames of more than so many usual ones is a break."""
+"""A time between two frames is a break if it is more than this many times the usual one."""
 
 LEAST_STEP_S, MOST_STEP_S = 1e-3, 10.0
 """Steps that a recording may have; where the motion shows another, it is only said."""
