@@ -53,6 +53,7 @@ def cell_grid(xy: Floats, smallest: float) -> Grid:
         cell.
     """
     n = len(xy)
+    # cells are halved only while that makes at most 16 for each vehicle, and 64
     start, items = np.empty(MAX_CELLS_PER_VEHICLE * n + 65, np.int32), np.empty(n, np.int32)
     x0, y0, width_m, columns, rows, slack_m = _sort_into_cells(
         xy, smallest, np.empty(n, np.int32), start, items
@@ -66,6 +67,9 @@ def _sort_into_cells(
 ) -> tuple[float, float, float, int, int, float]:
     """See `cell_grid`; ``cell_of`` is room to work in."""
     n = len(xy)
+    if n == 0:  # there is no bounding box
+        start[0] = start[1] = 0
+        return 0.0, 0.0, 1.0, 1, 1, 0.0
     x0, x1, y0, y1 = -math.inf, math.inf, -math.inf, math.inf
     for _ in range(3):  # bounding box, drawn in to 3 sigma: a straggler must not set the scale
         m = 0
