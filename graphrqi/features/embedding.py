@@ -23,6 +23,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from graphrqi.features.kinematics import Kinematics, MotionEstimator, align
 from graphrqi.features.observer import Observation, RunningSums
@@ -88,8 +89,6 @@ class LaplacianPairs:
         normalised = np.eye(len(root)) - root[:, None] * adjacency * root - np.diag(_RIDGE / degree)
         if not len(root):
             return cls(np.zeros(0), np.zeros((0, 0)), adjacency)
-        from scipy.linalg import eigh  # takes .1 s to load
-
         values, vectors = eigh(normalised)
         kept = np.flatnonzero(values > _ZERO)[:num_pairs]
         return cls(values[kept], root[:, None] * vectors[:, kept], adjacency)
@@ -164,8 +163,6 @@ def consensus(
     out = np.zeros((n, dimensions))
     if n == 0 or both.shape[1] == 0:
         return out
-    from scipy.linalg import eigh
-
     gram = both.T @ both
     within = gram.copy()
     within[:k, k:] = within[k:, :k] = 0.0

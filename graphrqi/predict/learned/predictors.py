@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,12 @@ from graphrqi.predict.learned.lstm import shipped_lstm
 from graphrqi.predict.networks.futures import spread_out
 from graphrqi.predict.networks.perceptron import shipped_perceptron
 from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.recorded.network import RecordedNetwork, trained_network
+from graphrqi.predict.recorded.predictor import predict_recorded
 from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.rollout.following import shuffled_posterior, true_behavior
 from graphrqi.predict.scene.paths import limits_known
 from graphrqi.predict.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from graphrqi.predict.recorded.network import RecordedNetwork
 
 BoolArray = NDArray[np.bool_]
 
@@ -69,8 +68,6 @@ def _where_trained(
     away = ~trained_for(scene)
     if not away.any():
         return predictor(scene, posterior)
-    from graphrqi.predict.recorded.predictor import predict_recorded  # takes .1 s to load
-
     recorded = predict_recorded(scene.history, scene.steps, network, scene.road)
     if away.all():
         return recorded
@@ -132,8 +129,6 @@ def with_weights(folder: Path) -> Predictor:
     Raises:
         InputError: if there are no such weights.
     """
-    from graphrqi.predict.recorded.network import trained_network
-
     network = trained_network(folder)
 
     def predict(scene: Scene, posterior: Posterior) -> Prediction:
