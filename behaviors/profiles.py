@@ -21,7 +21,7 @@ DEFAULT_SPREAD: Final = 0.15
 it the behaviours overlap about as much as observers of real drivers disagree)."""
 
 FARTHEST_SPREADS: Final = 2.0
-"""No number lies farther from the median than so many spreads (our choice: as SUMO cuts off its own
+"""Largest distance of any number from its median, in spreads (our choice: as SUMO cuts off its own
 drivers' speeds, so that one odd draw does not make another behaviour)."""
 
 

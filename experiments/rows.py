@@ -23,7 +23,7 @@ FIGURE: Final = frozenset({"metric", "value", "low", "high", "n"})
 """Keys that every row has beside those that say what was measured."""
 
 LARGEST: Final = 1e300
-"""Largest absolute number of a row (our choice: what is computed from it stays finite)."""
+"""Largest absolute number of a row (what is computed from it stays finite)."""
 
 POSITIVE: Final = ("horizon_s", "window_s", "d")
 """Keys that charts are drawn over."""

@@ -32,7 +32,7 @@ HORIZON_S: Final = 5.0
 """How far ahead predictions are made and scored, s."""
 
 PREDICT_EVERY_S: Final = 1.0
-"""Time between predictions, s (our choice: each is scored, none is drawn)."""
+"""Time between predictions, s (each is scored, none is drawn)."""
 
 COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 """The predictors that a run compares."""

@@ -30,10 +30,10 @@ from sim.invalid_fields import first_wrong_field
 from sim.store.atomic import whole_folder
 
 MAX_CARD_BYTES: Final = 2**24
-"""Largest ``model.json`` that is read (our choice: 16 MiB; the shipped one has some kilobytes)."""
+"""Largest ``model.json`` that is read (16 MiB; the shipped one has some kilobytes)."""
 
 MAX_WEIGHTS_BYTES: Final = 2**30
-"""Largest file of weights that is read (our choice: 1 GiB; the shipped one has 3 MB)."""
+"""Largest file of weights that is read (1 GiB; the shipped one has 3 MB)."""
 
 SCHEMA_VERSION: Final = 2
 """Version of model folders; other versions are refused."""

@@ -30,8 +30,8 @@ first frame: before, velocities are hardly known."""
 
 NEAR_S: Final = 0.25
 """A window may begin and end this far from the times asked for, s, or half a frame step if that is
-longer (our choice: a tenth of the shortest window that scores are given for, so that windows are
-found where frames are lost or come at uneven times)."""
+longer (a tenth of the shortest window that scores are given for, so that windows are found where
+frames are lost or come at uneven times)."""
 
 RETURNED_S: Final = 0.5
 """A driver that is missing for longer than this within a window has no sample of it."""

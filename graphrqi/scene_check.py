@@ -38,11 +38,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LOOK_S: Final = 0.5
-"""Time between looks at overlaps, s (our choice: who overlaps now mostly does so a step later)."""
+"""Time between looks at overlaps, s (who overlaps now mostly does so a step later)."""
 
 ANCHORS: Final = 100
-"""Most vehicles whose neighbours are looked at in one look, taken in turn (our choice: it bounds
-the cost among thousands)."""
+"""Most vehicles whose neighbours are looked at in one look, taken in turn (it bounds the cost among
+thousands)."""
 
 CORE: Final = 0.5
 """Vehicles overlap where outlines of this share of their sizes do: half, so that two cars are less
@@ -50,80 +50,79 @@ than half a length and half a width apart. A position error of half a metre on b
 neighbours in adjacent lanes of 2.8 m once in 300 times."""
 
 CORE_LENGTH_M: Final = 2.5
-"""Longest core, m (our choice, less than a lane's width: headings may be wrong)."""
+"""Longest core, m (less than a lane's width: headings may be wrong)."""
 
 OVERLAPPING: Final = 0.02
-"""No scene if more than this share of the vehicles overlaps (our choice: noisy simulated
-traffic with errors of half a metre has 0.001, recordings of real roads less; actors of two
-scenes of a motorway put together have 0.02, of three 0.08)."""
+"""No scene if more than this share of the vehicles overlaps (noisy simulated traffic with errors of
+half a metre has 0.001, recordings of real roads less; actors of two scenes of a motorway put
+together have 0.02, of three 0.08)."""
 
 OVERLAPPING_UNSURE: Final = 0.2
-"""The same where outlines are not known (our choice: riders and those behind one another in a video
-come to 0.15)."""
+"""The same where outlines are not known (riders and those behind one another in a video come to
+0.15)."""
 
 NEAREST_M: Final = 1.0
 """No scene, whatever the outlines, if half of the vehicles have another centre nearer than this, m
-(our choice: no two vehicles fit there; a clip of I-80 that is passed on has 0.67)."""
+(no two vehicles fit there; a clip of I-80 that is passed on has 0.67)."""
 
 OVERLAPPING_IDS: Final = 6
-"""So many different vehicles have to overlap before it counts (our choice: a tracker sees one truck
-as two)."""
+"""So many different vehicles have to overlap before it counts (a tracker sees one truck as two)."""
 
 REFERENCE_S: Final = 1.0
 """Time over which the velocity is taken that the next displacement is compared with, s."""
 
 LOST_S: Final = 2.0
-"""After a longer gap comparisons begin anew, s (our choice)."""
+"""After a longer gap comparisons begin anew, s."""
 
 MOVING_MPS: Final = 3.0
-"""Only faster vehicles tell anything about clocks (our choice: noise is slower over a second)."""
+"""Only faster vehicles tell anything about clocks (noise is slower over a second)."""
 
 MOVERS: Final = 4
-"""Fewest vehicles that move at one time and tell about clocks (our choice)."""
+"""Fewest vehicles that move at one time and tell about clocks."""
 
 SHAKEN: Final = 0.2
 """No scene if steps last longer or shorter than stated by more than this share, as a standard
-deviation (our choice: an acceleration over a second is then off by 2 m/s2 at 10 Hz and 15 m/s)."""
+deviation (an acceleration over a second is then off by 2 m/s2 at 10 Hz and 15 m/s)."""
 
 CLOCK_FRAMES: Final = 20
-"""Fewest frames that say that a clock is shaken or that frames repeat (our choice)."""
+"""Fewest frames that say that a clock is shaken or that frames repeat."""
 
 PACE_LOOKS: Final = 10
-"""Fewest looks that say that a pace is wrong (our choice: five seconds)."""
+"""Fewest looks that say that a pace is wrong (five seconds)."""
 
 REPEATED: Final = 0.1
-"""No scene if more than this share of the frames repeats the one before (our choice)."""
+"""No scene if more than this share of the frames repeats the one before."""
 
 PACE: Final = 1.3
-"""No scene if displacements are this many times longer or shorter than stated speeds make them (our
-choice: less than between m/s and any other unit of speed, more than any calibration error)."""
+"""No scene if displacements are this many times longer or shorter than stated speeds make them
+(less than between m/s and any other unit of speed, more than any calibration error)."""
 
 FASTEST_MPS: Final = 90.0
-"""Faster ones jump, m/s (our choice: above the top speed of production cars but a few)."""
+"""Faster ones jump, m/s (above the top speed of production cars but a few)."""
 
 JUMP_M: Final = 5.0
-"""And farther than this, m (our choice: ten times the largest noise)."""
+"""And farther than this, m (ten times the largest noise)."""
 
 JUMPING: Final = 0.1
-"""No scene if more than this share of the ids jumps (our choice)."""
+"""No scene if more than this share of the ids jumps."""
 
 SIZED: Final = 3
-"""Fewest vehicles whose sizes say that a unit is wrong (our choice)."""
+"""Fewest vehicles whose sizes say that a unit is wrong."""
 
 JUMPING_IDS: Final = 3
-"""So many different ids have to jump before it counts (our choice)."""
+"""So many different ids have to jump before it counts."""
 
 SURE: Final = 3.0
 """Standard errors by which the evidence has to exceed a threshold."""
 
 FAST_MPS: Final = 70.0
-"""No traffic has a median speed above this, m/s (our choice: 250 km/h)."""
+"""No traffic has a median speed above this, m/s (250 km/h)."""
 
 CORE_LEAST_M: Final = 0.25
-"""Least core, m (our choice, for sources without sizes)."""
+"""Least core, m (for sources without sizes)."""
 
 JERK_MPS3: Final = 3.0
-"""Change of acceleration that a whole scene may show, m/s3 (our choice: a platoon at a light)."""
+"""Change of acceleration that a whole scene may show, m/s3 (a platoon at a light)."""
 
 _NEAR_BIN_M: Final = 0.1
 _NEAR_BINS: Final = 500

@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STILL_M: Final = 2.0
-"""Vehicles that stay nearer to where they were first seen never moved, m (our choice)."""
+"""Vehicles that stay nearer to where they were first seen never moved, m."""
 
 
 class RunningMean:

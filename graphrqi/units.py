@@ -29,23 +29,23 @@ FloatArray = NDArray[np.float64]
 
 SIZE_M: Final = 2.2
 """Typical root of width times height of a road agent's box in an image, m: 2.6 for a car from the
-side (4.5 by 1.5 m), 1.7 for a motorcycle with its rider, 0.9 for a pedestrian (our choice between
+side (4.5 by 1.5 m), 1.7 for a motorcycle with its rider, 0.9 for a pedestrian (chosen between
 them)."""
 
 SIZE_SPREAD: Final = 0.4
-"""Standard deviation of the logarithm of a video's median size (our choice: from pedestrians and
-motorcycles to cars only)."""
+"""Standard deviation of the logarithm of a video's median size (from pedestrians and motorcycles to
+cars only)."""
 
 PACE_MPS: Final = 5.0
-"""Typical speed of those that move in a street that is filmed, m/s (our choice: 18 km/h)."""
+"""Typical speed of those that move in a street that is filmed, m/s (18 km/h)."""
 
 PACE_SPREAD: Final = 0.8
-"""Standard deviation of the logarithm of a street's median speed (our choice: from a jam's 2 to a
-main road's 11 m/s)."""
+"""Standard deviation of the logarithm of a street's median speed (from a jam's 2 to a main road's
+11 m/s)."""
 
 FORESHORTENED: Final = 1.5
-"""Displacements towards the camera or away from it are longer by this than they look (our choice:
-it looks down at some 40 degrees, as from a bridge or a mast)."""
+"""Displacements towards the camera or away from it are longer by this than they look (it looks down
+at some 40 degrees, as from a bridge or a mast)."""
 
 LENGTH_OF_SIZE: Final = 0.85
 WIDTH_OF_SIZE: Final = 0.35
@@ -53,7 +53,7 @@ WIDTH_OF_SIZE: Final = 0.35
 image: half those of a car that is seen from the side, since a box shows height, too."""
 
 MOVING: Final = 0.5
-"""Agents that cover this many of their own sizes in a second move (our choice: a walking pace)."""
+"""Agents that cover this many of their own sizes in a second move (a walking pace)."""
 
 SPAN_S: Final = 1.0
 """Time over which speeds are taken, s: whole pixels need it."""
@@ -64,8 +64,8 @@ FACTORS: Final = {
 """Units that may be given as metres, and how much larger vehicles then look."""
 
 NEAR: Final = 1.25
-"""A size is off by such a factor if it is this near to it (our choice: kinds that are mixed up
-differ by more, but not by 3.3 nor by 100)."""
+"""A size is off by such a factor if it is this near to it (kinds that are mixed up differ by more,
+but not by 3.3 nor by 100)."""
 
 _SIZES_M: Final = np.array(
     [math.sqrt(DIMENSIONS_M[kind][0] * DIMENSIONS_M[kind][1]) for kind in AgentKind]

@@ -20,18 +20,18 @@ from sim.road.net import read_road
 from sim.scenario import MAX_PER_HOUR, AgentSpec, RouteFlow, Scenario, sample_agents
 
 ROUTE_EDGES: Final = 30
-"""Edges of a route, where the city does not end before (our choice: 4.5 km, ten minutes)."""
+"""Edges of a route, where the city does not end before (4.5 km, ten minutes)."""
 
 MOST_ROUTES: Final = 2000
-"""Different routes at most; vehicles share them (our choice: enough to fill every street)."""
+"""Different routes at most; vehicles share them (enough to fill every street)."""
 
 JUNCTION_FLOWS: Final[Mapping[str, float]] = {"light": 30.0, "medium": 60.0, "dense": 90.0}
-"""Vehicles per hour and junction of each named flow (our choice: a trip takes ten minutes, so that
-there are 5, 10 and 15 vehicles to a junction; with 15 queues begin to last for several cycles)."""
+"""Vehicles per hour and junction of each named flow (a trip takes ten minutes, so that there are 5,
+10 and 15 vehicles to a junction; with 15 queues begin to last for several cycles)."""
 
 JUNCTION_ROUTES: Final = 20
-"""Different routes of `city` per junction, at most `MOST_ROUTES` (our choice: every street is the
-first of one)."""
+"""Different routes of `city` per junction, at most `MOST_ROUTES` (every street is the first of
+one)."""
 
 _PER_HOUR: Final = 0.8 * MAX_PER_HOUR
 

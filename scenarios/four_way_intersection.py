@@ -9,18 +9,18 @@ from scenarios.networks.geometry import ARM_M, ARMS, LIMIT_MPS, FourWayGeometry
 from sim.scenario import RouteFlow, Scenario
 
 SIGNALISED_FLOWS: Final[dict[str, float]] = {"light": 600.0, "medium": 1200.0, "dense": 1800.0}
-"""Vehicles per hour over all arms of each named flow, with signals and 2 lanes (our choice: free,
-interacting, near capacity)."""
+"""Vehicles per hour over all arms of each named flow, with signals and 2 lanes (free, interacting,
+near capacity)."""
 
 OTHER_FLOWS: Final[dict[str, float]] = {"light": 250.0, "medium": 500.0, "dense": 750.0}
 """The same without signals and with 1 lane."""
 
 TURNS: Final[dict[int, float]] = {1: 0.2, 2: 0.6, 3: 0.2}
 """Share of vehicles by how many places clockwise from their own arm they leave: left, straight,
-right (our choice)."""
+right."""
 
 PEDESTRIANS_PER_H: Final = 240.0
-"""Pedestrians per hour over all arms (our choice)."""
+"""Pedestrians per hour over all arms."""
 
 
 def four_way_intersection(

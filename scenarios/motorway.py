@@ -9,12 +9,11 @@ from scenarios.networks.motorway_and_roundabout import MOTORWAY_LIMIT_MPS, Motor
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 500.0, "medium": 1000.0, "dense": 1500.0}
-"""Vehicles per hour and lane of each named flow (our choice: free, interacting, three quarters of
-the capacity)."""
+"""Vehicles per hour and lane of each named flow (free, interacting, three quarters of the
+capacity)."""
 
 RAMP_SHARE: Final = 0.15
-"""Share of the traffic that enters by the on-ramp, and share that leaves by the off-ramp (our
-choice)."""
+"""Share of the traffic that enters by the on-ramp, and share that leaves by the off-ramp."""
 
 
 def motorway(

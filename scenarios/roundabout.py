@@ -12,8 +12,8 @@ from scenarios.networks.motorway_and_roundabout import RoundaboutGeometry
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS: Final[dict[str, float]] = {"light": 400.0, "medium": 800.0, "dense": 1200.0}
-"""Vehicles per hour over all arms of each named flow with one lane (our choice: free, interacting,
-and two thirds of what a small roundabout carries)."""
+"""Vehicles per hour over all arms of each named flow with one lane (free, interacting, and two
+thirds of what a small roundabout carries)."""
 
 
 def roundabout(

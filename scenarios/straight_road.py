@@ -9,14 +9,14 @@ from scenarios.networks.geometry import LIMIT_MPS, TWO_WAY_LENGTH_M, StraightGeo
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 300.0, "medium": 700.0, "dense": 1000.0}
-"""Vehicles per hour and lane of each named flow on a one-way road (our choice: free, interacting,
-near capacity with a crossing in use)."""
+"""Vehicles per hour and lane of each named flow on a one-way road (free, interacting, near capacity
+with a crossing in use)."""
 
 TWO_WAY_FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 150.0, "medium": 350.0, "dense": 600.0}
 """The same for two-way roads, where overtaking needs gaps in the oncoming traffic."""
 
 PEDESTRIANS_PER_H: Final = 160.0
-"""Pedestrians per hour over the crossing (our choice: several hundred jam a dense road)."""
+"""Pedestrians per hour over the crossing (several hundred jam a dense road)."""
 
 CROSSING_ROUTES: Final = (
     ("east_in", "west_out"),

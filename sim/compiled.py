@@ -29,7 +29,7 @@ LOGGER: Final = logging.getLogger("graphrqi")
 Python shows neither by itself, as befits a library; the command line shows the first."""
 
 NOTICE: Final = (
-    "compiling numerical kernels that are used for the first time, up to 30 s; later runs find "
+    "compiling numerical kernels that are used for the first time, up to 20 s; later runs find "
     "them compiled ..."
 )
 """What a first use waits for."""
@@ -72,8 +72,8 @@ def inner(function: F) -> F:
 def inlined(function: F) -> F:
     """Make ``function`` a part of each kernel that calls it, under that kernel's options.
 
-    For functions that take many arrays: a call would count the references to each of them, which
-    takes longer than a short function does.
+    For a function that one kernel calls, and for one that would round otherwise by itself: where
+    sums and products may be reordered, they are so within one kernel.
 
     Args:
         function: a function in numba's subset of Python.
@@ -99,20 +99,30 @@ def reordered(function: F) -> F:
     return _compiled(function, fastmath=True, **_LEFT_OUT)
 
 
-def inner_reordered(function: F) -> F:
-    """Compile ``function`` for the calls of `reordered` kernels only.
+def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F]:
+    """Compile a function that makes no array and returns none, but writes into its arguments.
+
+    No references to its arrays need to be counted, neither inside it nor in its calls of other such
+    functions: it takes a third less time to compile, and short functions may be called with many
+    arrays.
 
     Args:
-        function: a function in numba's subset of Python.
+        inner: whether only other kernels call it, as of `inner`.
+        reordered: whether sums and products may be reordered, as of `reordered`.
 
     Returns:
-        As `reordered`; not to be called from Python.
+        A decorator for functions in numba's subset of Python.
     """
-    return _compiled(function, fastmath=True, no_cpython_wrapper=True, **_LEFT_OUT)
+    options = {"_nrt": False, "no_cpython_wrapper": inner, "fastmath": reordered, **_LEFT_OUT}
+
+    def decorate(function: F) -> F:
+        return _compiled(function, **options)
+
+    return decorate
 
 
 @cache
-def shared(function: F, *, reordered: bool = False) -> F:
+def shared(function: F) -> F:
     """Compile a scalar function that several kernels call, such as a driver model.
 
     It has no cache file of its own, because numba names that file after the function alone and
@@ -121,12 +131,12 @@ def shared(function: F, *, reordered: bool = False) -> F:
 
     Args:
         function: a function in numba's subset of Python that calls no other one of this project.
-        reordered: whether sums and products may be reordered, as in the kernel that calls it.
 
     Returns:
         The same function, compiled.
     """
-    kernel = njit(error_model="numpy", fastmath=reordered, **_LEFT_OUT)(function)
+    options: dict[str, Any] = {"no_cpython_wrapper": True, **_LEFT_OUT}
+    kernel = njit(error_model="numpy", **options)(function)
     _FOLDERS[kernel] = _folders(function)
     return cast(F, kernel)
 

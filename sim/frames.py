@@ -50,7 +50,7 @@ KINDS: Final[tuple[AgentKind, ...]] = tuple(AgentKind)
 """The code order of kinds: code c means ``KINDS[c]``."""
 
 MAX_MAGNITUDE: Final = 1e9
-"""Largest absolute position, time, heading, speed or size of an agent (our choice; beyond any UTM
+"""Largest absolute position, time, heading, speed or size of an agent (beyond any UTM
 coordinate)."""
 
 PEDESTRIAN: Final = KINDS.index(AgentKind.PEDESTRIAN)

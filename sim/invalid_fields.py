@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from behaviors.errors import InputError
 
 MAX_SHOWN: Final = 60
-"""Most characters that are shown of a wrong value (our choice: the message stays one line)."""
+"""Most characters that are shown of a wrong value (the message stays one line)."""
 
 _BOUNDS: Final = {
     "greater_than_equal": ("ge", "at least"),

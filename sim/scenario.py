@@ -24,31 +24,31 @@ from sim.road import Road
 M = TypeVar("M")
 
 DEFAULT_JAYWALK_SHARE: Final = 0.1
-"""Share of pedestrians who cross where and when they should not (our choice)."""
+"""Share of pedestrians who cross where and when they should not."""
 
 MAX_PER_HOUR: Final = 100_000.0
-"""Most vehicles, and most pedestrians, per hour over all of a scenario's flows (our choice: twice
-what 20 lanes of 2400 vehicles an hour take in, and no scenario here has more lanes)."""
+"""Most vehicles, and most pedestrians, per hour over all of a scenario's flows (twice what 20 lanes
+of 2400 vehicles an hour take in, and no scenario here has more lanes)."""
 
 MAX_DURATION_S: Final = 86_400.0
-"""Longest episode, s (our choice: a day)."""
+"""Longest episode, s (a day)."""
 
 MAX_SPREAD: Final = 1.0
-"""Largest log-normal spread between drivers of one behaviour (our choice: two thirds of them are
-then within a factor of e)."""
+"""Largest log-normal spread between drivers of one behaviour (two thirds of them are then within a
+factor of e)."""
 
 CarFollowing = Literal["Krauss", "IDM"]
 """The car-following law of all drivers in a run, by SUMO's names."""
 
 IMPERFECTION: Final = 0.2
-"""Krauss's sigma, the same for every driver (our choice; SUMO's default is 0.5). IDM has none."""
+"""Krauss's sigma, the same for every driver (SUMO's default is 0.5). IDM has none."""
 
 EQUAL_MIX: Final[dict[Behavior, float]] = {b: 1.0 / len(BEHAVIORS) for b in BEHAVIORS}
 """Every behaviour as often as any other."""
 
 WALK_START_M: Final = 40.0
 """Pedestrians enter this far before the end of their first edge, so that those who cross do so
-within an episode and not after minutes of sidewalk (our choice)."""
+within an episode and not after minutes of sidewalk."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ DENSE: Final[tuple[DenseName, ...]] = ("xy", "heading", "speed", "valid")
 """What there is as arrays of all agents at all times."""
 
 MAX_CELLS: Final = 5 * 10**7
-"""Most agents times times of dense arrays (our choice: all four together take 1.65 GB)."""
+"""Most agents times times of dense arrays (all four together take 1.65 GB)."""
 
 
 @dataclass(frozen=True, eq=False)

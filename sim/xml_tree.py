@@ -20,11 +20,11 @@ from behaviors.errors import InputError
 from sim.written_numbers import whole
 
 MAX_TREE_BYTES: Final = 2**26
-"""Largest XML file that is read as a tree, uncompressed (our choice: 64 MiB; a scene of 10 s has
-some 2, a city district's map some 20)."""
+"""Largest XML file that is read as a tree, uncompressed (64 MiB; a scene of 10 s has some 2, a city
+district's map some 20)."""
 
 MAX_MARKS: Final = 6_000_000
-"""Most ``<`` and ``=`` in such a file (our choice): each makes an object of some 100 bytes."""
+"""Most ``<`` and ``=`` in such a file: each makes an object of some 100 bytes."""
 
 DECLARED: Final = re.compile(rb"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 """A declaration that XML files of ours never have: an entity can stand for any amount of text."""

@@ -43,14 +43,16 @@ BETWEEN: Final = 0.5
 reasons for which drivers differ, behaviour and person, none counts more)."""
 
 FARTHEST: Final = 3.0
-"""No number is drawn farther from its median than so many spreads (our choice: 1.4 % of all drivers
+"""Largest distance of a drawn number from its median, in spreads (our choice: 1.4 % of all drivers
 are drawn again)."""
 
 LOWEST_HEADWAY_S: Final = 0.35
-"""No driver is drawn who keeps less, s: laws collide below (Krauss's needs more than a step)."""
+"""Shortest headway that is drawn, s: with shorter ones vehicles collide (Krauss's law needs more
+than a step)."""
 
 MOST_DRAWS: Final = 10_000
-"""A driver who is not found within so many draws is none (a median is allowed half of them)."""
+"""Most draws for one driver; a population whose drivers need more is refused (a median is allowed
+half of them)."""
 
 _AT_ONCE: Final = 16
 

@@ -29,13 +29,13 @@ from sim.frames import Event, EventKind, Tracks
 from sim.scenario import sample_agents
 
 FREE_HEADWAY_S: Final = 6.0
-"""A road is free for who has this much headway or more (our choice)."""
+"""A road is free for who has this much headway or more."""
 
 STEADY_MPS2: Final = 0.3
-"""Who accelerates or brakes more is not yet at the speed chosen (our choice)."""
+"""Largest acceleration of a driver at the speed that it has chosen, m/s2."""
 
 LONGEST_STAND_S: Final = 180.0
-"""Standing longer is standing for good."""
+"""A vehicle that stands longer than this does not drive on, s."""
 
 CLEARING_S: Final = 300.0
 """So long after the demand ends every vehicle should have left; episodes are driven on for it.

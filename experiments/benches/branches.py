@@ -26,7 +26,7 @@ from sim.scenario import sample_agents
 from sim.sumo.branches import Trunk
 
 AT_ONCE: Final = 20
-"""Branches that run beside each other (our choice)."""
+"""Branches that run beside each other."""
 
 KILLED: Final = 20
 """Branches that are killed."""

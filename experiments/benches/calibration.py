@@ -59,7 +59,7 @@ LITERATURE: Final = np.log([33.3, 1.6, 2.0, 0.73, 1.67])
 
 MEDIAN: Final = np.log([22.0, 1.3, 2.6, 1.6, 2.1])
 SPREAD: Final = np.array([0.2, 0.35, 0.35, 0.35, 0.3])
-"""The simulated population (our choice, inside what recordings show)."""
+"""The simulated population (inside what recordings show)."""
 
 NOISE_MPS2, CORRELATION_S, NOISE_M = 0.19, 1.3, 0.1
 """Noise of every second driver: on its acceleration (Zhang and Sun 2024), and on places."""
@@ -74,10 +74,10 @@ NEAR: Final = 0.1
 """Looked at more closely are posteriors whose draws differ by no more than this."""
 
 ALONE: Final = 5
-"""There are so many times fewer drivers of whom half are alone."""
+"""Factor by which the sample in which half of the drivers are alone is smaller."""
 
 LEAST_HALF_S: Final = 5.0
-"""Shorter second halves are not scored, s (our choice: they hardly leave the start)."""
+"""Shorter second halves are not scored, s (they hardly leave the start)."""
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ STAGES: Final = ("simulate", "classify", "remember", "predict")
 """What a step consists of: the engine's frame, the stream's posterior, the history, the futures."""
 
 FILLING_S, MEASURED_S = 35.0, 10.0
-"""Time until the vehicles have entered and the time measured after it, s (our choice: the costs of
-a hundred frames)."""
+"""Time until the vehicles have entered and the time measured after it, s (the costs of a hundred
+frames)."""
 
 WARM_FRAMES: Final = 5
 """Frames that are classified and predicted before any is timed."""

@@ -46,24 +46,24 @@ ARMS: Final = ("blind", "classified", "true")
 """What the planner is told of the others: nothing, the classifier's beliefs, or the truth."""
 
 SETTING: Final[dict[str, Any]] = {"flow": "dense", "duration_s": 90.0}
-"""How the environments are configured (our choice: in light traffic nothing happens)."""
+"""How the environments are configured (in light traffic nothing happens)."""
 
 NEAR_MISS_S: Final = 1.5
 """Time to collision below which somebody ahead or behind counts as a near miss, s."""
 
 APART_S: Final = 1.0
-"""Near misses less than this apart are one, s (our choice)."""
+"""Near misses less than this apart are one, s."""
 
 LOOK_AHEAD_M, LOOK_AHEAD_S = 8.0, 1.2
-"""The steering looks at the centre line this far ahead (Coulter 1992's pure pursuit; our choice
-of lengths: a lane change takes some 3 s)."""
+"""The steering looks at the centre line this far ahead (Coulter 1992's pure pursuit; the lengths
+are ours: a lane change takes some 3 s)."""
 
 MOST_ACCEL_MPS2: Final = 8.0
 """The ego vehicle's accelerator and brake reach this, m/s2."""
 
 EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
-"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (our
-choice: as hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
+"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (as
+hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
 
 METRICS: Final = (
     "near_misses", "near_misses_ahead", "near_misses_behind", "env_near_misses", "collisions",

@@ -29,8 +29,8 @@ from behaviors.errors import InputError, lookup
 from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
 from experiments.benches.contract import Bench, option
+from experiments.benches.prediction.knowledge import measure_knowledge
 from experiments.benches.prediction.recordings import measure_recordings
-from experiments.benches.prediction.told import measure_told
 from experiments.data.parallel import in_parallel
 from experiments.report.worst_cases import Case, worst_cases_page, worst_of
 from experiments.rows import Cell, Row, tidy_row
@@ -78,13 +78,13 @@ TASKS: Final[dict[int, tuple[int, ...]]] = {
 """Classes of each task, by number of classes: the style; the aggressive ones and the rest; all."""
 
 EVERY_FRAMES: Final = 3
-"""Frames of video per step of an observer (our choice: 8 steps a second)."""
+"""Frames of video per step of an observer (8 steps a second)."""
 
 MOST_CASES: Final = 1000
-"""When so many cases are kept, all but the worst of each family are let go."""
+"""Most cases that are kept; when there are more, all but the worst of each family are dropped."""
 
 LOOK_STEPS: Final = 5
-"""Steps between looks at what an observer has gathered (our choice)."""
+"""Steps between looks at what an observer has gathered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,8 +385,8 @@ class Settings:
 
     Attributes:
         data: folder with ``traf``, or for prediction of datasets; None for ``GRAPHRQI_DATA``.
-        task: ``behavior``, ``prediction``, or ``told``: whether it helps a prediction to know the
-            driver.
+        task: ``behavior``, ``prediction``, or ``knowledge``: whether knowing the driver improves a
+            prediction.
         leave_out: for prediction, what is left out of the training in turn: each ``dataset``,
             each ``place``, or ``nothing``.
         epochs: for prediction, of each training.
@@ -400,7 +400,8 @@ class Settings:
 
     data: Path | None = option(None, "Folder of recordings [default: GRAPHRQI_DATA].")
     task: str = option(
-        "behavior", "behavior; prediction: where vehicles go; told: does knowing drivers help it."
+        "behavior",
+        "behavior; prediction: where vehicles go; knowledge: does knowing drivers improve it.",
     )
     leave_out: str = option("dataset", "For prediction: dataset, place or nothing.")
     epochs: int = option(4, "For prediction: of each training.")
@@ -421,17 +422,19 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     data = settings.data
     if data is None and os.environ.get(DATA_VARIABLE):
         data = Path(os.environ[DATA_VARIABLE])
-    if settings.task in ("prediction", "told"):
+    if settings.task in ("prediction", "knowledge"):
         if data is None:
             sys.stderr.write(f"real-data: skipped: found no --data and no {DATA_VARIABLE}\n")
             return
-        if settings.task == "told":
-            yield from measure_told(data, settings.seed)
+        if settings.task == "knowledge":
+            yield from measure_knowledge(data, settings.seed)
             return
         yield from _measure_prediction(data, settings)
         return
     if settings.task != "behavior":
-        raise InputError(f"task: found {settings.task!r}, expected behavior, prediction or told")
+        raise InputError(
+            f"task: found {settings.task!r}, expected behavior, prediction or knowledge"
+        )
     if data is None or not (data / "traf" / "tracks").is_dir():
         where = f"no --data and no {DATA_VARIABLE}" if data is None else f"no {data}/traf/tracks"
         print(f"real-data: traf skipped: found {where}", file=sys.stderr)

@@ -36,7 +36,7 @@ SCENARIOS: Final = ("straight_road", "four_way_intersection")
 KEYS: Final = ("part", "episodes")
 
 WARM_EPISODES: Final = 20
-"""Episodes that are made before any is timed (our choice: drivers of each kind meet in them)."""
+"""Episodes that are made before any is timed (drivers of each kind meet in them)."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from behaviors.registry import Registry, loaded
 from experiments.rows import Row
 
 START_LIMIT_S: Final = 120.0
-"""Longest that a simulator may take to start, s (our choice; a slow disk takes tens of seconds)."""
+"""Longest that a simulator may take to start, s (a slow disk takes tens of seconds)."""
 
 EXTRAS: Final[dict[str, str]] = {
     "cluster": "only needed to generate on many machines",

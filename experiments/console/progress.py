@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 LINE_EVERY_S: Final = 5.0
-"""Least time between two plain lines, s (our choice)."""
+"""Least time between two plain lines, s."""
 
 
 class Progress:

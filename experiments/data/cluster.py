@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sim.store.schema import EpisodeEntry
 
 CONNECT_S: Final = 20.0
-"""Longest wait for the scheduler and its first worker, s (our choice)."""
+"""Longest wait for the scheduler and its first worker, s."""
 
 
 def _sees(folder: str) -> bool:

@@ -19,7 +19,7 @@ from sim.frames import Tracks
 Disturbance = Callable[[Tracks, float, np.random.Generator], Tracks]
 
 SWITCH_DISTANCE_M: Final = 10.0
-"""Agents nearer than this can be mistaken for one another (our choice: two car lengths)."""
+"""Agents nearer than this can be mistaken for one another (two car lengths)."""
 
 
 def position_noise(tracks: Tracks, deviation_m: float, rng: np.random.Generator) -> Tracks:

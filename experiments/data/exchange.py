@@ -42,7 +42,7 @@ MARKER: Final = ".graphrqi-export"
 """File in a folder of exported files; it says which dataset they come from."""
 
 LEFT_OUT_NAMED: Final = 5
-"""Most left-out files that are named (our choice: they fit one line)."""
+"""Most left-out files that are named (they fit one line)."""
 
 
 def import_recordings(

@@ -14,7 +14,7 @@ from sim.store.atomic import end_without_temporary
 T = TypeVar("T")
 
 PARENT_CHECK_S: Final = 0.25
-"""How often a worker checks that its parent still runs, s (our choice: it costs nothing)."""
+"""How often a worker checks that its parent still runs, s (it costs nothing)."""
 
 
 def start_worker(parent: int) -> None:

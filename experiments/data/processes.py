@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from loky.process_executor import ProcessPoolExecutor
 
 ATTEMPTS: Final = 3
-"""How often an episode that kills its worker is tried (our choice)."""
+"""How often an episode that kills its worker is tried."""
 
 
 class RestartingPool:

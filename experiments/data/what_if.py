@@ -37,7 +37,7 @@ from sim.sumo.branches import LAWS, Trunk, check_platform
 from sim.sumo.control.acting import Action
 
 NAMED_DRIVERS: Final = 12
-"""Most drivers that an error names (our choice: they fit a line or two)."""
+"""Most drivers that an error names (they fit a line or two)."""
 
 
 class WhatIf(BaseModel):

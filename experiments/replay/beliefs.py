@@ -25,25 +25,24 @@ from sim.frames import FloatArray, IntArray, Tracks
 from sim.store.decode import check_number
 
 EVERY_S: Final = 0.5
-"""Time between two beliefs that are kept, s (our choice: evidence gathers over seconds)."""
+"""Time between two beliefs that are kept, s (evidence gathers over seconds)."""
 
 MAX_LOOKS: Final = 3_000_000
-"""Most agents times looks that are kept; of longer recordings there are fewer looks (our choice: a
-page of some megabytes)."""
+"""Most beliefs that are kept: agents times instants. Longer recordings have fewer instants (a page
+of some megabytes)."""
 
 MAX_ROWS: Final = 10**8
-"""Most rows of a labels file that are read (our choice)."""
+"""Most rows of a labels file that are read."""
 
 MAX_KEPT: Final = 10**7
-"""Most of them that may be of one episode (our choice: an hour of 250 drivers at 10 Hz; in memory
-some 1 GB)."""
+"""Most of these rows that one episode may have (an hour of 250 drivers at 10 Hz; in memory some 1
+GB)."""
 
 BATCH_ROWS: Final = 2**16
-"""Rows that are read at a time (our choice)."""
+"""Rows that are read at a time."""
 
 MAX_BATCH_BYTES: Final = 2**26
-"""Most bytes that the texts of one column may take in so many rows (our choice: 64 MiB, 1 kB for
-each)."""
+"""Most bytes that the texts of one column may take in a batch (64 MiB, 1 kB for each row)."""
 
 
 BELIEFS: Final = pa.schema(
@@ -55,7 +54,7 @@ BELIEFS: Final = pa.schema(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beliefs:
-    """Posteriors of every agent of an episode, now and then.
+    """Posteriors of every agent of an episode at some times.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -68,7 +67,7 @@ class Beliefs:
     probability: NDArray[np.float32]
 
     def at(self, time_s: float) -> Posterior:
-        """The latest beliefs at a time, of those about whom there are any."""
+        """The latest beliefs at a time, of the agents that have any."""
         column = int(np.searchsorted(self.time_s, time_s + 1e-6)) - 1
         if column < 0:
             return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
@@ -78,7 +77,7 @@ class Beliefs:
 
 
 def kept_steps(tracks: Tracks) -> IntArray:
-    """Indices of the frames at which beliefs and the graph are looked at: every half a second.
+    """Indices of the frames at which beliefs and the graph are kept: every half a second.
 
     Args:
         tracks: an episode; of one with very many agents for very long, looks are farther apart.
@@ -111,7 +110,7 @@ def sampled(tracks: Tracks, every_s: float) -> IntArray:
 
 
 def believe(tracks: Tracks, model: Model) -> Beliefs:
-    """What a model believes, from positions only.
+    """Classify the drivers of an episode from their positions.
 
     Args:
         tracks: an episode; its labels, if any, are not looked at.
@@ -236,7 +235,7 @@ def _check_columns(path: Path, schema: pa.Schema, layout: Layout, found: pa.Sche
 
 
 def agent_rows(path: Path, table: pa.Table, episode: str, tracks: Tracks) -> IntArray:
-    """(m,) which agent of an episode each row of a table speaks of, by the column ``agent``.
+    """(m,) agent of an episode that each row of a table is about, by the column ``agent``.
 
     Raises:
         InputError: if it names somebody whom the episode does not have.

@@ -27,15 +27,15 @@ HORIZON_S: Final = 5.0
 """How far ahead is shown, s."""
 
 EVERY_S: Final = 1.0
-"""Time between two predictions, s (our choice: a horizon of 5 s is looked at five times)."""
+"""Time between two predictions, s (a horizon of 5 s is looked at five times)."""
 
 LEAST_PROBABILITY: Final = 0.02
-"""Futures less likely than this are not kept (our choice)."""
+"""Futures less likely than this are not kept."""
 
 MAX_FUTURES: Final = 1_000_000
-"""Most futures that a page keeps (our choice: some 15 MB). Of more, each agent's likeliest are
-kept, then the likeliest of the others; where even the former are more, there are fewer
-predictions."""
+"""Most futures that a page keeps (some 15 MB). If there are more, each agent's likeliest future is
+kept, then the likeliest of the others; if each agent's likeliest alone are too many, there are
+fewer predictions."""
 
 
 FORECASTS: Final = pa.schema(
@@ -69,7 +69,7 @@ def forecast(
     road: Road | None,
     predictor: str,
 ) -> list[Forecast]:
-    """Predict every agent again and again through an episode: every second, or less often a crowd.
+    """Predict every agent throughout an episode: every second, or less often if there are many.
 
     Args:
         tracks: the episode; each prediction sees only its past.
@@ -113,7 +113,7 @@ def _kept(time_s: float, rows: IntArray, prediction: Prediction) -> Forecast:
 
 
 def likeliest(forecasts: Sequence[Forecast], most: int = MAX_FUTURES) -> list[Forecast]:
-    """The likeliest futures of all, and at least one of each agent in every prediction.
+    """The likeliest futures, at least one of each agent in every prediction.
 
     Args:
         forecasts: in order of time.

@@ -1,4 +1,4 @@
-"""Where everyone factually was, for the replay of a counterfactual episode."""
+"""The agents' places in the factual episode, for the replay of a counterfactual one."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
 APART_M: Final = 0.5
-"""A ghost is shown where an agent is farther than this from where it was, m (our choice: less does
-not show)."""
+"""A ghost is shown where an agent is farther than this from where it was, m (less does not
+show)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,7 @@ def find_ghosts(factual: Tracks, shown: Tracks) -> Ghosts:
 def ghosts_of(
     dataset: Dataset, entry: EpisodeEntry, shown: Tracks
 ) -> tuple[Ghosts | None, tuple[str, ...]]:
-    """The ghosts of an episode, and what a reader should know of it.
+    """The ghosts of an episode, and a note for its reader.
 
     Args:
         dataset: where the episode is.

@@ -19,10 +19,10 @@ from sim.frames import FloatArray, IntArray, Tracks
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphHistory:
-    """A traffic graph, followed.
+    """A traffic graph over time.
 
     Attributes:
-        time_s: (S,) when it was looked at, s.
+        time_s: (S,) times of the samples, s.
         w: (N, S) |w| of each agent; NaN where it is not there.
         edges: (E, 4) of each edge: the two agents' rows, the first sample that found it and the
             first that did not.

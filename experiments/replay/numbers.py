@@ -15,10 +15,10 @@ from graphrqi.calibrate.live import LiveNumbers
 from sim.frames import FloatArray, IntArray, Tracks
 
 EVERY_S: Final = 5.0
-"""Time between two looks, s (our choice: numbers are told over tens of seconds)."""
+"""Time between two estimates, s (estimates change over tens of seconds)."""
 
 MAX_LOOKS: Final = 200_000
-"""Most agents times looks that are kept (our choice: a page of some megabytes)."""
+"""Most estimates that are kept: agents times instants (a page of some megabytes)."""
 
 WORDS: Final[dict[str, tuple[str, str]]] = {
     "desired_speed_mps": ("desired speed", "m/s"),
@@ -32,7 +32,7 @@ WORDS: Final[dict[str, tuple[str, str]]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownNumbers:
-    """Drivers' numbers now and then.
+    """Drivers' numbers at some times.
 
     Attributes:
         population: name of the population that drivers are taken to be of.
@@ -48,7 +48,7 @@ class KnownNumbers:
     interval: NDArray[np.float32]
 
     def rows(self, agent: int) -> list[list[object]]:
-        """What changes of one agent, in order of time: when, and its numbers in words.
+        """The changes of one agent's numbers in order of time: when, and the numbers in words.
 
         Args:
             agent: its row.
@@ -66,7 +66,7 @@ class KnownNumbers:
 
 
 def known_numbers(tracks: Tracks, population: Population) -> KnownNumbers:
-    """Infer the numbers of everybody in an episode while it passes.
+    """Infer the numbers of all drivers of an episode, instant by instant.
 
     Args:
         tracks: the episode.

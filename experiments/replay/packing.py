@@ -1,7 +1,7 @@
 """Arrays as text for a page: quantised, differenced, deflated, base64.
 
-All arrays of a page become one zlib stream, which browsers inflate themselves. What the page does
-to read it back is in ``page/data.js``.
+All arrays of a page become one zlib stream, which browsers inflate themselves. ``page/data.js``
+reads it back in the page.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The replay page: one HTML file that plays by itself, with nothing to load.
+"""The replay page: one HTML file that needs no other file and no network.
 
 Style and script are inlined from ``page/``; the page's own security policy lets exactly these run
 and nothing be fetched, so that a name in hostile data can neither act nor call out.
@@ -36,16 +36,16 @@ SCRIPTS: Final = (
 """In the order in which they are joined."""
 
 POSITION_QUANTUM: Final = 0.01
-"""Places are kept to this, m or pixels (our choice: a twentieth of a pixel on a screen)."""
+"""Places are kept to this, m or pixels (a twentieth of a pixel on a screen)."""
 
 FUTURE_QUANTUM: Final = 0.1
-"""Places of futures are kept to this, m or pixels (our choice: they are not known so well)."""
+"""Places of futures are kept to this, m or pixels (they are not known so well)."""
 
 TURN: Final = 4096
-"""Headings are kept as this many parts of a circle (our choice: 0.09 degrees)."""
+"""Headings are kept as this many parts of a circle (0.09 degrees)."""
 
 SPEED_QUANTUM: Final = 0.05
-"""Speeds are kept to this, m/s (our choice: more than the panel shows)."""
+"""Speeds are kept to this, m/s (more than the panel shows)."""
 
 MODES: Final = ("true", "predicted", "confidence", "speed", "w")
 """What agents can be coloured by."""
@@ -54,12 +54,12 @@ RAMP_STOPS: Final = 17
 
 
 def ramp() -> list[str]:
-    """The colours of numbers, low to high; the page mixes those between."""
+    """Colours of a scale from low to high; the page interpolates between them."""
     return [ramp_color(share) for share in np.linspace(0.0, 1.0, RAMP_STOPS)]
 
 
 def default_mode(scene: ReplayScene) -> str:
-    """What agents are coloured by at first: the truth where it is known."""
+    """The colouring that a page opens with: by the true behaviour where it is known."""
     return "predicted" if scene.tracks.behavior is None else "true"
 
 
@@ -178,7 +178,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
 
 
 def _opening_s(scene: ReplayScene) -> float:
-    """When half as many are there as ever are at once, and somebody is believed something, s."""
+    """The first time at which there are beliefs and half of the largest number of agents, s."""
     tracks, beliefs = scene.tracks, scene.beliefs
     present = tracks.as_rows().counts()
     half_full_s = float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
@@ -188,7 +188,7 @@ def _opening_s(scene: ReplayScene) -> float:
 
 
 def _row(ids: IntArray, agent: int) -> int:
-    """Which agent of the page an id is; -1 for one that is never seen."""
+    """Index of an id among the page's agents; -1 for one that is never seen."""
     at = int(np.searchsorted(ids, agent))
     return at if at < ids.size and ids[at] == agent else -1
 
@@ -216,7 +216,7 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
 
 
 def _places(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Where everyone is, as runs of steps without a gap."""
+    """The agents' places, as runs of steps without a gap."""
     tracks = scene.tracks
     seen = tracks.as_rows()
     agent, step, xy = seen.index.agent, seen.index.step, seen.xy
@@ -280,7 +280,7 @@ def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any
 
 
 def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Where everyone factually was, place by place."""
+    """The agents' places in the factual episode."""
     ghosts = scene.ghosts
     if ghosts is None:
         return {"ghosts": []}

@@ -8,7 +8,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 BEGIN: Final = 0.12
-"""Where in viridis the ramp begins (our choice: what is darker is lost on a dark road)."""
+"""Where in viridis the ramp begins (darker colours could not be seen on a dark road)."""
 
 
 def ramp_color(share: float) -> str:

@@ -35,15 +35,15 @@ SHOWN_EVERY_S: Final = 0.1
 """Time between two places that are kept of an agent, s; between them it moves straight."""
 
 MAX_PLACES: Final = 1_000_000
-"""Most places of agents in a page (our choice: some 4 MB); of longer episodes fewer are kept."""
+"""Most places of agents in a page (some 4 MB); of longer episodes fewer are kept."""
 
 NAMED: Final = 6
-"""Most episodes that a message names (our choice)."""
+"""Most episodes that a message names."""
 
 DEFAULT_PREDICTOR: Final = "graphrqi-predict"
 
 MAX_AGENTS: Final = 2**15
-"""Most agents that are shown (our choice; a page numbers them in 16 bits)."""
+"""Most agents that are shown (a page numbers them in 16 bits)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,13 +214,13 @@ def gather(
 
 
 def _stride(tracks: Tracks) -> int:
-    """Every how many-th frame is kept."""
+    """Frames from one that is kept to the next."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
     return max(wanted, -(-tracks.as_rows().speed.size // MAX_PLACES))
 
 
 def _left_out(told: int, forecasts: Sequence[Forecast]) -> tuple[str, ...]:
-    """What to say of futures that are not kept."""
+    """A note on futures that are not kept."""
     kept = sum(one.agent.size for one in forecasts)
     if kept == told:
         return ()

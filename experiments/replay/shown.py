@@ -1,4 +1,4 @@
-"""What a replay shows differently from the data: moments of near misses, sizes in images."""
+"""Where a replay differs from the data: moments of near misses, and sizes in images."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 from sim.frames import Event, EventKind, FloatArray, Tracks
 
 NEAR_BEFORE_S, NEAR_AFTER_S = 0.5, 4.0
-"""Around a near miss the smallest distance is looked for, s (our choice: a near miss begins at a
-time to collision of 1.5 s, and is over some seconds later)."""
+"""Around a near miss the smallest distance is looked for, s (a near miss begins at a time to
+collision of 1.5 s, and is over some seconds later)."""
 
 PARKED_M: Final = 1.0
-"""A vehicle that is never seen farther than this from its middle place is parked, m (our choice:
-more than the noise of recordings)."""
+"""A vehicle that is never seen farther than this from its middle place is parked, m (more than the
+noise of recordings)."""
 
 CAR_SHAPE: Final = 2.5
-"""Length over width of a vehicle that is drawn for a box in an image (our choice: a car's)."""
+"""Length over width of a vehicle that is drawn for a box in an image (a car's)."""
 
 FREE_SHARE: Final = 0.8
-"""Longest drawn vehicle in an image, as a share of the usual distance to the nearest other one (our
-choice: then most do not touch)."""
+"""Longest drawn vehicle in an image, as a share of the usual distance to the nearest other one
+(then most do not touch)."""
 
 FRAMES_MEASURED: Final = 50
-"""Frames of which distances to the nearest other are taken (our choice)."""
+"""Frames of which distances to the nearest other are taken."""
 
 
 def shown_events(tracks: Tracks) -> tuple[Event, ...]:
@@ -60,7 +60,7 @@ def _row(tracks: Tracks, agent: int | None) -> int | None:
 
 
 def _parked(tracks: Tracks) -> list[bool]:
-    """Who is never seen to move."""
+    """Whether each vehicle is parked: it is never seen to move."""
     found = []
     rows = tracks.as_rows()
     for agent in range(tracks.ids.size):

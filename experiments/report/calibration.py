@@ -25,7 +25,7 @@ WORDS: Final[dict[str, str]] = {
 """The numbers' names on the page."""
 
 PAIRS_SHOWN: Final = 2
-"""So many of the best and of the worst fitted drives are shown."""
+"""How many of the best and of the worst fitted drives are shown."""
 
 LINE_POINTS: Final = 120
 """Points of a drawn line."""

@@ -40,7 +40,7 @@ class Inks:
     rule: str
 
     def style(self) -> dict[Any, Any]:
-        """How matplotlib draws with them."""
+        """Matplotlib's settings for these colours."""
         return {
             "svg.fonttype": "none", "font.family": "DejaVu Sans", "font.size": 9,
             "text.color": self.word, "text.parse_math": False, "axes.labelcolor": self.word,
@@ -51,15 +51,15 @@ class Inks:
 
 
 PAGE: Final = Inks("#010101", "#020202", "#030303")
-"""Of a page: `inlined` puts the page's own colours in their place, light or dark."""
+"""Colours of charts in a page; `inlined` replaces them by the page's own, light or dark."""
 
 PAPER: Final = Inks("#000000", "#55606E", "#D9DDE2")
-"""Of a figure in a file."""
+"""Colours of charts in a file of their own."""
 
 _PAGE_COLORS: Final = {
     PAGE.word: "currentColor", PAGE.axis: "var(--muted)", PAGE.rule: "var(--line)"
 }  # fmt: skip
-"""What matplotlib draws in the colour on the left takes the page's on the right."""
+"""The page's colour for each colour that matplotlib draws in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class Line:
         name: for the legend.
         points: in order of x.
         color: None to take the next one.
-        thin: whether it only helps the eye.
+        thin: whether it is a guide for the eye and no data.
     """
 
     name: str
@@ -111,7 +111,7 @@ class Axis:
 
 
 def color_of(name: str, number: int) -> str:
-    """A behaviour's own colour, or the next that is none's.
+    """The colour of a behaviour, or for anything else the next colour that no behaviour has.
 
     Examples:
         >>> color_of("timid", 0), color_of("arpack", 0)

@@ -1,4 +1,4 @@
-"""The parts of a report that an evaluation gives beside its tables: confusions and reliability."""
+"""The confusion matrices and reliability charts of an evaluation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Excerpts of a run's unseen episodes: how early and how sure it was, and where it failed.
+"""Excerpts of a run's unseen episodes: how early and how sure its answers were, and its errors.
 
 Each of these episodes gets its replay beside the report, and the worst cases link to it.
 """
@@ -30,10 +30,10 @@ from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 
 EPISODES: Final = 4
-"""Unseen episodes of each scenario that are shown (our choice)."""
+"""Unseen episodes of each scenario that are shown."""
 
 CASES: Final = 3
-"""Worst cases of each sort that are shown for each scenario (our choice)."""
+"""Worst cases of each sort that are shown for each scenario."""
 
 SECONDS: Final = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0)
 """Lengths of observation after which answers are scored, s."""
@@ -212,7 +212,7 @@ def _wrongly_classified(scene: ReplayScene, truth: NDArray[np.int8], page: str) 
 
 
 def _badly_predicted(scene: ReplayScene, page: str) -> list[WorstCase]:
-    """Agents that ended farthest from their likeliest future, one case for each agent."""
+    """Agents that ended farthest from their likeliest future, each at most once."""
     tracks = scene.tracks
     worst: dict[int, tuple[float, float]] = {}
     for forecast in scene.forecasts:

@@ -32,13 +32,13 @@ from experiments.rows import Row
 from sim.store.atomic import write_whole
 
 OURS: Final = b"GraphRQI"
-"""Stands in the head of every page that is written here; other pages are not replaced."""
+"""Mark in the head of every page that is written here; a page without it is not overwritten."""
 
 HEAD_BYTES: Final = 2000
-"""How much of a page is looked at to tell whether it was written here."""
+"""Bytes of a page in which this mark is looked for."""
 
 MOST_LETTERS: Final = 100
-"""Of the name of a chart's file, without its number and ending."""
+"""Longest name of a chart's file, without its number and ending, in letters."""
 
 
 def write_report(

@@ -1,4 +1,4 @@
-"""The page of the predictions that went most wrong on recordings, family by family."""
+"""The page of the predictions with the largest errors on recordings, family by family."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from experiments.report.templates import rendered
 from sim.frames import FloatArray
 
 WORST: Final = 10
-"""So many cases of each family are shown, at most one of each vehicle."""
+"""Cases of each family that are shown, at most one of each vehicle."""
 
 MARGIN_M: Final = 12.0
-"""How much is shown around what a case is about, m (our choice)."""
+"""How much is shown around what a case is about, m."""
 
 LEAST_SHARE: Final = 0.03
-"""Futures that are less likely are not drawn (our choice)."""
+"""Futures that are less likely are not drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def worst_cases_page(cases: Iterable[Case], predictor: str) -> str:
 
 
 def _words(case: Case) -> str:
-    """What stands under a picture."""
+    """The caption of a picture."""
     return (
         f"{case.recording}, vehicle {case.vehicle} at {case.time_s:.1f} s: "
         f"{case.error_m:.1f} m off on average, constant velocity {case.steady_error_m:.1f} m"

@@ -29,14 +29,14 @@ from sim.scenario import AgentSpec, Scenario
 from sim.sumo.branches import Trunk
 
 LEAD_S: Final = 8.0
-"""How long before an incident a driver becomes careful, s (our choice: as long as a rule broken
-before a collision counts as its cause, and time enough to restore a headway)."""
+"""How long before an incident a driver becomes careful, s (as long as a rule broken before a
+collision counts as its cause, and time enough to restore a headway)."""
 
 AFTER_S: Final = 4.0
-"""An incident that happens up to so much later is still the same one, s (our choice)."""
+"""An incident that happens up to so much later is still the same one, s."""
 
 NEAREST: Final = 4
-"""How many drivers beside the two parties are tried: those nearest to either (our choice)."""
+"""How many drivers beside the two parties are tried: those nearest to either."""
 
 CAREFUL: Final = Behavior.CAREFUL
 """Whom a driver is compared with."""

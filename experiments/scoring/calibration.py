@@ -26,7 +26,7 @@ from sim.store.dataset import open_dataset
 FloatArray = NDArray[np.float64]
 
 LAW_KNOWN: Final = 0.95
-"""From this probability on the data tell a driver's law (our choice)."""
+"""From this probability on the data tell a driver's law."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

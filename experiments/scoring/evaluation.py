@@ -339,7 +339,7 @@ SHOWN: Final = {
 """Metrics of the table for people, by column."""
 
 WITH_INTERVAL: Final = frozenset({"weighted_accuracy", "style_auc"})
-"""Metrics that the table for people gives with their intervals (our choice: all would not fit)."""
+"""Metrics that the table for people gives with their intervals (all would not fit)."""
 
 
 def evaluation_table(rows: Sequence[Row]) -> list[Row]:

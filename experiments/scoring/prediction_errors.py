@@ -34,24 +34,24 @@ HORIZONS_S: Final = (1.0, 3.0, 5.0)
 
 
 MOST_SPAN_S: Final = 1.5
-"""Where agents were between two frames farther apart is not known, s (our choice: more than one of
-the slowest recordings' seconds)."""
+"""Where agents were between two frames farther apart is not known, s (more than one of the slowest
+recordings' seconds)."""
 
 HISTORY_S: Final = 5.0
 """Predictors are given at most this much of the past, s: what a stream remembers."""
 
 
 EVERY_S: Final = 2.0
-"""Time between the instants of prediction, s (our choice)."""
+"""Time between the instants of prediction, s."""
 
 
 WARM_UP_S: Final = 5.0
-"""No prediction is made before an episode is this old, s (our choice); `instants` says what holds
-for shorter horizons and episodes."""
+"""No prediction is made before an episode is this old, s; `instants` says what holds for shorter
+horizons and episodes."""
 
 
 LEAST_SEEN_S: Final = 1.0
-"""Agents observed for less than this are not scored, s (our choice)."""
+"""Agents observed for less than this are not scored, s."""
 
 
 MEASURES: Final = (*METRICS, "coverage_90", "nll", "collisions", "off_road")
@@ -61,7 +61,7 @@ another's by then, and whether that future ends off every lane."""
 
 
 LANE_MARGIN_M: Final = 0.5
-"""A place this far outside a lane is off it (our choice)."""
+"""A place this far outside a lane is off it."""
 
 
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")

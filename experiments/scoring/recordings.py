@@ -34,7 +34,8 @@ AHEAD_S: Final = float(TIME_S[-1])
 """How far ahead is predicted, s."""
 
 MOVING_MPS, MOVED_M = 1.0, 1.0
-"""Who moves: at least this speed, m/s, or this distance within the last `PAST_S`, m."""
+"""Agents that count as moving have at least this speed, m/s, or moved by this distance within the
+last `PAST_S`, m."""
 
 VELOCITY_S: Final = 0.5
 """Past over which constant velocity averages, s."""
@@ -54,7 +55,7 @@ FAMILIES: Final[tuple[tuple[str, str], ...]] = (
 OTHER: Final = "other"
 
 MOST_NOISE_M: Final = 0.2
-"""Episodes that say that they are shakier are left out (our choice)."""
+"""Episodes that say that they are shakier are left out."""
 
 FAMILY_FILE: Final = "family.txt"
 """A dataset's folder may name its family in this file."""

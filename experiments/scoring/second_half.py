@@ -19,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 LEAST_LIFE_S: Final = 10.0
-"""Shorter tracks have no halves that tell anything (our choice: five seconds each)."""
+"""Shorter tracks have no halves that tell anything (five seconds each)."""
 
 SPAN_S: Final = 0.5
 """Speeds are taken over this time before and after each instant, s."""
@@ -35,15 +35,15 @@ BESIDE_M: Final = 1.75
 """A leader is nearer ahead than the one, and no farther beside than the other: half a lane."""
 
 LONGEST_HEADWAY_S: Final = 10.0
-"""Who is farther behind does not follow (our choice)."""
+"""A vehicle with a longer headway does not follow, s."""
 
 NEAR_M: Final = 50.0
 """Radius of the local pace."""
 
 SHIFT_S: Final = 4.0
 SHIFT_M: Final = 1.8
-"""Who is this far beside its way after this time, heading as before, has changed lanes (our choice:
-half a lane's width and more; weaving within a lane stays below)."""
+"""A vehicle that is this far beside its former path after this time, with the same heading, has
+changed lanes, s and m (half a lane's width and more; weaving within a lane stays below)."""
 
 SAME_HEADING: Final = float(np.cos(np.radians(10.0)))
 ALIKE: Final = float(np.cos(np.radians(30.0)))

@@ -23,8 +23,8 @@ RULES: Final = (
 """What counts as a rule broken."""
 
 SAME_S: Final = 3.0
-"""Incidents of one pair of agents that begin so close in time are the same one (our choice: as two
-touches are of one collision)."""
+"""Incidents of one pair of agents that begin so close in time are the same one (as two touches are
+of one collision)."""
 
 
 def same_incident(one: Event, other: Event) -> bool:

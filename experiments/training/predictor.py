@@ -36,20 +36,20 @@ from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
 CALIBRATE_EVERY_S: Final = 6.0
-"""Time between scenes used for calibration, s (our choice)."""
+"""Time between scenes used for calibration, s."""
 
 EXAMPLES_EVERY_S: Final = 1.5
-"""Time between instants that networks are trained on, s (our choice)."""
+"""Time between instants that networks are trained on, s."""
 
 EPOCHS: Final = 24
-"""Passes over the training examples (our choice)."""
+"""Passes over the training examples."""
 
 SEED: Final = 0
 """Of searches, weights, order and which beliefs are left out or shuffled."""
 
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
 """Shares of instants at which, in an epoch, nobody is believed to be anything, and everybody what
-another driver is believed to be (our choice on episodes of a set apart)."""
+another driver is believed to be (chosen on episodes of a set apart)."""
 
 
 def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:

@@ -46,7 +46,7 @@ from sim.road import Road
 from sim.store.atomic import whole_file
 
 PER_DATASET: Final = 6_000
-"""About so many moving agents at instants are taken from each dataset."""
+"""Number of examples, a moving agent at an instant each, that are taken from a dataset, about."""
 
 LEAST_EVERY_S, MOST_EVERY_S = 0.4, 30.0
 """Shortest and longest time between the instants of a recording, s."""
@@ -64,8 +64,8 @@ COARSER: Final = (2, 3, 5)
 DENSE_S: Final = 0.15
 
 MAP_OFF_M: Final = 0.6
-"""Standard deviation of each coordinate by which the map of an altered version is off, m (our
-choice: recorded vehicles drive beside the centre lines of their maps, simulated ones on them)."""
+"""Standard deviation of each coordinate by which the map of an altered version is off, m (recorded
+vehicles drive beside the centre lines of their maps, simulated ones on them)."""
 
 KEY_FRAMES_S: Final = (1.0, 5.0)
 """Range of the time between key frames, s, uniform (in NGSIM's Peachtree Street speeds are constant
@@ -78,8 +78,7 @@ SHORTEST_PAST_S: Final = 0.4
 """The shortest past that is learned from, s."""
 
 MIRRORED_SHARE: Final = 0.5
-"""Share of versions in which left and right are swapped (our choice: both sides are the same then).
-"""
+"""Share of versions in which left and right are swapped (both sides are the same then)."""
 
 ALONE_SHARE: Final = 0.08
 """Share of versions without neighbours, as where gaps are implausible."""

@@ -15,8 +15,8 @@ from experiments.data.generate import generate
 from scenarios.networks.build import find_program, run_program
 
 ROUNDABOUTS: Final = ((13.0, 1), (20.0, 1), (20.0, 2), (30.0, 2), (45.0, 2))
-"""Radius of the ring, m, and lanes of each roundabout (our choice: from the smallest that a bus can
-pass to those of country roads)."""
+"""Radius of the ring, m, and lanes of each roundabout (from the smallest that a bus can pass to
+those of country roads)."""
 
 ROUNDABOUT_EPISODES, ROUNDABOUT_S = 4, 120.0
 """Episodes of each roundabout, and their length, s."""
@@ -28,8 +28,7 @@ TOWNS: Final = 12
 """Towns, each with a net of its own."""
 
 TOWN_S, TOWN_FLOW = 150.0, 1400.0
-"""Length of their episodes, s, and vehicles per hour in each town (our choice: some 40 at a
-time)."""
+"""Length of their episodes, s, and vehicles per hour in each town (some 40 at a time)."""
 
 TOWN_LIMITS_MPS: Final = (8.33, 10.0, 11.11, 13.89)
 TOWN_CONTROLS: Final = ("priority", "traffic_light", "right_before_left")
@@ -40,8 +39,8 @@ TOWN_OPTIONS: Final = (
     "220", "--rand.min-angle", "50", "--rand.connectivity", "0.9", "--no-turnarounds", "true",
     "--tls.guess", "true",
 )  # fmt: skip
-"""Streets of 60 to 220 m that meet at angles of 50 degrees and more (our choice: blocks of towns
-that were not planned)."""
+"""Streets of 60 to 220 m that meet at angles of 50 degrees and more (blocks of towns that were not
+planned)."""
 
 MOTORWAYS: Final = ("motorway", "motorway_ramps")
 MOTORWAY_EPISODES, MOTORWAY_S = 4, 120.0
@@ -49,7 +48,7 @@ MOTORWAY_LIMITS_MPS: Final = (22.22, 36.11, 27.78, 33.33)
 """Episodes of each motorway, their length, s, and the limits that they take in turn, m/s."""
 
 ROUNDABOUT_ENGINE, TOWN_ENGINE = "sumo-idm", "sumo"
-"""Which law drives where (our choice: each of both)."""
+"""Which law drives where (each of both)."""
 
 
 def generate_roads(work: Path, seed: int, quiet: bool = False) -> list[Path]:

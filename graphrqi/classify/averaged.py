@@ -25,7 +25,7 @@ from graphrqi.classify.softmax import NEVER, softmax
 from graphrqi.classify.standardisation import Standardisation
 
 MOST_ROWS: Final = 20_000
-"""Rows that are answered at once (our choice: the arrays between the layers then take 60 MB)."""
+"""Rows that are answered at once (the arrays between the layers then take 60 MB)."""
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 

@@ -12,8 +12,8 @@ from behaviors.errors import InputError
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 
 LEAST_TEMPERATURE, LARGEST_TEMPERATURE = 1e-3, 1e3
-"""Temperatures that a model may have (our choice: 0.25 to 4 are tried in training; far smaller ones
-make probabilities that are not numbers)."""
+"""Temperatures that a model may have (0.25 to 4 are tried in training; far smaller ones make
+probabilities that are not numbers)."""
 
 
 def of_trained_classes(validation: HeldOut, codes: CodeArray) -> HeldOut:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import compiled
+from sim.compiled import in_place
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 IndexArray = NDArray[np.int32]
 
 
-@compiled
+@in_place()
 def change_since(
     rows: IntArray,
     times: FloatArray,
@@ -56,7 +56,7 @@ def change_since(
         elapsed_s[i] = times[now] - times[at]
 
 
-@compiled
+@in_place()
 def find_neighbors(
     indptr: IndexArray,
     indices: IndexArray,
@@ -115,7 +115,7 @@ def find_neighbors(
                 out[i, 4] += 1.0
 
 
-@compiled
+@in_place()
 def signal_differences(
     indptr: IndexArray,
     indices: IndexArray,
@@ -152,7 +152,7 @@ def signal_differences(
             level[i] = mean[i]
 
 
-@compiled
+@in_place()
 def spread_on_nodes(
     values: FloatArray,
     counts: BoolArray,
@@ -192,7 +192,7 @@ def spread_on_nodes(
                 sums[row, upper] += share * step_s
 
 
-@compiled
+@in_place()
 def summarise(
     sums: FloatArray,
     nodes: FloatArray,
@@ -201,6 +201,7 @@ def summarise(
     levels: FloatArray,
     least: float,
     unknown: float,
+    below: FloatArray,
     out: FloatArray,
 ) -> None:
     """Quantiles, mean and evidence of each block.
@@ -218,10 +219,10 @@ def summarise(
         levels: (Q,) of the quantiles, above 0 and below 1.
         least: total below which a block counts as unobserved, s.
         unknown: distance of an unobserved block's quantiles and mean below its lowest node.
+        below: (S,) room to work in.
         out: (n, at least B (Q + 2)) receives block by block the quantiles, the mean, the evidence.
     """
     quantiles = levels.size
-    below = np.empty(nodes.size)
     for i in range(len(sums)):
         column = 0
         for b in range(starts.size - 1):
@@ -250,7 +251,7 @@ def summarise(
             column += quantiles + 2
 
 
-@compiled
+@in_place()
 def infer_law(
     sums: FloatArray, weight: float, prior: FloatArray, prior_target: FloatArray, out: FloatArray
 ) -> None:
@@ -266,7 +267,8 @@ def infer_law(
         out: (n, 7) receives the numbers.
     """
     for i in range(len(sums)):
-        r, s, t, u, w, x = sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3], sums[i, 4], sums[i, 5]
+        r, s, t = sums[i, 0], sums[i, 1], sums[i, 2]
+        u, w, x = sums[i, 3], sums[i, 4], sums[i, 5]
         p, q, z = sums[i, 6], sums[i, 7], sums[i, 8]
         a, b, c = weight * r + prior[0], weight * s, weight * t
         d, e, f = weight * u + prior[1], weight * w, weight * x + prior[2]
@@ -295,7 +297,7 @@ def infer_law(
         out[i, 6] = math.sqrt(max(error, 0.0) / max(sums[i, 10], 1.0))
 
 
-@compiled
+@in_place()
 def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: FloatArray) -> None:
     """Fit a parabola to each agent's positions about time zero, by least squares.
 
@@ -311,10 +313,11 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
             positions.
     """
     for i in range(len(trail)):
-        n, first, last = 0, 0.0, 0.0
-        s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
-        x0, x1, x2, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        east, north = 0.0, 0.0
+        n = 0
+        first = last = 0.0
+        s1 = s2 = s3 = s4 = 0.0
+        x0 = x1 = x2 = y0 = y1 = y2 = 0.0
+        east = north = 0.0
         for k in range(times.size):
             if np.isnan(trail[i, k, 0]):
                 continue
@@ -336,7 +339,7 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
         if n < 2 or first > 1e-6 or last < -1e-6 or last - first < 0.5 * half_s:
             continue
         curved = n >= 4 and -first >= 0.5 * half_s and last >= 0.5 * half_s
-        ax, bx, cx, ay, by, cy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        ax = bx = cx = ay = by = cy = 0.0
         if curved:
             # Cofactors of the symmetric matrix of moments [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]]
             aa, bb, cc = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
@@ -357,7 +360,8 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
                 continue
             ax, bx = (s2 * x0 - s1 * x1) / determinant, (n * x1 - s1 * x0) / determinant
             ay, by = (s2 * y0 - s1 * y1) / determinant, (n * y1 - s1 * y0) / determinant
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = ax + east, ay + north, bx, by
+        out[i, 0], out[i, 1] = ax + east, ay + north
+        out[i, 2], out[i, 3] = bx, by
         if not curved:
             continue
         out[i, 4], out[i, 5] = 2.0 * cx, 2.0 * cy
@@ -376,7 +380,7 @@ def fit_parabolas(trail: FloatArray, times: FloatArray, half_s: float, out: Floa
         out[i, 6] = math.sqrt(total / (n - 3))
 
 
-@compiled
+@in_place()
 def speed_of_neighbors(
     indptr: IndexArray,
     indices: IndexArray,

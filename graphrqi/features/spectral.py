@@ -33,7 +33,7 @@ SPECTRUM_EVERY_S: Final = 0.5
 edges per tenth of a second."""
 
 NUM_PAIRS: Final = 8
-"""Eigenpairs kept at the largest end (our choice, since the paper does not state its own)."""
+"""Eigenpairs kept at the largest end (since the paper does not state its own)."""
 
 HEAT_SCALES: Final = (0.5, 1.0, 2.0, 4.0)
 """Diffusion times of the heat filters, in units of 1 / lambda_max."""

@@ -114,8 +114,9 @@ def describe(
     if out is None:
         out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))
     summarise(
-        np.ascontiguousarray(sums), nodes, limits, starts, np.array(LEVELS), LEAST_S, UNKNOWN, out
-    )
+        np.ascontiguousarray(sums), nodes, limits, starts, np.array(LEVELS), LEAST_S, UNKNOWN,
+        np.empty(nodes.size), out,
+    )  # fmt: skip
     return out
 
 

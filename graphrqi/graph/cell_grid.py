@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import compiled, inner
+from sim.compiled import compiled, in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -26,12 +26,12 @@ Ids = NDArray[np.int64]
 Grid: TypeAlias = tuple[float, float, float, int, int, float, Ints, Ints]
 
 CROWDED = 8.0
-"""Vehicles in a vehicle's cell, on average, above which cells are halved (our choice)."""
+"""Vehicles in a vehicle's cell, on average, above which cells are halved."""
 MAX_CELLS_PER_VEHICLE = 16
-"""Bound on the grid's memory (our choice)."""
+"""Bound on the grid's memory."""
 
 
-@inner
+@in_place(inner=True)
 def cell_at(at: float, origin: float, width: float, cells: int) -> int:
     """Column of cells in which a coordinate lies; the nearest for one outside, m."""
     column = (at - origin) / width
@@ -40,7 +40,6 @@ def cell_at(at: float, origin: float, width: float, cells: int) -> int:
     return int(column) if column < cells else cells - 1
 
 
-@compiled
 def cell_grid(xy: Floats, smallest: float) -> Grid:
     """Sort points into square cells; border cells also hold the points outside the grid.
 
@@ -50,9 +49,27 @@ def cell_grid(xy: Floats, smallest: float) -> Grid:
 
     Returns:
         Origin x and y, cell width, columns, rows, rounding slack of cell borders (all m);
-        (columns * rows + 1,) first item of each cell; (n,) points by cell.
+        first item of each cell and, after the last one's, n, with room to spare; (n,) points by
+        cell.
     """
     n = len(xy)
+    # cells are halved only while that makes at most 16 for each vehicle, and 64
+    start, items = np.empty(MAX_CELLS_PER_VEHICLE * n + 65, np.int32), np.empty(n, np.int32)
+    x0, y0, width_m, columns, rows, slack_m = _sort_into_cells(
+        xy, smallest, np.empty(n, np.int32), start, items
+    )
+    return x0, y0, width_m, columns, rows, slack_m, start, items
+
+
+@in_place()
+def _sort_into_cells(
+    xy: Floats, smallest: float, cell_of: Ints, start: Ints, items: Ints
+) -> tuple[float, float, float, int, int, float]:
+    """See `cell_grid`; ``cell_of`` is room to work in."""
+    n = len(xy)
+    if n == 0:  # there is no bounding box
+        start[0] = start[1] = 0
+        return 0.0, 0.0, 1.0, 1, 1, 0.0
     x0, x1, y0, y1 = -math.inf, math.inf, -math.inf, math.inf
     for _ in range(3):  # bounding box, drawn in to 3 sigma: a straggler must not set the scale
         m = 0
@@ -77,11 +94,9 @@ def cell_grid(xy: Floats, smallest: float) -> Grid:
     h = max(max(math.sqrt(2.0 * width * height / n), 2.0 * extent / n), smallest)
     if h <= 1e-9 * (abs(x0) + abs(y0) + extent) or h <= 0.0:
         h = max(extent, 1.0)
-    cell_of = np.empty(n, np.int32)
     while True:
         columns, rows = int(width / h) + 1, int(height / h) + 1
-        start = np.empty(columns * rows + 1, np.int32)
-        for c in range(start.size):
+        for c in range(columns * rows + 1):
             start[c] = 0
         for i in range(n):
             column, row = cell_at(xy[i, 0], x0, h, columns), cell_at(xy[i, 1], y0, h, rows)
@@ -97,17 +112,15 @@ def cell_grid(xy: Floats, smallest: float) -> Grid:
         h *= 0.5
     for c in range(columns * rows):
         start[c + 1] += start[c]
-    items = np.empty(n, np.int32)
     for i in range(n - 1, -1, -1):
         start[cell_of[i] + 1] -= 1
         items[start[cell_of[i] + 1]] = i
     for c in range(columns * rows):
         start[c] = start[c + 1]
     start[columns * rows] = n
-    return x0, y0, h, columns, rows, 1e-12 * (extent + h), start, items
+    return x0, y0, h, columns, rows, 1e-12 * (extent + h)
 
 
-@compiled
 def nearest_neighbors(ids: Ids, xy: Floats, k: int, grid: Grid) -> Ints:
     """The nearest others of every vehicle, by distance, then by id.
 
@@ -120,13 +133,17 @@ def nearest_neighbors(ids: Ids, xy: Floats, k: int, grid: Grid) -> Ints:
     Returns:
         (n * k,) positions of the neighbours, nearest first.
     """
-    n = ids.size
-    target = np.empty(n * k + 1, np.int32)  # room for one that is not among the last one's
-    if k == 0:
-        return target[:0]
+    target = np.empty(ids.size * k + 1, np.int32)  # room for one that is not among the last one's
+    if k > 0:
+        _find_nearest(ids, xy, k, grid, np.empty(k + 1), target)
+    return target[:-1]
+
+
+@in_place()
+def _find_nearest(ids: Ids, xy: Floats, k: int, grid: Grid, distance: Floats, target: Ints) -> None:
+    """See `nearest_neighbors`; ``distance`` is room to work in."""
     x0, y0, h, columns, rows, slack, start, items = grid
-    distance = np.empty(k + 1, np.float64)
-    for i in range(n):
+    for i in range(ids.size):
         base = i * k
         x, y = xy[i, 0], xy[i, 1]
         cx, cy = cell_at(x, x0, h, columns), cell_at(y, y0, h, rows)
@@ -149,14 +166,12 @@ def nearest_neighbors(ids: Ids, xy: Floats, k: int, grid: Grid) -> Ints:
                                 continue
                             # behind the k-th is room for one that is not among them
                             q = base + found
-                            while q > base and (
-                                square < distance[q - base - 1]
-                                or (
-                                    square == distance[q - base - 1] and ids[j] < ids[target[q - 1]]
-                                )
-                            ):
-                                distance[q - base] = distance[q - base - 1]
-                                target[q] = target[q - 1]
+                            while q > base:
+                                nearer, other = distance[q - base - 1], target[q - 1]
+                                if square > nearer or (square == nearer and ids[j] > ids[other]):
+                                    break
+                                distance[q - base] = nearer
+                                target[q] = other
                                 q -= 1
                             distance[q - base] = square
                             target[q] = j
@@ -177,7 +192,6 @@ def nearest_neighbors(ids: Ids, xy: Floats, k: int, grid: Grid) -> Ints:
             if found == k and bound > 0.0 and distance[k - 1] < bound * bound * (1.0 - 1e-12):
                 break
             ring += 1
-    return target[:-1]
 
 
 @compiled
@@ -219,7 +233,6 @@ def within_radius(xy: Floats, radius_m: float, grid: Grid) -> tuple[Ints, Ints]:
     return starts, target
 
 
-@compiled
 def join(
     row_of: Ids,
     d: int,
@@ -248,11 +261,38 @@ def join(
         Row starts, columns and values of the new Laplacian (every diagonal entry is stored,
         columns sorted); the last two have room to spare.
     """
-    n, m, c = row_of.size, starts[row_of.size], old_indptr.size - 1
-    seen, known = np.empty(d, np.int32), np.empty(d, np.int32)
+    edges = target.size
+    room = 2 * edges + d + old_indices.size
+    indptr, indices, values = np.empty(d + 1, np.int32), np.empty(room, np.int32), np.empty(room)
+    _join(
+        row_of, d, xy, (starts, target), scale_m, (old_indptr, old_indices, old_values),
+        np.empty((2, d), np.int32), np.empty((2, d + 2), np.int32), np.empty((2, edges), np.int32),
+        (indptr, indices, values),
+    )  # fmt: skip
+    return indptr, indices, values
+
+
+@in_place()
+def _join(
+    row_of: Ids,
+    d: int,
+    xy: Floats,
+    lists: tuple[Ints, Ints],
+    scale_m: float,
+    old: tuple[Ints, Ints, Floats],
+    rows: Ints,
+    begins: Ints,
+    chosen: Ints,
+    new: tuple[Ints, Ints, Floats],
+) -> None:
+    """See `join`; ``rows``, ``begins`` and ``chosen`` are room to work in."""
+    starts, target = lists
+    old_indptr, old_indices, old_values = old
+    indptr, indices, values = new
+    n, m, c = row_of.size, target.size, old_indptr.size - 1
+    seen, known = rows[0], rows[1]
     # Transposing twice sorts the lists: `a` holds who chose a row, `b` whom the row chose.
-    a_start, b_start = np.empty(d + 2, np.int32), np.empty(d + 2, np.int32)
-    a, b = np.empty(m, np.int32), np.empty(m, np.int32)
+    a_start, b_start, a, b = begins[0], begins[1], chosen[0], chosen[1]
     for r in range(d):
         seen[r] = known[r] = -1
     for i in range(n):
@@ -278,10 +318,7 @@ def join(
             b[b_start[t + 1]] = r
             b_start[t + 1] += 1
 
-    room = 2 * m + d + old_indices.size
-    indptr = np.empty(d + 1, np.int32)
     indptr[0] = 0
-    indices, values = np.empty(room, np.int32), np.empty(room, np.float64)
     z = 0
     for r in range(d):
         pa, ea, pb, eb = a_start[r], a_start[r + 1], b_start[r], b_start[r + 1]
@@ -343,4 +380,3 @@ def join(
                 z += 1
         values[diagonal] = degree
         indptr[r + 1] = z
-    return indptr, indices, values

@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from behaviors.errors import InputError
 
 MAX_COORDINATE_M = 1e9
-"""Positions beyond this are refused: doubles there are 0.1 um apart (our choice)."""
+"""Positions beyond this are refused: doubles there are 0.1 um apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
     """Vehicles at one moment; make one with `of`, which checks them.
 
-    The nearest neighbours are searched once. Who asks for fewer of them gets the first ones.
+    The nearest neighbours are searched once; a later call for fewer of them returns the first ones.
 
     Attributes:
         ids: (n,) different ids.

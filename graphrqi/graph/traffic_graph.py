@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Kind: TypeAlias = Literal["accumulated", "instantaneous"]
 
 MAX_WEIGHT = 1e100
-"""Weights beyond this are refused: sums of their squares stay finite (our choice)."""
+"""Weights beyond this are refused: sums of their squares stay finite."""
 
 
 @dataclass(frozen=True)

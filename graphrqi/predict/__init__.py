@@ -146,7 +146,6 @@ def predict(
             horizon is too short, or the history empty or with numbers that are not finite where
             agents were seen.
     """
-    from graphrqi.predict.recorded.predictor import predict_unmapped
     from graphrqi.predict.scene.scene import (
         LEARNED_S,
         check_history,
@@ -177,6 +176,8 @@ def predict(
 
         network, function = trained_network(weights), with_weights(weights)
     if road is None:
+        from graphrqi.predict.recorded.predictor import predict_unmapped
+
         return predict_unmapped(history, horizon_s, predictor, network)
     scene = make_scene(history, road, max(horizon_s, LEARNED_S))
     return function(scene, posterior).until(horizon_s)

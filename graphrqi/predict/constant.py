@@ -1,4 +1,4 @@
-"""Predictors that know no road: constant velocity and constant acceleration."""
+"""Predictors that need no road: constant velocity and constant acceleration."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def constant_velocity(scene: Scene, posterior: Posterior) -> Prediction:
 
 
 def constant_acceleration(scene: Scene, posterior: Posterior) -> Prediction:
-    """Everyone keeps heading and acceleration; who brakes stops and stays."""
+    """Everyone keeps heading and acceleration; vehicles that brake to a standstill stay there."""
     return scene.predicted(by_inertia(scene))
 
 
 def inertial_distance(speed: FloatArray, accel: FloatArray, time_s: FloatArray) -> FloatArray:
-    """How far who keeps its acceleration comes, m; who brakes stops and stays.
+    """Distance at constant acceleration, m; vehicles that brake to a standstill stay there.
 
     Args:
         speed: m/s; all three broadcast.

@@ -1,4 +1,4 @@
-"""How wrong predictions are, as Argoverse 2 defines it, and whom they let collide.
+"""Errors of predictions as Argoverse 2 defines them, and which agents are predicted to collide.
 
 Every function takes the futures (n, K, H, 2), their probabilities (n, K) and what happened
 (n, H, 2) of agents seen throughout, and gives one number per agent.
@@ -127,7 +127,7 @@ COVERAGE: Final = 0.9
 """Nominal coverage of the predicted sets."""
 
 _SET_SAMPLES: Final = 40
-"""Points per future from which a set's density threshold is taken (our choice)."""
+"""Points per future from which a set's density threshold is taken."""
 
 
 def log_density(

@@ -2,11 +2,11 @@
 
 Each manoeuvre (keep the lane, or move to one beside, at one of a few wished speeds) is rolled out
 jointly with everybody else, who follow, change lanes and mind signals as they are believed to drive
-and react to it. The manoeuvre that gets farthest at least risk is begun; half a second later one
-looks again. Risk is how soon one would collide with somebody ahead, behind or across if both kept
-their speeds (time to collision), summed over the next seconds; and what comes without a reason in
-the traffic, as often as those around are believed to do it: a leader that stops, a neighbour that
-cuts in.
+and react to it. The manoeuvre that gets farthest at least risk is begun, and half a second later
+all are compared again. Risk is how soon one would collide with somebody ahead, behind or across if
+both kept their speeds (time to collision), summed over the next seconds; and what comes without a
+reason in the traffic, as often as those around are believed to do it: a leader that stops, a
+neighbour that cuts in.
 
 References:
     Hayward (1972), "Near-miss determination through use of a scale of danger", HRR 384 (time to
@@ -34,55 +34,56 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 WISHES: Final = ((0.0, 1.0), (0.5, 1.0), (1.0, 0.8), (1.0, 1.4), (1.0, 2.2))
-"""Wished speeds, as shares of the limit, and time headways, s, that are tried (our choice)."""
+"""Wished speeds, as shares of the limit, and time headways, s, that are tried."""
 
 EGO_FOLLOWING: Final = (2.0, 2.5, 4.0)
-"""The planned vehicle's own standstill gap m, acceleration and deceleration m/s2 (our choice: an
-attentive average driver)."""
+"""The planned vehicle's own standstill gap m, acceleration and deceleration m/s2 (an attentive
+average driver)."""
 
 STOP_MARGIN_M: Final = 1.5
 """The planned vehicle is driven as if it were this much longer at either end, so that it stops
-before lines, not on them (our choice)."""
+before lines, not on them."""
 
 NEAR_S: Final = 3.0
-"""Times to collision below this count as risk, the more the shorter (our choice: twice what is
-called a near miss)."""
+"""Times to collision below this count as risk, the more the shorter (twice what is called a near
+miss)."""
 
 EVERY: Final = 2
-"""Risk is looked at in every so many steps."""
+"""Steps between the instants at which risk is computed."""
 
 MARGIN_M: Final = 0.3
-"""Who passes this near to the side is in the way (our choice)."""
+"""An agent that passes this near to the side is in the way, m."""
 
 RISK_WEIGHT, OVERLAP_WEIGHT, CHANGE_WEIGHT, SURPRISE_WEIGHT = 1.5, 20.0, 0.05, 1.0
-"""What a second at no time to collision, a second of overlap, a lane change and an expected near
-miss cost against the way gone, as a share of what the limit allows (our choice on other seeds than
+"""Costs of a second with a time to collision of zero, of a second of overlap, of a lane change and
+of an expected near miss; the unit is the distance that the limit allows (chosen on other seeds than
 are reported)."""
 
 CUT_IN_GAP_M: Final = (2.0, 15.0)
-"""Who is cut in front of is this far behind (our choice: nearer is a collision, farther none)."""
+"""A driver may cut in front of a vehicle that is this far behind it, least and most, m (cutting in
+closer is a collision, and farther away it disturbs nobody)."""
 
 CUT_IN_SIDE_M: Final = (1.5, 5.0)
-"""... and this far aside: a lane."""
+"""Distance between the two to the side, least and most, m: they drive on neighbouring lanes."""
 
 CUT_IN_SEVERITY: Final = 0.2
-"""How much of a near miss a cut-in is even at equal speeds (our choice)."""
+"""A cut-in counts as at least this share of a near miss, also at equal speeds."""
 
 CALM_HEADWAY_S: Final = 2.5
-"""A leader that stops without a reason is no danger from this headway on, s (our choice: a second
-to react, and braking as hard as the leader)."""
+"""A leader that stops without a reason is no danger from this headway on, s (a second to react, and
+braking as hard as the leader)."""
 
 CUTS_IN: Final = np.array([PROFILES[b].cut_in_rate_per_min / 60.0 for b in BEHAVIORS])
 STOPS: Final = np.array([PROFILES[b].stop_rate_per_min / 60.0 for b in BEHAVIORS])
 """(6,) how often drivers of each behaviour cut in and stop without a reason, 1/s."""
 
 ACT_S: Final = 0.5
-"""Time until the next look, s."""
+"""Time between two decisions, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What to do until the next look.
+    """What the vehicle does until the next decision.
 
     Attributes:
         accel: m/s2.
@@ -101,7 +102,7 @@ def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) ->
     Args:
         scene: the present, the planned vehicle on the path that it is to take.
         ego: its row.
-        probability: (n, 6) beliefs about who drives how.
+        probability: (n, 6) beliefs about the drivers' behaviours.
         table: drivers' numbers.
 
     Returns:
@@ -157,7 +158,7 @@ def _driving(
 
 
 def _worth(scene: Scene, rollout: Rollout, ego: int, probability: FloatArray) -> float:
-    """Way gone as a share of what the limit allows, less what the risk on it costs."""
+    """Distance driven over the distance that the limit allows, less the cost of the risk."""
     limit = (
         max(float(scene.states.limit[ego]), 1.0) if np.isfinite(scene.states.limit[ego]) else 10.0
     )

@@ -49,8 +49,7 @@ NEAR_MISS_S: Final = 1.0
 """Time to collision below which a near miss is counted, s (Hayward 1972: 1 to 1.5 s)."""
 
 NEAR_MISS_M: Final = 0.4
-"""Passing this near, at more than walking pace, is a near miss too, m (our choice: an arm's
-length)."""
+"""Passing this near, at more than walking pace, is a near miss too, m (an arm's length)."""
 
 NEARBY_M: Final = 12.0
 """Only others whose centre is this near are checked for passing too near, m."""
@@ -64,15 +63,15 @@ REWARDS: Final[dict[str, float]] = {
     "red_run": -3.0,
     "off_road": -5.0,
 }
-"""The weight of each part of the reward (our choice: a collision costs more than ten seconds at the
-limit are worth)."""
+"""The weight of each part of the reward (a collision costs more than ten seconds at the limit are
+worth)."""
 
 BEGIN_M: Final = 3.0
 """Where on its first lane the ego vehicle begins, m."""
 
 ROOM_M: Final = 12.0
-"""Room in front and behind that the ego vehicle needs to be set on the road, m (our choice: room to
-brake from walking pace)."""
+"""Room in front and behind that the ego vehicle needs to be set on the road, m (room to brake from
+walking pace)."""
 
 LONGEST_WAIT_S: Final = 60.0
 """The ego vehicle waits this long for room; then the vehicles in its place are removed."""

@@ -29,7 +29,7 @@ from scenarios.environments.environment import ROOM_M, TrafficEnv
 from sim.highway.ego import as_mapping, distance_left_m
 
 MOST_EGOS: Final = 1000
-"""Most ego vehicles (our choice: more than any road here holds)."""
+"""Most ego vehicles (more than any road here holds)."""
 
 
 @dataclass

@@ -25,10 +25,10 @@ from sim.store.atomic import temporary_folder
 from sim.xml_tree import DECLARED, read_bytes
 
 MAX_MAP_BYTES: Final = 2**28
-"""Largest map, unpacked (our choice: 256 MiB, as of nets)."""
+"""Largest map, unpacked (256 MiB, as of nets)."""
 
 LONGEST_S: Final = 600.0
-"""netconvert may take this long for a map, s (our choice: a district takes seconds)."""
+"""netconvert may take this long for a map, s (a district takes seconds)."""
 
 KINDS: Final[dict[str, str]] = {
     "sumo": "SUMO net",
@@ -64,8 +64,8 @@ where the map has them, with fixed programmes; nobody turns round; turns are as 
 nets."""
 
 MOST_GAP_M: Final = 1.0
-"""Lanes that a way joins without a path are at most this far apart, m (our choice: less than a
-vehicle moves in a step)."""
+"""Lanes that a way joins without a path are at most this far apart, m (less than a vehicle moves in
+a step)."""
 
 _READ_BY_NETCONVERT: Final[dict[str, tuple[str, str]]] = {
     "openstreetmap": ("--osm-files", "map.osm"),

@@ -14,7 +14,7 @@ from sim.store.atomic import write_whole
 from sim.xml_tree import read_bytes, read_tree
 
 LEAST_LIMIT_MPS: Final = 1.0
-"""Lowest speed limit that may be asked for, m/s (our choice: walking pace)."""
+"""Lowest speed limit that may be asked for, m/s (walking pace)."""
 
 _WITHOUT_LIGHTS: Final = {"O": "M", "o": "m"}
 """A link's state without its light, by its state with one that is off."""

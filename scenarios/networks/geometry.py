@@ -18,7 +18,7 @@ LANE_WIDTH_M: Final = 3.2
 """SUMO's default lane width, m."""
 
 RAMP_SLOPE: Final = 0.12
-"""How far a ramp departs from the road per metre (our choice: seven degrees)."""
+"""How far a ramp departs from the road per metre (seven degrees)."""
 
 CROSSING_WIDTH_M: Final = 4.0
 """SUMO's default crossing width, m."""
@@ -30,7 +30,7 @@ LIMIT_MPS: Final = 13.89
 """50 km/h: the usual limit in towns."""
 
 ARM_M: Final = 250.0
-"""Length of an intersection's arm, m (our choice)."""
+"""Length of an intersection's arm, m."""
 
 CONTROLS: Final[tuple[str, ...]] = (
     "traffic_light",
@@ -49,7 +49,7 @@ ARMS: Final[dict[str, tuple[float, float]]] = {
 """The intersection's arms and the direction each points in."""
 
 _MOST_LANES: Final = 5
-"""The most lanes per direction that a geometry may have (our choice)."""
+"""The most lanes per direction that a geometry may have."""
 
 
 def check_lanes(lanes: int) -> None:

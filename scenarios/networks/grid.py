@@ -12,7 +12,7 @@ SHIPPED_BLOCKS: Final = 3
 """The grid that ships: 3 x 3 junctions, 276 lanes."""
 
 MOST_BLOCKS: Final = 100
-"""Largest grid: some 280,000 lanes (our choice: netgenerate takes ten seconds for it)."""
+"""Largest grid: some 280,000 lanes (netgenerate takes ten seconds for it)."""
 
 OPTIONS: Final = (
     "--grid.length", "150", "--grid.attach-length", "150", "--default.lanenumber", "2",
@@ -20,7 +20,7 @@ OPTIONS: Final = (
     "--no-turnarounds", "true", "--offset.disable-normalization", "true",
 )  # fmt: skip
 """Blocks of 150 m, two lanes in each direction, roads that lead out on every side, and fixed-time
-signals (our choice: common sizes of blocks in towns)."""
+signals (common sizes of blocks in towns)."""
 
 
 def grid_net(blocks: int) -> Path:

@@ -26,14 +26,14 @@ LEAST_LENGTH_M: Final = 0.5
 """Lanes shorter than this have no direction of their own, m: their line is drawn out to it."""
 
 LEAST_WIDTH_M: Final = 1.0
-"""netconvert gets no narrower lane, m (our choice: a motorcycle's)."""
+"""netconvert gets no narrower lane, m (a motorcycle's)."""
 
 ONCOMING_M: Final = 2.4
-"""Lanes of opposite directions are at least this far apart, m (our choice: two cars pass)."""
+"""Lanes of opposite directions are at least this far apart, m (two cars pass)."""
 
 BESIDE_M: Final = 1.1
-"""They are at least half a lane's width and this far apart, m: in highway-env, who is up to 1 m
-beside a lane is on it."""
+"""They are at least half a lane's width and this far apart, m: highway-env puts a vehicle that is
+up to 1 m beside a lane on it."""
 
 OPPOSED: Final = -0.8
 """Cosine of the angle between two directions below which they are opposite: 143 degrees."""
@@ -42,8 +42,8 @@ SAMPLE_M: Final = 1.0
 """Lanes are compared at points this far apart, m."""
 
 MEET_M: Final = 1.0
-"""Ends of edges this near to each other meet in one node, m (our choice: netconvert refuses nodes
-that coincide)."""
+"""Ends of edges this near to each other meet in one node, m (netconvert refuses nodes that
+coincide)."""
 
 
 class _Meetings:

@@ -27,7 +27,7 @@ MOTORWAY_LIMIT_MPS: Final = 33.33
 """120 km/h: the most common limit of European motorways."""
 
 RAMP_M: Final = 250.0
-"""Length of a ramp outside the motorway, m (our choice: enough to speed up on)."""
+"""Length of a ramp outside the motorway, m (enough to speed up on)."""
 
 RAMP_LIMIT_MPS: Final = 22.22
 """80 km/h: a usual limit on ramps."""

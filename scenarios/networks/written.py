@@ -17,7 +17,7 @@ from scenarios.networks.build import FOLDER, NET, SHIPPED
 from scenarios.networks.geometry import LANE_WIDTH_M, RAMP_SLOPE
 
 RAMP_M: Final = 200.0
-"""Length of a ramp before or after its acceleration lane, m (our choice)."""
+"""Length of a ramp before or after its acceleration lane, m."""
 _HEAD: Final = """<?xml version="1.0" encoding="UTF-8"?>
 
 <net version="1.20" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" \

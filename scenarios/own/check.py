@@ -15,30 +15,29 @@ from sim.frames import Signal
 from sim.road import Lane, Road
 
 SAME_POINT_M: Final = 1e-3
-"""Points of a line nearer to each other than this coincide, m (our choice: a millimetre)."""
+"""Points of a line nearer to each other than this coincide, m (a millimetre)."""
 
 LIMITS_MPS: Final = (1.0, 70.0)
-"""Least and greatest speed limit that is believed, m/s (our choice: walking pace and 250 km/h)."""
+"""Least and greatest speed limit that is believed, m/s (walking pace and 250 km/h)."""
 
 WIDTHS_M: Final = (1.5, 12.0)
-"""Least and greatest width of a lane for cars that is believed, m (our choice)."""
+"""Least and greatest width of a lane for cars that is believed, m."""
 
 SHORTEST_M: Final = 1.0
-"""Lanes shorter than this are named, m (our choice: no car fits between their ends)."""
+"""Lanes shorter than this are named, m (no car fits between their ends)."""
 
 KINK_DEG: Final = 100.0
-"""A line that turns by more than this at one point doubles back (our choice)."""
+"""A line that turns by more than this at one point doubles back."""
 
 APART_M: Final = 15.0
-"""The ends of lanes that a way joins without a path between them are at most this far apart, m (our
-choice: a large junction)."""
+"""The ends of lanes that a way joins without a path between them are at most this far apart, m (a
+large junction)."""
 
 LONGEST_RED_S: Final = 300.0
-"""Signals that let nobody go for longer than this are named, s (our choice: twice the longest usual
-round)."""
+"""Signals that let nobody go for longer than this are named, s (twice the longest usual round)."""
 
 SAME_LINE_M: Final = 0.3
-"""Lanes of one length whose ends are this near to each other lie on each other, m (our choice)."""
+"""Lanes of one length whose ends are this near to each other lie on each other, m."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,36 +25,35 @@ from sim.road import Connection, Lane, Road
 from sim.scenario import MAX_PER_HOUR, RouteFlow
 
 LEVELS: Final[dict[str, float]] = {"light": 0.15, "medium": 0.3, "dense": 0.5}
-"""Share of its capacity that the busiest lane carries in each named flow (our choice: free,
-interacting, and as much as junctions of any shape still pass on both engines)."""
+"""Share of its capacity that the busiest lane carries in each named flow (free, interacting, and as
+much as junctions of any shape still pass on both engines)."""
 
 LANE_CAPACITY_PER_H: Final = 1800.0
 """Vehicles per hour that a lane passes where nothing stops them (a headway of 2 s; Highway Capacity
 Manual: 1700 to 2400)."""
 
 SIGNAL_SHARE: Final = 0.4
-"""Share of the time that a lane at a signal is let go (our choice: 24 of 60 s)."""
+"""Share of the time that a lane at a signal is let go (24 of 60 s)."""
 
 YIELDING_SHARE: Final = 0.35
-"""What a lane whose way yields to others passes of it (our choice, after the capacity of minor
-roads at moderate traffic)."""
+"""What a lane whose way yields to others passes of it (after the capacity of minor roads at
+moderate traffic)."""
 
 MOST_ROUTES: Final = 600
-"""Most routes of a demand (our choice): of more pairs, so many are drawn, by their weight."""
+"""Most routes of a demand; if there are more pairs, this many are drawn by their weight."""
 
 MOST_EDGES: Final = 120
-"""Most edges at which vehicles enter, and most at which they leave (our choice): of more, so many
-are taken, those with most lanes first."""
+"""Most edges at which vehicles enter, and most at which they leave; if there are more, those with
+most lanes are taken."""
 
 SLOWEST_MPS: Final = 0.5
-"""Lanes with a lower limit are on no way (our choice: nobody would leave within an episode)."""
+"""Lanes with a lower limit are on no way (nobody would leave within an episode)."""
 
 TURN_S: Final = 3.0
-"""What a turn costs beside its length, s (our choice: routes go straight on where they can)."""
+"""What a turn costs beside its length, s (routes go straight on where they can)."""
 
 SHORTEST_ENTRY_M: Final = 15.0
-"""Vehicles enter and leave at edges at least this long, where there are any (our choice: a bus
-fits)."""
+"""Vehicles enter and leave at edges at least this long, where there are any (a bus fits)."""
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from sim.written_numbers import real
 from sim.xml_tree import read_tree
 
 LEAST_SPAN_S: Final = 60.0
-"""Single vehicles count as departing over at least this time, s (our choice: so that a file with
-one vehicle is no flow of thousands an hour)."""
+"""Single vehicles count as departing over at least this time, s (so that a file with one vehicle is
+no flow of thousands an hour)."""
 
 
 def read_routes(path: Path, road: Road) -> list[RouteFlow]:

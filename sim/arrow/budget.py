@@ -13,19 +13,19 @@ import pyarrow.compute as pc
 from behaviors.errors import InputError
 
 MAX_TEXT_BYTES: Final = 2**28
-"""Most bytes that the texts of one column may take (our choice: 256 MiB)."""
+"""Most bytes that the texts of one column may take (256 MiB)."""
 
 MAX_TABLE_BYTES: Final = 2**30
-"""Most bytes that the columns read may unpack to, of files of any size (our choice: 1 GiB, half of
-the budget of 2 GB that a small file has)."""
+"""Most bytes that the columns read may unpack to, of files of any size (1 GiB, half of the budget
+of 2 GB that a small file has)."""
 
 MAX_LARGE_TABLE_BYTES: Final = 2**32
-"""Most bytes that the columns read may unpack to, however large the file is (our choice: 4 GiB; an
-hour of 1,000 agents at 10 Hz takes 2.3)."""
+"""Most bytes that the columns read may unpack to, however large the file is (4 GiB; an hour of
+1,000 agents at 10 Hz takes 2.3)."""
 
 MAX_GROWTH: Final = 64
 """How many times larger than its file the columns read may be, where they are larger than
-``MAX_TABLE_BYTES`` (our choice: trajectories grow 14 to 25 times, forged files a thousand)."""
+``MAX_TABLE_BYTES`` (trajectories grow 14 to 25 times, forged files a thousand)."""
 
 
 @dataclass(slots=True)

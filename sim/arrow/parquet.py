@@ -27,13 +27,13 @@ from sim.arrow.budget import Layout, StoredColumn
 from sim.arrow.thrift import ThriftError, read_struct
 
 MAX_PAGES: Final = 10**5
-"""Most pages of a file (our choice; Arrow's own have up to 1 MiB each)."""
+"""Most pages of a file (Arrow's own have up to 1 MiB each)."""
 
 MAX_COLUMNS: Final = 1000
-"""Most columns of a file (our choice; the widest of ours has 26)."""
+"""Most columns of a file (the widest of ours has 26)."""
 
 _TAIL_BYTES: Final = 2**16
-"""How much of a file's end is read at first (our choice: most footers fit)."""
+"""How much of a file's end is read at first (most footers fit)."""
 
 _MAGIC: Final = b"PAR1"
 _PHYSICAL: Final = (

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 MAX_DEPTH: Final = 24
-"""Deepest nesting of structures and lists (our choice; Parquet's own have 8)."""
+"""Deepest nesting of structures and lists (Parquet's own have 8)."""
 
 MAX_VARINT_BITS: Final = 63
 _TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = 1, 2, 3, 7, 8, 9, 10, 11, 12

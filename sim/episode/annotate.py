@@ -19,8 +19,8 @@ MIN_FRAMES: Final = 3
 """Fewest frames from which anything is told: the shortest motion with a change of speed."""
 
 MAX_STEP_S: Final = 1.0
-"""Longest time between frames at which anything is told, s (our choice: traits are told from what
-lasts one second and more)."""
+"""Longest time between frames at which anything is told, s (traits are told from what lasts one
+second and more)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ _TABLES = ("_xy", "_heading", "_speed", "_valid")
 
 
 MAX_TIME_S: Final = MAX_MAGNITUDE
-"""Latest time, s (our choice, as of recordings: 30 years; far later ones have no next step)."""
+"""Latest time, s (as of recordings: 30 years; far later ones have no next step)."""
 
 
 class FrameBuffer:

@@ -17,29 +17,29 @@ from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, FloatArray, IntA
 from sim.road import Road
 
 RECENT_S: Final = 8.0
-"""A rule broken at a junction this long before a collision caused it (our choice: the time to
-cross the junction)."""
+"""A rule broken at a junction this long before a collision caused it (the time to cross the
+junction)."""
 
 CUT_IN_S: Final = 3.0
-"""A cut-in causes a collision within this time (our choice: the time to restore a headway)."""
+"""A cut-in causes a collision within this time (the time to restore a headway)."""
 
 TURNED_M: Final = 6.0
-"""A vehicle whose rear is no farther than this beyond a junction may still be straightening up (our
-choice: a car's length and more)."""
+"""A vehicle whose rear is no farther than this beyond a junction may still be straightening up (a
+car's length and more)."""
 
 STOOD_M: Final = 0.5
-"""A vehicle that was never farther than this from where it was hit stood there (our choice)."""
+"""A vehicle that was never farther than this from where it was hit stood there."""
 
 REACTION_S: Final = 1.0
 """A driver reacts to a standing vehicle after this time (Green 2000, Transportation Human Factors
 2(3): 0.7 s when expected, 1.25 s when not)."""
 
 APART_S: Final = 3.0
-"""Two agents that touch again within this time are still in the same collision (our choice)."""
+"""Two agents that touch again within this time are still in the same collision."""
 
 BETWEEN_LANES_M: Final = 0.2
-"""A vehicle whose outline reaches this far over its lane's marking is between lanes (our choice:
-cars that keep their lane stay 0.7 m from it)."""
+"""A vehicle whose outline reaches this far over its lane's marking is between lanes (cars that keep
+their lane stay 0.7 m from it)."""
 
 
 def collisions(

@@ -15,9 +15,9 @@ from sim.frames import PEDESTRIAN, IntArray
 from sim.geometry import Outlines, separation
 
 GRAZE_M: Final = 0.15
-"""Outlines may overlap by this much without a contact (our choice: a corner rounded with a radius
-of 0.4 m, as cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and recorded positions are
-no more accurate)."""
+"""Outlines may overlap by this much without a contact (a corner rounded with a radius of 0.4 m, as
+cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and recorded positions are no more
+accurate)."""
 
 
 KEY_ERROR_M: Final = 0.01

@@ -27,13 +27,13 @@ NEAR_MISS_TTC_S: Final = 1.5
 """A time to collision below this is critical in towns (van der Horst and Hogema 1993)."""
 
 NEAR_MISS_MPS: Final = 3.0
-"""Near misses are counted above this speed (our choice: below it a driver stops within a metre)."""
+"""Near misses are counted above this speed (below it a driver stops within a metre)."""
 
 GRACE_S: Final = 0.3
-"""Passing a light this soon after it turned red is no red run (our choice: one glance)."""
+"""Passing a light this soon after it turned red is no red run (one glance)."""
 
 STOP_ZONE_M: Final = 8.0
-"""Stopping counts within this distance before the line (our choice: a car's length and more)."""
+"""Stopping counts within this distance before the line (a car's length and more)."""
 
 
 def incidents(

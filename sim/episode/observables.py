@@ -26,11 +26,11 @@ from sim.road import LanePosition, Road, lane_search
 from sim.road.lane_graph import LaneGraph, project
 
 MIN_SPEED_MPS: Final = 0.1
-"""Below this a headway in seconds means nothing; it is infinite (our choice)."""
+"""Below this a headway in seconds means nothing; it is infinite."""
 
 CROSSING_MARGIN_M: Final = 2.0
-"""A pedestrian this close beside a crossing or its end counts as near it (our choice: one stride
-and the width of the kerb)."""
+"""A pedestrian this close beside a crossing or its end counts as near it (one stride and the width
+of the kerb)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ def _perceive(
     place = project(road, xy, heading)
     view = lane_search.perceive(
         xy, heading, length, driving, place.lane, place.s, place.offset, by_time, begins,
-        lane_search.LaneArrays.of(LaneGraph.of(road)),
+        LaneGraph.of(road),
     )  # fmt: skip
     return place, view
 

@@ -15,15 +15,15 @@ from behaviors.row_index import RowIndex
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, Event, FloatArray, IntArray, Tracks
 
 BLOCK_ROWS: Final = 200_000
-"""Rows of an episode that are worked on at once where one time needs nothing of the others (our
-choice: they take some 20 to 60 MB)."""
+"""Rows of an episode that are worked on at once where one time needs nothing of the others (they
+take some 20 to 60 MB)."""
 
 BREAK_S: Final = 1.0
-"""Longest time between two frames that is no break, s (our choice: what agents do for less than a
-second is not told from recordings)."""
+"""Longest time between two frames that is no break, s (what agents do for less than a second is not
+told from recordings)."""
 
 BREAK_STEPS: Final = 3.0
-"""Most usual steps that may lie between two frames without a break (our choice)."""
+"""Most usual steps that may lie between two frames without a break."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

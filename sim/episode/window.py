@@ -19,7 +19,7 @@ from behaviors.errors import InputError
 from sim.frames import BoolArray, FloatArray, Frame, IntArray, Tracks
 
 DEFAULT_RADIUS_M: Final = 100.0
-"""Distance from an ego within which others count, m (our choice: what drivers react to)."""
+"""Distance from an ego within which others count, m (what drivers react to)."""
 
 
 @dataclass(frozen=True, slots=True)

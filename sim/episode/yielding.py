@@ -14,11 +14,11 @@ from sim.road import Crossing, Road
 from sim.road.lane_search import along
 
 ROLLING_MPS: Final = 0.5
-"""A vehicle below this speed has stopped (our choice: slower than anyone walks)."""
+"""A vehicle below this speed has stopped (slower than anyone walks)."""
 
 PATH_S: Final = 2.5
-"""A pedestrian who reaches the vehicle's path within this time is in its way (our choice: about the
-time that a car needs to clear a crossing, and a second)."""
+"""A pedestrian who reaches the vehicle's path within this time is in its way (about the time that a
+car needs to clear a crossing, and a second)."""
 
 WALKING_MPS: Final = 1.3
 """Speed at which a pedestrian is assumed to reach the vehicle's path (Weidmann 1993)."""
@@ -28,13 +28,13 @@ COULD_STOP_MPS2: Final = 3.4
 more than this when the pedestrian steps on the crossing could not have yielded: no encounter."""
 
 PULLING_AWAY_MPS2: Final = 1.5
-"""Acceleration of an unhindered driver from a stop (our choice: an average driver)."""
+"""Acceleration of an unhindered driver from a stop (an average driver)."""
 
 FORESIGHT_S: Final = 2.0
-"""A driver who waits for another vehicle sees it enter the junction this soon (our choice)."""
+"""A driver who waits for another vehicle sees it enter the junction this soon."""
 
 ON_CROSSING_M: Final = 0.3
-"""A pedestrian this far beyond the kerb has stepped on the crossing (our choice: half a stride)."""
+"""A pedestrian this far beyond the kerb has stepped on the crossing (half a stride)."""
 
 LONGEST_WAIT_S: Final = 20.0
 """A pedestrian who left the crossing this long ago has nothing to do with a passing vehicle."""

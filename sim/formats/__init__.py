@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sim.road import Road
 
     class Index(Protocol):
-        """Files that say what all written files of a folder hold."""
+        """An index of the files that were written to a folder."""
 
         def add(self, files: Sequence[Path], name: str, tracks: Tracks, road: Road | None) -> None:
             """Take note of an episode's files."""
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     Writer = Callable[[Path, str, Tracks, Road | None], list[Path]]
 
 HEAD_BYTES: Final = 4096
-"""How much of a file is looked at to tell its format."""
+"""Bytes of a file by which its format is recognised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +248,7 @@ def get_writer(name: str) -> Writer:
 
 
 def new_index(name: str) -> Index | None:
-    """An empty index of files of a format; None where the format has none."""
+    """An empty index for files of a format; None if the format needs none."""
     source = FORMATS[name].index
     return None if source is None else cast("Callable[[], Index]", loaded(source))()
 
@@ -263,7 +263,7 @@ def first_file(folder: Path, name: str) -> Path | None:
 
 
 def _head(path: Path) -> bytes:
-    """The beginning of a file in lower case, in which formats are looked for."""
+    """The beginning of a file in lower case, by which its format is recognised."""
     return _beginning(path).lower()
 
 
@@ -278,7 +278,7 @@ def _beginning(path: Path) -> bytes:
 
 
 def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
-    """A file itself, or the files in a folder with such names, in upper or lower case."""
+    """The file itself, or a folder's files whose names match, in upper or lower case."""
     if path.is_file():
         return [path]
     if not path.is_dir():
@@ -287,7 +287,7 @@ def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
 
 
 def _named(file: Path, patterns: tuple[str, ...]) -> bool:
-    """Whether a file's name, in lower case and as if it were not packed, has such a pattern.
+    """Whether a file's name matches a pattern; upper case and packed files count, too.
 
     A pattern with a slash is one of the file's folder and name.
     """
@@ -374,7 +374,7 @@ def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
 
 
 def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
-    """The files of a format, and those that are named like them but begin like something else.
+    """The files of a format, and files with such names whose contents are something else.
 
     Args:
         path: a file or a folder.

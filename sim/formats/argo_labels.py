@@ -1,7 +1,8 @@
 """Labels of the GraphRQI paper's Argoverse sequences: ``id,code``.
 
 Codes 3, 4 and 5 are careful, timid and cautious. Codes 0, 1 and 2 are the aggressive classes, but
-the release does not say which is which, so such agents are known to be aggressive and no more.
+the release does not say which is which, so nothing but the aggressive style of such agents is
+known.
 """
 
 from __future__ import annotations

@@ -56,12 +56,12 @@ TYPES: Final[dict[str, AgentKind]] = {
     "pedestrian": AgentKind.PEDESTRIAN,
     "unknown": AgentKind.CAR,
 }
-"""Types of obstacles that are road-agents; the others (buildings, pillars, ...) stand around."""
+"""Types of obstacles that are road-agents; the others (buildings, pillars, ...) are left out."""
 
 OBSTACLES: Final = ("obstacle", "dynamicObstacle", "staticObstacle")
 
 DECIMALS: Final = 6
-"""Times, s, are rounded to so many: those of two obstacles at one step have one time."""
+"""Decimals to which times are rounded, so that two obstacles at one step have the same time, s."""
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -82,7 +82,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 def _recording(path: Path) -> Recording:
-    """What is in the file; its tree is gone when this returns."""
+    """Read the file's content; its XML tree is freed when this returns."""
     runs = StateRuns(MAX_COORDINATE_M)
     root = read_tree(path, runs.cut)
     if root.tag != ROOT:
@@ -111,7 +111,7 @@ def _recording(path: Path) -> Recording:
 
 
 def _lit(tracks: Tracks, road: Road) -> Tracks:
-    """The tracks with what the map's lights show at each time."""
+    """The tracks with the states of the map's lights at each time."""
     if not road.signal_groups:
         return tracks
     shown = [
@@ -180,7 +180,7 @@ class _Obstacles:
             raise InputError(f"{self.path}: found more than {MAX_ROWS} states")
 
     def _each_once(self, parts: Iterable[Element], what: str) -> None:
-        """Refuse two elements of one name, of which only one could be read."""
+        """Refuse two elements of one name, because only one of them would be read."""
         names = [part.tag for part in parts]
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
@@ -250,7 +250,7 @@ class _Obstacles:
         return default_size(kind)
 
     def tracks(self) -> tuple[Tracks, list[str]]:
-        """Everything as tracks, and what had to be assumed."""
+        """The obstacles as tracks, and notes on what was assumed."""
         table = np.concatenate([np.zeros((0, 5)), *self.tables])
         agent = np.array(self.agent, dtype=np.int64)
         if self.standing:

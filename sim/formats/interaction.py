@@ -48,12 +48,13 @@ TYPES: Final[dict[str, AgentKind]] = {
 """``agent_type``, in lower case."""
 
 FREE_CASES, LEAST_ROWS = 100, 10
-"""Of more cases than the first, each must have as many rows as the second on average (our choice:
-the dataset's have 40 and more), since each becomes a recording with files of its own."""
+"""A file with more cases than the first number must have at least the second number of rows per
+case on average (the dataset's have 40 and more), since each becomes a recording with files of its
+own."""
 
 MAX_REPEATED: Final = 0.02
-"""Share of rows that may repeat an agent at one time (our choice; a tracker that splits vehicles
-makes some .5 %): the first counts. With more, ids or times are not what they seem."""
+"""Share of rows that may repeat an agent at one time (a tracker that splits vehicles makes some .5
+%): the first counts. A file with more is refused: its ids or times are wrong."""
 
 _COMMON: Final = ("timestamp_ms", "x", "y", "vx", "vy")
 _BOX: Final = ("psi_rad", "length", "width")
@@ -89,7 +90,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 def _once(rows: Rows) -> tuple[Rows, int]:
-    """The rows with each agent once at a time, and how many were left out; all if too many."""
+    """The rows without an agent's second row at one time, and how many were left out."""
     order = np.lexsort((rows.time_s, rows.agent))
     agent, time_s = rows.agent[order], rows.time_s[order]
     again = np.flatnonzero((agent[1:] == agent[:-1]) & (time_s[1:] == time_s[:-1])) + 1

@@ -60,13 +60,13 @@ EARTH_M: Final = 6378137.0
 """Radius of the earth that the Mercator projection of KITTI's tools takes, m."""
 
 MAX_FRAMES: Final = 10**6
-"""Most frames of a sequence (our choice; the longest has 1 059)."""
+"""Most frames of a sequence (the longest has 1 059)."""
 
 MAX_LINE: Final = 4096
-"""Longest line, bytes (our choice; a pose has some 500)."""
+"""Longest line, bytes (a pose has some 500)."""
 
 LONGEST_ID: Final = 20
-"""Most digits of an agent's id (our choice; real ones have up to three)."""
+"""Most digits of an agent's id (real ones have up to three)."""
 
 EGO_SIZE_M: Final = (4.77, 1.82)
 """Length and width of the recording car, a Volkswagen Passat B6."""
@@ -158,7 +158,7 @@ def _neighbour(path: Path, folder: str) -> Path:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[bytes]]]:
-    """The fields of every line that has any, and its number.
+    """The number and the fields of every line that is not blank.
 
     Raises:
         InputError: if there are too many.
@@ -251,7 +251,7 @@ def _poses(path: Path) -> FloatArray:
 
 
 def _turned(angle: FloatArray, axis: int) -> FloatArray:
-    """(n, 3, 3) rotations about an axis, rad."""
+    """(n, 3, 3) matrices of rotations about an axis by angles in rad."""
     one, other = [(1, 2), (2, 0), (0, 1)][axis]
     matrix = np.zeros((angle.size, 3, 3))
     matrix[:, axis, axis] = 1.0

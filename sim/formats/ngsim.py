@@ -44,14 +44,14 @@ CLASSES: Final[dict[int, AgentKind]] = {
 """``v_Class``."""
 
 BREAK_S: Final = 60.0
-"""After a break longer than this, in all rows or in those of an id, the id is another vehicle (our
-choice: vehicles are seen without a break, and periods of recording have 15 minutes)."""
+"""After a break longer than this, in all rows or in those of an id, the id is another vehicle
+(vehicles are seen without a break, and periods of recording have 15 minutes)."""
 
 MAX_PERIODS: Final = 1000
-"""Most periods of recording at one place (our choice; NGSIM has up to three)."""
+"""Most periods of recording at one place (NGSIM has up to three)."""
 
 MAX_PLACES: Final = 100
-"""Most places of recording in a file (our choice; NGSIM has four)."""
+"""Most places of recording in a file (NGSIM has four)."""
 
 NUMBERS: Final = (
     "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
@@ -116,7 +116,7 @@ def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
 
 
 def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
-    """A column of whole numbers as such."""
+    """A column as whole numbers."""
     bad = np.flatnonzero((np.abs(values) > 2**53) | (values != np.rint(values)))
     if bad.size:
         raise InputError(f"{path}: column {column}: found {values[bad[0]]}, expected whole numbers")
@@ -126,7 +126,7 @@ def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
 def _without_breaks(
     agent: NDArray[np.int64], names: tuple[str, ...], time_ms: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Agents and names, where an id that comes back after a long break is another agent."""
+    """Agents and their names; an id that returns after a long break is another agent."""
     order = np.lexsort((time_ms, agent))
     same = np.diff(agent[order], prepend=-1) == 0
     again = same & (np.diff(time_ms[order], prepend=np.inf) > BREAK_S * 1000.0)

@@ -31,8 +31,8 @@ from sim.formats.common.recording import (
 FOOT_M: Final = 0.3048
 
 LENGTH_IN_FEET: Final = 9.0
-"""Leaders with a median length above this are measured in feet (our choice: a car is 4 to 5 m or 13
-to 17 feet long)."""
+"""Leaders with a median length above this are measured in feet (a car is 4 to 5 m or 13 to 17 feet
+long)."""
 
 _NUMBERS: Final = ("t", "x_follower", "v_follower", "x_leader", "v_leader")
 _WORDS: Final = ("pair", "period", "follower", "leader")

@@ -41,7 +41,7 @@ CHUNK_BYTES: Final = 2**20
 MAX_DEPTH: Final = 16
 """Deepest nesting (FCD has 3)."""
 MAX_TOKEN_BYTES: Final = 2**23
-"""Longest single piece of XML (our choice; an element of FCD has some 200 bytes)."""
+"""Longest single piece of XML (an element of FCD has some 200 bytes)."""
 
 CLASSES: Final[dict[str, AgentKind]] = {
     "passenger": AgentKind.CAR,
@@ -70,7 +70,7 @@ WRITTEN_CLASSES: Final[dict[AgentKind, str]] = {
 """The vehicle class of each kind."""
 
 TYPES_SUFFIX: Final = ".types.xml"
-"""How the file of vTypes beside a recording that we write ends."""
+"""Ending of the file of vTypes that is written beside a recording."""
 
 
 def angle_of(heading: float) -> float:
@@ -305,7 +305,7 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
 
 
 def _kind_in(name: str) -> AgentKind:
-    """The kind whose word is in a type's name; a car if there is none."""
+    """The kind that a type's name contains; a car if it contains none."""
     lower = name.lower()
     return next((kind for kind in AgentKind if kind.value in lower), AgentKind.CAR)
 

@@ -34,20 +34,20 @@ HEIGHT_PX: Final = 480
 """Height of the image, pixels."""
 
 MAX_LINE_BYTES: Final = 2**20
-"""Longest line (our choice: some 40 000 boxes)."""
+"""Longest line (some 40 000 boxes)."""
 
 
 MAX_NUMBER: Final = 10**6
-"""Largest absolute number that is a place, a size or an id (our choice)."""
+"""Largest absolute value of a place, a size or an id."""
 
 
 MAX_TWINS: Final = 32
-"""Most boxes of one id in a frame (our choice; the data have up to two): each is compared with each
-of the frame before."""
+"""Most boxes of one id in a frame (the data have up to two): each is compared with each of the
+frame before."""
 
 
 MAX_FRAME: Final = 10**9
-"""Largest number of a frame (our choice: a year of video)."""
+"""Largest number of a frame (a year of video)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,17 +45,17 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
 """The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 JUMP_SIDES: Final = 1.5
-"""An agent that moves over a gap by more of its own sides is reported (our choice)."""
+"""A track that jumps over a gap by more than this many of the box's sides is reported."""
 
 MAX_XML_BYTES: Final = 2**24
-"""Most bytes that a workbook may unpack to (our choice: 16 MiB; real ones have 60 kB)."""
+"""Most bytes that a workbook may unpack to (16 MiB; real ones have 60 kB)."""
 
 MAX_SHEET_ROWS: Final = 2**20
 """Most rows of a sheet, empty ones included (as many as Excel has)."""
 
 MAX_TRAITS: Final = 20
 MAX_COLUMNS: Final = 4 + MAX_TRAITS
-"""Most traits of one agent, and the columns that they take (our choice: there are 15 traits)."""
+"""Most traits of one agent, and the columns that they take (there are 15 traits)."""
 
 _BROKEN: Final = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, OSError, RuntimeError,
@@ -107,7 +107,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_parts(path: Path) -> None:
-    """Refuse what unpacks to too much, and XML that declares entities."""
+    """Refuse workbooks that unpack to too much, and XML that declares entities."""
     with zipfile.ZipFile(path) as archive:
         size = sum(part.file_size for part in archive.infolist())
         if size > MAX_XML_BYTES:
@@ -196,7 +196,7 @@ def video_number(path: Path) -> int | None:
 
 
 def sheets_beside(path: Path) -> tuple[Sheet, ...]:
-    """The sheets that come with a video.
+    """The sheets that lie beside a video's tracks.
 
     Args:
         path: its tracks, ``..._gt.txt``.

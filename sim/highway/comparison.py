@@ -21,7 +21,7 @@ from sim.road import Road as SumoRoad
 
 LANES: Final = 4
 SPACING_M: Final = 24.0
-"""Mean distance between cars on a lane, m (our choice: they interact)."""
+"""Mean distance between cars on a lane, m (they interact)."""
 
 
 def straight_traffic(road: str, cars: int, seed: int) -> Any:

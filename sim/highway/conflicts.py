@@ -11,7 +11,7 @@ import numpy as np
 from highway_env.road.lane import AbstractLane
 from numpy.typing import NDArray
 
-from sim.compiled import compiled
+from sim.compiled import in_place
 from sim.highway.lanes import LaneIndex, places_along
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import CELL_M
@@ -23,7 +23,7 @@ SAMPLE_M: Final = 0.5
 """Junction paths are compared at points this far apart to find where they conflict."""
 
 CONFLICT_M: Final = 2.2
-"""Junction paths nearer than this conflict (our choice: a car's width and 0.4 m)."""
+"""Junction paths nearer than this conflict (a car's width and 0.4 m)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ def find_conflicts(
     return found
 
 
-@compiled
+@in_place()
 def _first_and_last_close(xy: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray) -> None:
     """Find the first and the last point of each path that is too close to another path.
 

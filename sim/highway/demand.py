@@ -1,4 +1,4 @@
-"""Lets drawn agents enter the road when their time has come and there is room."""
+"""Lets drawn agents enter the road at their departure times, as soon as there is room."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Demand:
         return made
 
     def enter(self) -> None:
-        """Let in the agents whose time has come and who have room, in order of departure."""
+        """Let in the agents whose departure has come if there is room, in order of departure."""
         road, now = self.road, self.road.time_s
         while self._walking and self._walking[0].depart_s <= now:
             agent = self._walking.popleft()

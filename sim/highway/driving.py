@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from behaviors import driver_models
 from behaviors.profiles import Profile
-from sim.compiled import compiled, shared
+from sim.compiled import in_place, shared
 from sim.frames import AgentKind
 from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
 
@@ -57,8 +57,7 @@ IMPOSED_BRAKING_MPS2: Final = 2.0
 """Braking that an average driver imposes on a new follower at most, m/s2 (highway-env's)."""
 
 MOST_IMPOSED_MPS2: Final = 6.0
-"""The most braking that any driver imposes, m/s2 (our choice: hard braking without locking
-wheels)."""
+"""The most braking that any driver imposes, m/s2 (hard braking without locking wheels)."""
 
 LEAST_CHANGE_GAP_M: Final = 0.5
 """The smallest gap that any driver changes into, m."""
@@ -71,8 +70,8 @@ STOP_MARGIN_M: Final = 1.0
 """A driver comes to rest this far before a stop line or a crossing, m."""
 
 BRAKING_RESERVE: Final = 2.0
-"""A driver brakes harder than comfortably only as far as the distance left demands, times this (our
-choice: IDM alone brakes to a standstill whenever someone cuts in)."""
+"""A driver brakes harder than comfortably only as far as the distance left demands, times this (IDM
+alone brakes to a standstill whenever someone cuts in)."""
 
 STANDING_MPS: Final = 0.2
 """A slower vehicle counts as standing, m/s."""
@@ -81,7 +80,7 @@ LATERAL_GAIN_PER_S: Final = 1.0 / 0.6
 """Lateral speed wanted per metre from the lane's centre (highway-env's KP_LATERAL)."""
 
 LATERAL_SPEED_MPS: Final = 1.5
-"""Largest lateral speed, m/s: a lane change takes about 3 s (our choice, as in the SUMO engine)."""
+"""Largest lateral speed, m/s: a lane change takes about 3 s (as in the SUMO engine)."""
 
 HEADING_GAIN_PER_S: Final = 5.0
 """Heading rate wanted per radian of error (highway-env's KP_HEADING)."""
@@ -166,7 +165,7 @@ def driver_parameters(profile: Profile, kind: AgentKind, law: CarFollowing = "ID
     return row
 
 
-@compiled
+@in_place()
 def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float) -> float:
     """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
 
@@ -187,7 +186,7 @@ def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_spe
     return float(free - accel * _interaction(gap, wanted))
 
 
-@compiled
+@in_place()
 def krauss(
     driver: FloatArray, speed: float, desired: float, room: float, leader_speed: float
 ) -> float:
@@ -218,7 +217,7 @@ def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
     return IMPERFECTION * chance * min(float(driver[MAX_ACCEL]), speed / KRAUSS_STEP_S)
 
 
-@compiled
+@in_place()
 def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> float:
     """Bound a deceleration by the comfortable one or, if greater, by what the gap demands.
 
@@ -234,7 +233,7 @@ def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> fl
     return float(max(wanted, -min(limit, driver[EMERGENCY_DECEL])))
 
 
-@compiled
+@in_place()
 def follow(
     driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
 ) -> float:
@@ -246,7 +245,7 @@ def follow(
     return bounded(driver, raw, gap, speed - leader_speed)
 
 
-@compiled
+@in_place()
 def approach(driver: FloatArray, speed: float, gap: float) -> float:
     """The acceleration towards a line at which to stop, m/s2.
 
@@ -267,7 +266,7 @@ def approach(driver: FloatArray, speed: float, gap: float) -> float:
     return bounded(driver, raw, gap - 0.5 * STOP_MARGIN_M, speed)
 
 
-@compiled
+@in_place()
 def start_up(
     driver: FloatArray, speed: float, accel: float, clock: float, go_at: float
 ) -> tuple[float, float]:
@@ -292,7 +291,7 @@ def start_up(
     return (accel if clock >= go_at else 0.0), go_at
 
 
-@compiled
+@in_place()
 def change_incentive(
     driver: FloatArray,
     speed: float,
@@ -350,7 +349,7 @@ def change_incentive(
     return float(incentive - threshold)
 
 
-@compiled
+@in_place()
 def may_cut_in(
     driver: FloatArray,
     speed: float,
@@ -359,7 +358,7 @@ def may_cut_in(
     rear_gap: float,
     rear_speed: float,
 ) -> bool:
-    """Whether there is a vehicle to cut in front of, and room for it.
+    """Whether there is a vehicle to cut in front of, and enough room to do so.
 
     Args:
         driver: the driver's parameters.
@@ -381,7 +380,7 @@ def may_cut_in(
     return left_ahead > 0.0 and ahead * ahead <= 2.0 * CUT_IN_BRAKING_MPS2 * left_ahead
 
 
-@compiled
+@in_place()
 def steer(
     lateral: float,
     lane_heading: float,

@@ -29,8 +29,8 @@ from sim.highway.lanes import LaneIndex
 FloatArray = NDArray[np.float64]
 
 ROUNDING_M: Final = 1e-9
-"""The stock code compares values nearer than this, m: far above rounding, far below distances in
-traffic."""
+"""Values that are nearer to each other than this are compared by the stock code, m: far above
+rounding errors, far below distances in traffic."""
 
 CLEARANCE_M: Final = 1e-6
 """Outlines that stay farther apart than this cannot collide in the stock check either, m."""

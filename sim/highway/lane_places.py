@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.road.lane import AbstractLane
 from numpy.typing import NDArray
 
-from sim.compiled import compiled, inner
+from sim.compiled import in_place
 from sim.highway.lanes import corners
 from sim.road.cells import Cells, boxes_of, cells_of
 
@@ -32,14 +32,14 @@ ALIGNED: Final = 0.5
 unlike on junction paths, one that faces the other way is."""
 
 CELL_M: Final = 50.0
-"""Width of the cells in which lanes are looked for, m (our choice: `BEHIND_M` and a lane)."""
+"""Width of the cells in which lanes are looked for, m (`BEHIND_M` and a lane)."""
 
 LONGEST_M: Final = 40.0
-"""Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (our
-choice: twice a lorry's)."""
+"""Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (twice a
+lorry's)."""
 
 ROUNDING_M: Final = 1e-3
-"""Lanes are looked for this much farther than vehicles can be from them."""
+"""Lanes are searched this much farther from vehicles than they can be, m."""
 
 
 class LaneLines(NamedTuple):
@@ -73,7 +73,7 @@ class LaneLines(NamedTuple):
 
 
 class OnLanes(NamedTuple):
-    """Who is on each of K lanes; E entries, lane by lane, by distance along the lane.
+    """The vehicles on each of K lanes: E entries, by lane, then by distance along it.
 
     Attributes:
         first: (K + 1,) where each lane's entries begin, and E.
@@ -132,7 +132,7 @@ def lane_lines(lanes: Sequence[AbstractLane], connector: Sequence[bool]) -> Lane
     )
 
 
-@inner
+@in_place(inner=True)
 def project(x: float, y: float, k: int, lines: LaneLines) -> tuple[float, float, int]:
     """The place on a lane nearest to a point.
 
@@ -159,20 +159,23 @@ def project(x: float, y: float, k: int, lines: LaneLines) -> tuple[float, float,
     return s, best, piece
 
 
-@compiled
 def distances_along(xy: FloatArray, lane: IntArray, lines: LaneLines) -> FloatArray:
     """(n,) distance of each point (n, 2) along the lane (n,) that is given for it, m."""
     s = np.empty(len(lane))
-    for i in range(len(lane)):
-        s[i] = project(xy[i, 0], xy[i, 1], lane[i], lines)[0]
+    _find_distances(xy, lane, lines, s)
     return s
 
 
-@compiled
+@in_place()
+def _find_distances(xy: FloatArray, lane: IntArray, lines: LaneLines, s: FloatArray) -> None:
+    for i in range(len(lane)):
+        s[i] = project(xy[i, 0], xy[i, 1], lane[i], lines)[0]
+
+
 def find_on_lanes(
     xy: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray, lines: LaneLines
 ) -> OnLanes:
-    """Everybody on each lane, those at the same place in the order of rows.
+    """The vehicles on each lane; those at the same place are in the order of rows.
 
     Args:
         xy: (n, 2) m.
@@ -181,12 +184,48 @@ def find_on_lanes(
         length: (n,) m; those of more than `LONGEST_M` count as that long.
         lines: of the lanes.
     """
-    cells, n, lanes = lines.cells, len(xy), len(lines.first)
-    found, room = 0, 8 * n + 8
-    row, lane = np.empty(room, np.int64), np.empty(room, np.int64)
-    where, moves = np.empty(room), np.empty(room)
-    first = np.zeros(lanes + 1, np.int64)
-    for i in range(n):
+    found, room = 8 * len(xy) + 8, 0
+    while found > room:  # once more if there are more entries than there was room for
+        room = found
+        row, lane = np.empty(room, np.int64), np.empty(room, np.int64)
+        s, along = np.empty(room), np.empty(room)
+        found = _find_entries(xy, heading, speed, length, lines, row, lane, s, along)
+    first = np.zeros(len(lines.first) + 1, np.int64)
+    on = OnLanes(first, np.empty(found, np.int64), np.empty(found), np.empty(found))
+    _sort_entries(row, lane, s, along, np.empty(len(lines.first), np.int64), on)
+    return on
+
+
+@in_place()
+def _find_entries(
+    xy: FloatArray,
+    heading: FloatArray,
+    speed: FloatArray,
+    length: FloatArray,
+    lines: LaneLines,
+    row: IntArray,
+    lane: IntArray,
+    s: FloatArray,
+    along: FloatArray,
+) -> int:
+    """Find the lanes that each vehicle is on.
+
+    Args:
+        xy: (n, 2) and the next four as of `find_on_lanes`.
+        heading: (n,).
+        speed: (n,).
+        length: (n,).
+        lines: of the lanes.
+        row: (R,) receives the vehicle of each entry; entries without room are left out.
+        lane: (R,) receives its lane.
+        s: (R,) receives its distance along the lane, m.
+        along: (R,) receives its speed along the lane, m/s.
+
+    Returns:
+        How many entries there are.
+    """
+    cells, found = lines.cells, 0
+    for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
         column, line = (x - cells.x0) / cells.size, (y - cells.y0) / cells.size
         if not (0.0 <= column < cells.columns and 0.0 <= line < cells.rows):
@@ -195,33 +234,47 @@ def find_on_lanes(
         cos, sin = math.cos(heading[i]), math.sin(heading[i])
         for at in range(cells.first[cell], cells.first[cell + 1]):
             k = cells.items[at]
-            s, distance, piece = project(x, y, k, lines)
+            place, distance, piece = project(x, y, k, lines)
             facing = cos * lines.direction[piece, 0] + sin * lines.direction[piece, 1]
             aligned = facing if lines.connector[k] else abs(facing)
             if not (
                 distance <= lines.margin[k]
                 and aligned > ALIGNED
-                and s >= -lines.behind[k]
-                and s <= lines.length[k] + min(length[i], LONGEST_M) / 2
+                and place >= -lines.behind[k]
+                and place <= lines.length[k] + min(length[i], LONGEST_M) / 2
             ):
                 continue
-            if found == room:
-                row, lane = np.append(row, row), np.append(lane, lane)
-                where, moves = np.append(where, where), np.append(moves, moves)
-                room *= 2
-            row[found], lane[found], where[found], moves[found] = i, k, s, speed[i] * facing
-            first[k + 1] += 1
+            if found < row.size:
+                row[found], lane[found], s[found], along[found] = i, k, place, speed[i] * facing
             found += 1
-    for k in range(lanes):
+    return found
+
+
+@in_place()
+def _sort_entries(
+    row: IntArray, lane: IntArray, s: FloatArray, along: FloatArray, end: IntArray, out: OnLanes
+) -> None:
+    """Sort entries by lane, then by distance along it; equals stay as they are.
+
+    Args:
+        row: (R,) vehicles, of which as many count as there is room for in ``out``.
+        lane: (R,) their lanes.
+        s: (R,) their distances along these, m.
+        along: (R,) their speeds along these, m/s.
+        end: (K,) room to work in.
+        out: receives the entries; ``first`` must be 0 before.
+    """
+    first, order, distances, speeds = out.first, out.row, out.s, out.along
+    for e in range(order.size):
+        first[lane[e] + 1] += 1
+    for k in range(end.size):
+        end[k] = first[k]
         first[k + 1] += first[k]
-    order, distances, along = np.empty(found, np.int64), np.empty(found), np.empty(found)
-    end = first[:-1].copy()
-    for e in range(found):
+    for e in range(order.size):
         k = lane[e]
         at = end[k]
-        while at > first[k] and distances[at - 1] > where[e]:
-            order[at], distances[at], along[at] = order[at - 1], distances[at - 1], along[at - 1]
+        while at > first[k] and distances[at - 1] > s[e]:
+            order[at], distances[at], speeds[at] = order[at - 1], distances[at - 1], speeds[at - 1]
             at -= 1
-        order[at], distances[at], along[at] = row[e], where[e], moves[e]
+        order[at], distances[at], speeds[at] = row[e], s[e], along[e]
         end[k] += 1
-    return OnLanes(first, order, distances, along)

@@ -27,8 +27,8 @@ LEAST_LENGTH_M: Final = 0.01
 """A line whose points are all this close together is drawn out to this length along +x, m."""
 
 BLEND_M: Final = 2.0
-"""The heading turns from one piece's to the next's within this distance of the corner (our choice:
-half a wheelbase)."""
+"""The heading turns from one piece's to the next's within this distance of the corner (half a
+wheelbase)."""
 
 
 class PolylineLane(AbstractLane):  # type: ignore[misc]

@@ -1,4 +1,4 @@
-"""Turns a `Road` into highway-env's `RoadNetwork`, with the facts that it has no place for.
+"""Turns a `Road` into highway-env's `RoadNetwork`, and keeps the facts that the latter cannot hold.
 
 Edges that follow one another lane by lane, where no other edge joins or leaves, become one stretch.
 Every connection across a junction becomes one lane, a junction path, from the end of a stretch to
@@ -37,7 +37,7 @@ OPPOSITE_M: Final = 1.2
 """An opposite lane is a neighbour if its centre line is within this many lane widths."""
 
 CELL_M: Final = 50.0
-"""Width of the cells in which opposite lanes are looked for, m (our choice: half a block)."""
+"""Width of the cells in which opposite lanes are looked for, m (half a block)."""
 
 
 def is_wrong_side(lane: LaneIndex) -> bool:
@@ -64,7 +64,7 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class LaneInfo:
-    """The facts about a lane that highway-env has no place for.
+    """The facts about a lane that highway-env's network cannot hold.
 
     Attributes:
         connector: whether it crosses a junction.

@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 JOINED_M: Final = 2.0
 """A vehicle this far before the beginning of the next lane, and in line with it, leads onto it,
-whichever way it comes (our choice: half a car)."""
+whichever way it comes (half a car)."""
 
 PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
@@ -254,7 +254,7 @@ class RoadState(Road):  # type: ignore[misc]
         return 0.0 if since == math.inf else clock - since
 
     def update_standing(self) -> None:
-        """Record since when vehicles without a profile, such as an ego vehicle, have stood."""
+        """Record since when vehicles without a profile have stood, such as an ego vehicle."""
         for vehicle in self.vehicles:
             if isinstance(vehicle, ProfileVehicle):
                 continue

@@ -1,4 +1,4 @@
-"""The road of the highway engine in motion: everybody decides, moves, collides and is cleared."""
+"""One step of the highway engine's road: decisions, motion, collisions, departures."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Walker
 
 CLEAR_AFTER_S: Final = 8.0
-"""Crashed vehicles and struck pedestrians stay on the road this long (our choice: traffic behind
-sees them and queues, and pile-ups clear)."""
+"""Crashed vehicles and struck pedestrians stay on the road this long (traffic behind sees them and
+queues, and pile-ups clear)."""
 
 
 class TrafficRoad(RoadState):
@@ -37,7 +37,7 @@ class TrafficRoad(RoadState):
         self._compiled = CompiledTraffic(self) if compiled else None
 
     def copied(self) -> TrafficRoad:
-        """Everybody as they are now, on the same lanes; neither road changes with the other."""
+        """A copy of the traffic on the same lanes; neither road changes with the other."""
         network = self.network_info
         fixed: list[object] = [network, network.net, *network.lanes.values()]
         if self._compiled is not None:
@@ -95,7 +95,7 @@ class TrafficRoad(RoadState):
         self.add_event(EventKind.COLLISION, agent_of(cause), agent_of(victim), rule)
 
     def _clear(self) -> None:
-        """Take away those that have arrived, and those that crashed long ago."""
+        """Remove vehicles that have arrived, and those that crashed long ago."""
         stuck = record_wrong_way(self) if self.network_info.wrong_side else []
         staying = []
         at_end = None if self._compiled is None else self._compiled.at_end

@@ -39,7 +39,7 @@ GIVE_UP_S: Final = 20.0
 """A driver that finds nobody to cut in front of for this long waits for its next time, s."""
 
 CHANGE_LEAST_SPEED_MPS: Final = 1.0
-"""Slower vehicles do not change lanes, m/s (highway-env's)."""
+"""Slower vehicles do not change lanes, m/s (as in highway-env)."""
 
 DEFAULT_PARAMETERS: Final = driving.driver_parameters(
     Profile(

@@ -26,15 +26,15 @@ from sim.scenario import WALK_START_M, AgentSpec
 FloatArray = NDArray[np.float64]
 
 LINK_M: Final = 12.0
-"""Sidewalk ends and crossing ends this near to each other are joined on foot (our choice: the
-widest corner)."""
+"""Sidewalk ends and crossing ends this near to each other are joined on foot (the widest
+corner)."""
 
 SETBACK_M: Final = 1.6
-"""Pedestrians wait this far back from the kerb, m (our choice: out of the way of turning vehicles);
-a crossover begins and ends there."""
+"""Pedestrians wait this far back from the kerb, m (out of the way of turning vehicles); a crossover
+begins and ends there."""
 
 OFFSET_M: Final = 0.6
-"""Pedestrians keep up to this far to either side of the path's middle, m (our choice)."""
+"""Pedestrians keep up to this far to either side of the path's middle, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
 
 
 def _orient(lines: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
-    """Begin and end of each sidewalk, turned so that the route hangs together."""
+    """Beginning and end of each sidewalk, in the order that connects the route."""
     if len(lines) == 1:
         return [(lines[0][0], lines[0][-1])]
     found = []

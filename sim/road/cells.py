@@ -16,8 +16,8 @@ IntArray = NDArray[np.int64]
 IndexArray = NDArray[np.int32]
 
 MOST_CELLS_PER_BOX: Final = 64
-"""Bound on the number of cells (our choice): where few boxes are scattered over a wide area, cells
-are made larger."""
+"""Bound on the number of cells: where few boxes are scattered over a wide area, cells are made
+larger."""
 
 
 class Cells(NamedTuple):

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from sim.compiled import compiled, inner
+from sim.compiled import in_place
 
 FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
 """Pieces of lane are sorted into cells of this width, m, and each cell lists those within the
-margin, m (our choice: a driver is nearly always within 4 m of its lane, so one cell suffices)."""
+margin, m (a driver is nearly always within 4 m of its lane, so one cell suffices)."""
 
 
-@inner
+@in_place(inner=True)
 def _cell_at(at: float, origin: float, width: float, cells: int) -> int:
     """Column of cells in which a coordinate lies; the nearest for one outside, m."""
     column = (at - origin) / width
@@ -22,11 +22,14 @@ def _cell_at(at: float, origin: float, width: float, cells: int) -> int:
     return int(column) if column < cells else cells - 1
 
 
-@compiled
+@in_place()
 def fit(
-    xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any, cells: Any
-) -> tuple[Any, Any, Any]:
-    """The straight piece of lane that fits each place and heading best.
+    xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any, cells: Any,
+    best: Any, at: Any, left: Any,
+) -> None:  # fmt: skip
+    """Find the straight piece of lane that fits each place and heading best.
+
+    Of pieces that fit equally well it is the first.
 
     Args:
         xy: (n, 2) m.
@@ -37,15 +40,12 @@ def fit(
         turn_cost_m: (G,) what facing across a piece costs, m; the other way costs twice as much.
         cells: `sim.road.cells.Cells` of the pieces; each cell lists at least all pieces within
             `FIT_MARGIN_M` of it.
-
-    Returns:
-        (n,) piece, distance along it, m, from 0 to its length, and signed distance to its left, m.
-        Of pieces that fit equally well it is the first.
+        best: (n,) receives the piece.
+        at: (n,) receives the distance along it, m, from 0 to its length.
+        left: (n,) receives the signed distance to its left, m.
     """
     x0, y0, size, columns, rows, first, items = cells
-    n = len(xy)
-    best, at, left = np.empty(n, np.int64), np.empty(n), np.empty(n)
-    for i in range(n):
+    for i in range(len(xy)):
         best[i], at[i], left[i] = 0, np.nan, np.nan
         x, y = xy[i, 0], xy[i, 1]
         east, north = np.cos(heading[i]), np.sin(heading[i])
@@ -88,14 +88,14 @@ def fit(
             if least < 0.999 * known:
                 break
             reach = max(1, 2 * reach)
-    return best, at, left
 
 
-@compiled
+@in_place()
 def place(
-    lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any, direction: Any
-) -> tuple[Any, Any]:
-    """Places given in lane coordinates; beyond either end a lane goes on straight.
+    lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any,
+    direction: Any, xy: Any, piece: Any,
+) -> None:  # fmt: skip
+    """Find places given in lane coordinates; beyond either end a lane goes on straight.
 
     Args:
         lane: (n,) lanes.
@@ -106,13 +106,10 @@ def place(
         piece_at: (G,) distance along its lane at which each piece begins, m.
         start: (G, 2) where it begins, m.
         direction: (G, 2) unit vectors.
-
-    Returns:
-        (n, 2) positions, m, and (n,) the piece that each is on.
+        xy: (n, 2) receives the positions, m.
+        piece: (n,) receives the piece that each is on.
     """
-    n = lane.size
-    xy, piece = np.empty((n, 2)), np.empty(n, np.int64)
-    for i in range(n):
+    for i in range(lane.size):
         g = first[lane[i]]
         while g < last[lane[i]] and piece_at[g + 1] <= s[i]:
             g += 1
@@ -120,4 +117,3 @@ def place(
         xy[i, 0] = start[g, 0] + ux * along + offset[i] * -uy
         xy[i, 1] = start[g, 1] + uy * along + offset[i] * ux
         piece[i] = g
-    return xy, piece

@@ -27,7 +27,7 @@ code order of ``LaneGraph.direction``."""
 
 NEAR_M, CELL_M = 0.01, 30.0
 """Lines whose boxes are farther apart than this do not meet; width of the cells in which such boxes
-are looked for, m (our choice: beyond rounding errors, and about the size of a junction)."""
+are looked for, m (beyond rounding errors, and about the size of a junction)."""
 
 _PROJECT_CHUNK: Final = 2048
 """Points projected at once, so that memory stays small however long a recording is."""
@@ -114,9 +114,11 @@ class LaneGraph:
         """
         from sim.road.lane_coordinates import place  # compiled: only who asks pays for loading it
 
-        xy, piece = place(
+        xy, piece = np.empty((lane.size, 2)), np.empty(lane.size, np.int64)
+        place(
             lane, s, np.zeros(lane.size) if offset is None else offset, self.segment_first,
-            self.segment_last, self.segment_at, self.segment_start, self.segment_direction,
+            self.segment_last, self.segment_at, self.segment_start, self.segment_direction, xy,
+            piece,
         )  # fmt: skip
         return xy, self.segment_heading[piece]
 

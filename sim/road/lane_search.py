@@ -5,58 +5,31 @@
 
 from __future__ import annotations
 
-import functools
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import compiled, inner
+from sim.compiled import compiled, in_place
+
+if TYPE_CHECKING:
+    from sim.road.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 LOOK_AHEAD_M = 200.0
-"""Leaders, signals and crossings farther than this are not seen (our choice: 14 s at 14 m/s)."""
+"""Leaders, signals and crossings farther than this are not seen (14 s at 14 m/s)."""
 
 MAX_LANES_AHEAD = 8
-"""How many lanes onward are searched at most: junction paths are short (our choice)."""
+"""How many lanes onward are searched at most: junction paths are short."""
 
 BESIDE_LANE_M = 0.5
-"""A vehicle whose centre is this far outside a lane still drives on it (our choice)."""
+"""A vehicle whose centre is this far outside a lane still drives on it."""
 
 OFF_END_M = 5.0
-"""A vehicle this far beyond a lane's end is not on the lane (our choice)."""
-
-
-class LaneArrays(NamedTuple):
-    """The columns of a `sim.road.lane_graph.LaneGraph` that the searches read; see there."""
-
-    length: FloatArray
-    width: FloatArray
-    internal: BoolArray
-    signal: IntArray
-    ahead: IntArray
-    behind: IntArray
-    left: IntArray
-    right: IntArray
-    cross_first: IntArray
-    cross_id: IntArray
-    cross_s: FloatArray
-    cross_exit_s: FloatArray
-    segment_start: FloatArray
-    segment_direction: FloatArray
-    segment_heading: FloatArray
-    segment_at: FloatArray
-    segment_first: IntArray
-    segment_last: IntArray
-
-    @staticmethod
-    @functools.lru_cache(maxsize=32)
-    def of(graph: Any) -> LaneArrays:
-        """The columns of a `sim.road.lane_graph.LaneGraph`, gathered once."""
-        return LaneArrays(*(getattr(graph, name) for name in LaneArrays._fields))
+"""A vehicle this far beyond a lane's end is not on the lane."""
 
 
 class LaneView(NamedTuple):
@@ -89,7 +62,7 @@ class LaneView(NamedTuple):
     crossing_distance: FloatArray
 
 
-@compiled
+@in_place()
 def along_at(line: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
     """`along` of one place (x, y)."""
     begin, nearest, found, left = 0.0, np.inf, 0.0, 0.0
@@ -138,14 +111,156 @@ def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
     return u, left, total
 
 
-@inner
-def _before(lane: Any, s: Any, one: Any, other: Any) -> Any:
-    """Whether a vehicle comes before another: by lane, then by place along it."""
-    return lane[one] < lane[other] or (lane[one] == lane[other] and s[one] < s[other])
+def perceive(
+    xy: FloatArray, heading: FloatArray, length: FloatArray, drives: BoolArray, lane: IntArray,
+    s: FloatArray, offset: FloatArray, by_time: IntArray, begins: IntArray, graph: LaneGraph,
+) -> LaneView:  # fmt: skip
+    """Place vehicles on lanes; find their leaders and the stop lines and crossings ahead of them.
+
+    Args:
+        xy: (m, 2) centres, m.
+        heading: (m,) rad.
+        length: (m,) m.
+        drives: (m,) whether the row is a vehicle's; the others are on no lane.
+        lane: (m,) lane that fits best, as `Road.project` finds it.
+        s: (m,) distance along it, m.
+        offset: (m,) distance to its left, m.
+        by_time: (m,) the rows in order of time.
+        begins: (T + 1,) where in ``by_time`` those of each time begin, and m.
+        graph: the road.
+
+    Returns:
+        What each row sees.
+    """
+    m = s.size
+    on_lane, forward, segment = np.full(m, -1), np.full(m, -1), np.empty(m, np.int64)
+    missed, turned, front = np.empty(m), np.empty(m), np.empty(m)
+    _place(
+        xy, heading, length, drives, lane, s, offset,
+        (
+            graph.segment_first, graph.segment_last, graph.segment_at, graph.segment_start,
+            graph.segment_direction, graph.segment_heading, graph.width,
+        ),
+        (on_lane, forward, segment, missed, turned, front),
+    )  # fmt: skip
+    leader, gap = _search(by_time, begins, on_lane, s, length, forward[:, None], graph)
+    follower = np.full(m, -1)
+    _find_followers(leader, gap, follower)
+    group, crossing = np.full(m, -1), np.full(m, -1)
+    stop, to_crossing = np.full(m, np.inf), np.full(m, np.inf)
+    _find_stops(
+        forward, front, graph.internal, graph.signal, graph.length, graph.ahead, graph.cross_first,
+        graph.cross_id, graph.cross_s, graph.cross_exit_s, (stop, group, crossing, to_crossing),
+    )  # fmt: skip
+    return LaneView(
+        on_lane,
+        segment,
+        missed,
+        turned,
+        leader[:, 0],
+        gap[:, 0],
+        follower,
+        stop,
+        group,
+        crossing,
+        to_crossing,
+    )
 
 
-@inner
-def _in_order(rows: Any, spare: Any, count: int, lane: Any, s: Any) -> None:
+def adjacent_vehicles(
+    lane: IntArray, s: FloatArray, length: FloatArray, graph: LaneGraph
+) -> tuple[IntArray, FloatArray]:
+    """Who is ahead and behind on the lanes beside, at one instant.
+
+    Args:
+        lane: (p,) lane that each vehicle is on, -1: none.
+        s: (p,) distance along it, m.
+        length: (p,) m.
+        graph: the road.
+
+    Returns:
+        (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
+        bumper to bumper, m, or +inf.
+    """
+    p = lane.size
+    on_road = lane >= 0
+    left, right = np.where(on_road, graph.left[lane], -1), np.where(on_road, graph.right[lane], -1)
+    begin = np.stack([left, left, right, right], axis=1)
+    return _search(np.arange(p), np.array([0, p]), lane, s, length, begin, graph)
+
+
+def _search(
+    by_time: IntArray, begins: IntArray, lane: IntArray, s: FloatArray, length: FloatArray,
+    begin: IntArray, graph: LaneGraph,
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    """Who is next along K ways from each vehicle, ahead on the first and third, else behind.
+
+    Args:
+        by_time: (m,) and the next as of `perceive`.
+        begins: (T + 1,).
+        lane: (m,) lane that each is on, -1: none.
+        s: (m,) distance along it, m.
+        length: (m,) m.
+        begin: (m, K) lane on which each search begins beside the vehicle, -1: none.
+        graph: the road.
+
+    Returns:
+        (m, K) rows or -1, and (m, K) gaps bumper to bumper, m, or +inf.
+    """
+    who, gap = np.full(begin.shape, -1), np.full(begin.shape, np.inf)
+    most = int(np.diff(begins).max(initial=0))
+    _find_neighbors(
+        by_time, begins, lane, s, length, begin, (graph.length, graph.ahead, graph.behind),
+        np.empty((3, most), np.int64), np.empty(most), who, gap,
+    )  # fmt: skip
+    return who, gap
+
+
+@in_place()
+def _place(
+    xy: Any, heading: Any, length: Any, drives: Any, lane: Any, s: Any, offset: Any, segments: Any,
+    out: Any,
+) -> None:  # fmt: skip
+    """Place vehicles on the straight pieces of their lanes.
+
+    Args:
+        xy: (m, 2) and the next six as of `perceive`.
+        heading: (m,).
+        length: (m,).
+        drives: (m,).
+        lane: (m,).
+        s: (m,).
+        offset: (m,).
+        segments: the columns of a `sim.road.lane_graph.LaneGraph` that say where they are, and its
+            lanes' widths.
+        out: receives the (m,) lane, the lane if the vehicle drives along it, both -1 before, the
+            piece, the distance from the lane coordinates, m, the heading relative to the lane's,
+            rad, and the distance of the front bumper along it, m.
+    """
+    first, last, at, start, direction, segment_heading, width = segments
+    on_lane, forward, segment, missed, turned, front = out
+    for i in range(s.size):
+        on = lane[i]
+        g = first[on]
+        while g < last[on] and at[g + 1] <= s[i]:
+            g += 1
+        ux, uy = direction[g, 0], direction[g, 1]
+        along = s[i] - at[g]
+        east = xy[i, 0] - (start[g, 0] + ux * along + offset[i] * -uy)
+        north = xy[i, 1] - (start[g, 1] + uy * along + offset[i] * ux)
+        relative = heading[i] - segment_heading[g]
+        segment[i], missed[i] = g, np.hypot(east, north)
+        turned[i] = np.pi - (np.pi - relative) % (2 * np.pi)
+        front[i] = s[i] + length[i] / 2
+        beside = abs(offset[i]) <= width[on] / 2 + BESIDE_LANE_M
+        if drives[i] and beside and missed[i] < OFF_END_M:
+            on_lane[i] = on
+            if abs(turned[i]) < np.pi / 2:
+                forward[i] = on
+
+
+@in_place(inner=True)
+def _sort(rows: Any, spare: Any, count: int, lane: Any, s: Any) -> None:
     """Sort the first ``count`` of ``rows`` by lane, then place; equals stay as they are.
 
     Runs of sixteen are sorted by insertion and then merged (von Neumann's merge sort).
@@ -161,8 +276,12 @@ def _in_order(rows: Any, spare: Any, count: int, lane: Any, s: Any) -> None:
     for begin in range(0, count, run):
         for k in range(begin + 1, min(begin + run, count)):
             row, g = rows[k], k
-            while g > begin and _before(lane, s, row, rows[g - 1]):
-                rows[g] = rows[g - 1]
+            while g > begin:
+                before = rows[g - 1]
+                earlier = lane[row] == lane[before] and s[row] < s[before]
+                if not (lane[row] < lane[before] or earlier):
+                    break
+                rows[g] = before
                 g -= 1
             rows[g] = row
     while run < count:
@@ -170,7 +289,10 @@ def _in_order(rows: Any, spare: Any, count: int, lane: Any, s: Any) -> None:
             middle, end = min(begin + run, count), min(begin + 2 * run, count)
             one, two = begin, middle
             for k in range(begin, end):
-                second = one >= middle or (two < end and _before(lane, s, rows[two], rows[one]))
+                second = one >= middle
+                if one < middle and two < end:
+                    i, j = rows[one], rows[two]
+                    second = lane[j] < lane[i] or (lane[j] == lane[i] and s[j] < s[i])
                 if second:
                     spare[k] = rows[two]
                     two += 1
@@ -182,7 +304,7 @@ def _in_order(rows: Any, spare: Any, count: int, lane: Any, s: Any) -> None:
         run *= 2
 
 
-@compiled
+@in_place()
 def next_vehicle(
     lanes: Any, at: Any, count: int, lane: Any, s: Any, forward: bool, lane_length: Any,
     onward: Any,
@@ -232,75 +354,90 @@ def next_vehicle(
     return -1, np.inf
 
 
-@inner
-def _leaders(
-    by_time: Any, begins: Any, lane: Any, forward: Any, s: Any, road: Any
-) -> tuple[Any, Any]:
-    """(m,) rows of the vehicles ahead or -1, and (m,) distances between centres, m, or +inf."""
-    m = by_time.size
-    found, distance = np.empty(m, np.int64), np.empty(m)
-    for i in range(m):
-        found[i], distance[i] = -1, np.inf
-    most = 0
+@in_place()
+def _find_neighbors(
+    by_time: Any, begins: Any, lane: Any, s: Any, length: Any, begin: Any, road: Any, room: Any,
+    at: Any, who: Any, gap: Any,
+) -> None:  # fmt: skip
+    """Find who is next along K ways.
+
+    Args:
+        by_time: (m,) and the next five as of `_search`.
+        begins: (T + 1,).
+        lane: (m,).
+        s: (m,).
+        length: (m,).
+        begin: (m, K).
+        road: (L,) lengths of the lanes, m, and the lanes ahead and behind, -1: none.
+        room: (3, p) room to work in, for as many as there are at one time.
+        at: (p,) likewise.
+        who: (m, K) receives the rows; must be -1 before.
+        gap: (m, K) receives the gaps, m; must be +inf before.
+    """
+    lane_length, ahead, behind = road
+    rows, spare, lanes = room[0], room[1], room[2]
+    _, ways = begin.shape
     for t in range(begins.size - 1):
-        most = max(most, begins[t + 1] - begins[t])
-    rows, lanes, at = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
-    spare = np.empty(most, np.int64)
-    length, onward = road.length, road.ahead
-    ahead = m >= 0  # not the literal True: searches would be compiled once more for literals
-    for t in range(begins.size - 1):
-        count = 0 * m  # not the literal 0
+        count = 0 * begins.size  # not the literal 0: searches would be compiled once more for it
         for j in range(begins[t], begins[t + 1]):
             i = by_time[j]
             if lane[i] >= 0:
                 rows[count] = i
                 count += 1
-        _in_order(rows, spare, count, lane, s)
+        _sort(rows, spare, count, lane, s)
         for j in range(count):
             lanes[j], at[j] = lane[rows[j]], s[rows[j]]
         for q in range(begins[t], begins[t + 1]):
             i = by_time[q]
-            j, far = next_vehicle(lanes, at, count, forward[i], s[i], ahead, length, onward)
-            if j >= 0:
-                found[i], distance[i] = rows[j], far
-    return found, distance
+            for k in range(ways):
+                forward = k % 2 == 0
+                onward = ahead if forward else behind
+                j, far = next_vehicle(
+                    lanes, at, count, begin[i, k], s[i], forward, lane_length, onward
+                )
+                if j >= 0:
+                    who[i, k], gap[i, k] = rows[j], far - (length[i] + length[rows[j]]) / 2
 
 
-@inner
-def _followers(leader: Any, gap: Any) -> Any:
-    """(m,) who is nearest behind each, or -1; of several at the same distance the last."""
-    follower = np.empty(leader.size, np.int64)
-    for i in range(leader.size):
-        follower[i] = -1
-    for i in range(leader.size):
-        ahead = leader[i]
-        if ahead >= 0 and (follower[ahead] < 0 or gap[i] <= gap[follower[ahead]]):
+@in_place()
+def _find_followers(leader: Any, gap: Any, follower: Any) -> None:
+    """Find who is nearest behind each; of several at the same distance the last.
+
+    Args:
+        leader: (m, 1) the vehicle ahead of each, or -1.
+        gap: (m, 1) the gap to it, m.
+        follower: (m,) receives them; must be -1 before.
+    """
+    for i in range(follower.size):
+        ahead = leader[i, 0]
+        if ahead >= 0 and (follower[ahead] < 0 or gap[i, 0] <= gap[follower[ahead], 0]):
             follower[ahead] = i
-    return follower
 
 
-@inner
-def _stops_ahead(lane: Any, front: Any, road: Any) -> tuple[Any, Any, Any, Any]:
-    """The next junction entry and the next crossing of vehicles.
+@in_place()
+def _find_stops(
+    lane: Any, front: Any, internal: Any, signal: Any, length: Any, onward: Any, cross_first: Any,
+    cross_id: Any, cross_s: Any, cross_exit_s: Any, out: Any,
+) -> None:  # fmt: skip
+    """Find the next junction entry and the next crossing of vehicles.
 
     Args:
         lane: (m,) lane along which each drives, -1: none.
         front: (m,) distance of the front bumper along it, m.
-        road: the `LaneArrays`.
-
-    Returns:
-        (m,) each: distance to the junction entry, m, negative inside one, +inf if none; its signal
-        group or -1; the crossing or -1; distance to its near edge, m, or +inf.
+        internal: (L,) and the next seven: columns of the `sim.road.lane_graph.LaneGraph`.
+        signal: (L,).
+        length: (L,).
+        onward: (L,) its ``ahead``.
+        cross_first: (L + 1,).
+        cross_id: (Z,).
+        cross_s: (Z,).
+        cross_exit_s: (Z,).
+        out: receives the (m,) distance to the junction entry, m, negative inside one, +inf before;
+            its signal group and the crossing, -1 before; and the distance to its near edge, m,
+            +inf before.
     """
-    internal, signal, length, onward = road.internal, road.signal, road.length, road.ahead
-    cross_first, cross_id = road.cross_first, road.cross_id
-    cross_s, cross_exit_s = road.cross_s, road.cross_exit_s
-    m = lane.size
-    stop, to_crossing = np.empty(m), np.empty(m)
-    group, crossing = np.empty(m, np.int64), np.empty(m, np.int64)
-    for i in range(m):
-        stop[i], to_crossing[i] = np.inf, np.inf
-        group[i], crossing[i] = -1, -1
+    stop, group, crossing, to_crossing = out
+    for i in range(lane.size):
         now, travelled = lane[i], -front[i]
         for hop in range(MAX_LANES_AHEAD):
             if now < 0 or travelled > LOOK_AHEAD_M:
@@ -317,107 +454,3 @@ def _stops_ahead(lane: Any, front: Any, road: Any) -> tuple[Any, Any, Any, Any]:
                     crossing[i], to_crossing[i] = cross_id[z], to
             travelled += length[now]
             now = onward[now]
-    return stop, group, crossing, to_crossing
-
-
-@compiled
-def perceive(
-    xy: Any, heading: Any, length: Any, drives: Any, lane: Any, s: Any, offset: Any, by_time: Any,
-    begins: Any, road: Any,
-) -> LaneView:  # fmt: skip
-    """Place vehicles on lanes; find their leaders and the stop lines and crossings ahead of them.
-
-    Args:
-        xy: (m, 2) centres, m.
-        heading: (m,) rad.
-        length: (m,) m.
-        drives: (m,) whether the row is a vehicle's; the others are on no lane.
-        lane: (m,) lane that fits best, as `Road.project` finds it.
-        s: (m,) distance along it, m.
-        offset: (m,) distance to its left, m.
-        by_time: (m,) the rows in order of time.
-        begins: (T + 1,) where in ``by_time`` those of each time begin, and m.
-        road: the `LaneArrays`.
-
-    Returns:
-        What each row sees.
-    """
-    first, last, at = road.segment_first, road.segment_last, road.segment_at
-    start, direction = road.segment_start, road.segment_direction
-    segment_heading, width = road.segment_heading, road.width
-    m = s.size
-    on_lane, forward = np.empty(m, np.int64), np.empty(m, np.int64)
-    segment, missed = np.empty(m, np.int64), np.empty(m)
-    lane_heading, front = np.empty(m), np.empty(m)
-    for i in range(m):
-        on_lane[i], forward[i] = -1, -1
-        on = lane[i]
-        g = first[on]
-        while g < last[on] and at[g + 1] <= s[i]:
-            g += 1
-        ux, uy = direction[g, 0], direction[g, 1]
-        along = s[i] - at[g]
-        east = xy[i, 0] - (start[g, 0] + ux * along + offset[i] * -uy)
-        north = xy[i, 1] - (start[g, 1] + uy * along + offset[i] * ux)
-        turned = heading[i] - segment_heading[g]
-        segment[i], missed[i] = g, np.hypot(east, north)
-        lane_heading[i] = np.pi - (np.pi - turned) % (2 * np.pi)
-        front[i] = s[i] + length[i] / 2
-        beside = abs(offset[i]) <= width[on] / 2 + BESIDE_LANE_M
-        if drives[i] and beside and missed[i] < OFF_END_M:
-            on_lane[i] = on
-            if abs(lane_heading[i]) < np.pi / 2:
-                forward[i] = on
-    leader, distance = _leaders(by_time, begins, on_lane, forward, s, road)
-    gap = np.empty(m)
-    for i in range(m):
-        gap[i] = np.inf
-        if leader[i] >= 0:
-            gap[i] = distance[i] - (length[i] + length[leader[i]]) / 2
-    stop, group, crossing, to_crossing = _stops_ahead(forward, front, road)
-    return LaneView(
-        on_lane, segment, missed, lane_heading, leader, gap, _followers(leader, gap), stop, group,
-        crossing, to_crossing,
-    )  # fmt: skip
-
-
-@compiled
-def adjacent_vehicles(lane: Any, s: Any, length: Any, road: Any) -> tuple[Any, Any]:
-    """Who is ahead and behind on the lanes beside, at one instant.
-
-    Args:
-        lane: (p,) lane that each vehicle is on, -1: none.
-        s: (p,) distance along it, m.
-        length: (p,) m.
-        road: the `LaneArrays`.
-
-    Returns:
-        (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
-        bumper to bumper, m, or +inf.
-    """
-    p = lane.size
-    count = 0 * p  # not the literal 0, for which the search would be compiled once more
-    who, gap = np.empty((p, 4), np.int64), np.empty((p, 4))
-    rows, lanes, at = np.empty(p, np.int64), np.empty(p, np.int64), np.empty(p)
-    spare = np.empty(p, np.int64)
-    left, right, ahead, behind = road.left, road.right, road.ahead, road.behind
-    for i in range(p):
-        if lane[i] >= 0:
-            rows[count] = i
-            count += 1
-    _in_order(rows, spare, count, lane, s)
-    for j in range(count):
-        lanes[j], at[j] = lane[rows[j]], s[rows[j]]
-    for i in range(p):
-        for k in range(4):
-            who[i, k], gap[i, k] = -1, np.inf
-        if lane[i] < 0:
-            continue
-        for k in range(4):
-            beside = left[lane[i]] if k < 2 else right[lane[i]]
-            forward = k % 2 == 0
-            onward = ahead if forward else behind
-            j, far = next_vehicle(lanes, at, count, beside, s[i], forward, road.length, onward)
-            if j >= 0:
-                who[i, k], gap[i, k] = rows[j], far - (length[i] + length[rows[j]]) / 2
-    return who, gap

@@ -22,63 +22,63 @@ from sim.road import Road
 FloatArray = NDArray[np.float64]
 
 MOVING_MPS: Final = 1.0
-"""Slower agents do not count: parked cars stand beside lanes, m/s (our choice)."""
+"""Slower agents do not count: parked cars stand beside lanes, m/s."""
 
 MOST_POINTS: Final = 3_000
-"""Positions that are looked at, evenly spread over all (our choice: 1 % of standard error)."""
+"""Positions that are looked at, evenly spread over all (1 % of standard error)."""
 
 LEAST_POINTS: Final = 20
-"""With fewer moving positions nothing can be told (our choice)."""
+"""With fewer moving positions nothing can be told."""
 
 TURN_M: Final = 1.5
-"""How far a lane of the opposite direction counts as being away, half, m (our choice)."""
+"""How far a lane of the opposite direction counts as being away, half, m."""
 
 SAMPLE_M: Final = 0.5
 """Distance of the points along centre lines that positions are compared with, m."""
 
 ENOUGH: Final = 0.8
-"""From this share inside on, a map fits as it is (our choice: good maps have .9 and more)."""
+"""From this share inside on, a map fits as it is (good maps have .9 and more)."""
 
 LEAST: Final = 0.6
-"""Below this share a map is refused (our choice: of recordings on maps of other places, most have
-less than .3; on their own all have .7 and more)."""
+"""Below this share a map is refused (of recordings on maps of other places, most have less than .3;
+on their own all have .7 and more)."""
 
 UNSURE_LEAST: Final = 0.3
-"""The same where fewer than `SHIFT_VEHICLES` move (our choice): one may stray by itself."""
+"""The same where fewer than `SHIFT_VEHICLES` move: one may stray by itself."""
 
 GAIN: Final = 0.1
-"""Share that a translation must add to be made (our choice: ten standard errors)."""
+"""Share that a translation must add to be made (ten standard errors)."""
 
 NEAR_M: Final = 6.0
-"""Up to this length a translation is an offset between two surveys, m (our choice)."""
+"""Up to this length a translation is an offset between two surveys, m."""
 
 SHIFT_VEHICLES: Final = 8
-"""Vehicles that must have moved for a translation (our choice): a few fit some lane anywhere."""
+"""Vehicles that must have moved for a translation: a few fit some lane anywhere."""
 
 FAR_LEAST: Final = 0.9
-"""Share inside after a longer translation (our choice): two coordinate systems of one place fit
-well, and roads of two places may fit somewhere."""
+"""Share inside after a longer translation: two coordinate systems of one place fit well, and roads
+of two places may fit somewhere."""
 
 FAR_BEYOND: Final = 0.1
-"""How much more is inside than at any other place for a longer translation (our choice): straight
-roads fit everywhere along themselves."""
+"""How much more is inside than at any other place for a longer translation: straight roads fit
+everywhere along themselves."""
 
 OUT_M, CENTRED, PER_M = 3.0, 0.3, 0.001
 """Of translations with like shares inside, the one that leaves positions nearer to centre lines is
-better, up to so many m, with this weight; and the shorter one, by so much per m (our choice)."""
+better, up to so many m, with this weight; and the shorter one, by so much per m."""
 
 CELL_M: Final = 1.0
 """Cells in which translations are searched first, m."""
 
 MOST_CELLS: Final = 2_048
-"""Most cells along a side for that (our choice: 2 km)."""
+"""Most cells along a side for that (2 km)."""
 
 LIMIT_LOW, LIMIT_HIGH = 0.75, 1.35
 """Limits rule where the fastest speeds of vehicles, over the limits there, have their median in
-this range (our choice: speeds in free traffic have .9 to 1.15 of the limit)."""
+this range (speeds in free traffic have .9 to 1.15 of the limit)."""
 
 LEAST_VEHICLES: Final = 3
-"""Vehicles that must have moved to tell whether limits rule (our choice)."""
+"""Vehicles that must have moved to tell whether limits rule."""
 
 
 @dataclass(frozen=True)

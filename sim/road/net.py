@@ -51,12 +51,12 @@ STOPPING_STATES: Final = frozenset("sw")
 
 
 MAX_NET_BYTES: Final = 2**28
-"""Largest net that is read, unpacked (our choice: 256 MiB; a district of a city has some 20)."""
+"""Largest net that is read, unpacked (256 MiB; a district of a city has some 20)."""
 
 MAX_COORDINATE_M: Final = 1e9
 MAX_WIDTH_M: Final = 1000.0
 MAX_LENGTH_M: Final = 1e7
-"""Largest coordinate, width and length of all lanes together (our choice, as of other maps)."""
+"""Largest coordinate, width and length of all lanes together (as of other maps)."""
 
 _NO_NUMBER: Final = re.compile(
     rb"""\s(?:shape|speed|length|width)\s*=\s*(?:"[^"]*[_\x80-\xff][^"]*"|'[^']*[_\x80-\xff][^']*')"""

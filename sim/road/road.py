@@ -318,7 +318,7 @@ class Road:
             np.concatenate(length),
             np.concatenate(lane),
             np.concatenate(at),
-            # our choice: a lane is some 3 m wide
+            # a lane is some 3 m wide
             np.where(
                 np.array([one.internal for one in self.lanes])[np.concatenate(lane)], 4.0, 0.7
             ),
@@ -359,7 +359,7 @@ class Road:
         return any(states[first] == green == states[second] for states in plan.states)
 
     def first_come(self, one: int, two: int) -> bool:
-        """Whether of two connections neither has priority: who comes first goes first.
+        """Whether neither of two connections has priority: the vehicle that comes first goes first.
 
         So it is where signals never let both go, and where each yields to the other (all-way
         stops).
@@ -390,9 +390,11 @@ class Road:
         from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
 
         start, direction, length, lane, at, turn_cost_m = self._drivable_segments
-        best, along, across = fit(
+        n = len(xy)
+        best, along, across = np.empty(n, np.int64), np.empty(n), np.empty(n)
+        fit(
             np.ascontiguousarray(xy, dtype=np.float64),
             np.ascontiguousarray(heading, dtype=np.float64),
-            start, direction, length, turn_cost_m, self._segment_cells,
+            start, direction, length, turn_cost_m, self._segment_cells, best, along, across,
         )  # fmt: skip
         return LanePosition(lane=lane[best], s=at[best] + along, offset=across)

@@ -22,13 +22,13 @@ BAR_M: Final = (0.5, 0.5)
 """Width of a zebra's bar and of the gap after it, m."""
 
 LONGEST_M: Final = 1_000.0
-"""So much of a crossing is drawn, m (our choice; broken maps have crossings across a country)."""
+"""So much of a crossing is drawn, m (broken maps have crossings across a country)."""
 
 CORNER_M: Final = 4.0
 """How much wider a junction's paving is than its asphalt, m (two sidewalks)."""
 
 SAME_LINE_M: Final = 0.5
-"""Lane borders of two directions that are this close are one line, m (our choice)."""
+"""Lane borders of two directions that are this close are one line, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

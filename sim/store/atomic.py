@@ -41,7 +41,7 @@ _SCRATCH: Final = re.compile(rf"graphrqi-[a-z]+-{_HERE}-(\d+)-[0-9a-f]{{8}}")
 """Names of temporary folders; see `temporary_folder`."""
 
 LONGEST_REMOVAL_S: Final = 2.0
-"""Within which time a process that ends removes its temporary folders, s (our choice: it takes
+"""Within which time a process that ends removes its temporary folders, s (it takes
 milliseconds)."""
 
 _looked_after: set[Path] = set()

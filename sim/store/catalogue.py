@@ -33,7 +33,7 @@ MANIFEST: Final = "manifest.json"
 ENTRY: Final = "episode.json"
 
 MAX_JSON_BYTES: Final = 2**28
-"""Largest manifest that is read (our choice: some 300 000 episodes)."""
+"""Largest manifest that is read (some 300 000 episodes)."""
 
 
 def checksum(data: bytes) -> str:

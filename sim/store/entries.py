@@ -45,14 +45,14 @@ METADATA_KEY: Final = b"graphrqi"
 """Under which key a Parquet file says in JSON what belongs to the file as a whole."""
 
 MAX_EPISODES: Final = 10**8
-"""Most rows of a catalogue that are read (our choice)."""
+"""Most rows of a catalogue that are read."""
 
 _WORDS: Final = tuple(
     field.name for field in CATALOGUE if field.type == pa.string() and field.name != "id"
 )
 _DRAWN: Final = (*BEHAVIORS, *(kind.value for kind in KINDS))
 _GROUP_ROWS: Final = 2**17
-"""Rows of a row group of the catalogue (our choice: a few MB)."""
+"""Rows of a row group of the catalogue (a few MB)."""
 
 
 def catalogue_table(entries: Iterable[EpisodeEntry]) -> pa.Table:

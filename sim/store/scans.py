@@ -25,8 +25,8 @@ from sim.store.shards import shard_file
 T = TypeVar("T")
 
 QUIET_S: Final = 0.2
-"""Arrow's threads are done when none has called for so long, s (our choice: a call that is refused
-takes microseconds, and what follows it comes at once)."""
+"""Arrow's threads are done when none has called for so long, s (a call that is refused takes
+microseconds, and what follows it comes at once)."""
 
 
 class _Calls:

@@ -52,33 +52,33 @@ EPISODE_VERSION: Final = 1
 """Version of an episode's content, which is part of what its id is the hash of."""
 
 POSITION_QUANTUM: Final = 2.0**-10
-"""Simulated positions, m, and speeds, m/s, are multiples of this: about a millimetre (our choice:
-cars are measured to centimetres at best)."""
+"""Simulated positions, m, and speeds, m/s, are multiples of this: about a millimetre (cars are
+measured to centimetres at best)."""
 
 HEADING_QUANTUM: Final = 2.0**-13
-"""Simulated headings, rad, are multiples of this: 0.007 degrees (our choice: finer than any
-measurement)."""
+"""Simulated headings, rad, are multiples of this: 0.007 degrees (finer than any measurement)."""
 
 MAX_CELLS: Final = 5 * 10**7
-"""Most times that one episode may have, and signal groups times times (our choice: 0.45 GB of times
-and states)."""
+"""Most times that one episode may have, and signal groups times times (0.45 GB of times and
+states)."""
 
 MAX_OBJECTS: Final = 10**6
-"""Most agents, events, traits, changes of lights and edges of routes that one episode may have (our
-choice: as many agents as a recording may have; as Python objects they take up to 3 GB)."""
+"""Most agents, events, traits, changes of lights and edges of routes that one episode may have (as
+many agents as a recording may have; as Python objects they take up to 3 GB)."""
 
 BLOCK_EPISODES: Final = 5000
-"""A shard holds episodes of one block of so many indices of a scenario. What is in a shard follows
-from the episodes of its block alone, so blocks can be made in any order, and a dataset that grows
-keeps its whole blocks (our choice: with 10 to 120 s per episode, shards have 60 to 250 MB)."""
+"""Number of episodes of a block; a shard holds episodes of one block of a scenario. What is in a
+shard follows from the episodes of its block alone, so blocks can be made in any order, and a
+dataset that grows keeps its whole blocks (with 10 to 120 s per episode, shards have 60 to 250
+MB)."""
 
 MAX_SHARD_STEPS: Final = 5 * 10**7
-"""A shard ends before the episode that would bring it above so many agent-steps (our choice: some
-250 MB at 5 bytes each)."""
+"""Most agent-steps of a shard: it ends before the episode that would exceed this (some 250 MB at 5
+bytes each)."""
 
 MAX_SHARD_ROWS: Final = 10**6
-"""A shard ends before the episode that would bring it above so many agents or frames (our choice:
-its smaller tables are read as a whole)."""
+"""Most agents and most frames of a shard: it ends before the episode that would exceed this (its
+smaller tables are read as a whole)."""
 
 Split = Literal["train", "validation", "test"]
 

@@ -34,10 +34,10 @@ from sim.store.schema import (
 )
 
 KEPT_TABLES: Final = 30
-"""How many of the smaller tables a process keeps (our choice: those of six shards)."""
+"""How many of the smaller tables a process keeps (those of six shards)."""
 
 KEPT_FOOTERS: Final = 16
-"""Of how many shards of steps a process keeps the footer (our choice; each some MB)."""
+"""Of how many shards of steps a process keeps the footer (each some MB)."""
 
 MAX_PART_CHARACTERS: Final = 220
 """Longest part of a shard's path (file systems take 255 bytes)."""

@@ -18,7 +18,7 @@ from sim.scenario import AgentSpec
 from sim.sumo.vehicle_poses import STRAIGHTENING_M, vehicle_poses
 
 AREA_CELL_M: Final = 50.0
-"""Width of the cells in which junctions are looked up, m (our choice: a large junction's)."""
+"""Width of the cells in which junctions are looked up, m (a large junction's)."""
 
 TRAFFICLIGHT_TYPE_STATIC: Final = 0
 """SUMO's number for lights with a fixed-time programme (``libsumo.constants``)."""

@@ -12,25 +12,22 @@ from typing import Final
 
 import numpy as np
 
-from sim.compiled import compiled
+from sim.compiled import in_place
 from sim.frames import BoolArray, FloatArray, IntArray
 from sim.road.cells import Cells
 
 AXLE_SHARE: Final = 0.8
-"""The rear axle is this share of the length behind the front bumper (our choice: as in most
-cars)."""
+"""The rear axle is this share of the length behind the front bumper (as in most cars)."""
 
 TURNING, KEEPING = 0.8, 0.25
 """A front bumper moves sideways by at most this share of its motion ahead, where the road turns and
-elsewhere (our choice: about 40 degrees, the full lock of ordinary cars, and 14 degrees, a hasty
-lane change). Sideways motion beyond it, which SUMO makes while cars crawl or stand, moves the rear
-axle, too."""
+elsewhere (about 40 degrees, the full lock of ordinary cars, and 14 degrees, a hasty lane change).
+Sideways motion beyond it, which SUMO makes while cars crawl or stand, moves the rear axle, too."""
 
 STRAIGHTENING_M: Final = 6.0
-"""A car is still straightening up this far after a turn (our choice: a car's length and more)."""
+"""A car is still straightening up this far after a turn (a car's length and more)."""
 
 
-@compiled
 def vehicle_poses(
     order: IntArray,
     rows: IntArray,
@@ -76,13 +73,31 @@ def vehicle_poses(
         >>> xy.tolist(), heading.tolist()
         ([[3.0, 1.0]], [0.0])
     """
-    x0, y0, size, columns, lines, first, items = cells
     n = rows.size
-    xy, heading, ordered = np.empty((n, 2)), np.empty(n), np.empty(n)
-    for i in range(n):
+    xy, heading = np.empty((n, 2)), np.empty(n)
+    _find_poses(order, rows, front, angle, length, pedestrian, areas, cells, axles, xy, heading)
+    return xy, heading, speed[order]
+
+
+@in_place()
+def _find_poses(
+    order: IntArray,
+    rows: IntArray,
+    front: FloatArray,
+    angle: FloatArray,
+    length: FloatArray,
+    pedestrian: BoolArray,
+    areas: FloatArray,
+    cells: Cells,
+    axles: FloatArray,
+    xy: FloatArray,
+    heading: FloatArray,
+) -> None:
+    """Find the centres and headings; arguments and results as of `vehicle_poses`."""
+    x0, y0, size, columns, lines, first, items = cells
+    for i in range(rows.size):
         row, at = rows[i], order[i]
         x, y = front[2 * at], front[2 * at + 1]
-        ordered[i] = speed[at]
         reach = AXLE_SHARE * length[row]
         if pedestrian[row] or math.isnan(axles[row, 0]):
             heading_east = math.radians(90.0 - angle[at])
@@ -95,7 +110,7 @@ def vehicle_poses(
             column, line = math.floor((x - x0) / size), math.floor((y - y0) / size)
             turning = False
             if 0 <= column < columns and 0 <= line < lines:
-                cell = int(line) * columns + int(column)
+                cell = line * columns + column
                 for p in range(first[cell], first[cell + 1]):
                     a = items[p]
                     # how far outside the area the front is, and whether it drives away from it
@@ -114,4 +129,3 @@ def vehicle_poses(
         heading[i] = math.atan2(north, east)
         if heading[i] == -math.pi:
             heading[i] = math.pi
-    return xy, heading, ordered

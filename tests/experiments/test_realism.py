@@ -235,7 +235,7 @@ def standing_at_the_kerb(start: Start, moved_m: float) -> tuple[Start, int]:
     offset[row] = -scene.graph.width[scene.lane[row]] / 2.0 + start.recorded.width[row] / 2.0 - 0.1
     history = dataclasses.replace(scene.history, speed=speed)
     here = dataclasses.replace(tracks, xy=xy)
-    return Start(here, scene.but(history=history, offset=offset), start.stop, start.ahead), row
+    return Start(here, scene.replaced(history=history, offset=offset), start.stop, start.ahead), row
 
 
 @pytest.mark.parametrize("name", SIMULATORS[2:])

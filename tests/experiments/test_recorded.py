@@ -15,7 +15,7 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benches import real_data
-from experiments.benches.prediction import told
+from experiments.benches.prediction import knowledge
 from experiments.benches.prediction.recordings import RATIOS, _distance, measure_recordings
 from experiments.report.worst_cases import WORST
 from experiments.scoring.recordings import (
@@ -232,7 +232,7 @@ def test_the_bench_leaves_each_dataset_out(data):
         next(measure_recordings(data, "nobody", 1, 0))
 
 
-def planted(seed: int, per_mps: float) -> told.Left:
+def planted(seed: int, per_mps: float) -> knowledge.Left:
     """Drivers, three times each, of whom one number tells how much faster they become."""
     rng = np.random.default_rng(seed)
     vehicle = np.repeat(np.arange(200), 3)
@@ -242,21 +242,21 @@ def planted(seed: int, per_mps: float) -> told.Left:
     numbers = np.column_stack([number, *rng.normal(size=(3, 600))])
     numbers[::7, 0] = np.nan
     beliefs = np.full((600, len(BEHAVIORS)), np.nan)
-    known = {told.BELIEFS: beliefs, told.NUMBERS: numbers}
-    return told.Left(along, np.zeros_like(along), speed, vehicle, known)
+    known = {knowledge.BELIEFS: beliefs, knowledge.NUMBERS: numbers}
+    return knowledge.Left(along, np.zeros_like(along), speed, vehicle, known)
 
 
 def told_ratios(per_mps: float) -> dict[tuple[str, str], tuple[float, float, float]]:
     others, held = [planted(seed, per_mps) for seed in range(3)], planted(9, per_mps)
-    rows = told._rows({"dataset": "held"}, others, held, seed=0)
-    return {(r["told"], r["metric"]): (r["low"], r["value"], r["high"]) for r in rows}
+    rows = knowledge._rows({"dataset": "held"}, others, held, seed=0)
+    return {(r["knowledge"], r["metric"]): (r["low"], r["value"], r["high"]) for r in rows}
 
 
 def test_what_tells_where_drivers_go_is_found_and_its_placebo_is_not():
     found = told_ratios(per_mps=0.1)
     assert found["numbers", "ratio_to_placebo"][2] < 0.7
-    assert found["numbers", "placebo_ratio_to_untold"][1] == pytest.approx(1.0, abs=0.03)
-    assert found["nothing", "ratio_to_untold"][1] == pytest.approx(1.0, abs=0.03)
+    assert found["numbers", "placebo_ratio_to_uncorrected"][1] == pytest.approx(1.0, abs=0.03)
+    assert found["nothing", "ratio_to_uncorrected"][1] == pytest.approx(1.0, abs=0.03)
     assert found["beliefs", "ratio_to_placebo"] == (1.0, 1.0, 1.0)
 
 
@@ -267,15 +267,17 @@ def test_what_tells_nothing_is_not_found():
 
 
 def test_knowledge_of_drivers_is_measured_on_each_dataset_left_out(data):
-    rows = [row for part in told.measure_told(data, seed=0) for row in part]
+    rows = [row for part in knowledge.measure_knowledge(data, seed=0) for row in part]
     assert {row["dataset"] for row in rows} == {"ngsim_us101", "some_junction"}
-    assert {(row["told"], row["metric"]) for row in rows} == {
-        (told.NOTHING, "ratio_to_untold"),
-        *((kind, metric) for kind in (told.BELIEFS, told.NUMBERS)
-          for metric in ("ratio_to_untold", "placebo_ratio_to_untold", "ratio_to_placebo")),
+    assert {(row["knowledge"], row["metric"]) for row in rows} == {
+        (knowledge.NOTHING, "ratio_to_uncorrected"),
+        *((kind, metric) for kind in (knowledge.BELIEFS, knowledge.NUMBERS)
+          for metric in (
+              "ratio_to_uncorrected", "placebo_ratio_to_uncorrected", "ratio_to_placebo"
+          )),
     }  # fmt: skip
     with pytest.raises(InputError, match="expected two"):
-        list(told.measure_told(data / "some_junction", seed=0))
+        list(knowledge.measure_knowledge(data / "some_junction", seed=0))
 
 
 def test_the_command_trains_and_tells(data, tmp_path):

@@ -142,3 +142,48 @@ print(total({name}(np.ones(3))))
             text=True, check=False,
         )  # fmt: skip
         assert ran.stdout == "3.0\n", ran.stderr
+
+
+IN_PLACE = """
+import numpy as np
+
+from sim.compiled import in_place
+
+
+@in_place(inner=True)
+def halve(x, out):
+    for i in range(x.size):
+        out[i] = x[i] / 2.0
+
+
+@in_place()
+def add_half(x, room, out):
+    halve(x, room)
+    for i in range(x.size):
+        out[i] = x[i] + room[i]
+
+
+@in_place()
+def make(x):
+    return np.zeros(x.size)
+"""
+
+
+def test_a_kernel_in_place_writes_into_its_arguments_and_makes_no_array(tmp_path: Path) -> None:
+    (tmp_path / "kernel.py").write_text(IN_PLACE)
+    program = """
+import numpy as np
+from numba.core.errors import NumbaError
+from kernel import add_half, make
+x, room, out = np.array([1.0, 3.0]), np.empty(2), np.empty(2)
+assert add_half(x, room, out) is None
+try:
+    make(x)
+except NumbaError:
+    print(out.tolist())
+"""
+    said = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+    )  # fmt: skip
+    assert said.stdout == "[1.5, 4.5]\n"

@@ -31,9 +31,9 @@ from sim.store.dataset import Dataset
 from sim.store.schema import Split
 
 CEILING_DRIVERS: Final = 600
-"""Training drivers that the ceiling learns from at most (our choice, about those of one scenario in
-the bench's own data): the more it sees, the nearer it comes to where draws are cut off, so ceilings
-of datasets of other sizes could not be compared."""
+"""Training drivers that the ceiling learns from at most (about those of one scenario in the bench's
+own data): the more it sees, the nearer it comes to where draws are cut off, so ceilings of datasets
+of other sizes could not be compared."""
 
 
 def random_rows(recordings: Recordings, methods: Sequence[str]) -> list[Row]:

@@ -42,8 +42,8 @@ IntArray = NDArray[np.int64]
 PROTOCOL: Final = "recorded"
 
 LEAST_SEEN_S: Final = 3.0
-"""Drivers that are seen for less do not count in shares (our choice: what is believed of them is
-mostly the prior)."""
+"""Drivers that are seen for less do not count in shares (what is believed of them is mostly the
+prior)."""
 
 LEAST_DRIVERS: Final = 10
 """Fewer drivers make no correlation."""

@@ -39,7 +39,7 @@ MAIN_S: Final = 10.0
 
 
 SCORED_EVERY_S: Final = 2.0
-"""Time between the ends of scored windows of one driver (our choice)."""
+"""Time between the ends of scored windows of one driver."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ RANKS: Final = {
     "acceleration": 1.0, "across flow": 1.0, "passed": 1.0, "was passed": -1.0, "nearest": -1.0,
 }  # fmt: skip
 """Columns of the unit-free features whose ranks are averaged, and their signs, as the traits name
-them: overtaking, over-speeding, weaving, driving close (our choice, before any label was seen)."""
+them: overtaking, over-speeding, weaving, driving close (before any label was seen)."""
 
 
 @dataclass(frozen=True, slots=True)

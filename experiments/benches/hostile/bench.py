@@ -33,7 +33,8 @@ COSTLY: Final = {
     "model": 150, "dataset": 10, "sheet": 4, "labels": 3, "predictions": 3, "net": 4, "net.gz": 4,
     "net-small": 2, "argoverse2-map": 2, "solver": 5, "stream": 40, "environment": 80,
 }  # fmt: skip
-"""Families of which one input is tried for so many of the others: each takes that much longer."""
+"""Families whose inputs take longer, and how many inputs of another family are tried for one of
+theirs."""
 
 FAILED_BEFORE: Final[dict[str, tuple[int, ...]]] = {
     "sumo-fcd-grown": (46, 279),

@@ -24,10 +24,10 @@ from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.frames import Frame
 
 CROWD: Final = 100_000
-"""Agents of a crowd, in one input of so many hundred."""
+"""Agents of a crowd, which one input in some hundreds has."""
 
 CITY_M: Final = 6000.0
-"""Side of the square in which the crowd is, m (our choice: 400 square metres each)."""
+"""Side of the square in which the crowd is, m (400 square metres each)."""
 
 BAD: Final = (float("nan"), float("inf"), -float("inf"), 1e308, -1e300, 1e9, -0.0)
 

@@ -31,7 +31,7 @@ TOKEN: Final = re.compile(rb"\s+|[\w.+-]+|[^\w\s]")
 """A word or number, white space, or one other sign."""
 
 DEEP: Final = 3000
-"""How deep brackets are nested, sometimes (our choice: three times Python's limit)."""
+"""How deep brackets are nested, sometimes (three times Python's limit)."""
 
 LONG: Final = 100_000
 """Length of a field that is made long, sometimes."""

@@ -14,7 +14,7 @@ from experiments.benches.progress import read_progress
 from sim.store.atomic import write_whole
 
 EVERY_S: Final = 30.0
-"""How often the file is written, s (our choice: what a kill costs is tried again)."""
+"""How often the file is written, s (after a kill, inputs of this time are tried again)."""
 
 
 @dataclass

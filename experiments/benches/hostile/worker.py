@@ -24,11 +24,11 @@ from typing import Final
 from experiments.benches.hostile.trial import FAILURES, check, families
 
 WORKER_INPUTS: Final = 20_000
-"""Inputs after which a worker is replaced (our choice: what leaks then shows as its peak, and
-loading compiled code takes a hundredth of the time)."""
+"""Inputs after which a worker is replaced (what leaks then shows as its peak, and loading compiled
+code takes a hundredth of the time)."""
 
 WAITS: Final = 4.0
-"""An input that waits is given up after so many times its limit (our choice)."""
+"""An input that waits without computing is given up after this many times its time limit."""
 
 PEAK: Final = Path("/proc/self/clear_refs")
 """Linux forgets the peak of a process's memory when 5 is written here."""

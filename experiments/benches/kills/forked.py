@@ -21,7 +21,7 @@ STOPPING: Final = (signal.SIGINT, signal.SIGTERM)
 """Signals that a command is stopped with."""
 
 LONGEST_S: Final = 600.0
-"""Longest time for a command (our choice: they take seconds, minutes while kernels compile)."""
+"""Longest time for a command (they take seconds, minutes while kernels compile)."""
 
 
 def run(

@@ -1,9 +1,10 @@
 """Generations whose run, workers and object server are killed until they come through.
 
 A run with two workers writes to a folder of this machine, or to an S3 server that is killed and
-started again with what it kept. Whoever is killed, and when, is random; the same command goes on
-until it ends by itself. The dataset must then have the bytes of an undisturbed one, and nothing
-else may be left: no file, no staging folder, no process, no semaphore. Then it begins anew.
+started again with what it kept. The process that is killed, and the time, are random; the same
+command goes on until it ends by itself. The dataset must then have the bytes of an undisturbed one,
+and nothing else may be left: no file, no staging folder, no process, no semaphore. Then it begins
+anew.
 
 Workers are forked (`experiments.benches.kills.forked`), where users' are started anew.
 """
@@ -41,19 +42,19 @@ GENERATE: Final = (
 """Four episodes of a few vehicles in three shards: most of a run is starting, writing, sealing."""
 
 LATEST: Final = 0.8
-"""A run is left alone for at most this many times what the undisturbed one took (our choice: most
-runs are killed)."""
+"""A run is left alone for at most this many times what the undisturbed one took (most runs are
+killed)."""
 
 PATIENCE: Final = 0.1
-"""By which share of that the time grows with every kill on the way to one dataset (our choice: a
-machine that has become busy would otherwise never let a run come through)."""
+"""By which share of that the time grows with every kill on the way to one dataset (a machine that
+has become busy would otherwise never let a run come through)."""
 
 LOOK_S: Final = 0.02
 """How often is looked for workers, s."""
 
 SOON_S: Final = 0.1
-"""Within which time after workers are seen one of them is killed, s (our choice: they make an
-episode in about that time)."""
+"""Within which time after workers are seen one of them is killed, s (they make an episode in about
+that time)."""
 
 EXPECTED: Final = (0, 2, -signal.SIGKILL)
 """Exit codes that a killed run, worker or server may lead to: 2 is that of an error told in a line,

@@ -32,8 +32,7 @@ HOST: Final = "127.0.0.1"
 PORTS: Final = range(20_000, 30_000)
 
 LONGEST_START_S: Final = 600.0
-"""Longest time until the server listens (our choice: it takes a second, minutes on a busy
-machine)."""
+"""Longest time until the server listens (it takes a second, minutes on a busy machine)."""
 
 
 def environment(port: int) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Predictors on recordings that nothing was trained on: each dataset or place is left out in turn.
 
 The network for recordings is trained on all others (``left-out``) and predicts the one left out;
-rules and the weights that ship stand beside it. Whoever moves counts (see
+rules and the weights that ship stand beside it. Moving agents are scored (see
 `experiments.scoring.recordings`), once with the past as recorded and once with noise added to it.
 Errors are divided by those of constant velocity with the same past. Intervals resample vehicles
 and, in the metrics that end in ``_by_place``, places.
@@ -57,7 +57,7 @@ NOISES_M: Final = (0.0, 0.1)
 """Noise added to the past, standard deviation of each coordinate, m."""
 
 SCORED_PER_DATASET: Final = 1_500
-"""About so many vehicles at instants are scored in each dataset (our choice)."""
+"""Number of cases, a vehicle at an instant each, that are scored in a dataset, about."""
 
 NEAR_M: Final = 30.0
 """Lanes and others are part of a case as far as its vehicle goes, and by this much farther, m."""

@@ -38,17 +38,17 @@ BEFORE_S: Final = (1.5, 2.5)
 
 DECIDED_S: Final = 3.5
 """A driver that has not entered the crossing after this time waited, s (1.5 s later than at its
-speed, our choice)."""
+speed)."""
 
 LEAST_SPEED_MPS: Final = 2.0
-"""Slower drivers are left out: they have already decided to stop (our choice)."""
+"""Slower drivers are left out: they have already decided to stop."""
 
 ENTERED_M: Final = 1.0
-"""A driver this far into the crossing has entered it (our choice)."""
+"""A driver this far into the crossing has entered it."""
 
 SAME_PLACE_M: Final = 3.0
 """An event counts as that of an encounter if it happens within this of where the crossing was, m
-(our choice: less than lies between two crossings)."""
+(less than lies between two crossings)."""
 
 BELIEFS: Final = "beliefs"
 """Stands among the names of predictors for the beliefs alone."""
@@ -60,7 +60,7 @@ DRAWN: Final = "graphrqi-predict"
 """The predictor whose predictions are drawn."""
 
 VAGUE_M: Final = 1.5
-"""Spread assumed for predictors that give none, m (our choice)."""
+"""Spread assumed for predictors that give none, m."""
 
 
 @dataclass(frozen=True, slots=True)

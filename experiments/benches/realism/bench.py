@@ -53,8 +53,8 @@ SIMULATED: Final = "straight_road"
 """The road that is simulated where no recordings are given."""
 
 DISTRIBUTED: Final = 4
-"""So many of the futures are compared with the distributions recorded (our choice: more of them say
-the same)."""
+"""So many of the futures are compared with the distributions recorded (more of them say the
+same)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ MOVING_MPS: Final = 1.0
 """Headways count from this speed on, m/s: standing, they are infinite."""
 
 LONGEST_HEADWAY_S: Final = 10.0
-"""Longer headways are no following, s (our choice)."""
+"""Longer headways are no following, s."""
 
 
 def samples(

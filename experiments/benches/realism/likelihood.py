@@ -65,7 +65,7 @@ FEATURES: Final[dict[str, Histogram]] = {
 """Every feature of the challenge: m, s, rad; the two indications are 0 or 1 for a whole future."""
 
 CELL_M: Final = 0.5
-"""Size of the cells by which the road's edge is found, m (our choice)."""
+"""Size of the cells by which the road's edge is found, m."""
 
 MARGIN_M: Final = 45.0
 """The grid goes so far beyond the road, m: farther off than the last bin counts alike."""

@@ -44,7 +44,8 @@ CANDIDATES: Final = 256
 """Drivers of which each vehicle's are chosen by its past (drawn from the prior of calibration)."""
 
 OBSERVATIONS: Final = 4.0
-"""As so many observations a vehicle's whole past counts (as in `graphrqi.calibrate.driving_on`)."""
+"""A vehicle's whole past counts as this many observations (as in
+`graphrqi.calibrate.driving_on`)."""
 
 PARKED_MPS2: Final = 1e-4
 """Acceleration of parked vehicles, m/s2: laws divide by it."""

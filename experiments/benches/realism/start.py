@@ -28,23 +28,23 @@ FINEST_S: Final = 0.1
 """Longest step of the simulation, s."""
 
 KEPT_M: Final = 0.5
-"""Drivers stay so far to the side of the lane's middle, m; who is farther off returns (our choice:
-cars keep their own side of a lane, and nobody stays between two lanes)."""
+"""Drivers keep a distance of at most this from the lane's middle, m; those farther off return (cars
+keep their own side of a lane, and nobody stays between two lanes)."""
 
 SETTLED_S, SETTLED_M = 1.0, 3.0
-"""In so long a vehicle's heading becomes that of its lane, but for 1/e of the difference, s, and no
-sooner than on so many metres (our choice, the latter about a car's wheelbase)."""
+"""The difference between a vehicle's heading and its lane's falls to 1/e within this time, s, and
+no sooner than within this distance, m (about a car's wheelbase)."""
 
 STEEPEST: Final = 0.2
-"""A vehicle moves sideways by no more than this share of the way that it drives (our choice: at an
-angle of 11 degrees); who stands stays where it is."""
+"""A vehicle moves sideways by no more than this share of the distance that it drives (at an angle
+of 11 degrees); a standing one does not move sideways."""
 
 STANDS_M: Final = 0.5
-"""Who has moved by less since it was first seen stands, m (our choice)."""
+"""A vehicle that has moved by less than this since it was first seen stands, m."""
 
 KERB_M: Final = 0.25
-"""Who stands with its side so near to the border of an outermost lane, or over it, is parked, m
-(our choice: drivers who wait in a lane keep farther away)."""
+"""A standing vehicle whose side is this near to the border of an outermost lane, or over it, is
+parked, m (drivers who wait in a lane keep farther away)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ def _on_nearest_lanes(scene: Scene) -> Scene:
         if beside >= 0 and abs(offset[i]) > apart / 2.0 and paths.options[beside] > 0:
             lane[i], path[i] = beside, paths.likeliest[beside]
             offset[i] -= apart if side == 0 else -apart
-    return scene.but(lane=lane, path=path, offset=offset)
+    return scene.replaced(lane=lane, path=path, offset=offset)
 
 
 def starts(place: RecordedPlace, seconds: float, every_s: float) -> Iterator[Start]:

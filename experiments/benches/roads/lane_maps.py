@@ -21,7 +21,7 @@ DEGREE_M: Final = 111_320.0
 """Length of a degree on the equator, m; readers take ``local_x`` and ``local_y`` where they are."""
 
 SAME_POINT_M: Final = 0.5
-"""Ends of borders as near as this are one point (our choice: less than a lane's width)."""
+"""Ends of borders as near as this are one point (less than a lane's width)."""
 
 
 @dataclass

@@ -21,18 +21,19 @@ from sim.frames import EventKind, Frame
 from sim.scenario import MAX_DURATION_S, AgentSpec, Scenario, sample_agents
 
 DEMAND_S: Final = 30.0
-"""The vehicles want to enter within this time, s (our choice: they meet one another)."""
+"""The vehicles want to enter within this time, s (they meet one another)."""
 
 LATEST_S: Final = 1500.0
-"""Who is on the road after this time, and after `SLOW` times what the longest way takes at the
-limits, stays there, s (our choice: the ways of maps of some kilometres take a third of it)."""
+"""A vehicle that is on the road after this time, and after `SLOW` times the travel time of the
+longest route at the limits, counts as stuck, s (routes on maps of some kilometres take a third of
+it)."""
 
 SLOW: Final = 4.0
-"""So many times as long as at the limits a way may take (our choice: lights, jams, cautious drivers
+"""A route may take this many times its travel time at the limits (lights, jams, cautious drivers
 and slow vehicles)."""
 
 JUMP_MPS: Final = 80.0
-"""Who moves faster than this between two frames has teleported, m/s (our choice: 288 km/h)."""
+"""A vehicle that moves faster than this between two frames has teleported, m/s (288 km/h)."""
 
 
 @dataclass

@@ -11,7 +11,7 @@ from experiments.benches.spectrum.rows import Row, median_row
 from experiments.benches.spectrum.sequences import graph_sequence
 
 VECTORS: Final = 8
-"""Eigenvectors of each of five graphs that are followed: 40 in all (our choice)."""
+"""Eigenvectors of each of five graphs that are followed: 40 in all."""
 
 
 def convergence_rows(layout: str, d: int = 100) -> list[Row]:

@@ -20,12 +20,11 @@ from graphrqi.spectrum.contract import Pairs, Problem, Solver, eigensolver
 from graphrqi.spectrum.spectrum import End
 
 DENSE_UP_TO: Final = 1000
-"""Largest graph the O(d^3) solvers are run on (our choice: a tenth of a second a step)."""
+"""Largest graph the O(d^3) solvers are run on (a tenth of a second a step)."""
 
 
 STEP_BUDGET_S: Final = 2.0
-"""CPU time of a step, as expected from smaller graphs, above which a solver is skipped (our
-choice)."""
+"""CPU time of a step, as expected from smaller graphs, above which a solver is skipped."""
 
 
 COMPARED: Final = ("graphrqi", "eigh", "lapack-dsyevr", "arpack")
@@ -33,7 +32,7 @@ COMPARED: Final = ("graphrqi", "eigh", "lapack-dsyevr", "arpack")
 
 
 QUICK_STEP_S: Final = 0.3
-"""See COMPARED (our choice: above eigh at 1000 vehicles)."""
+"""See COMPARED (above eigh at 1000 vehicles)."""
 
 
 DENSE: Final = (

@@ -13,7 +13,7 @@ Row: TypeAlias = dict[str, Any]
 
 
 SLOPE_FROM: Final = 400
-"""Smallest graph that counts for the slopes: below, fixed costs rule (our choice)."""
+"""Smallest graph that counts for the slopes: below, fixed costs rule."""
 
 
 def plain_row(key: dict[str, Any], metric: str, value: float, n: int) -> Row:

@@ -43,7 +43,7 @@ from sim.store.schema import EpisodeEntry, Manifest
 from sim.store.sealing import Sealer, manifest_of, whole_shards
 
 MISSING_NAMED: Final = 12
-"""Most parts with missing episodes that an error names (our choice: they fit a line or two)."""
+"""Most parts with missing episodes that an error names (they fit a line or two)."""
 
 
 class Plan(BaseModel):

@@ -35,7 +35,7 @@ SHIFTS: Final[dict[str, float]] = {
     "startup_delay_s": 0.3,
 }
 """Numbers of the profiles by which whole populations differ, and the log-normal spread between
-populations (our choice: half of all populations keep headways from .86 to 1.16 times ours)."""
+populations (half of all populations keep headways from .86 to 1.16 times ours)."""
 
 TENDENCY: Final[dict[str, float]] = {
     "speed_factor": 1.0,

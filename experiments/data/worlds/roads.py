@@ -30,8 +30,8 @@ JUNCTIONS: Final[dict[str, dict[int, str]]] = {
 """The shipped net of each control of a junction, by lanes in each direction."""
 
 MOST_PRESENT: Final = 60.0
-"""Flows are bounded so that about so many vehicles are on the road at once: more cost time and
-show nothing else."""
+"""Largest number of vehicles on the road at once, about, by which flows are bounded: more take time
+and show nothing new."""
 
 RAMP_SHARE: Final = (0.1, 0.35)
 """Share of the traffic that uses each ramp."""

@@ -53,7 +53,7 @@ HIGHWAY_FAMILIES: Final = ("straight", "junction", "two-way")
 """Families of roads that the other engine drives on."""
 
 HIGHWAY_SHARE: Final = 0.12
-"""Chance of the other engine where it can drive (our choice: it takes ten times as long)."""
+"""Chance of the other engine where it can drive (it takes ten times as long)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,7 @@ EVENT_S: Final = 1.5
 
 
 SCALE_PX: Final = 110
-"""Longest bar of a scale, pixels (our choice)."""
+"""Longest bar of a scale, pixels."""
 
 
 class Painter:
@@ -128,7 +128,7 @@ class Painter:
             self._draw_scale(pen)
 
     def _draw_scale(self, pen: Pen) -> None:
-        """A bar of a round length in the lowest panel, which says how large things are."""
+        """Draw a scale bar of a round length in the lowest panel."""
         panel, unit = self.panels[-1], self.scene.unit
         length = round_below(SCALE_PX * FINE / panel.scale)
         x, y, tick = 16 * FINE, round(panel.box[3]) - 12 * FINE, 5 * FINE
@@ -189,7 +189,7 @@ class Painter:
         return [*((ramp_color(x), word) for x, word in steps), (UNKNOWN_COLOR, "not known")]
 
     def _present(self, time_s: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """Rows, positions, headings and speeds at a time; between frames agents move straight."""
+        """Rows, positions, headings and speeds at a time, interpolated between frames."""
         tracks = self.scene.tracks
         step = max(int(np.searchsorted(tracks.time_s, time_s + 1e-6)) - 1, 0)
         after = min(step + 1, tracks.time_s.size - 1)

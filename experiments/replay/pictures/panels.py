@@ -1,4 +1,4 @@
-"""Which part of the world each part of a picture shows, and how large."""
+"""The part of the world that each part of a picture shows, and its scale."""
 
 from __future__ import annotations
 

@@ -20,10 +20,10 @@ from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
 AFFECTED_M: Final = 1.0
-"""Agents that are ever this far from where they factually were are drawn, m (our choice)."""
+"""Agents that are ever this far from where they factually were are drawn, m."""
 
 DRAWN_OTHERS: Final = 8
-"""Most others that are drawn: those that differ most (our choice)."""
+"""Most others that are drawn: those that differ most."""
 
 FACTUAL: Final = "#7A8390"
 """Colour of what happened."""
@@ -83,7 +83,7 @@ def write_paths(dataset: Dataset, path: Path) -> None:
 def _draw(
     plan: Any, course: Any, entry: EpisodeEntry, factual: Tracks, other: Tracks, road: Road | None
 ) -> None:
-    """One change: on the left the paths on the road, on the right the ways over time."""
+    """Draw one change: on the left the paths on the road, on the right distances over time."""
     branch = branch_of(entry) or {}
     since_s, agent, change = float(branch["at_s"]), int(branch["agent"]), change_of(entry)
     color = COLORS[Behavior(change)] if "behavior" in branch else ACTION
@@ -173,7 +173,7 @@ def _draw_course(
 
 
 def _way(xy: FloatArray, start: FloatArray) -> FloatArray:
-    """(k,) the way gone from a start, m."""
+    """(k,) distance along the path from its start, m."""
     moved = np.diff(xy, axis=0, prepend=start if len(start) else xy[:1])
     return np.cumsum(np.hypot(moved[:, 0], moved[:, 1]))
 

@@ -22,11 +22,11 @@ SIZE: Final = {".mp4": (1280, 720), ".gif": (960, 540)}
 """Width and height by the file's ending, pixels."""
 
 MAX_FRAMES: Final = 20_000
-"""Most frames of a film (our choice: a quarter of an hour)."""
+"""Most frames of a film (a quarter of an hour)."""
 
 
 def check_video(path: Path) -> None:
-    """Say at once what is wrong with the name of a film, or missing to make it.
+    """Refuse a name of a film that cannot be made, before anything is computed.
 
     Raises:
         InputError: if it does not end in .mp4 or .gif, or MP4 cannot be made here.

@@ -17,7 +17,7 @@ from numba.core.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
-from sim.compiled import compiled
+from sim.compiled import in_place
 
 WIDTH = 64
 """Samples that are processed together."""
@@ -111,7 +111,7 @@ def first_bits(_context: Any, x: Any, out: Any) -> Any:
     return types.void(x, out), generate
 
 
-@compiled
+@in_place()
 def sum_of_leaves(
     features: NDArray[np.float32],
     root: NDArray[np.uint32],
@@ -121,6 +121,7 @@ def sum_of_leaves(
     threshold: NDArray[np.float32],
     child: NDArray[np.uint32],
     value: NDArray[np.float32],
+    node: NDArray[np.uint32],
     out: NDArray[np.float64],
 ) -> None:
     """Add up the leaves that each sample falls into; see `graphrqi.classify.ensembles.trees.Trees`.
@@ -139,12 +140,11 @@ def sum_of_leaves(
         threshold: (N,).
         child: (N,).
         value: (N, W).
+        node: (WIDTH,) room to work in.
         out: (n, C) receives the sums; must be zero before.
     """
-    batch = 64
-    node = np.empty(batch, dtype=np.uint32)
-    for begin in range(0, features.shape[0], batch):
-        count = min(batch, features.shape[0] - begin)
+    for begin in range(0, features.shape[0], WIDTH):
+        count = min(WIDTH, features.shape[0] - begin)
         for b in range(root.size):
             for j in range(count):
                 node[j] = root[b]
@@ -158,7 +158,7 @@ def sum_of_leaves(
                     out[np.uint32(begin + j), column[b] + np.uint32(w)] += value[node[j], w]
 
 
-@compiled
+@in_place()
 def sum_of_first_leaves(
     features: NDArray[np.float32],
     first: NDArray[np.uint64],
@@ -167,6 +167,7 @@ def sum_of_first_leaves(
     keep: NDArray[np.uint32],
     leaf: NDArray[np.float64],
     column: NDArray[np.uint64],
+    place: NDArray[np.uint32],
     out: NDArray[np.float64],
 ) -> None:
     """Add up the leaves that each sample falls into.
@@ -181,9 +182,9 @@ def sum_of_first_leaves(
         keep: (I,).
         leaf: (B, 32).
         column: (B,).
+        place: (WIDTH,) room to work in.
         out: (K, C, 64) receives the sums; must be zero before.
     """
-    place = np.empty(WIDTH, dtype=np.uint32)
     batch = np.uint64(len(features) // max(len(out), 1))
     for k in range(np.uint64(len(out))):
         for b in range(np.uint64(first.size - 1)):

@@ -137,12 +137,12 @@ class Trees:
 
     def total(self, features: FloatArray, sums: int) -> FloatArray:
         """(n, sums) sums over all trees of the leaves that samples (n, F) fall into."""
-        from graphrqi.classify.ensembles.tree_kernel import sum_of_leaves
+        from graphrqi.classify.ensembles.tree_kernel import WIDTH, sum_of_leaves
 
         out = np.zeros((len(features), sums))
         sum_of_leaves(
             np.ascontiguousarray(features, dtype=np.float32), self.root, self.depth, self.column,
-            self.feature, self.threshold, self.child, self.value, out,
+            self.feature, self.threshold, self.child, self.value, np.empty(WIDTH, np.uint32), out,
         )  # fmt: skip
         return out
 
@@ -294,7 +294,7 @@ class QuickScorer:
         out = np.zeros((batches, sums, WIDTH))
         sum_of_first_leaves(
             every.reshape(-1, WIDTH), self.first, self.feature, self.threshold, self.keep,
-            self.leaf, self.column, out,
+            self.leaf, self.column, np.empty(WIDTH, np.uint32), out,
         )  # fmt: skip
         return out.swapaxes(1, 2).reshape(-1, sums)[:n]
 

@@ -18,7 +18,7 @@ from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
-from sim.compiled import compiled, inlined
+from sim.compiled import in_place
 from sim.road.lane_graph import DIRECTIONS
 
 FloatArray = NDArray[np.float64]
@@ -26,7 +26,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 FAR_M = 100.0
-"""Distances are cut off here and divided by it (our choice)."""
+"""Distances are cut off here and divided by it."""
 
 PAST_S: Final = tuple(0.5 * i for i in range(1, 10))
 """Ages of the moments of the own past that are described, s."""
@@ -71,32 +71,54 @@ def features(scene: Scene) -> FloatArray:
     columns = np.searchsorted(history.time_s, when - 1e-6)
     columns[history.time_s[0] > when + 1e-6] = -1
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
-    past = (
-        np.ascontiguousarray(history.valid), np.ascontiguousarray(history.speed),
-        np.ascontiguousarray(history.heading), history.length.copy(), columns,
-    )  # fmt: skip
+    valid, speed, heading = (
+        np.ascontiguousarray(x) for x in (history.valid, history.speed, history.heading)
+    )
+    now, length = speed[:, -1].copy(), history.length.copy()
     states, paths = scene.states, scene.paths
     out = np.zeros((scene.ids.size, FEATURES))
-    _describe_drivers(
-        past,
-        (scene.on_path, scene.lane, scene.s, scene.offset, scene.lateral_speed, scene.accel),
-        (states.free_factor, states.least_factor, states.on_lane),
-        (states.leader, states.gap, states.follower, states.adjacent, states.adjacent_gap),
-        scene.stop_state, shown, scene.path,
-        (paths.stop_x, paths.stop_row, paths.turn, paths.start, paths.limit),
+    _describe_own_states(
+        now, length, scene.on_path, scene.lane, scene.s, scene.offset, scene.lateral_speed,
+        scene.accel, (states.free_factor, states.least_factor, states.on_lane),
         (graph.left, graph.right, graph.internal, graph.length, limits(graph)), out,
+    )  # fmt: skip
+    _describe_past(valid, speed, heading, columns, out)
+    _describe_neighbors(
+        now, length, scene.accel, states.leader, states.gap, states.follower, states.adjacent,
+        states.adjacent_gap, np.empty(NEIGHBORS, np.int64), np.empty(NEIGHBORS), out,
+    )  # fmt: skip
+    _describe_paths(
+        scene.on_path, scene.s, length, scene.path, scene.stop_state, shown, paths.stop_x,
+        paths.stop_row, paths.turn, paths.start, paths.limit, out,
     )  # fmt: skip
     return out
 
 
-@inlined
-def _describe_own_states(past: Any, drivers: Any, states: Any, road: Any, out: Any) -> None:
-    _, speed, _, length, _ = past
-    on_path, lane, s, offset, lateral_speed, accel = drivers
-    free, least, on_lane = states
+@in_place()
+def _describe_own_states(
+    speed: Any, length: Any, on_path: Any, lane: Any, s: Any, offset: Any, lateral_speed: Any,
+    accel: Any, seen: Any, road: Any, out: Any,
+) -> None:  # fmt: skip
+    """Write the first `STATE` features.
+
+    Args:
+        speed: (n,) present speeds, m/s.
+        length: (n,) m.
+        on_path: (n,) and the next five: columns of the `Scene`.
+        lane: (n,).
+        s: (n,).
+        offset: (n,).
+        lateral_speed: (n,).
+        accel: (n,).
+        seen: (n,) speeds over limit, and lane, as in
+            `graphrqi.predict.scene.agent_states.AgentStates`.
+        road: columns of the `sim.road.lane_graph.LaneGraph`, and the (L,) speed limits, m/s.
+        out: (n, F) receives them; must be zero before.
+    """
+    free, least, on_lane = seen
     left, right, internal, lane_length, limits = road
     for i in range(lane.size):
-        on, v = max(lane[i], 0), speed[i, -1]
+        on, v = max(lane[i], 0), speed[i]
         limit = limits[on] if on_path[i] else 0.0
         out[i, 0], out[i, 1], out[i, 2] = v / 10.0, accel[i] / 3.0, limit / 20.0
         out[i, 3], out[i, 4] = v / max(limit, 1.0), offset[i] / 3.0
@@ -110,25 +132,51 @@ def _describe_own_states(past: Any, drivers: Any, states: Any, road: Any, out: A
             out[i, 12] = min(max(lane_length[on] - s[i], 0.0), FAR_M) / FAR_M
 
 
-@inlined
-def _describe_past(past: Any, out: Any) -> None:
-    valid, speed, heading, _, columns = past
-    for i in range(len(speed)):
+@in_place()
+def _describe_past(valid: Any, speed: Any, heading: Any, columns: Any, out: Any) -> None:
+    """Write the features of the own past.
+
+    Args:
+        valid: (n, T) and the next two: the history.
+        speed: (n, T).
+        heading: (n, T).
+        columns: (P,) the columns of it that are described, -1: before it begins.
+        out: (n, F) receives the features; must be zero before.
+    """
+    n, moments = speed.shape
+    last = moments - 1
+    for i in range(n):
         c = STATE
         for k in range(columns.size):
             t = columns[k]
             if t >= 0 and valid[i, t]:
                 out[i, c] = 1.0
-                out[i, c + 1] = (speed[i, t] - speed[i, -1]) / 5.0
-                out[i, c + 2] = math.sin(heading[i, -1] - heading[i, t])
+                out[i, c + 1] = (speed[i, t] - speed[i, last]) / 5.0
+                out[i, c + 2] = math.sin(heading[i, last] - heading[i, t])
             c += 3
 
 
-@inlined
-def _describe_neighbors(past: Any, accel: Any, neighbors: Any, out: Any) -> None:
-    _, speed, _, length, _ = past
-    leader, gap, follower, adjacent, adjacent_gap = neighbors
-    who, far = np.empty(NEIGHBORS, np.int64), np.empty(NEIGHBORS)
+@in_place()
+def _describe_neighbors(
+    speed: Any, length: Any, accel: Any, leader: Any, gap: Any, follower: Any, adjacent: Any,
+    adjacent_gap: Any, who: Any, far: Any, out: Any,
+) -> None:  # fmt: skip
+    """Write the features of the neighbours.
+
+    Args:
+        speed: (n,) present speeds, m/s.
+        length: (n,) m.
+        accel: (n,) present accelerations, m/s2.
+        leader: (n,) and the next four: who drives around each, as in
+            `graphrqi.predict.scene.agent_states.AgentStates`.
+        gap: (n,).
+        follower: (n,).
+        adjacent: (n, 4).
+        adjacent_gap: (n, 4).
+        who: (NEIGHBORS,) room to work in.
+        far: (NEIGHBORS,) likewise.
+        out: (n, F) receives the features; must be zero before.
+    """
     for i in range(leader.size):
         who[0], far[0] = leader[i], gap[i]
         who[1] = who[2] = -1
@@ -144,18 +192,33 @@ def _describe_neighbors(past: Any, accel: Any, neighbors: Any, out: Any) -> None
             other = who[k]
             if other >= 0:
                 out[i, c], out[i, c + 1] = 1.0, 1.0 - min(max(far[k], -5.0), FAR_M) / FAR_M
-                out[i, c + 2] = (speed[other, -1] - speed[i, -1]) / 10.0
+                out[i, c + 2] = (speed[other] - speed[i]) / 10.0
                 out[i, c + 3] = accel[other] / 3.0
             c += PER_NEIGHBOR
 
 
-@inlined
+@in_place()
 def _describe_paths(
-    on_path: Any, s: Any, length: Any, stop_state: Any, shown: Any, path_of: Any, paths: Any,
-    out: Any,
+    on_path: Any, s: Any, length: Any, path_of: Any, stop_state: Any, shown: Any, stop_x: Any,
+    stop_row: Any, turn: Any, start: Any, limit: Any, out: Any,
 ) -> None:  # fmt: skip
-    """The next stop constraints, the next lower limit, and which way the path turns."""
-    stop_x, stop_row, turn, start, limit = paths
+    """Write the next stop constraints, the next lower limit, and which way the path turns.
+
+    Args:
+        on_path: (n,) whether each is on a path.
+        s: (n,) distance along its first lane, m.
+        length: (n,) m.
+        path_of: (n,) path of each.
+        stop_state: (R, steps + 1) states of the stop constraints.
+        shown: (A,) columns of them that are described.
+        stop_x: (Q, G) and the next four: columns of the
+            `graphrqi.predict.scene.paths.PathTable`.
+        stop_row: (Q, G).
+        turn: (Q,).
+        start: (Q, P).
+        limit: (Q, P).
+        out: (n, F) receives the features; must be zero before.
+    """
     (_, stops), (_, lanes) = stop_x.shape, start.shape
     for i in range(s.size):
         if not on_path[i]:
@@ -181,28 +244,3 @@ def _describe_paths(
                 out[i, c + 1] = limit[path, k] / 20.0
                 break
         out[i, c + 2 + turn[path]] = 1.0
-
-
-@compiled
-def _describe_drivers(
-    past: Any, drivers: Any, states: Any, neighbors: Any, stop_state: Any, shown: Any, path: Any,
-    paths: Any, road: Any, out: Any,
-) -> None:  # fmt: skip
-    """Write the features of every agent; tuples hold the arrays that `features` hands over.
-
-    Args:
-        past: the history, and the columns of it that are described, -1: before it begins.
-        drivers: columns of the `Scene`.
-        states: columns of the `graphrqi.predict.scene.agent_states.AgentStates`.
-        neighbors: those of its columns that say who drives around each.
-        stop_state: (R, steps + 1) states of the stop constraints.
-        shown: (A,) columns of them that are described.
-        path: (n,) path of each.
-        paths: columns of the `graphrqi.predict.scene.paths.PathTable`.
-        road: columns of the `LaneGraph`, and the (L,) speed limits, m/s.
-        out: (n, F) receives them; must be zero before.
-    """
-    _describe_own_states(past, drivers, states, road, out)
-    _describe_past(past, out)
-    _describe_neighbors(past, drivers[5], neighbors, out)
-    _describe_paths(drivers[0], drivers[2], past[3], stop_state, shown, path, paths, out)

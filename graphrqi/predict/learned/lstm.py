@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 ENCODED, POOLED, MIXED, DECODED = 32, 48, 256, 48
-"""Widths of the encoder, the pooled neighbours, what joins them and the decoder (our choice)."""
+"""Widths of the encoder, the pooled neighbours, what joins them and the decoder."""
 
 
 def make_module(features: int) -> torch.nn.Module:

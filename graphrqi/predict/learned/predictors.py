@@ -1,8 +1,9 @@
 """The learned predictors, each with the network that ships in the package.
 
-`graphrqi_predict` is the default: a perceptron corrects rollouts of what each driver is believed to
-be. It was trained on the classifier's own posteriors, wrong ones included, with a share of uniform
-and of shuffled ones: trained on true labels it would trust labels that are often wrong.
+`graphrqi_predict` is the default: a perceptron corrects rollouts with the parameters of the
+behaviours that drivers are believed to have. It was trained on the classifier's own posteriors,
+wrong ones included, with a share of uniform and of shuffled ones: trained on true labels it would
+trust labels that are often wrong.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ m/s. They were trained at 50 km/h. On simulated straight roads and motorways at 
 .85, .64, .78, .63 and .78; at junctions they are better at any limit."""
 
 STOP_S, STOP_M = 5.0, 20.0
-"""What a driver comes to within this time at its present speed, and this distance, may stop it."""
+"""A stop constraint counts if it is nearer than the driver comes within this time at its present
+speed, plus this distance."""
 
 
 def at_home(predictor: Predictor) -> Predictor:
@@ -62,7 +64,7 @@ def at_home(predictor: Predictor) -> Predictor:
 def _where_trained(
     predictor: Predictor, scene: Scene, posterior: Posterior, network: RecordedNetwork | None
 ) -> Prediction:
-    """What a network says of the agents it was trained for, and the other predictor of the rest."""
+    """A network's answers for the agents it was trained for, the other predictor's for the rest."""
     away = ~trained_for(scene)
     if not away.any():
         return predictor(scene, posterior)
@@ -84,8 +86,8 @@ def _where_trained(
 def trained_for(scene: Scene) -> BoolArray:
     """(n,) agents that the networks were trained for.
 
-    They are on roads that tell everything, with usual limits or with something ahead for which
-    drivers may have to stop.
+    These are on roads with known limits, lights and priority; the limit is a usual one, or
+    something is ahead for which the driver may have to stop.
     """
     if not knows_everything(scene):
         return np.zeros(scene.ids.size, bool)

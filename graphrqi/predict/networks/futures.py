@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S, Prediction
-from sim.compiled import compiled, reordered
+from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]
@@ -41,7 +41,7 @@ PER_MODE: Final = ANCHORS + 3 * KNOTS + 1
 """Numbers that a network gives per future: weights of the anchors, residuals, spreads, a score."""
 
 LEAST_SPREAD_M = 0.05
-"""Spreads are no smaller, m (our choice: lane centres are not known better)."""
+"""Spreads are no smaller, m (lane centres are not known better)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +80,15 @@ def decode(raw: NDArray[np.floating], anchors: FloatArray, spread_scale: float) 
         anchors: (n, ANCHORS, KNOTS, 2) anchor trajectories, m.
         spread_scale: factor that makes the sets' coverage right, found on validation episodes.
     """
-    each = raw.reshape(len(raw), MODES, PER_MODE)
-    return Futures(*_decode(each, anchors, TIME_S, spread_scale))
+    # in double precision: kernels are compiled again for single precision
+    each = raw.astype(np.float64, copy=False).reshape(len(raw), MODES, PER_MODE)
+    n, knots = len(raw), TIME_S.size
+    own, spread = np.empty((n, MODES, knots, 2)), np.empty((n, MODES, knots))
+    probability = np.empty((n, MODES))
+    _decode(
+        each, anchors, TIME_S, spread_scale, np.empty(anchors.shape[1]), own, spread, probability
+    )
+    return Futures(own, spread, probability)
 
 
 def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
@@ -98,11 +105,13 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
     matrix, start = _spline(steps)
     # copies: kernels are compiled again for read-only arrays
     now, speed, heading = (x[:, -1].copy() for x in (history.xy, history.speed, history.heading))
-    xy = _every_position(
-        futures.own, matrix, start, speed, heading, now, history.kind == PEDESTRIAN
-    )
-    time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
     n, modes, knots = futures.spread.shape
+    xy = np.empty((n, modes, steps, 2))
+    _find_positions(
+        futures.own, matrix, start, speed, heading, now, history.kind == PEDESTRIAN,
+        np.empty((2, steps)), xy,
+    )  # fmt: skip
+    time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
     spread = (futures.spread.reshape(-1, knots) @ np.abs(matrix)).reshape(n, modes, steps)
     return Prediction(history.ids, time_s, xy, futures.probability, spread)
 
@@ -126,9 +135,12 @@ def _spline(steps: int) -> tuple[FloatArray, FloatArray]:
     )
 
 
-@compiled
-def _decode(raw: Any, anchors: Any, time_s: Any, spread_scale: float) -> tuple[Any, Any, Any]:
-    """The columns of `Futures`.
+@in_place()
+def _decode(
+    raw: Any, anchors: Any, time_s: Any, spread_scale: float, weight: Any, own: Any, spread: Any,
+    probability: Any,
+) -> None:  # fmt: skip
+    """Write the columns of `Futures`.
 
     Args:
         raw: (n, K, A + 3 J + 1) per future weights of the anchors, residuals at the knots,
@@ -136,11 +148,13 @@ def _decode(raw: Any, anchors: Any, time_s: Any, spread_scale: float) -> tuple[A
         anchors: (n, A, J, 2) m.
         time_s: (J,) of the knots, s.
         spread_scale: factor of all spreads.
+        weight: (A,) room to work in.
+        own: (n, K, J, 2) receives the positions, m.
+        spread: (n, K, J) receives the spreads, m.
+        probability: (n, K) receives the probabilities.
     """
     n, modes, _ = raw.shape
     _, count, knots, _ = anchors.shape
-    own, spread = np.empty((n, modes, knots, 2)), np.empty((n, modes, knots))
-    probability, weight = np.empty((n, modes)), np.empty(count)
     for i in range(n):
         best = -np.inf
         for k in range(modes):
@@ -169,28 +183,29 @@ def _decode(raw: Any, anchors: Any, time_s: Any, spread_scale: float) -> tuple[A
         probability[i, 0] = largest
         for k in range(modes):
             probability[i, k] /= total
-    return own, spread, probability
 
 
-@reordered
-def _every_position(
-    own: Any, matrix: Any, start: Any, speed: Any, heading: Any, now: Any, walks: Any
-) -> Any:
-    """(n, K, H, 2) positions of knots (n, K, J, 2) in the drivers' frames, m.
+@in_place(reordered=True)
+def _find_positions(
+    own: Any, matrix: Any, start: Any, speed: Any, heading: Any, now: Any, walks: Any, room: Any,
+    out: Any,
+) -> None:  # fmt: skip
+    """Find positions at every step from knots in the drivers' frames.
 
     Args:
-        own: knots ahead and to the left, m.
+        own: (n, K, J, 2) knots ahead and to the left, m.
         matrix: (J, H) weight of each knot at each step.
         start: (H,) weight of the present speed.
         speed: (n,) m/s.
         heading: (n,) rad.
         now: (n, 2) present positions, m.
         walks: (n,) who walks on instead.
+        room: (2, H) room to work in.
+        out: (n, K, H, 2) receives the positions, m.
     """
     n, modes, knots, _ = own.shape
     steps = start.size
-    out = np.empty((n, modes, steps, 2))
-    ahead, left = np.empty(steps), np.empty(steps)
+    ahead, left = room[0], room[1]
     for i in range(n):
         cos, sin = math.cos(heading[i]), math.sin(heading[i])
         for k in range(modes):
@@ -208,4 +223,3 @@ def _every_position(
             for h in range(steps):
                 out[i, k, h, 0] = now[i, 0] + ahead[h] * cos - left[h] * sin
                 out[i, k, h, 1] = now[i, 1] + ahead[h] * sin + left[h] * cos
-    return out

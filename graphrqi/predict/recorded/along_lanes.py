@@ -151,9 +151,9 @@ def beside_paths(
 def _covering(
     futures: FloatArray, weight: FloatArray, time_s: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Futures that are near to all others, and which of them stands for each.
+    """Choose futures that cover all others, and say which of them stands for each.
 
-    Each one more is the one that brings the mean distance to the nearest chosen one down most.
+    Each further choice is the one that most reduces the mean distance to the nearest chosen future.
 
     Args:
         futures: (n, K, H, 2) m.
@@ -182,7 +182,7 @@ def _stand_for(
     futures: FloatArray, spread: FloatArray, weight: FloatArray, chosen: IntArray,
     belongs: IntArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Probability of what each chosen future stands for, and the spread of that around it.
+    """Probability of the futures that each chosen one stands for, and their spread around it.
 
     Args:
         futures: (n, K, H, 2) m.

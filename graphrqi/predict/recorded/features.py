@@ -1,6 +1,6 @@
-"""What the network of recordings knows of each agent: its own past, its neighbours, the noise.
+"""Inputs of the network for recordings: each agent's past, its neighbours, and the noise.
 
-Everything is told in the agent's own frame and as the difference from what the base says, so that
+Everything is given in the agent's own frame and as the difference from what the base says, so that
 an agent that moves as the base expects looks the same at any speed.
 """
 
@@ -23,7 +23,7 @@ AGES_S: Final = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 
 SLOTS: Final = ("leader", "follower", "left leader", "left follower", "right leader",
                 "right follower")  # fmt: skip
-"""The neighbours that are told apart."""
+"""The neighbours that are described one by one."""
 
 NEAREST: Final = 3
 """Further agents, pedestrians included, by their distance."""
@@ -32,14 +32,14 @@ LANE_M: Final = 3.5
 """Width of a lane where none is known, m."""
 
 REACH_M: Final = 120.0
-"""Neighbours count up to this distance, m (our choice)."""
+"""Neighbours count up to this distance, m."""
 
 CHANGE_S, LEAST_CHANGE_S = 3.0, 0.3
-"""Past over which speeds of a queue are compared, and the shortest one that tells anything, s (our
-choice: speeds of some recordings are constant for seconds, and then jump)."""
+"""Past over which speeds of a queue are compared, and the shortest one that tells anything, s
+(speeds of some recordings are constant for seconds, and then jump)."""
 
 AHEAD: Final = 3
-"""How many vehicles ahead are described (our choice)."""
+"""How many vehicles ahead are described."""
 
 SAME_WAY: Final = 0.7
 """Least cosine between the directions of neighbours in the six slots (45 degrees)."""
@@ -102,7 +102,7 @@ def _own(history: Tracks, motion: Motion) -> FloatArray:
 
 
 def _past(history: Tracks, motion: Motion) -> FloatArray:
-    """(n, 4 AGES) where each was against steady motion, over the scale, its speed, and if known."""
+    """(n, 4 AGES) place against steady motion over the scale, speed, and whether it is known."""
     ago = history.time_s - history.time_s[-1]
     n = history.ids.size
     scale = scale_of(motion.speed)

@@ -1,7 +1,7 @@
-"""Whether the vehicles of a recording can be believed to drive behind each other.
+"""Whether the gaps between the vehicles of a recording are plausible.
 
 Some recordings in circulation have tracks that are shifted in time: vehicles overlap, and what a
-neighbour does says nothing. Then nobody has neighbours.
+neighbour does says nothing. Then the network is told of no neighbours.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 HALF_LANE_M: Final = 1.5
-"""A vehicle this close to one's own line is in one's lane (half of a 3 m lane)."""
+"""A vehicle this close to the line along which another one drives is in its lane, m (half of a 3 m
+lane)."""
 
 AHEAD_M: Final = 100.0
-"""Leaders count up to this distance, m (our choice)."""
+"""Leaders count up to this distance, m."""
 
 MOST_OVERLAPS: Final = 0.01
-"""Share of followers that may overlap their leader before gaps count as implausible (our
-choice)."""
+"""Share of followers that may overlap their leader before gaps count as implausible."""
 
 STANDING_MPS: Final = 0.5
-"""Vehicles slower than this stand (our choice)."""
+"""Vehicles slower than this stand."""
 
 
 def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, FloatArray]:

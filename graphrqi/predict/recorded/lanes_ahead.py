@@ -33,24 +33,24 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 LANE_REACH_M: Final = 5.0
-"""Agents may be on lanes this near, m (our choice: maps and positions may be off by a metre or
-two, and the lane beside is a path, too)."""
+"""Agents may be on lanes this near, m (maps and positions may be off by a metre or two, and the
+lane beside is a path, too)."""
 
 SAME_WAY: Final = 0.5
 """Least cosine between an agent's direction and its lane's (60 degrees)."""
 
 APART_M: Final = 1.2
-"""Paths nearer to each other than this are one, m (our choice: a third of a lane's width)."""
+"""Paths nearer to each other than this are one, m (a third of a lane's width)."""
 
 LONGEST: Final = 4
-"""Paths are at most so many times `REACH_M` long (our choice: 5 s at 120 m/s; recordings with wrong
-clocks show any speed)."""
+"""Longest paths, in units of `REACH_M` (5 s at 120 m/s; recordings with wrong clocks show any
+speed)."""
 
 MOST: Final = 6
-"""Paths per agent at most (our choice)."""
+"""Paths per agent at most."""
 
 CONSIDERED: Final = 24
-"""Paths per agent that are compared with each other, those that fit best (our choice)."""
+"""Paths per agent that are compared with each other, those that fit best."""
 
 POINTS: Final = 25
 """Points along each path within the first `HORIZON_S`, evenly spaced from beside the agent on."""
@@ -59,20 +59,20 @@ HORIZON_S: Final = 5.0
 """How far ahead paths are described to the network, s."""
 
 LONGER, FURTHER_M = 1.6, 20.0
-"""Paths reach this many times as far as the base goes, and by so much farther, m (our choice:
-3 m/s2 beyond the base are 38 m)."""
+"""Paths reach this many times as far as the base goes, and by so much farther, m (3 m/s2 beyond the
+base are 38 m)."""
 
 KNOTS_S: Final = (1.0, 2.0, 3.0, 4.0, 5.0)
 """A path is described by where the base would be along it at these times, s."""
 
 LOOKED_AT: Final = 12
-"""Nearest agents that may be the leader on a path (our choice)."""
+"""Nearest agents that may be the leader on a path."""
 
 ON_PATH_M: Final = 1.75
 """A vehicle whose centre is this near to a path is on it, m (half a lane's width)."""
 
 CELL_M: Final = 20.0
-"""Width of the cells in which lanes are looked for, m (our choice)."""
+"""Width of the cells in which lanes are looked for, m."""
 
 PATH_FEATURES: Final = 42
 """How many numbers describe a path."""

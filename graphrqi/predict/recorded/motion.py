@@ -27,29 +27,27 @@ YAW_S, YAW_SHARE, YAW_FADE_S = 1.2, 0.5, 1.0
 """The same for the yaw rate."""
 
 LEAST_NOISE_M, LEAST_NOISE_MPS = 0.01, 0.05
-"""No recording is taken to be more precise than this (our choice: video and lidar tracks are
-not)."""
+"""The noise of a recording is taken to be at least this (video and lidar tracks are not)."""
 
 USUAL_TURN_MPS2: Final = 0.7
-"""The same across the direction of travel (our choice: comfortable turns)."""
+"""The same across the direction of travel (comfortable turns)."""
 
 JERK_MPS3: Final = 1.5
 """By how much accelerations wander, m/s3: how soon older samples lose their weight for the present
-speed (our choice; people brake at up to 2 to 3 m/s3)."""
+speed (people brake at up to 2 to 3 m/s3)."""
 
 USUAL_ACCEL_MPS2: Final = 1.0
-"""Standard deviation of accelerations before anything is seen, m/s2 (our choice)."""
+"""Standard deviation of accelerations before anything is seen, m/s2."""
 
 MOST_ACCEL_MPS2, MOST_YAW_RADPS = 4.0, 0.6
-"""Fitted accelerations and yaw rates are cut off here (our choice: hard braking; 12 m radius at
-7 m/s)."""
+"""Fitted accelerations and yaw rates are cut off here (hard braking; 12 m radius at 7 m/s)."""
 
 TYPICAL_COUNTS: Final = 10
-"""What the scene's typical noise counts against an agent's own (our choice)."""
+"""What the scene's typical noise counts against an agent's own."""
 
 TURNING_MPS: Final = 1.5
-"""Slower agents have the recorded heading, and do not turn (our choice: noise of positions hides
-the direction of slower motion)."""
+"""Slower agents have the recorded heading, and do not turn (noise of positions hides the direction
+of slower motion)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +150,7 @@ def bent(
 ) -> FloatArray:  # fmt: skip
     """(n, H, 2) where agents come whose acceleration and yaw rate fade; in their frames, m.
 
-    Nobody reverses: who brakes stops and stays.
+    Nobody reverses: vehicles that brake to a standstill stay there.
 
     Args:
         speed: (n,) m/s.
@@ -280,8 +278,8 @@ def _fit(
 
 
 KALMAN_JERK: Final = 1.0
-"""Spectral density of the white jerk that drives the filter, m2/s5 (our choice: accelerations of
-1 m/s2 that last a second)."""
+"""Spectral density of the white jerk that drives the filter, m2/s5 (accelerations of 1 m/s2 that
+last a second)."""
 
 
 def tracked(history: Tracks) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -50,7 +50,7 @@ POWERS: Final = 4
 """Powers of time, from 1 on, in the polynomial of each axis."""
 
 HORIZON_S: Final = 5.0
-"""What the network was trained for, s; later corrections stay as they are then."""
+"""Horizon that the network was trained for, s; its corrections stay constant after it."""
 
 PER_MODE: Final = 2 * POWERS + 3
 """Numbers per future: coefficients, two for the spread, a score."""
@@ -62,17 +62,19 @@ PATH_OUTPUTS: Final = PER_PATH * PER_MODE + 1
 """Numbers for each path: its futures, and its score."""
 
 CLIP: Final = 3.0
-"""Standardised inputs are cut off here: farther ones mislead at places never seen."""
+"""Standardised inputs are clipped here: larger ones mislead the network at places that it was not
+trained on."""
 
 LEAST_SPREAD_M: Final = 0.05
-"""Spreads are no smaller, m (our choice)."""
+"""Spreads are no smaller, m."""
 
 MARGIN: Final = 0.15
-"""Share of a range's end over which the network gives way to the base beyond it (our choice)."""
+"""Beyond the trained range the network gives way to the base over this share of the range's end."""
 
 
 LEAST: Final = 1e-9
-"""Ends of a range are no smaller (recordings without noise end at 0)."""
+"""The trained range reaches at least this far (training recordings without noise would let it end
+at 0)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,14 +34,14 @@ from sim.road import Road
 FloatArray = NDArray[np.float64]
 
 FAN_MPS2: Final = (0.0, 0.0, -1.0, 1.0, -2.5, 2.0)
-"""Acceleration that each future adds to the base's, where the network is not believed."""
+"""Acceleration that each future adds to the base's outside the networks' trained range, m/s2."""
 
 FAN_PROBABILITY: Final = (0.3, 0.3, 0.13, 0.13, 0.07, 0.07)
-"""Probability of each (our choice)."""
+"""Probability of each."""
 
 BACK_M: Final = 11.0
-"""Futures that lead this far aside may also lead back; others do not reverse (our choice: the usual
-circle in which a car turns)."""
+"""A future that ends behind the agent must end this far to its side; otherwise it would reverse, m
+(the usual circle in which a car turns)."""
 
 
 def predict_unmapped(

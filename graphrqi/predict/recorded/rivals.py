@@ -1,4 +1,4 @@
-"""What anybody can write down: rules for the motion of recorded agents, to compare with.
+"""Simple rules for the motion of recorded agents, to compare with.
 
 Each knows the agents' own past only. Measured against constant velocity (mean displacement over
 5 s) on recordings of twelve families the fading base has .79 to 1.03, a Kalman filter .89.
@@ -57,7 +57,7 @@ def turning(history: Tracks, steps: int) -> Prediction:
 
 
 def kalman(history: Tracks, steps: int) -> Prediction:
-    """A Kalman filter of constant acceleration along each axis; who brakes stops and stays."""
+    """A Kalman filter of constant acceleration along each axis; nobody reverses."""
     at, velocity, accel = tracked(history)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     facing = velocity / np.maximum(speed, 1e-6)[:, None]
@@ -97,7 +97,7 @@ def kalman_predictor(scene: Scene, posterior: Posterior) -> Prediction:
 
 
 def lane_predictor(scene: Scene, posterior: Posterior) -> Prediction:
-    """Accelerations fade along the likeliest lanes; who drives on no lane keeps the base."""
+    """Accelerations fade along the likeliest lanes; agents on no lane keep the base."""
     history = scene.history
     motion = Motion.of(history)
     none = np.zeros_like(motion.speed)

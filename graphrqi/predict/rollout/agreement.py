@@ -17,25 +17,25 @@ from numpy.typing import NDArray
 from graphrqi.predict.rollout.driver_table import DriverTable
 from graphrqi.predict.rollout.route import ACCELERATION_SD
 from graphrqi.predict.scene.scene import Scene
-from sim.compiled import compiled
+from sim.compiled import in_place
 
 FloatArray = NDArray[np.float64]
 
 WISH_SD = 0.18
-"""Standard deviation of the logarithm of wished speeds within a behaviour (our choice: the
-scenarios' spread of 15 %, and the error of the estimate)."""
+"""Standard deviation of the logarithm of wished speeds within a behaviour (the scenarios' spread of
+15 %, and the error of the estimate)."""
 
 OVER = 0.03
-"""Excess over the wished speed, as its logarithm, that counts as none (our choice)."""
+"""Excess over the wished speed, as its logarithm, that counts as none."""
 
 MOST_ACCELERATION, MOST_WISH = 4.0, 8.0
-"""Log-likelihood lost at most for one acceleration and for a wish (our choice)."""
+"""Largest log-likelihoods that one acceleration and a wished speed can cost."""
 
 LEAST_BELIEF = 1e-4
 """Least probability given to a behaviour, so that one error does not exclude it."""
 
 SUM_SCALE = 5.0
-"""Divisor and bound of the sum over the other drivers (our choice)."""
+"""Divisor and bound of the sum over the other drivers."""
 
 
 def agreement(
@@ -53,20 +53,20 @@ def agreement(
         (n, 3) logarithm of the ratio for the driver itself, its mean over all other drivers about
         whom there are beliefs, and its scaled sum over them.
     """
-    states = scene.states
-    return np.asarray(
-        _log_ratios(
-            probability, scene.accel, asked, scene.on_path, states.free_factor,
-            states.least_factor, np.log(table.behavior[:, 0]),
-        )
+    states, (n, count) = scene.states, probability.shape
+    out = np.empty((n, 3))
+    _find_log_ratios(
+        probability, scene.accel, asked, scene.on_path, states.free_factor, states.least_factor,
+        np.log(table.behavior[:, 0]), np.empty(n, np.bool_), np.empty(count), out,
     )  # fmt: skip
+    return out
 
 
-@compiled
-def _log_ratios(
+@in_place()
+def _find_log_ratios(
     probability: Any, accel: Any, asked: Any, on_path: Any, free_factor: Any, least_factor: Any,
-    wish: Any,
-) -> Any:  # fmt: skip
+    wish: Any, known: Any, lost: Any, out: Any,
+) -> None:  # fmt: skip
     """See `agreement`.
 
     Args:
@@ -77,10 +77,11 @@ def _log_ratios(
         free_factor: (n,) speed over limit driven freely; NaN if never.
         least_factor: (n,) largest speed over limit.
         wish: (B,) logarithm of each behaviour's wished speed over limit.
+        known: (n,) room to work in.
+        lost: (B,) likewise.
+        out: (n, 3) receives what `agreement` returns.
     """
     n, count = probability.shape
-    out, known = np.empty((n, 3)), np.empty(n, np.bool_)
-    lost = np.empty(count)
     for i in range(n):
         out[i, 0], known[i] = 0.0, False
         for b in range(count):
@@ -113,4 +114,3 @@ def _log_ratios(
         rest = total - out[i, 0]
         out[i, 1] = rest / max(drivers - known[i], 1)
         out[i, 2] = min(max(rest / SUM_SCALE, -SUM_SCALE), SUM_SCALE)
-    return out

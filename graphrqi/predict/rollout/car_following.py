@@ -20,6 +20,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors import driver_models
 from graphrqi.predict.rollout.columns import (
@@ -59,32 +60,39 @@ from graphrqi.predict.rollout.lane_changing import (
     LOOK_AHEAD_M,
     choose_lanes,
 )
+from graphrqi.predict.scene.paths import PathColumns
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
-from sim.compiled import inlined, inner_reordered, reordered, shared
+from sim.compiled import in_place, inlined
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+CodeArray = NDArray[np.int8]
 
 SIGHT_M = 4.5
-"""Distance to a junction from which drivers see who comes, m (SUMO's default visibility distance at
-minor links)."""
+"""Distance to a junction from which drivers see the traffic on the crossing road, m (SUMO's default
+visibility distance at minor links)."""
 
 UNKNOWN_ACCELERATION = -2e3
 """A present acceleration that is not known: the driver has no residual."""
 
 
-_braking_speed = shared(driver_models.braking_speed, reordered=True)
-_krauss = shared(driver_models.krauss_safe_speed, reordered=True)
+_braking_speed = inlined(driver_models.braking_speed)
+_krauss = inlined(driver_models.krauss_safe_speed)
 
 
-@inner_reordered
+@in_place(inner=True, reordered=True)
 def safe_speed(gap: float, leader_speed: float, headway: float, decel: float) -> float:
-    """Krauss's safe speed, m/s; nobody moves on once the gap at a standstill is used up."""
+    """Krauss's safe speed, m/s; 0 once the gap at a standstill is used up."""
     return _krauss(gap, leader_speed, headway, decel) if gap > 0.0 else 0.0
 
 
-@reordered
 def roll(
-    present: Any, path: Any, lateral: Any, following: Any, ignores: Any, changing: Any,
-    caution: Any, stop_state: Any, paths: Any, others: Any, order: Any, steps: Any,
-) -> Any:  # fmt: skip
+    present: FloatArray, path: IntArray, lateral: FloatArray, following: FloatArray,
+    ignores: BoolArray, changing: FloatArray, caution: FloatArray, stop_state: CodeArray,
+    paths: PathColumns, others: tuple[IntArray, FloatArray, FloatArray], order: IntArray,
+    steps: tuple[int, float, float, float],
+) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     """Drive n drivers on in M ways.
 
     Args:
@@ -100,7 +108,7 @@ def roll(
         changing: (n, 4) lane-changing parameters; (0, 4): nobody changes lanes.
         caution: (n, 2) caution and threat of each.
         stop_state: (R, columns) states of the stop constraints.
-        paths: the `graphrqi.predict.scene.paths.PathColumns`.
+        paths: the paths of the road.
         others: (n, steps) lanes, distances along them, m, and speeds, m/s, where the other drivers
             are assumed to be; (0, 0) each: all move together.
         order: those on paths; the nearer they are to being sorted by lane and place, the faster.
@@ -112,23 +120,36 @@ def roll(
         m, speeds, m/s, and distances travelled since the present, m; and (M, n) accelerations that
         the law asks for at present, m/s2.
     """
+    (m, n), drivers = path.shape, order.size
+    place, ranking = np.empty((n, 2)), np.full((n, 3), -1)
+    place[:, S], place[:, V] = present[:, START_S], present[:, START_SPEED]
+    ranking[:, RANK], ranking[:drivers, ORDER] = 0, order
+    ends = np.zeros((2, paths.lane_length.size), np.int64)
+    ends[LAST] = -1
+    spare = np.zeros((drivers + 1, 2), np.int64)
+    lane, columns = np.zeros((m, n, steps[0]), np.int64), np.zeros((4, m, n, steps[0]))
+    asked = np.zeros((m, n))
+    _roll(
+        present, path, lateral, following, ignores, changing, caution, stop_state, paths, others,
+        steps, (
+            order, place, ranking, ends, spare, np.empty((n, 9)), np.empty((n, 5), np.int64),
+            np.empty(drivers, np.int64), lane, columns, asked,
+        ),
+    )  # fmt: skip
+    return lane, columns, asked
+
+
+@in_place(reordered=True)
+def _roll(
+    present: Any, path: Any, lateral: Any, following: Any, ignores: Any, changing: Any,
+    caution: Any, stop_state: Any, paths: Any, others: Any, steps: Any, room: Any,
+) -> None:  # fmt: skip
+    """See `roll`; ``room`` holds the order, room to work in, and what receives the results."""
+    order, place, ranking, ends, spare, motion, route, moving, lane, columns, asked = room
+    others_lane, others_s, others_speed = others
     m, n = path.shape
     count, step_s, states, decay_s = steps
-    lane, columns = np.zeros((m, n, count), np.int64), np.zeros((4, m, n, count))
-    asked = np.zeros((m, n))
-    place, ranking = np.empty((n, 2)), np.empty((n, 3), np.int64)
-    ends = np.empty((2, paths.lane_length.size), np.int64)
-    motion, route = np.empty((n, 9)), np.empty((n, 5), np.int64)
-    spare = np.empty((order.size + 1, 2), np.int64)
-    for i in range(n):
-        place[i, S], place[i, V] = present[i, START_S], present[i, START_SPEED]
-        ranking[i, LANE], ranking[i, RANK] = -1, 0
-    for j in range(order.size):
-        ranking[j, ORDER] = order[j]
-    for j in range(paths.lane_length.size):
-        ends[FIRST, j], ends[LAST, j] = 0, -1
-    spare[order.size, USED] = 0
-    moving = np.empty(order.size, np.int64)
+    path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
     may_change = len(changing) == n and count > 1
     every = max(1, round(DECIDE_S / step_s))
     for w in range(m):
@@ -146,12 +167,17 @@ def roll(
         who = moving[:driven]
         drives = following[min(w, len(following) - 1)]
         passes = ignores[min(w, len(ignores) - 1)]
-        _locate(order, motion, route, paths, place, ranking)
+        _locate(order, motion, route, path_lane, path_start, place, ranking)
         for h in range(count):
-            if others[1].size > 0 and h > 0:
-                _place_others(order, h - 1, others, place, ranking)
+            if others_s.size > 0 and h > 0:
+                for j in range(order.size):
+                    i = order[j]
+                    ranking[i, LANE], place[i, S] = others_lane[i, h - 1], others_s[i, h - 1]
+                    place[i, V] = others_speed[i, h - 1]
             _rank(place, ranking, ends, spare, order.size)
-            _look_ahead(who, motion, route, drives, place, ranking, ends, paths)
+            _look_ahead(
+                who, motion, route, drives, place, ranking, ends, path_lane, path_start, path_limit
+            )
             if may_change and h % every == 0:
                 choose_lanes(
                     who, h, motion, route, present, drives, changing, caution, place, ranking, ends,
@@ -172,19 +198,19 @@ def roll(
                         motion[i, RESIDUAL] = present[i, START_ACCEL] - asked[w, i]
             fade = math.exp(-h * step_s / decay_s) if decay_s > 0.0 else 0.0
             _advance(who, motion, fade, step_s)
-            _locate(who, motion, route, paths, place, ranking)
+            _locate(who, motion, route, path_lane, path_start, place, ranking)
             for j in range(driven):
                 i = who[j]
                 lane[w, i, h] = ranking[i, LANE]
                 columns[0, w, i, h], columns[1, w, i, h] = place[i, S], motion[i, OFFSET]
                 columns[2, w, i, h], columns[3, w, i, h] = motion[i, SPEED], motion[i, TRAVELLED]
-    return lane, columns, asked
 
 
-@inlined
-def _locate(who: Any, motion: Any, route: Any, paths: Any, place: Any, ranking: Any) -> None:
+@in_place(inner=True, reordered=True)
+def _locate(
+    who: Any, motion: Any, route: Any, path_lane: Any, path_start: Any, place: Any, ranking: Any
+) -> None:
     """Write the lane that each driver has reached, its distance along it and its speed."""
-    path_lane, path_start = paths.lane, paths.start
     _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
@@ -196,18 +222,7 @@ def _locate(who: Any, motion: Any, route: Any, paths: Any, place: Any, ranking: 
         place[i, V] = motion[i, SPEED]
 
 
-@inlined
-def _place_others(who: Any, h: int, others: Any, place: Any, ranking: Any) -> None:
-    """Write where the others are assumed to be at a step."""
-    others_lane, others_s, others_speed = others
-    for j in range(who.size):
-        i = who[j]
-        ranking[i, LANE], place[i, S], place[i, V] = (
-            others_lane[i, h], others_s[i, h], others_speed[i, h],
-        )  # fmt: skip
-
-
-@inlined
+@in_place(inner=True, reordered=True)
 def _rank(place: Any, ranking: Any, ends: Any, spare: Any, drivers: int) -> None:
     """Sort drivers by place within each lane; they are nearly in order since the last step.
 
@@ -248,13 +263,12 @@ def _rank(place: Any, ranking: Any, ends: Any, spare: Any, drivers: int) -> None
         ranking[ranking[j, ORDER], RANK] = j
 
 
-@inlined
+@in_place(inner=True, reordered=True)
 def _look_ahead(
     who: Any, motion: Any, route: Any, following: Any, place: Any, ranking: Any, ends: Any,
-    paths: Any,
+    path_lane: Any, path_start: Any, path_limit: Any,
 ) -> None:  # fmt: skip
     """Write each driver's wished speed under the limits here and ahead, and its leader."""
-    path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
     _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
@@ -289,7 +303,7 @@ def _look_ahead(
         motion[i, WISH], motion[i, AHEAD], route[i, LEADER] = wish, distance, leader
 
 
-@inlined
+@in_place(inner=True, reordered=True)
 def _change_lanes(
     who: Any, h: int, motion: Any, route: Any, paths: Any, count: int, step_s: float
 ) -> None:
@@ -319,7 +333,10 @@ def _choose_accelerations(
     who: Any, motion: Any, route: Any, present: Any, following: Any, caution: Any, place: Any,
     ignores: Any, stop_state: Any, column: Any, paths: Any, step_s: float,
 ) -> None:  # fmt: skip
-    """Write the acceleration that each driver chooses, m/s2, before its residual."""
+    """Write the acceleration that each driver chooses, m/s2, before its residual.
+
+    It is made a part of `_roll`, because sums are ordered otherwise in a function of its own.
+    """
     stop_x, stop_row, kinds = paths.stop_x, paths.stop_row, paths.kinds
     _, stops = stop_x.shape
     for j in range(who.size):
@@ -339,7 +356,7 @@ def _choose_accelerations(
             if room > LOOK_AHEAD_M:
                 break
             row = stop_row[q, g]
-            if room < -1.0 or (row < kinds[1] and ignores[i, int(row >= kinds[0])]):
+            if room < -1.0 or (row < kinds[1] and ignores[i, 1 if row >= kinds[0] else 0]):
                 continue
             state = stop_state[row, column]
             if state == PROCEED or (state == PREPARE_TO_STOP and room < SIGHT_M):
@@ -352,7 +369,7 @@ def _choose_accelerations(
         motion[i, ACCEL] = max((target - speed) / step_s, -HARD_DECEL)
 
 
-@inlined
+@in_place(inner=True, reordered=True)
 def _advance(who: Any, motion: Any, fade: float, step_s: float) -> None:
     """Move everyone one step on; residual accelerations are added with a weight ``fade``."""
     for j in range(who.size):

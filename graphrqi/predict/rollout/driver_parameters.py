@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS, Style
 from graphrqi.predict.rollout.driver_table import RUNS_RED, YIELDS, DriverTable
 from graphrqi.predict.scene.scene import Scene
-from sim.compiled import compiled
+from sim.compiled import in_place
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 FREE_WEIGHT: Final = 0.1
 """Weight of the behaviour's wished speed against the speed at which the driver was seen driving
-freely (our choice: within a behaviour wishes differ by 15 %, a driver's own by little)."""
+freely (within a behaviour wishes differ by 15 %, a driver's own by little)."""
 
 AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS], dtype=np.float64)
 """(6,) 1 for the aggressive behaviours."""
 
 LEAST_FACTOR: Final = 0.05
-"""Wished speed over limit of those that stand where limits are unknown (our choice: 0.7 m/s; the
+"""Least wished speed over limit where limits are unknown, also of vehicles that stand (0.7 m/s; the
 laws of motion divide by it)."""
 
 
@@ -118,15 +118,15 @@ class OwnNumbers(Protocol):
 def with_own_numbers(
     parameters: DriverParameters, ids: NDArray[np.int64], own: OwnNumbers
 ) -> DriverParameters:
-    """The same, but each driver keeps its own distance to the usual driver.
+    """The same, scaled by each driver's own numbers over the usual driver's.
 
-    Numbers of one law put into another predict badly, so that ratios are carried over, not the
-    numbers. The wished speed stays what the driver was seen driving.
+    Ratios are carried over because the numbers of one law predict badly in another. The wished
+    speed is not scaled: it is the one that the driver was seen driving.
 
     Args:
         parameters: of the scene's drivers.
         ids: (n,) who they are.
-        own: what is known; who is not in it drives as before.
+        own: what is known; drivers that are not in it keep their parameters.
     """
     row = np.searchsorted(own.ids, ids)
     there = np.minimum(row, max(own.ids.size - 1, 0))
@@ -151,29 +151,30 @@ def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
 def _personal(scene: Scene, following: FloatArray) -> FloatArray:
     """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving.
 
-    Where limits are unknown or do not rule, nobody wishes more than it was seen driving.
+    Where limits are unknown or do not rule, the wished speed is the highest one seen.
     """
     states = scene.states
-    found = np.asarray(_corrected(following, states.free_factor, states.least_factor))
+    found = np.empty((len(following), states.free_factor.size, following.shape[2]))
+    _correct(following, states.free_factor, states.least_factor, found)
     knows = scene.road.knows
     if not (knows.limits and knows.limits_rule):  # the speeds seen are all that is known of wishes
         found[..., 0] = np.maximum(states.least_factor, LEAST_FACTOR)
     return found
 
 
-@compiled
-def _corrected(following: Any, free_factor: Any, least_factor: Any) -> Any:
-    """(M, n, F) parameters with corrected wished speeds.
+@in_place()
+def _correct(following: Any, free_factor: Any, least_factor: Any, out: Any) -> None:
+    """Correct the wished speeds among parameters.
 
     Args:
         following: (M, n, F), or (M, 1, F) if the same for all; the first is the wished speed over
             the limit.
         free_factor: (n,) speed over limit driven freely; NaN if never.
         least_factor: (n,) largest speed over limit.
+        out: (M, n, F) receives the parameters.
     """
     ways, given, fields = following.shape
     n = free_factor.size
-    out = np.empty((ways, n, fields))
     for m in range(ways):
         for i in range(n):
             of = i if given == n else 0
@@ -184,4 +185,3 @@ def _corrected(following: Any, free_factor: Any, least_factor: Any) -> Any:
                 wished = math.log(following[m, of, 0])
                 out[m, i, 0] = math.exp((FREE_WEIGHT * wished + shown) / (1.0 + FREE_WEIGHT))
             out[m, i, 0] = max(out[m, i, 0], least_factor[i])
-    return out

@@ -79,14 +79,14 @@ CHANGE_GAIN_MPS2: Final = 0.2
 use 0.1, highway-env 0.2)."""
 
 IMPOSED_BRAKING_MPS2: Final = 2.0
-"""Braking that an average driver imposes on who is behind then, m/s2 (highway-env's; Kesting et al.
+"""Braking that an average driver imposes on its new follower, m/s2 (highway-env's; Kesting et al.
 use 4)."""
 
 MOST_IMPOSED_MPS2: Final = 6.0
-"""Nobody imposes more, m/s2 (our choice: hard braking without locking wheels)."""
+"""Largest braking that any driver imposes, m/s2 (hard braking without locking wheels)."""
 
 LEAST_CHANGE_GAP_M: Final = 0.5
-"""Nobody changes into a smaller gap, m (our choice)."""
+"""Nobody changes into a smaller gap, m."""
 
 LEAST_GAIN: Final = 0.01
 """Eagerness and assertiveness count as no less, so that there are scales to combine (ours)."""

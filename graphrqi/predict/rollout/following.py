@@ -1,4 +1,4 @@
-"""Predictors that drive everyone on by a car-following law: blind, and knowing who drives how."""
+"""Predictors that drive everyone on by a car-following law, with and without beliefs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
 
     The numbers are the posterior's expectation over the behaviours' calibrated ones, not those of
     the most likely behaviour alone: with a classifier that is often wrong, the latter loses what
-    knowing the behaviour gains. Who is unknown yet drives as the mean of all behaviours.
+    knowing the behaviour gains. Drivers about whom there are no beliefs drive as the mean of all
+    behaviours.
     """
     return aware_with(scene, posterior.worth(scene.ids), default_table())
 
@@ -72,7 +73,7 @@ def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Predicti
 
 
 def by_own_numbers(scene: Scene, posterior: Posterior, own: OwnNumbers) -> Prediction:
-    """Everyone drives as `car-following` says, and as far from it as its own numbers are.
+    """As `car-following`, with parameters scaled by each driver's own numbers.
 
     Args:
         scene: the present.
@@ -125,7 +126,7 @@ def shuffled(scene: Scene, posterior: Posterior) -> Prediction:
 def shuffled_posterior(scene: Scene, posterior: Posterior) -> Posterior:
     """The beliefs about the drivers of a scene, each given to another one.
 
-    Who gets whose is the same whenever the same agents are present.
+    The exchange is the same whenever the same agents are present.
     """
     drives = np.flatnonzero(scene.history.kind != PEDESTRIAN)
     probability = posterior.worth(scene.ids)

@@ -30,37 +30,36 @@ from graphrqi.predict.rollout.columns import (
     V,
     X,
 )  # fmt: skip
-from sim.compiled import inlined, inner_reordered, shared
+from sim.compiled import in_place, inlined
 
 LOOK_AHEAD_M = 120.0
-"""Drivers react to nothing farther ahead (our choice: 5 s at 24 m/s)."""
+"""Distance beyond which drivers react to nothing ahead, m (5 s at 24 m/s)."""
 
 HARD_DECEL = 8.0
-"""Nobody brakes harder, m/s2 (dry asphalt)."""
+"""Largest deceleration, m/s2 (dry asphalt)."""
 
 DECIDE_S = 1.0
 """Time between a driver's decisions about lane changes, s (SUMO's own is 1 s at the default
 step)."""
 
 CHANGE_S = 3.0
-"""Duration of a lane change, s (our choice: 3 to 6 s are observed)."""
+"""Duration of a lane change, s (3 to 6 s are observed)."""
 
 CHANGE_ROOM_M = 20.0
-"""No lane change starts this close to a junction, m (our choice)."""
+"""No lane change starts this close to a junction, m."""
 
 CAUTION_M = 30.0
-"""Distance within which cautious drivers mind threatening neighbours, m (our choice: 2 s in
-town)."""
+"""Distance within which cautious drivers mind threatening neighbours, m (2 s in town)."""
 
 
-_free_acceleration = shared(driver_models.idm_free_acceleration, reordered=True)
-_desired_gap = shared(driver_models.idm_desired_gap, reordered=True)
-_interaction = shared(driver_models.idm_interaction, reordered=True)
-_mobil_incentive = shared(driver_models.mobil_incentive, reordered=True)
-_mobil_safe = shared(driver_models.mobil_safe, reordered=True)
+_free_acceleration = inlined(driver_models.idm_free_acceleration)
+_desired_gap = inlined(driver_models.idm_desired_gap)
+_interaction = inlined(driver_models.idm_interaction)
+_mobil_incentive = inlined(driver_models.mobil_incentive)
+_mobil_safe = inlined(driver_models.mobil_safe)
 
 
-@inner_reordered
+@in_place(inner=True, reordered=True)
 def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: Any, i: Any) -> Any:
     """IDM's acceleration, m/s2, within what drivers see and how hard they brake."""
     accel = following[i, 3]
@@ -75,7 +74,7 @@ def _idm(speed: float, wish: float, gap: float, leader_speed: float, following: 
     return max(free - accel * _interaction(gap, wanted), -HARD_DECEL)
 
 
-@inner_reordered
+@in_place(inner=True, reordered=True)
 def _neighbors(
     i: Any, along: Any, begin: Any, end: Any, place: Any, ranking: Any
 ) -> tuple[Any, Any, Any, Any]:
@@ -102,7 +101,7 @@ def _neighbors(
     return front, front_far, rear, rear_far
 
 
-@inlined
+@in_place(inner=True, reordered=True)
 def choose_lanes(
     who: Any, h: int, motion: Any, route: Any, present: Any, following: Any, changing: Any,
     caution: Any, place: Any, ranking: Any, ends: Any, paths: Any,

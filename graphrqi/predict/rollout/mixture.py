@@ -19,7 +19,7 @@ from graphrqi.predict.scene.scene import Scene
 FloatArray = NDArray[np.float64]
 
 LARGEST_EVIDENCE: Final = 4.0
-"""Log-likelihood lost at most for what the present says against a behaviour (our choice)."""
+"""Largest log-likelihood that the present acceleration can cost a behaviour."""
 
 
 def behavior_mixture(scene: Scene, posterior: Posterior) -> Prediction:

@@ -135,7 +135,7 @@ def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatAr
         drivers.following[None], drivers.ignores[None], _KEEP_LANES, drivers.caution,
         scene.stop_state, scene.paths.columns, _MOVE_TOGETHER, scene.order, (1, STEP_S, 1.0, 0.0),
     )  # fmt: skip
-    return np.asarray(asked)
+    return asked
 
 
 def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
@@ -153,17 +153,15 @@ def positions(scene: Scene, rollout: Rollout) -> FloatArray:
     if not on.all():
         time_s = np.arange(1, out.shape[1] + 1) * rollout.step_s
         out[~on] = scene.straight_on(~on, time_s)
-    return np.asarray(out)
+    return out
 
 
 def on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) -> FloatArray:
     """(n, H, 2) positions of distances along lanes, and to the left of their centres, m."""
     graph = scene.graph
-    return np.asarray(
-        lane_positions.positions(
-            lane, s, offset, graph.segment_start, graph.segment_direction, graph.segment_at,
-            graph.segment_first, graph.segment_last,
-        )
+    return lane_positions.positions(
+        lane, s, offset, graph.segment_start, graph.segment_direction, graph.segment_at,
+        graph.segment_first, graph.segment_last,
     )  # fmt: skip
 
 
@@ -180,11 +178,9 @@ def in_own_frame(
         every: steps from one position returned to the next.
         step_s: time between steps, s.
     """
-    return np.asarray(
-        lane_positions.in_own_frame(
-            on_lanes(scene, lane, s, offset), scene.xy, scene.heading, scene.speed, scene.on_path,
-            every, step_s,
-        )
+    return lane_positions.in_own_frame(
+        on_lanes(scene, lane, s, offset), scene.xy, scene.heading, scene.speed, scene.on_path,
+        every, step_s,
     )  # fmt: skip
 
 
@@ -210,11 +206,14 @@ def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Sc
         The scene, and (n,) who has such a lane; the others are left where they are.
     """
     paths = scene.paths
-    lane, path, offset, lateral_speed, there = lane_positions.lane_beside(
-        0 if side > 0 else 1, other_ways, scene.lane, scene.path, scene.on_path, scene.offset,
-        scene.lateral_speed, paths.beside, paths.lane_spacing, paths.by_turn, paths.turn,
+    lane, path = scene.lane.copy(), scene.path.copy()
+    offset, lateral_speed = scene.offset.copy(), scene.lateral_speed.copy()
+    there = np.zeros(lane.size, np.bool_)
+    lane_positions.turn_to_lane_beside(
+        0 if side > 0 else 1, other_ways, scene.on_path, lane, path, offset, lateral_speed, there,
+        paths.beside, paths.lane_spacing, paths.by_turn, paths.turn,
     )  # fmt: skip
-    moving = scene.but(lane=lane, path=path, offset=offset, lateral_speed=lateral_speed)
+    moving = scene.replaced(lane=lane, path=path, offset=offset, lateral_speed=lateral_speed)
     return moving, there
 
 

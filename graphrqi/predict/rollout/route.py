@@ -1,8 +1,8 @@
-"""Where a driver turns: paths weighed by what each would have it do now.
+"""Where a driver turns: paths weighed by the acceleration that each asks for at present.
 
-Whoever means to turn brakes for it, and whoever is too fast for the turn will not take it. So each
-way on is judged by how well the acceleration that the car-following law asks for on it agrees with
-the one seen, times how common the way is.
+A driver that is going to turn brakes for the turn, and one that is too fast will not take it. So
+the probability of a path is how common it is, times how well the acceleration that the
+car-following law asks for on it agrees with the one seen.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 ACCELERATION_SD: Final = 0.8
-"""How far drivers' acceleration strays from the law's, m/s2 (our choice after training episodes:
+"""Standard deviation of drivers' accelerations around the law's, m/s2 (chosen by training episodes:
 the median absolute residual is 0.5)."""
 
 LARGEST_EVIDENCE: Final = 6.0
-"""Log-likelihood ratio at most, so that one odd moment does not decide alone (our choice)."""
+"""Largest log-likelihood ratio, so that one odd moment does not decide alone."""
 
 
 def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:

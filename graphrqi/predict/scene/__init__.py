@@ -1,1 +1,1 @@
-"""The present as a predictor needs it: who drives where, and where they may have to stop."""
+"""The present as a predictor needs it: drivers on their paths, and where they may have to stop."""

@@ -14,40 +14,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.scene.paths import limits
-from sim.compiled import compiled, inner
+from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph, project
-from sim.road.lane_search import LaneArrays, adjacent_vehicles, perceive
+from sim.road.lane_search import adjacent_vehicles, perceive
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 PAST_EVERY_S: Final = 1.0
-"""Time between the moments of the past from which wished speeds are estimated, s (our choice)."""
+"""Time between the moments of the past from which wished speeds are estimated, s."""
 
 RECENT_S = 0.5
-"""Time over which the present acceleration and lateral speed are measured, s (our choice: shorter
-is noise)."""
+"""Time over which the present acceleration and lateral speed are measured, s (shorter is noise)."""
 
 NEAR_LANE_M = 1.0
-"""A vehicle this far outside a lane still drives along it (our choice)."""
+"""A vehicle this far outside a lane still drives along it."""
 
 BEYOND_M = 2.0
-"""A vehicle this far beyond a lane's end still drives along it (our choice)."""
+"""A vehicle this far beyond a lane's end still drives along it."""
 
 CHANGING_MPS = 0.25
-"""A vehicle with a higher lateral speed is changing lanes (our choice; a change of 3.2 m takes 3 to
-6 s, and drivers who keep their lane drift at less than 0.2 m/s)."""
+"""A vehicle with a higher lateral speed is changing lanes (a change of 3.2 m takes 3 to 6 s, and
+drivers who keep their lane drift at less than 0.2 m/s)."""
 
 CHANGING_FROM_M = 0.3
-"""A vehicle this far on the other side of its lane's centre is returning to the centre instead (our
-choice)."""
+"""A vehicle this far on the other side of its lane's centre is returning to the centre instead."""
 
 FREE_HEADWAY_S, FREE_GAP_M, STEADY_MPS2 = 4.0, 40.0, 0.4
 """A driver drives freely with this headway, this distance to anything ahead and at most this
-acceleration (our choice; HCM calls a headway over 3 to 4 s free)."""
+acceleration (HCM calls a headway over 3 to 4 s free)."""
 
 
 class AgentStates(NamedTuple):
@@ -97,44 +95,99 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     valid, xy = np.ascontiguousarray(history.valid), np.ascontiguousarray(history.xy)
     heading, speed = np.ascontiguousarray(history.heading), np.ascontiguousarray(history.speed)
     instant, agent = (x.copy() for x in np.nonzero((valid[:, columns] & drives[:, None]).T))
+    begins = np.searchsorted(instant, np.arange(columns.size + 1))
     column = columns[instant]
-    found = project(road, xy[agent, column], heading[agent, column])
-    return AgentStates(
-        *_states(
-            history.time_s, valid, xy, heading, speed, history.length.copy(), columns, instant,
-            agent, (found.lane, found.s, found.offset, np.arange(agent.size),
-            np.ones(agent.size, np.bool_)), limits(graph), LaneArrays.of(graph),
-        )
+    past_xy, past_heading = xy[agent, column], heading[agent, column]
+    past_length = history.length[agent]
+    found = project(road, past_xy, past_heading)
+    view = perceive(
+        past_xy, past_heading, past_length, np.ones(agent.size, np.bool_), found.lane, found.s,
+        found.offset, np.arange(agent.size), begins, graph,
     )  # fmt: skip
-
-
-@inner
-def _recent_motion(time_s: Any, valid: Any, speed: Any, i: int) -> tuple[float, int, float]:
-    """Acceleration, m/s2, over the last `RECENT_S`, its first column and its duration, s."""
-    first = time_s.size - 1
-    while first > 0 and time_s[-1] - time_s[first - 1] <= RECENT_S + 1e-6:
-        first -= 1
-    while not valid[i, first]:
-        first += 1
-    span = time_s[-1] - time_s[first]
-    change = (speed[i, -1] - speed[i, first]) / span if span > 1e-6 else 0.0
-    return change, first, span
-
-
-@inner
-def _wished_speeds(
-    time_s: Any, valid: Any, speed: Any, columns: Any, moment: Any, agent: Any, lane: Any,
-    view: Any, limit: Any,
-) -> tuple[Any, Any]:  # fmt: skip
-    """(n,) mean speed over limit while driving freely, or NaN, and (n,) the largest seen."""
-    on_lane, gap, stop, crossing = (
-        view.lane, view.gap, view.stop_distance, view.crossing_distance
+    n, limit = len(valid), limits(graph)
+    free, least = np.full(n, np.nan), np.zeros(n)
+    _find_wished_speeds(
+        history.time_s, valid, speed, columns, (instant, agent, found.lane),
+        (view.lane, view.gap, view.stop_distance, view.crossing_distance), limit, np.zeros((2, n)),
+        free, least,
     )  # fmt: skip
-    n = len(valid)
-    total, count = np.empty(n), np.empty(n)
-    free, least = np.empty(n), np.empty(n)
-    for i in range(n):
-        total[i], count[i], free[i], least[i] = 0.0, 0.0, np.nan, 0.0
+    now = begins[-2]
+    adjacent, adjacent_gap = adjacent_vehicles(
+        view.lane[now:], found.s[now:], past_length[now:], graph
+    )
+    states = AgentStates(
+        lane=np.full(n, -1), s=np.zeros(n), offset=np.zeros(n), lateral_speed=np.zeros(n),
+        accel=np.zeros(n), free_factor=free, least_factor=least, on_lane=np.full(n, -1),
+        limit=np.full(n, np.nan), leader=np.full(n, -1), gap=np.full(n, np.inf),
+        follower=np.full(n, -1), adjacent=np.full((n, 4), -1), adjacent_gap=np.full((n, 4), np.inf),
+    )  # fmt: skip
+    since = np.zeros(n, np.int64)
+    _measure_accelerations(history.time_s, valid, speed, since, states.accel)
+    _describe_present(
+        now, (agent, found.lane, found.s, found.offset, past_xy),
+        (
+            view.lane, view.segment, view.missed, view.lane_heading, view.leader, view.gap,
+            view.follower,
+        ),
+        (adjacent, adjacent_gap), (history.time_s, since, xy),
+        (graph.width, graph.left, graph.right, graph.segment_direction, limit),
+        (states.lane, states.s, states.offset, states.lateral_speed),
+        (
+            states.on_lane, states.limit, states.leader, states.gap, states.follower,
+            states.adjacent, states.adjacent_gap,
+        ),
+    )  # fmt: skip
+    return states
+
+
+@in_place()
+def _measure_accelerations(time_s: Any, valid: Any, speed: Any, since: Any, accel: Any) -> None:
+    """Measure the present accelerations over the last `RECENT_S`.
+
+    Args:
+        time_s: (T,) and the next two: columns of the history.
+        valid: (n, T).
+        speed: (n, T).
+        since: (n,) receives the first of those columns in which each agent was seen.
+        accel: (n,) receives the accelerations, m/s2; must be 0 before, which stays where unknown.
+    """
+    last = time_s.size - 1
+    begin = last
+    while begin > 0 and time_s[last] - time_s[begin - 1] <= RECENT_S + 1e-6:
+        begin -= 1
+    for i in range(len(valid)):
+        if not valid[i, last]:
+            continue
+        first = begin
+        while not valid[i, first]:
+            first += 1
+        since[i], span = first, time_s[last] - time_s[first]
+        if span > 1e-6:
+            accel[i] = (speed[i, last] - speed[i, first]) / span
+
+
+@in_place()
+def _find_wished_speeds(
+    time_s: Any, valid: Any, speed: Any, columns: Any, rows: Any, view: Any, limit: Any, sums: Any,
+    free: Any, least: Any,
+) -> None:  # fmt: skip
+    """Find how fast drivers were seen driving.
+
+    Args:
+        time_s: (T,) and the next two: columns of the history.
+        valid: (n, T).
+        speed: (n, T).
+        columns: (C,) the moments that are looked at, ascending.
+        rows: (m,) each: moment, agent and lane of each vehicle seen.
+        view: what it saw of these: lane, gap, distances to the next stop line and crossing.
+        limit: (L,) speed limits, m/s.
+        sums: (2, n) room to work in; must be 0 before.
+        free: (n,) receives the mean speed over limit while driving freely; must be NaN before,
+            which stays where that was never seen.
+        least: (n,) receives the largest speed over limit seen; must be 0 before.
+    """
+    moment, agent, lane = rows
+    on_lane, gap, stop, crossing = view
     for j in range(agent.size):
         if on_lane[j] < 0:
             continue
@@ -147,80 +200,42 @@ def _wished_speeds(
         before = columns[now - 1]
         change = (speed[i, t] - speed[i, before]) / (time_s[t] - time_s[before])
         clear = max(FREE_HEADWAY_S * speed[i, t], FREE_GAP_M)
-        room = min(gap[j] / clear * FREE_GAP_M, stop[j], crossing[j])
+        room = min(min(gap[j] / clear * FREE_GAP_M, stop[j]), crossing[j])
         if room > FREE_GAP_M and abs(change) < STEADY_MPS2:
-            total[i] += ratio
-            count[i] += 1.0
-    for i in range(n):
-        if count[i] > 0:
-            free[i] = total[i] / count[i]
-    return free, least
+            sums[0, i] += ratio
+            sums[1, i] += 1.0
+    for i in range(free.size):
+        if sums[1, i] > 0.0:
+            free[i] = sums[0, i] / sums[1, i]
 
 
-@compiled
-def _states(
-    time_s: Any, valid: Any, past_xy: Any, past_heading: Any, speed: Any, its_length: Any,
-    columns: Any, instant: Any, agent: Any, found: Any, limit: Any, road: Any,
-) -> Any:  # fmt: skip
-    """The columns of `AgentStates`.
+@in_place()
+def _describe_present(
+    now: int, found: Any, view: Any, beside: Any, history: Any, road: Any, place: Any, around: Any
+) -> None:
+    """Write what was found of the vehicles that are seen at present.
 
     Args:
-        time_s: (T,) and the next five: the history, as in `sim.frames.Tracks`.
-        valid: (n, T).
-        past_xy: (n, T, 2).
-        past_heading: (n, T).
-        speed: (n, T).
-        its_length: (n,).
-        columns: (C,) the moments that are looked at, ascending; the last is the present.
-        instant: (m,) moment of each vehicle seen, ascending.
-        agent: (m,) its row in the history.
-        found: (m,) the lane that fits it best, the distance along it and to its left, m; 0 to
-            m - 1; and true, for each drives.
-        limit: (L,) speed limits, m/s.
-        road: the `LaneArrays`.
+        now: where those rows begin.
+        found: (m,) agent, lane, distances along it and to its left, m, and (m, 2) position of each
+            row.
+        view: (m,) each: columns of the `sim.road.lane_search.LaneView` of the rows.
+        beside: (p, 4) each, of the present rows: those beside and gaps to them, m.
+        history: (T,) times, s, (n,) first column of recent motion, (n, T, 2) positions, m.
+        road: (L,) widths, m, lanes to the left and right, (S, 2) directions of the straight pieces,
+            (L,) speed limits, m/s.
+        place: (n,) each: columns of the `AgentStates` that receive the places of agents.
+        around: (n,) or (n, 4) each: those that receive the lanes they are on and their neighbours;
+            all as of agents off the road before.
     """
-    row_lane, row_s, row_offset, by_time, drives = found
-    width, left, right = road.width, road.left, road.right
-    direction = road.segment_direction
-    n, m = its_length.size, agent.size
-    begins = np.empty(columns.size + 1, np.int64)
-    for c in range(begins.size):  # no np.zeros or np.full: each takes long to compile
-        begins[c] = 0
-    for j in range(m):
-        begins[instant[j] + 1] = j + 1
-    for c in range(columns.size):  # a moment at which nobody was seen has no rows
-        begins[c + 1] = max(begins[c + 1], begins[c])
-    xy, heading, length = np.empty((m, 2)), np.empty(m), np.empty(m)
-    for j in range(m):
-        i, t = agent[j], columns[instant[j]]
-        xy[j, 0], xy[j, 1] = past_xy[i, t, 0], past_xy[i, t, 1]
-        heading[j], length[j] = past_heading[i, t], its_length[i]
-    view = perceive(
-        xy, heading, length, drives, row_lane, row_s, row_offset, by_time, begins, road,
-    )  # fmt: skip
-
-    seen_lane, seen_leader, seen_gap = view.lane, view.leader, view.gap
-    seen_follower, segment, missed, turned = (
-        view.follower, view.segment, view.missed, view.lane_heading
-    )  # fmt: skip
-    lane, s, offset = np.empty(n, np.int64), np.empty(n), np.empty(n)
-    lateral_speed, accel = np.empty(n), np.empty(n)
-    on_lane, lane_limit = np.empty(n, np.int64), np.empty(n)
-    leader, gap, follower = np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
-    adjacent, adjacent_gap = np.empty((n, 4), np.int64), np.empty((n, 4))
-    for i in range(n):
-        lane[i], on_lane[i], leader[i], follower[i] = -1, -1, -1, -1
-        s[i], offset[i], lateral_speed[i], accel[i] = 0.0, 0.0, 0.0, 0.0
-        lane_limit[i], gap[i] = np.nan, np.inf
-        for k in range(4):
-            adjacent[i, k], adjacent_gap[i, k] = -1, np.inf
-        if valid[i, -1]:  # pedestrians too have an acceleration
-            accel[i] = _recent_motion(time_s, valid, speed, i)[0]
-    present = begins[-2]
-    beside, beside_gap = adjacent_vehicles(
-        seen_lane[present:], row_s[present:], length[present:], road
-    )
-    for j in range(present, m):
+    agent, row_lane, row_s, row_offset, row_xy = found
+    seen_lane, segment, missed, turned, seen_leader, seen_gap, seen_follower = view
+    beside_row, beside_gap = beside
+    time_s, since, xy = history
+    width, left, right, direction, limit = road
+    lane, s, offset, lateral_speed = place
+    on_lane, lane_limit, leader, gap, follower, adjacent, adjacent_gap = around
+    for j in range(now, agent.size):
         i, on = agent[j], row_lane[j]
         s[i], offset[i] = row_s[j], row_offset[j]
         if seen_lane[j] >= 0:
@@ -230,28 +245,26 @@ def _states(
         if seen_follower[j] >= 0:
             follower[i] = agent[seen_follower[j]]
         for k in range(4):
-            if beside[j - present, k] >= 0:
-                adjacent[i, k] = agent[present + beside[j - present, k]]
-                adjacent_gap[i, k] = beside_gap[j - present, k]
-        _, first, span = _recent_motion(time_s, valid, speed, i)
+            if beside_row[j - now, k] >= 0:
+                adjacent[i, k] = agent[now + beside_row[j - now, k]]
+                adjacent_gap[i, k] = beside_gap[j - now, k]
+        first = since[i]
+        span, sideways = time_s[time_s.size - 1] - time_s[first], 0.0
         if span > 1e-6:
-            ux, uy = direction[segment[j], 0], direction[segment[j], 1]
-            east, north = xy[j, 0] - past_xy[i, first, 0], xy[j, 1] - past_xy[i, first, 1]
-            lateral_speed[i] = (north * ux - east * uy) / span
+            g = segment[j]
+            ux, uy = direction[g, 0], direction[g, 1]
+            east, north = row_xy[j, 0] - xy[i, first, 0], row_xy[j, 1] - xy[i, first, 1]
+            sideways = (north * ux - east * uy) / span
+            lateral_speed[i] = sideways
         outside = abs(offset[i]) > width[on] / 2 + NEAR_LANE_M
         if outside or missed[j] >= BEYOND_M or math.cos(turned[j]) <= 0.5:
             continue
         lane[i] = on
-        for sign in (1.0, -1.0):
-            to = left[on] if sign > 0 else right[on]
-            going = sign * lateral_speed[i] > CHANGING_MPS
-            if to >= 0 and going and sign * row_offset[j] > -CHANGING_FROM_M:
+        for side in range(2):
+            to, sign = left[on], 1.0
+            if side == 1:
+                to, sign = right[on], -1.0
+            going = to >= 0 and sign * sideways > CHANGING_MPS
+            if going and sign * row_offset[j] > -CHANGING_FROM_M:
                 lane[i] = to
                 offset[i] = row_offset[j] - sign * (width[on] + width[to]) / 2
-    free, least = _wished_speeds(
-        time_s, valid, speed, columns, instant, agent, row_lane, view, limit
-    )
-    return (
-        lane, s, offset, lateral_speed, accel, free, least, on_lane, lane_limit, leader, gap,
-        follower, adjacent, adjacent_gap,
-    )  # fmt: skip

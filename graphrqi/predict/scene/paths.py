@@ -21,25 +21,25 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 REACH_M: Final = 150.0
-"""Paths continue at least this far beyond their first lane, unless more is asked for (our choice:
-5 s at 30 m/s)."""
+"""Paths continue at least this far beyond their first lane, unless more is asked for (5 s at 30
+m/s)."""
 
 MOST_LANES: Final = 10
-"""Lanes per path and `REACH_M` at most (our choice)."""
+"""Lanes per path and `REACH_M` at most."""
 
 MOST_PATHS: Final = 200
-"""Paths per lane at most, straight ones first (our choice: a maze has any number)."""
+"""Paths per lane at most, straight ones first (a maze has any number)."""
 
 PRIOR: Final = (0.5, 0.2, 0.25, 0.05)
-"""Probability of going straight, right, left or back where all are open (our choice; a third to a
-half of urban junction traffic turns)."""
+"""Probability of going straight, right, left or back where all are open (a third to a half of urban
+junction traffic turns)."""
 
 UNKNOWN_LIMIT_MPS: Final = 50.0 / 3.6
-"""Speed limit assumed where none is known (our choice: the usual one in towns)."""
+"""Speed limit assumed where none is known (the usual one in towns)."""
 
 STOP_LINE_REACH_M: Final = 8.0
-"""Vehicles wait at the stop line for a crossing this close behind it (our choice: the depth of a
-crosswalk and its set-back)."""
+"""Vehicles wait at the stop line for a crossing this close behind it (the depth of a crosswalk and
+its set-back)."""
 
 
 class PathColumns(NamedTuple):

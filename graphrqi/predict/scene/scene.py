@@ -30,17 +30,17 @@ LEARNED_S: Final = 5.0
 """Horizon that the learned predictors are made for, s."""
 
 LONGEST_S: Final = 30.0
-"""Longest horizon answered, s (our choice: farther ahead no predictor is better than a guess)."""
+"""Longest horizon answered, s (farther ahead no predictor is better than a guess)."""
 
 BREAK_S: Final = 5.0
-"""A time between two frames longer than this is a break (our choice: as long as the past that
-predictions are made from)."""
+"""A time between two frames longer than this is a break (as long as the past that predictions are
+made from)."""
 
 FASTEST_MPS: Final = 60.0
-"""Nobody is foreseen to drive faster, m/s (our choice: more than any vehicle here can)."""
+"""Largest speed that is predicted, m/s (more than any vehicle here can drive)."""
 
 RETURN_MPS: Final = 0.5
-"""Least lateral speed at which a driver returns to its lane's centre (our choice)."""
+"""Least lateral speed at which a driver returns to its lane's centre."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,7 +148,7 @@ class Scene:
             probability = np.full(futures.shape[:2], 1.0 / futures.shape[1])
         return Prediction(self.ids, self.time_s, futures, probability)
 
-    def but(self, **changed: IntArray | FloatArray) -> Scene:
+    def replaced(self, **changed: IntArray | FloatArray) -> Scene:
         """The same scene with other paths, lanes, offsets or lateral speeds.
 
         Unlike `dataclasses.replace` it keeps the cached properties.
@@ -159,7 +159,7 @@ class Scene:
 
     def with_path(self, path: IntArray) -> Scene:
         """The same scene with other paths taken."""
-        return self.but(path=np.ascontiguousarray(path))
+        return self.replaced(path=np.ascontiguousarray(path))
 
 
 def check_horizon(horizon_s: float) -> None:
@@ -203,7 +203,7 @@ def check_history(history: Tracks) -> None:
 
 
 def since_break(history: Tracks) -> Tracks:
-    """A history without what lies before its last break: what was seen then tells nothing of now.
+    """The part of a history after its last break: earlier frames say nothing about the present.
 
     Args:
         history: tracks whose last column is the present.

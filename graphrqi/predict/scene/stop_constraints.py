@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import PathTable
-from sim.compiled import compiled, inner
+from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road, lane_search
 from sim.road.cells import Cells, boxes_of, cells_of
@@ -31,34 +31,33 @@ PROCEED, STOP_IF_COMFORTABLE, STOP, PREPARE_TO_STOP = 0, 1, 2, 3
 until one is near enough to see that nobody comes."""
 
 YIELD_WITHIN_M = 80.0
-"""Vehicles farther away are not yielded to (our choice: 6 s at 14 m/s)."""
+"""Vehicles farther away are not yielded to (6 s at 14 m/s)."""
 
 YIELD_BEFORE_S = 2.5
-"""A driver that must yield waits for vehicles that arrive within this time (our choice; critical
-gaps at junctions are 4 to 6 s for the average driver (HCM), and these drivers' are 0.1 to 2.5
-s)."""
+"""A driver that must yield waits for vehicles that arrive within this time (critical gaps at
+junctions are 4 to 6 s for the average driver (HCM), and these drivers' are 0.1 to 2.5 s)."""
 
 YIELD_TO_MPS = 0.5
-"""Slower vehicles are not yielded to (our choice: they stand)."""
+"""Slower vehicles are not yielded to (they stand)."""
 
 PEDESTRIAN_REACH_S = 2.0
-"""A pedestrian who reaches a lane within this time blocks it already (our choice; calibrated gaps
-at zebras are 2 to 4 s)."""
+"""A pedestrian who reaches a lane within this time blocks it already (calibrated gaps at zebras are
+2 to 4 s)."""
 
 PROGRAMME_FRAMES: Final = 50
-"""Frames over which a signal programme is compared with the signals seen (our choice)."""
+"""Frames over which a signal programme is compared with the signals seen."""
 
 AGREEMENT = 0.9
-"""A signal programme is believed if it explains this share of what was seen (our choice)."""
+"""A signal programme is believed if it explains this share of what was seen."""
 
 OF_SIGNAL: Final = np.array([STOP, STOP_IF_COMFORTABLE, PROCEED, PROCEED], dtype=np.int8)
 """State of a stop constraint by the signal's code: red, yellow, green, off."""
 
 CROSSING_CELL_M: Final = 10.0
-"""Width of the cells in which crossings are looked for, m (our choice: a crossing's length)."""
+"""Width of the cells in which crossings are looked for, m (a crossing's length)."""
 
 BESIDE_CROSSING_M, BEYOND_CROSSING_M = 1.0, 0.5
-"""A pedestrian this far beside a crossing, or beyond its end, still walks on it (our choice)."""
+"""A pedestrian this far beside a crossing, or beyond its end, still walks on it."""
 
 
 class SignalPrograms(NamedTuple):
@@ -195,14 +194,16 @@ def _signals_ahead(
     shown = min(groups, known)
     state[:shown] = OF_SIGNAL[history.signals[:shown, -1:]]
     if road.signal_plans and shown:
+        programs = SignalPrograms.of(road)
         past = slice(max(0, history.time_s.size - PROGRAMME_FRAMES), None)
         _follow_programs(
             lane, paths.plans_near, np.ascontiguousarray(history.signals[:, past]),
-            history.time_s[past].copy(), SignalPrograms.of(road), OF_SIGNAL, state,
+            history.time_s[past].copy(), programs, OF_SIGNAL,
+            np.zeros(programs.cycle_s.size, np.bool_), state,
         )  # fmt: skip
 
 
-@inner
+@in_place(inner=True)
 def _phase(programs: Any, plan: Any, time_s: float) -> Any:
     """The phase of a plan at a time, as `sim.road.SignalPlan.state_at` finds it."""
     begin, end = programs.phase_first[plan], programs.phase_first[plan + 1]
@@ -214,10 +215,11 @@ def _phase(programs: Any, plan: Any, time_s: float) -> Any:
     return 0
 
 
-@compiled
+@in_place()
 def _follow_programs(
-    lane: Any, plans_near: Any, seen: Any, time_s: Any, programs: Any, of_signal: Any, state: Any
-) -> None:
+    lane: Any, plans_near: Any, seen: Any, time_s: Any, programs: Any, of_signal: Any, done: Any,
+    state: Any,
+) -> None:  # fmt: skip
     """Let the signals near drivers follow their programmes where these explain the past.
 
     A frame shows the signals of its own time or, in some sources, of one step before.
@@ -229,9 +231,9 @@ def _follow_programs(
         time_s: (T,) of these frames, s.
         programs: the `SignalPrograms`.
         of_signal: (4,) state of a stop constraint for each signal.
+        done: (P,) room to work in; must be false before.
         state: (S, H + 1) receives the states.
     """
-    done = np.zeros(programs.cycle_s.size, np.bool_)
     frames = time_s.size
     for i in range(lane.size):
         if lane[i] < 0:
@@ -280,7 +282,7 @@ def _crossings_ahead(history: Tracks, road: Road, graph: LaneGraph, state: State
         )  # fmt: skip
 
 
-@compiled
+@in_place()
 def _block_crossings(
     xy: Any, heading: Any, speed: Any, crossings: Any, centre: Any, half: Any, state: Any
 ) -> None:
@@ -331,7 +333,7 @@ def _block_crossings(
                         state[z, h] = STOP
 
 
-@compiled
+@in_place()
 def _block_yielding(
     speed: Any, length: Any, lane: Any, s: Any, path: Any, paths: Any, foes: Any,
     entry_signal: Any, signals: Any, state: Any,

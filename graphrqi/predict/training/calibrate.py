@@ -35,10 +35,10 @@ FIRST_WIDTH: Final = 0.15
 
 FARTHEST: Final = 2.0
 """Numbers stay within this factor of the profiles' own, so that they keep their meaning where the
-data cannot tell two of them apart (our choice)."""
+data cannot tell two of them apart."""
 
 RECHECK: Final = 15
-"""Perturbations after which the error to beat is measured anew (our choice)."""
+"""Perturbations after which the error to beat is measured anew."""
 
 DECAYS_S: Final = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Decay times tried, s."""

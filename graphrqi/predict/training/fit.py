@@ -38,21 +38,21 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 HIDDEN: Final = (256, 256, 256)
-"""Widths of the hidden layers (our choice, as in the first study)."""
+"""Widths of the hidden layers (as in the first study)."""
 
 BATCH: Final = 1024
 LEARNING_RATE: Final = 2e-3
 WEIGHT_DECAY: Final = 1e-3
-"""AdamW's settings (our choice on validation episodes)."""
+"""AdamW's settings (chosen on validation episodes)."""
 
 RELAXATION: Final = 0.05
 """Share of the loss that also pulls on futures that did not win (Rupprecht et al.)."""
 
 CHECKED: Final = 1000
-"""Validation examples at most from which the spreads' scale is found (our choice)."""
+"""Validation examples at most from which the spreads' scale is found."""
 
 SCORE_WEIGHT, SPREAD_WEIGHT = 0.2, 0.1
-"""Weights of the scores' and the spreads' losses against displacement in metres (our choice)."""
+"""Weights of the scores' and the spreads' losses against displacement in metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -43,39 +43,38 @@ IntArray = NDArray[np.int64]
 Float32Array = NDArray[np.float32]
 
 HIDDEN: Final = (128, 128)
-"""Widths of the hidden layers (our choice)."""
+"""Widths of the hidden layers."""
 
 BATCH: Final = 512
 LEARNING_RATE: Final = 2e-3
 WEIGHT_DECAY: Final = 1e-2
-"""AdamW's settings (our choice on datasets left out)."""
+"""AdamW's settings (chosen on datasets left out)."""
 
 EPOCHS: Final = 4
-"""Draws of `PER_EPOCH` examples (our choice on datasets left out: after 4, 6 and 10 epochs AV2 has
+"""Draws of `PER_EPOCH` examples (chosen on datasets left out: after 4, 6 and 10 epochs AV2 has
 .697, .699 and .723 of constant velocity, Peachtree Street .89, .91 and .95)."""
 
 PER_EPOCH: Final = 60_000
 """Examples drawn in an epoch at most."""
 
 EVENNESS: Final = 0.8
-"""Datasets are drawn from by their size to this power (our choice on datasets left out: at .15,
+"""Datasets are drawn from by their size to this power (chosen on datasets left out: at .15,
 where small recordings weigh most, AV2 left out has .79 of constant velocity, at .5 .76, at .8
 .75)."""
 
 MOST_EXAMPLES: Final = 12_000
-"""Datasets with more examples are drawn from as if they had so many (our choice on datasets left
-out: else long simulations and drives in pairs decide most of it)."""
+"""Datasets with more examples than this are drawn from as if they had this many (chosen on
+datasets left out: else long simulations and drives in pairs decide most of it)."""
 
 DROPOUT: Final = 0.1
-"""Share of each hidden layer's answers left out in training (our choice on datasets left out; what
+"""Share of each hidden layer's answers left out in training (chosen on datasets left out; what
 is left out of the inputs, too, costs .04 on noisy pasts)."""
 
 CHECKED: Final = 2000
-"""Examples at most from which the spreads' scale is found (our choice)."""
+"""Examples at most from which the spreads' scale is found."""
 
 RANGE_QUANTILE: Final = 0.998
-"""Quantile of the training examples at which the trained range ends (our choice: outliers are no
-range)."""
+"""Quantile of the training examples at which the trained range ends (outliers are no range)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

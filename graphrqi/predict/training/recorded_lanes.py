@@ -36,8 +36,8 @@ OFF_PATH_M: Final = 1.75
 horizon, follows none, m (half a lane's width)."""
 
 PATH_WEIGHT, MEAN_WEIGHT = 0.5, 1.0
-"""Weights of the scores of the paths and of the mean's error over constant velocity's (our choice
-on datasets left out)."""
+"""Weights of the scores of the paths and of the mean's error over constant velocity's (chosen on
+datasets left out)."""
 
 CHUNK: Final = 2_000
 """Examples whose true paths are found at once."""

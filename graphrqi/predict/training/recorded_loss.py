@@ -20,7 +20,7 @@ RELAXATION: Final = 0.05
 """Share of the loss that also pulls on futures that did not win."""
 
 WINNER_WEIGHT, SCORE_WEIGHT, SPREAD_WEIGHT = 0.5, 0.1, 0.03
-"""Weights of the losses against the best guess's error over constant velocity's (our choice)."""
+"""Weights of the losses against the best guess's error over constant velocity's."""
 
 
 def bends(raw: torch.Tensor) -> torch.Tensor:

@@ -16,11 +16,11 @@ from graphrqi.spectrum.spectrum import Floats, Spectrum
 from graphrqi.spectrum.subspaces import components, laplacian_scale
 
 MAX_WORK = 1e9
-"""Multiplications of a factorisation above which none is tried (our choice: a few seconds)."""
+"""Multiplications of a factorisation above which none is tried (a few seconds)."""
 WITHOUT_NULL_SPACE, WITH_NULL_SPACE = 0.1, 0.9
 """An answer at the smallest end leaves the null space out, or holds a vector of it, if the cosine
-between the two is below or above these (our choice: rounding and residuals move it by 1e-4 where
-eigenvalues are not themselves of the order of the tolerance)."""
+between the two is below or above these (rounding and residuals move it by 1e-4 where eigenvalues
+are not themselves of the order of the tolerance)."""
 
 
 def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:

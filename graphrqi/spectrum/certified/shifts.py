@@ -39,8 +39,8 @@ ROUNDING = 2.220446049250313e-16
 MAX_AGE = 2
 """Attempts per vector before it is dropped as not converging."""
 ZONE = 4.0
-"""How far down an interval wanted eigenvalues are looked for: so many times the share they would
-fill, were all evenly spread."""
+"""Wanted eigenvalues are searched in this many times the share of an interval that they would fill
+if all were evenly spread."""
 
 
 @inner

@@ -66,15 +66,15 @@ DENSE_SHARE = 3
 MAX_SWEEPS = 25
 """Factorisations before starting again without the earlier vectors; the median is 2 to 5."""
 MAX_SWEEPS_COLD = 150
-"""Factorisations before falling back (our choice)."""
+"""Factorisations before falling back."""
 DENSE_UP_TO = 3000
-"""Vehicles up to which the fallback is dense: 9e6 doubles (our choice)."""
+"""Vehicles up to which the fallback is dense: 9e6 doubles."""
 ACTIVE_FROM = 600
 """Vertices from which the part where the vectors are is treated first (measured)."""
 STALE = 1.15
 """Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
 EXTRA = 8
-"""Pairs beyond the k-th, found because they equal it, that are kept to start from (our choice)."""
+"""Pairs beyond the k-th, found because they equal it, that are kept to start from."""
 
 
 class Carried(NamedTuple):

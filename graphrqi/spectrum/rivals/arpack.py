@@ -18,8 +18,8 @@ from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.spectrum import Floats
 
 SHIFT = 1e-3
-"""Shift below the spectrum at the smallest end, relative to max(1, the largest degree) (our choice:
-far enough for an accurate factorisation, near enough to separate the smallest eigenvalues)."""
+"""Shift below the spectrum at the smallest end, relative to max(1, the largest degree) (far enough
+for an accurate factorisation, near enough to separate the smallest eigenvalues)."""
 
 
 @eigensolver(dense_share=2)

@@ -22,9 +22,9 @@ from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import null_space, rayleigh_ritz, starting_block
 
 MAX_OUTER = 20
-"""Inverse iterations before giving up (our choice)."""
+"""Inverse iterations before giving up."""
 MAX_PRODUCTS = 200
-"""Products with L per system before going on with what there is (our choice)."""
+"""Products with L per system before going on with what there is."""
 
 
 @eigensolver(dense_share=2)

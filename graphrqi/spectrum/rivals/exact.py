@@ -39,13 +39,12 @@ from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import dense_pairs, pick, rayleigh_ritz
 
 MAX_ITERATIONS = 8
-"""Rayleigh-quotient iterations per pair; they converge cubically (our choice)."""
+"""Rayleigh-quotient iterations per pair; they converge cubically."""
 DEPENDENT = 0.1
-"""A converged vector with less of it than this outside the span of the others is a duplicate
-(our choice)."""
+"""A converged vector with less of it than this outside the span of the others is a duplicate."""
 RESTART_EDGES = 2.0
 """Changed edges, in units of the square root of d, above which it solves anew: the update's d^2 p^2
-is then beyond any use (our choice)."""
+is then beyond any use."""
 
 
 @dataclass(frozen=True, eq=False)

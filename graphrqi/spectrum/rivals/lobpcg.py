@@ -19,7 +19,7 @@ import numpy as np
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 
 MAX_ITERATIONS = 100
-"""Iterations before giving up (our choice; scipy's own default is 20)."""
+"""Iterations before giving up (scipy's own default is 20)."""
 
 
 @eigensolver(dense_share=5)

@@ -27,9 +27,9 @@ from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import dense_pairs, null_space
 
 MAX_ITERATIONS = 5
-"""Rayleigh-quotient iterations per pair and update (our choice; none is printed)."""
+"""Rayleigh-quotient iterations per pair and update (none is printed)."""
 CHANGE = 1e-8
-"""The printed eps: change of the unit vector at which the iteration ends (our choice of value)."""
+"""The printed eps: change of the unit vector at which the iteration ends; the value is ours."""
 
 
 @eigensolver()

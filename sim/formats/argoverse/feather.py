@@ -1,4 +1,4 @@
-"""Feather files of unknown origin: looked through before Arrow reads them.
+"""Feather files of unknown origin, which are checked before Arrow reads them.
 
 A Feather file is a file of Arrow record batches with a footer. Arrow unpacks a compressed buffer
 into as many bytes as the buffer says of itself, and 13 KB can unpack to 400 MB. So the footer and
@@ -27,13 +27,13 @@ from sim.formats.common.recording import check_size
 from sim.frames import MAX_MAGNITUDE
 
 MAX_BYTES: Final = 2**26
-"""Largest file that is read (our choice: 64 MiB; the tables of a sensor log have some 2)."""
+"""Largest file that is read (64 MiB; the tables of a sensor log have some 2)."""
 
 MAX_UNPACKED: Final = 2**28
-"""Most bytes that a file's batches may unpack to (our choice: 256 MiB)."""
+"""Most bytes that a file's batches may unpack to (256 MiB)."""
 
 MAX_BATCHES: Final = 10**4
-"""Most batches of a file (our choice; the tables of a sensor log have one)."""
+"""Most batches of a file (the tables of a sensor log have one)."""
 
 _MAGIC: Final = b"ARROW1"
 _FIRST_VERSION_MAGIC: Final = b"FEA1"

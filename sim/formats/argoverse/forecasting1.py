@@ -38,7 +38,8 @@ STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""
 
 LABELS_SUFFIX: Final = ".behavior"
-"""Ending of our file beside each recording: what the format has no place for."""
+"""Ending of the file beside each recording that holds the behaviours, which the format cannot
+hold."""
 
 FORMULA: Final = "=+-@"
 """First characters of what spreadsheets take for a formula."""

@@ -55,7 +55,7 @@ OBJECT_TYPES: Final[dict[str, AgentKind]] = {
     "cyclist": AgentKind.BICYCLE,
     "pedestrian": AgentKind.PEDESTRIAN,
 }
-"""Object types that are road-agents; the others (static, background, ...) stand around."""
+"""Object types that are road-agents; the others (static, background, ...) are left out."""
 
 WRITTEN_TYPES: Final[dict[AgentKind, str]] = {
     AgentKind.CAR: "vehicle",
@@ -101,13 +101,14 @@ BEHAVIOR_SCHEMA: Final = pa.schema(
         ("width_m", pa.float64()),
     ]
 )
-"""Columns of our file beside the official ones: what the format has no place for."""
+"""Columns of the file beside the official ones that holds the behaviours, which the format cannot
+hold."""
 
 MAX_ROWS: Final = 5 * 10**6
-"""Most rows of a scenario (our choice: 45 000 agents seen in all of its 11 s)."""
+"""Most rows of a scenario (45 000 agents seen in all of its 11 s)."""
 
 MAX_TEXT_BYTES: Final = 1000
-"""Longest track id, object type or behaviour (our choice; a UUID has 36)."""
+"""Longest track id, object type or behaviour (a UUID has 36)."""
 
 _TEXT_TYPES: Final = ("BYTE_ARRAY", "INT32", "INT64")
 _NUMBER_TYPES: Final = ("INT32", "INT64", "FLOAT", "DOUBLE")

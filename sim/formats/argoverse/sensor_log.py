@@ -49,12 +49,12 @@ CATEGORIES: Final[dict[str, AgentKind]] = {
     "PEDESTRIAN": AgentKind.PEDESTRIAN,
     "OFFICIAL_SIGNALER": AgentKind.PEDESTRIAN,
 }
-"""Categories that are road-agents (our choice). The others are left out: things, animals, trailers,
-and two-wheelers and devices, whose riders have boxes of their own."""
+"""Categories that are road-agents. The others are left out: things, animals, trailers, and
+two-wheelers and devices, whose riders have boxes of their own."""
 
 EGO_NAME: Final = "AV"
 EGO_CATEGORY: Final = "EGO_VEHICLE"
-"""Category under which some copies of a log list the recording car; its poses tell the same."""
+"""Category under which some copies of a log list the recording car, whose poses are read anyway."""
 
 EGO_SIZE_M: Final = (4.87, 1.85)
 """Length and width of the recording car, a Ford Fusion Hybrid (191.8 by 72.9 inches by its maker);
@@ -65,11 +65,10 @@ EGO_CENTRE_M: Final = 1.34
 estimate, since the format does not tell: py123d takes 1.339 m for this car)."""
 
 MAX_ROWS: Final = 10**6
-"""Most boxes, and most poses, of a log (our choice: logs have some 15 000 and 2 700)."""
+"""Most boxes, and most poses, of a log (logs have some 15 000 and 2 700)."""
 
 UNIT_TOLERANCE: Final = 0.01
-"""How far the length of a quaternion may be from one (our choice; rounding to six digits stays far
-below)."""
+"""How far the length of a quaternion may be from one (rounding to six digits stays far below)."""
 
 _TURN: Final = ("qw", "qx", "qy", "qz")
 _PLACE: Final = ("tx_m", "ty_m", "tz_m")

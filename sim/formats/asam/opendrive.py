@@ -25,7 +25,7 @@ from sim.road import Connection, Crossing, Lane, Road
 
 PARALLEL_M: Final = 0.25
 """Lanes of an edge that are nowhere further than this from where their widths place them share a
-road, m (our choice: a vehicle is then on its lane)."""
+road, m (a vehicle is then on its lane)."""
 
 SHORTEST_M: Final = 0.01
 """Pieces of a line shorter than this are left out, m."""
@@ -45,7 +45,7 @@ SIGNAL_TYPE: Final = "1000001"
 """A traffic light with three colours, in OpenDRIVE's own catalogue of signals."""
 
 FAST_MPS: Final = 22.3
-"""Roads with a higher limit are motorways, others lie in a town (our choice: 80 km/h)."""
+"""Roads with a higher limit are motorways, others lie in a town (80 km/h)."""
 
 NO_DATE: Final = "1970-01-01T00:00:00"
 """The date in headers: files of the same episode are the same to the byte."""
@@ -79,7 +79,7 @@ class _Part:
         return float(np.hypot(*np.diff(self.line, axis=0).T).sum())
 
     def end_of(self, lane: int, *, after: bool) -> tuple[FloatArray, FloatArray, float]:
-        """Where a lane ends (or begins): the middle, the direction and the lane's width there.
+        """The middle, the direction and the width of a lane at its end (or beginning).
 
         Args:
             lane: its number, -1 for the leftmost.
@@ -110,7 +110,7 @@ class _Meeting:
 
 @dataclass
 class _Roads:
-    """The roads so far, and where each lane is among them: its road and its number there."""
+    """The roads made so far, and the road of each lane with the lane's number on it."""
 
     parts: list[_Part] = field(default_factory=list)
     place: dict[str, tuple[_Part, int]] = field(default_factory=dict)
@@ -124,7 +124,7 @@ class _Roads:
 
 @dataclass(frozen=True)
 class RoadFile:
-    """What a road became.
+    """A road's file.
 
     Attributes:
         content: the XML.

@@ -38,10 +38,10 @@ CATEGORIES: Final[dict[AgentKind, str]] = {
 """OpenSCENARIO's categories of vehicles."""
 
 MAX_SPEED_MPS, MAX_ACCEL_MPS2, MAX_DECEL_MPS2 = 70.0, 10.0, 10.0
-"""Limits of vehicles, which the format asks for (our choice: no recorded motion exceeds them)."""
+"""Limits of vehicles, which the format asks for (no recorded motion exceeds them)."""
 
 AXLE_SHARE: Final = 0.3
-"""Axles lie this share of the length before and behind the middle (our choice, a car's)."""
+"""Axles lie this share of the length before and behind the middle (a car's)."""
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:
@@ -125,7 +125,7 @@ def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | 
 
 
 def _name(tracks: Tracks, agent: int) -> str:
-    """What an agent is called: its id, because names of recordings may be anything."""
+    """An agent's name: its id, because names in recordings may be anything."""
     return f"agent {int(tracks.ids[agent])}"
 
 
@@ -164,7 +164,7 @@ def _at(time_s: float, name: str, *, stops: bool = False) -> Any:
 def _events(
     what: str, time_s: FloatArray, steps: IntArray, xy: FloatArray, heading: FloatArray
 ) -> Iterator[Any]:
-    """What an agent does each time that it is there: appear and drive, then disappear."""
+    """The events of an agent for each time that it is seen: it appears, drives, and disappears."""
     from scenariogeneration import xosc
 
     gaps = np.flatnonzero(np.diff(steps) > 1) + 1

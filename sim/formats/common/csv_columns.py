@@ -1,4 +1,4 @@
-"""Named columns of a CSV file as arrays; everything that can be wrong is one clear error."""
+"""Named columns of a CSV file as arrays; a broken file raises one error that says what is wrong."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from sim.formats.common.recording import MAX_NAMES, MAX_ROWS, check_size
 from sim.written_numbers import real
 
 MAX_HEADER_BYTES: Final = 65536
-"""Longest first line (our choice; the longest known has 300)."""
+"""Longest first line (the longest known has 300)."""
 
 MAX_LINE_BYTES: Final = 2**22
-"""Longest line (our choice: as much as is parsed at a time)."""
+"""Longest line (as much as is parsed at a time)."""
 
 CHUNK_BYTES: Final = 2**22
 NEWLINE: Final = b"\n"
@@ -100,7 +100,7 @@ class Columns:
         return np.asarray(agent, dtype=np.int64).ravel(), labels
 
     def only(self, name: str, agent: NDArray[np.int64]) -> list[Any]:
-        """The value of a column that each agent has in all its rows.
+        """The one value of a column that each agent has in all its rows.
 
         Raises:
             InputError: naming an agent's row that has another value.
@@ -213,7 +213,7 @@ def read_fields(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Col
 
 
 def check_lines(path: Path) -> None:
-    """Refuse what a reader of CSV files would take for other rows than an editor shows.
+    """Refuse lines that a reader of CSV files would split otherwise than an editor shows them.
 
     A quotation mark that is not closed in its line would join it with the next lines, also in a
     column that nobody reads.

@@ -1,4 +1,4 @@
-"""A scenario of a driving dataset, gathered from any form of it, and made a recording.
+"""A scenario of a driving dataset in a common form, which becomes a recording.
 
 Waymo's records, the JSON made from them and ScenarioNet's dictionaries hold the same things: agents
 by steps, lanes with their successors, crosswalks, and what each lane's light showed.
@@ -30,17 +30,17 @@ STATES: Final = (
 flashing stop and caution."""
 
 MAX_OBJECTS: Final = 10_000
-"""Most objects of a scenario (our choice; scenarios have some 100)."""
+"""Most objects of a scenario (scenarios have some 100)."""
 
 MAX_STEPS: Final = 10_000
-"""Most steps of a scenario (our choice; scenarios have 91, or 198)."""
+"""Most steps of a scenario (scenarios have 91, or 198)."""
 
 ROWS: Final = ("x", "y", "heading", "speed", "length", "width")
 
 
 @dataclass
 class DrivingScene:
-    """A scenario, gathered from any form of it.
+    """A scenario of a driving dataset, whichever file it was read from.
 
     Attributes:
         path: its file.
@@ -135,7 +135,7 @@ def _signals(scene: DrivingScene, lights: Sequence[int]) -> NDArray[np.int8]:
 
 
 def check_counts(where: str, objects: int, steps: int) -> None:
-    """Refuse scenarios that are larger than any, or have no times.
+    """Refuse scenarios that are too large, or have no times.
 
     Raises:
         InputError: if it is so.

@@ -20,10 +20,10 @@ from sim.frames import Tracks
 FloatArray = NDArray[np.float64]
 
 ROUNDS: Final = 10
-"""Fits per pair of frames (our choice: the kept agents stop changing after a few)."""
+"""Fits per pair of frames (the kept agents stop changing after a few)."""
 
 MIN_AGENTS: Final = 3
-"""Agents needed for a fit; with fewer, the last motion is assumed to go on (our choice)."""
+"""Agents needed for a fit; with fewer, the last motion is assumed to go on."""
 
 
 def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,7 +22,7 @@ from behaviors.labels import BEHAVIORS, Behavior, Style
 from sim.frames import Tracks
 
 MAX_LABELS: Final = 10**6
-"""Most rows of a file (our choice: as many as a recording may have agents)."""
+"""Most rows of a file (as many as a recording may have agents)."""
 
 _COLUMNS: Final = ("name", "recording", "label", "behavior", "style")
 _OTHER_WORDS: Final = {"behaviour": "behavior"}

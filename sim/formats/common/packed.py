@@ -19,11 +19,11 @@ SUFFIX: Final = ".gz"
 """How the names of packed files end."""
 
 MAX_RATIO: Final = 200
-"""Most bytes that a packed file may unpack to for each of its own (our choice: recordings have up
-to 30, the algorithm's limit is 1032)."""
+"""Most bytes that a packed file may unpack to for each of its own (recordings have up to 30, the
+algorithm's limit is 1032)."""
 
 FREE_BYTES: Final = 2**26
-"""A file may always unpack to so many (our choice: 64 MiB)."""
+"""Bytes that any file may unpack to, however small it is (64 MiB)."""
 
 BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
 """What reading a file that is not packed as its name says raises."""

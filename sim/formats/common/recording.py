@@ -26,27 +26,27 @@ from sim.track_rows import TrackRows
 FloatArray = NDArray[np.float64]
 
 MAX_BYTES: Final = 2**32
-"""Largest file that is read (our choice: 4 GiB; the largest NGSIM file has 1.5)."""
+"""Largest file that is read (4 GiB; the largest NGSIM file has 1.5)."""
 
 MAX_ROWS: Final = 2 * 10**7
-"""Most rows of one recording (our choice; NGSIM's largest has 12 million)."""
+"""Most rows of one recording (NGSIM's largest has 12 million)."""
 
 MAX_NAMES: Final = 10**6
-"""Most agents of one recording (our choice)."""
+"""Most agents of one recording."""
 
 MAX_PARTS: Final = 1000
-"""Most recordings that one file may hold or be cut into (our choice: NGSIM has up to three at each
-place, INTERACTION hundreds of cases)."""
+"""Most recordings that one file may hold or be cut into (NGSIM has up to three at each place,
+INTERACTION hundreds of cases)."""
 
 MAX_SIDE: Final = 1000.0
-"""Longest agent, m (our choice; longer than any train, and than any box in an image, pixels)."""
+"""Longest agent, m (longer than any train, and than any box in an image, pixels)."""
 
 MOVING_MPS: Final = 0.5
-"""From this speed on, the direction of motion is taken for the heading (our choice: noise of some
-centimetres at 10 Hz is slower)."""
+"""From this speed on, the direction of motion is taken for the heading (noise of some centimetres
+at 10 Hz is slower)."""
 
 SHORTEST_S: Final = 1e-6
-"""Times closer than this give no velocity, s (our choice: far below any sampling interval)."""
+"""Times closer than this give no velocity, s (far below any sampling interval)."""
 
 CAR_LENGTH_M: Final = 4.5
 CAR_WIDTH_M: Final = 1.8

@@ -21,7 +21,7 @@ RUN: Final = "stateRun"
 
 COLUMNS: Final = ("time", "x", "y", "orientation", "velocity")
 MAX_TAGS: Final = 16
-"""Most parts of a state whose form is matched (our choice; the format knows some ten)."""
+"""Most parts of a state whose form is matched (the format knows some ten)."""
 
 _FIRST: Final = re.compile(rb"<([A-Za-z]+)>\s*<(?:exact|point)>")
 _NUMBER: Final = rb"[-+.\deE]+"

@@ -16,32 +16,32 @@ from sim.formats.common.recording import SHORTEST_S, row_motion
 from sim.frames import Tracks
 
 TOLERATED: Final = 1.25
-"""Displacement over speed times time may be off by this factor (our choice: noise, and speeds that
-are filtered, stay below; the next usual rate is at least 1.25 away)."""
+"""Displacement over speed times time may be off by this factor (noise, and speeds that are
+filtered, stay below; the next usual rate is at least 1.25 away)."""
 
 MOVING_MPS: Final = 2.0
-"""Only faster agents are compared, m/s (our choice: noise hides what slower ones do)."""
+"""Only faster agents are compared, m/s (noise hides what slower ones do)."""
 
 LEAST_STEPS, LEAST_M = 20, 20.0
-"""Steps and metres of motion below which nothing can be told (our choice)."""
+"""Steps and metres of motion below which nothing can be told."""
 
 USUAL_STEPS_S: Final = (0.02, 1 / 30, 0.04, 0.05, 0.08, 0.1, 0.12, 0.2, 0.25, 0.4, 0.5, 1.0)
 """Steps at which traffic is recorded, s."""
 
 NEAR: Final = 0.08
-"""A step this close, relatively, to a usual one is that one (our choice)."""
+"""A step this close, relatively, to a usual one is that one."""
 
 UNITS: Final = {"km/h": 1 / 3.6, "miles/h": 0.44704, "feet/s": 0.3048}
-"""Speeds in these units look like a wrong step; they are told by their exact factor."""
+"""Speeds in these units look like a wrong step; they are recognised by their exact factor."""
 
 BREAK_STEPS: Final = 3.0
-"""A time between two frames of more than so many usual ones is a break (our choice)."""
+"""A time between two frames is a break if it is more than this many times the usual one."""
 
 LEAST_STEP_S, MOST_STEP_S = 1e-3, 10.0
-"""Steps that a recording may have; where the motion shows another, it is only said (our choice)."""
+"""Steps that a recording may have; where the motion shows another, it is only said."""
 
 UNIT_NEAR: Final = 0.03
-"""How near, relatively, to a unit's factor (our choice)."""
+"""How near, relatively, to a unit's factor."""
 
 
 def displacement_over_speed(tracks: Tracks) -> float:

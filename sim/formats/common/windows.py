@@ -17,7 +17,7 @@ PERIOD_S: Final = 0.1
 """Time between two steps of the forecasting formats, s."""
 
 TOLERANCE_S: Final = 1e-3
-"""How far two steps may be from 0.1 s apart, s (our choice: the rounding of clocks)."""
+"""How far two steps may be from 0.1 s apart, s (the rounding of clocks)."""
 
 
 class NoWindowError(InputError):

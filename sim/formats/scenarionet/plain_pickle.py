@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 MAX_INSTRUCTIONS: Final = 5_000_000
-"""Most instructions of a file (our choice: a large scenario has some 100,000)."""
+"""Most instructions of a file (a large scenario has some 100,000)."""
 
 FRAME_BYTES: Final = 9
 """Bytes of the instruction that begins a frame."""
@@ -40,7 +40,7 @@ PLAIN_KINDS: Final = "biufUS"
 
 
 class NotPlainError(ValueError):
-    """What a file holds is no pickle of plain data, and why."""
+    """Raised for a file that is no pickle of plain data; says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ class _Machine:
                 raise NotPlainError(f"found the instruction {name}, which data do not need")
 
     def _since_mark(self) -> list[Any]:
-        """What was put on the stack since the last mark, which goes, too."""
+        """Take what was put on the stack since the last mark, and the mark, too."""
         at = len(self.stack) - 1
         while self.stack[at] is not _MARK:
             at -= 1
@@ -278,7 +278,7 @@ _CONSTANTS: Final[dict[str, Callable[[], Any]]] = {
 
 
 def _own(value: Any, kind: type | UnionType) -> Any:
-    """A container that instructions may change."""
+    """A container of the machine's own, which its instructions may change."""
     if not isinstance(value, kind):
         name = getattr(kind, "__name__", str(kind))
         raise NotPlainError(f"found {type(value).__name__} where data have a {name}")
@@ -299,7 +299,7 @@ def _dictionary(found: list[Any]) -> dict[Any, Any]:
 
 
 def _named(module: Any, name: Any) -> Any:
-    """What stands for a name: a word for the few that data need, else an `Opaque`."""
+    """The value of a name: a word for the few names that data need, else an `Opaque`."""
     if not isinstance(module, str) or not isinstance(name, str):
         raise NotPlainError("found a name that is no word")
     plain = f"{'builtins' if module == '__builtin__' else module} {name}"
@@ -307,7 +307,7 @@ def _named(module: Any, name: Any) -> Any:
 
 
 def _made(name: Any, given: tuple[Any, ...]) -> Any:
-    """What a call in the pickle stands for."""
+    """The value of a call in the pickle."""
     if isinstance(name, Opaque):
         return name
     if not isinstance(name, str) or name not in _MAKERS:

@@ -37,7 +37,7 @@ from sim.xml_tree import read_bytes
 FloatArray = NDArray[np.float64]
 
 MAX_BYTES: Final = 2**28
-"""Largest file that is read (our choice: 256 MiB; scenarios have some megabytes)."""
+"""Largest file that is read (256 MiB; scenarios have some megabytes)."""
 
 PERIOD_S: Final = 0.1
 """Time between two steps where the file does not say it, s (ScenarioNet's own rate)."""

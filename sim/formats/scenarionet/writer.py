@@ -34,8 +34,7 @@ MOVED_M: Final = 1.0
 """An agent that goes farther than this is counted as moving, m (MetaDrive's number)."""
 
 MAX_STATES: Final = 10**7
-"""Most agents times times of an episode (our choice: 0.4 GB, and as much again while it is packed).
-"""
+"""Most agents times times of an episode (0.4 GB, and as much again while it is packed)."""
 
 HEIGHT_M: Final = 1.6
 """Height that is written for everyone, m: the format wants one and traffic here is flat."""

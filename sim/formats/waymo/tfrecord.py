@@ -18,7 +18,7 @@ from sim.formats.common.packed import opened
 from sim.formats.common.recording import check_size
 
 MAX_RECORD_BYTES: Final = 2**25
-"""Largest record that is read (our choice: 32 MiB; a Waymo scenario has some 1 to 8)."""
+"""Largest record that is read (32 MiB; a Waymo scenario has some 1 to 8)."""
 
 _HEAD: Final = struct.Struct("<QI")
 _TAIL: Final = struct.Struct("<I")

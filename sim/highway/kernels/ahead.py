@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors import driver_models
-from sim.compiled import compiled, inner, shared
+from sim.compiled import in_place, shared
 from sim.frames import Signal
 from sim.highway.driving import (
     COMFORT_DECEL,
@@ -135,7 +135,7 @@ def empty_ahead(n: int) -> Ahead:
     return Ahead(metres[0], numbers[0], numbers[1], metres[1], *flags)
 
 
-@compiled
+@in_place()
 def look_ahead(
     who: Travellers,
     lanes: Lanes,
@@ -145,7 +145,7 @@ def look_ahead(
     used: BoolArray,
     found: Ahead,
 ) -> None:
-    """Fill in where everybody is on its way.
+    """Fill in where each vehicle is on its route.
 
     Args:
         who: everybody.
@@ -192,7 +192,7 @@ def look_ahead(
                 found.stops[i] = _can_stop(speed, to_line, driver[COMFORT_DECEL])
 
 
-@inner
+@in_place(inner=True)
 def _look_at_crossings(
     i: int, lane: int, begin: float, length: float, lanes: Lanes, used: BoolArray, found: Ahead
 ) -> None:
@@ -204,7 +204,7 @@ def _look_at_crossings(
             found.people[i] = True
 
 
-@inner
+@in_place(inner=True)
 def _rank(
     i: int, path: int, entered: bool, who: Travellers, lanes: Lanes, signals: NDArray[np.int8]
 ) -> int:
@@ -214,7 +214,7 @@ def _rank(
     return 1 if lanes.must_yield[path] else 0
 
 
-@inner
+@in_place(inner=True)
 def _exit_blocked(
     i: int, path: int, to_line: float, who: Travellers, lanes: Lanes, places: Places
 ) -> bool:
@@ -225,7 +225,7 @@ def _exit_blocked(
     return bool(lead.front_gap < needed)
 
 
-@inner
+@in_place(inner=True)
 def _conflicts_gap(
     i: int, gap: float, who: Travellers, lanes: Lanes, places: Places, signals: NDArray[np.int8],
     found: Ahead, head: IntArray, link: IntArray,
@@ -278,13 +278,16 @@ def _conflicts_gap(
     return gap
 
 
-@compiled
+@in_place()
 def demand(
     who: Travellers,
     lanes: Lanes,
     places: Places,
     signals: NDArray[np.int8],
     found: Ahead,
+    has_paths: bool,
+    head: IntArray,
+    link: IntArray,
     out: Demands,
 ) -> None:
     """Fill in what the rules demand of every driver with a profile.
@@ -295,10 +298,12 @@ def demand(
         places: where everybody is.
         signals: (g,) what the signals show.
         found: from `look_ahead`.
+        has_paths: whether any lane is a junction path.
+        head: (K,) room to work in; must be -1 before.
+        link: (2n,) likewise.
         out: written.
     """
-    n, has_paths = who.lane.size, lanes.exit.max() >= 0
-    head, link = np.full(lanes.length.size, -1), np.full(2 * n, -1)
+    n = who.lane.size
     for i in range(n):  # who is on its way over each junction path
         path, last = found.path[i], who.last_path[i]
         if path >= 0 and found.to_line[i] < RANGE_M:

@@ -1,4 +1,4 @@
-"""What drivers decide: which lane they head for, how they accelerate and steer.
+"""The drivers' decisions: the lane to head for, the acceleration and the steering angle.
 
 Kernels over all drivers that call the functions of `sim.highway.driving`, as `ProfileVehicle.act`
 does for one.
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import compiled, inner
+from sim.compiled import in_place
 from sim.highway.driving import (
     COMFORT_DECEL,
     SPEED_FACTOR,
@@ -59,13 +59,13 @@ class Drivers(NamedTuple):
     clock: FloatArray
 
 
-@inner
+@in_place(inner=True)
 def desired_speed(driver: FloatArray, limit: float, cap: float) -> float:
     """The speed wanted on a free road, m/s."""
     return float(min(min(driver[SPEED_FACTOR] * limit, driver[TOP_SPEED]), cap))
 
 
-@inner
+@in_place(inner=True)
 def _follower(
     i: int, found: Beside, limit: float, length: FloatArray, parameters: FloatArray,
     default: FloatArray,
@@ -78,7 +78,7 @@ def _follower(
     return Follower(driver, found.rear_speed, desired, found.rear_gap, front_gap)
 
 
-@compiled
+@in_place()
 def choose_lanes(
     drivers: Drivers,
     lanes: Lanes,
@@ -126,7 +126,7 @@ def choose_lanes(
                 choice[i], most = side, gain
 
 
-@compiled
+@in_place()
 def accelerate(
     drivers: Drivers,
     lanes: Lanes,
@@ -164,7 +164,7 @@ def accelerate(
         accel[i], go_at[i] = start_up(driver, speed, wanted, drivers.clock[i], go_at[i])
 
 
-@compiled
+@in_place()
 def steer_all(
     active: BoolArray,
     found: FloatArray,

@@ -14,7 +14,7 @@ import numpy as np
 from highway_env.road.lane import AbstractLane, StraightLane
 from numpy.typing import NDArray
 
-from sim.compiled import compiled, inner
+from sim.compiled import in_place
 from sim.highway.lanes import BLEND_M, LaneIndex, PolylineLane
 from sim.highway.network import HighwayNetwork, is_wrong_side
 
@@ -129,6 +129,7 @@ class LaneTables:
             self.stretch(key[:2])
         self.lanes = self._lanes(network)
         self.lines = _lines(self.objects)
+        self.has_paths: bool = bool((self.lanes.exit >= 0).any())
 
     def stretch(self, name: tuple[str, str]) -> int:
         """The number of a stretch; a new one for a stretch that the road does not have."""
@@ -232,7 +233,7 @@ def _integers(values: Sequence[int]) -> IntArray:
 # Places along lanes ---------------------------------------------------------------------------
 
 
-@inner
+@in_place(inner=True)
 def _interpolated(x: float, first: int, last: int, at: FloatArray, value: FloatArray) -> float:
     """`numpy.interp` for one place and the entries from ``first`` to ``last``, to the bit."""
     if x < at[first]:
@@ -252,7 +253,7 @@ def _interpolated(x: float, first: int, last: int, at: FloatArray, value: FloatA
     return float(slope * (x - at[low]) + value[low])
 
 
-@compiled
+@in_place()
 def _project_on_bends(
     xy: FloatArray, lane: IntArray, lines: Lines, found: FloatArray, doubtful: BoolArray
 ) -> None:

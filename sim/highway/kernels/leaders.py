@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import inner
+from sim.compiled import in_place
 from sim.highway.kernels.lane_tables import Lanes
 from sim.highway.lane_places import LaneLines, OnLanes, project
 from sim.highway.state import JOINED_M, LEADER_RANGE_M
@@ -23,7 +23,7 @@ MOST_LANES = 4
 
 
 class Places(NamedTuple):
-    """Who is where on the road's lanes now; n vehicles.
+    """The vehicles' present places on the road's lanes; n vehicles.
 
     Attributes:
         xy: (n, 2) m.
@@ -55,13 +55,13 @@ class Beside(NamedTuple):
     rear_speed: float
 
 
-@inner
+@in_place(inner=True)
 def along_lane(i: int, lane: int, places: Places) -> float:
     """Distance of a vehicle along a lane, m."""
     return project(places.xy[i, 0], places.xy[i, 1], lane, places.lines)[0]
 
 
-@inner
+@in_place(inner=True)
 def next_stretch(i: int, lane: int, lanes: Lanes, places: Places) -> int:
     """The stretch that a vehicle wants to reach after a lane's; -1 at the end of its way."""
     ways, way, stretch = places.ways, places.way[i], lanes.stretch[lane]
@@ -71,7 +71,7 @@ def next_stretch(i: int, lane: int, lanes: Lanes, places: Places) -> int:
     return -1
 
 
-@inner
+@in_place(inner=True)
 def path_to(lane: int, then: int, lanes: Lanes) -> int:
     """The junction path from a lane to a stretch; -1 if there is none."""
     for at in range(lanes.way_first[lane], lanes.way_first[lane + 1]):
@@ -80,7 +80,7 @@ def path_to(lane: int, then: int, lanes: Lanes) -> int:
     return -1
 
 
-@inner
+@in_place(inner=True)
 def onward(i: int, lane: int, lanes: Lanes, places: Places) -> int:
     """The lane that follows on a vehicle's way; -1 at its end or on a wrong lane."""
     if lanes.exit[lane] >= 0:
@@ -89,7 +89,7 @@ def onward(i: int, lane: int, lanes: Lanes, places: Places) -> int:
     return path_to(lane, then, lanes) if then >= 0 else -1
 
 
-@inner
+@in_place(inner=True)
 def _after(x: float, lane: int, places: Places, equal: bool) -> int:
     """The first entry on a lane beyond a place, or also at it if ``equal``."""
     on = places.on
@@ -104,7 +104,7 @@ def _after(x: float, lane: int, places: Places, equal: bool) -> int:
     return int(low)
 
 
-@inner
+@in_place(inner=True)
 def beside(i: int, lane: int, lanes: Lanes, places: Places) -> Beside:
     """The vehicles ahead of and behind a vehicle on a lane, ahead also along its way."""
     on, order, length = places.on, places.on.row, places.length

@@ -1,4 +1,4 @@
-"""Stands in for the vehicles' own ``act`` and ``step`` on any road, and for the rules' commands."""
+"""Replaces the vehicles' own ``act`` and ``step``, and the rules' commands, by kernels."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def rows_of(mask: BoolArray) -> list[int]:
 
 
 class Fleet:
-    """What does not change from step to step about everybody on the road, one row each.
+    """Facts about the vehicles that do not change from step to step, one row each.
 
-    It is worked out again when somebody enters, leaves, or gets another profile or way.
+    They are gathered again when a vehicle enters, leaves, or gets another profile or route.
 
     Args:
         tables: the road's lanes.
@@ -104,7 +104,7 @@ class Fleet:
             self.ways[row, : len(way)] = tables.way(way)
 
     def holds(self, vehicles: list[Vehicle]) -> bool:
-        """Whether these are still the same vehicles with the same profiles and ways."""
+        """Whether the vehicles, their profiles and their routes are still the same."""
         same = len(self.vehicles) == len(vehicles) and all(
             map(operator.is_, self.vehicles, vehicles)
         )
@@ -151,7 +151,7 @@ class CompiledTraffic:
         self._decide(places, who.lane)
 
     def _refresh(self) -> bool:
-        """Learn of new vehicles, profiles and ways; whether there were any."""
+        """Gather the facts again if vehicles, profiles or routes changed; whether they did."""
         if self._fleet.holds(self.road.vehicles):
             return False
         self._fleet = Fleet(self.tables, self.road.vehicles)
@@ -174,7 +174,7 @@ class CompiledTraffic:
         return np.array([-1 if key is None else number[key] for key in keys], dtype=np.int64)
 
     def _travellers(self) -> Travellers:
-        """Everybody as the rules need to know them."""
+        """The vehicles as the rules need them."""
         fleet, now = self._fleet, self.road.time_s
         vehicles, n = fleet.vehicles, len(fleet.vehicles)
         lane = self._numbers([v.lane_index for v in vehicles])
@@ -219,7 +219,10 @@ class CompiledTraffic:
         )
         self._ask_at_lines(who, found, out.held)
         meetings = self._ask_at_crossings(who, found, walkers, out.stop_gap)
-        demand(who, lanes, places, road.signals, found, out)
+        demand(
+            who, lanes, places, road.signals, found, self.tables.has_paths,
+            np.full(lanes.length.size, -1), np.full(2 * who.lane.size, -1), out,
+        )  # fmt: skip
         self._hand_out(out, meetings)
         self._force_lanes(who, found)
         arrivals: dict[tuple[int, int], list[Arrival]] = {}
@@ -305,7 +308,7 @@ class CompiledTraffic:
                 self._fleet.vehicles[i].commands.yields_to = yields
 
     def _force_lanes(self, who: Travellers, found: Ahead) -> None:
-        """Ask drivers that may have to leave their lane where they head for."""
+        """Ask drivers that may have to leave their lane which lane they head for."""
         road, lanes = self.road, self.tables.lanes
         astray = who.known & (found.path < 0) & (found.then >= 0)
         astray &= ~lanes.connector[who.lane] & ~lanes.wrong[who.lane]
@@ -433,7 +436,7 @@ class CompiledTraffic:
     def _update_lanes(
         self, drivers: list[ProfileVehicle], xy: FloatArray, half: FloatArray
     ) -> None:
-        """Let those go onto another lane who change to it or come to their lane's end."""
+        """Put vehicles on another lane if they change to it or reach their lane's end."""
         lanes = self.tables.lanes
         lane = self._numbers([v.lane_index for v in drivers])
         s = places_on_lanes(self.tables, xy, lane)[:, 0]

@@ -1,4 +1,4 @@
-"""Collisions: who touches whom, who caused it by the rules of the road, and why.
+"""Collisions: which vehicles touch, which one caused it by the rules of the road, and why.
 
 Causes are tried in order: running a red light, driving on the wrong side, cutting in, not keeping
 the gap to the vehicle ahead, not giving way. A pedestrian never counts as the cause.
@@ -13,7 +13,7 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from sim.compiled import compiled
+from sim.compiled import in_place
 from sim.geometry import Outlines
 from sim.highway.fast_road import outlines_of
 from sim.highway.rules.junctions import right_of_way_rank
@@ -32,8 +32,8 @@ CROSSWISE: Final = 0.5
 """Sine of the angle between two headings above which the ways cross: 30 degrees."""
 
 FROM_JUNCTION_M: Final = 15.0
-"""Ways that cross this far from the ends of both do not meet in a junction, m (our choice: more
-than the longest vehicle)."""
+"""Ways that cross this far from the ends of both do not meet in a junction, m (more than the
+longest vehicle)."""
 
 Pair: TypeAlias = tuple[Vehicle, Vehicle | Walker]
 
@@ -45,7 +45,9 @@ def touching_pairs(road: RoadState) -> list[Pair]:
     if n == 0:
         return []
     radius = np.array([one.diagonal for one in everyone]) / 2
-    pairs = np.argwhere(_touching(outlines_of(everyone), radius, n)).tolist()
+    touching = np.zeros((n, radius.size), dtype=np.bool_)
+    _find_touching(outlines_of(everyone), radius, touching)
+    pairs = np.argwhere(touching).tolist()
     return [
         (everyone[i], everyone[j])
         for i, j in pairs
@@ -71,21 +73,17 @@ def _on_two_levels(road: RoadState, one: Vehicle, other: Vehicle | Walker) -> bo
     return True
 
 
-@compiled
-def _touching(outlines: Outlines, radius: FloatArray, vehicles: int) -> NDArray[np.bool_]:
-    """Whose outlines overlap; see `sim.geometry.separation`.
+@in_place()
+def _find_touching(outlines: Outlines, radius: FloatArray, found: NDArray[np.bool_]) -> None:
+    """Find whose outlines overlap; see `sim.geometry.separation`.
 
     Args:
         outlines: of the vehicles, then of the pedestrians; n in all.
         radius: (n,) half the diagonal, m.
-        vehicles: how many are vehicles.
-
-    Returns:
-        (vehicles, n) only above the diagonal.
+        found: (vehicles, n) receives it above the diagonal; must be false before.
     """
     centre, forward, half = outlines.centre, outlines.forward, outlines.half
-    found = np.zeros((vehicles, len(radius)), dtype=np.bool_)
-    for i in range(vehicles):
+    for i in range(len(found)):
         for j in range(i + 1, len(radius)):
             dx, dy = centre[i, 0] - centre[j, 0], centre[i, 1] - centre[j, 1]
             reach = radius[i] + radius[j]
@@ -102,7 +100,6 @@ def _touching(outlines: Outlines, radius: FloatArray, vehicles: int) -> NDArray[
                         reach += abs(-fy * x + fx * y) * half[each, 1]
                     apart = apart or abs(dx * x + dy * y) - reach >= 0.0
             found[i, j] = not apart
-    return found
 
 
 def find_cause(road: RoadState, a: Vehicle, b: Vehicle | Walker) -> tuple[*Pair, str]:

@@ -31,8 +31,8 @@ from sim.highway.state import Arrival, RoadState, agent_of
 from sim.highway.vehicle import DriverCommands, ProfileVehicle
 
 BEND_FACTOR: Final = 1.2
-"""The most by which a driver exceeds the limit of a junction path (our choice: these limits follow
-from lateral acceleration)."""
+"""Largest factor by which a driver exceeds the limit of a junction path (these limits follow from
+lateral acceleration)."""
 
 BEND_BRAKING: Final = 0.7
 """Share of the comfortable braking that drivers use ahead of a bend."""
@@ -45,7 +45,7 @@ LINE_M: Final = 3.0
 
 
 def give_commands(road: RoadState) -> None:
-    """Work out what the rules demand of everybody, and who comes to which crossing.
+    """Work out what the rules demand of every driver, and the crossings that each comes to.
 
     Args:
         road: after its `locate`; its ``arrivals`` and its vehicles' ``commands`` are set.
@@ -113,7 +113,7 @@ def _commands(
 
 
 def _record_violations(road: RoadState, ahead: list[WayAhead]) -> None:
-    """Record who has just crossed the line of a red light or of a stop sign without stopping."""
+    """Record vehicles that have just run a red light or a stop sign."""
     for way in ahead:
         vehicle = way.vehicle
         before = getattr(vehicle, "line_before", None)
@@ -126,7 +126,7 @@ def _record_violations(road: RoadState, ahead: list[WayAhead]) -> None:
 
 
 def record_violation(road: RoadState, vehicle: Vehicle, path: LaneIndex) -> None:
-    """Record a vehicle that has just come over the line of a path, if it was not allowed to."""
+    """Record a vehicle that has just crossed the line of a path without being allowed to."""
     info = road.network_info.info[path]
     if info.signal >= 0 and road.signals[info.signal] == Signal.RED.code:
         vehicle.ran_red = True

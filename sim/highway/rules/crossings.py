@@ -30,14 +30,14 @@ KERB_SOON_S: Final = 4.0
 
 MET_S: Final = 3.0
 """A driver that would pass less than this before a pedestrian has met that pedestrian, and an event
-records whether it yielded (our choice: encounters do not depend on the gap that drivers demand)."""
+records whether it yielded (encounters do not depend on the gap that drivers demand)."""
 
 MET_KERB_S: Final = 2.0
 """A driver has met only pedestrians on the crossing or this near its kerb."""
 
 STALLED_S: Final = 4.0
 """A pedestrian who has stood this long on the crossing, out of a vehicle's way, waits for the
-vehicles (our choice: without it each would wait for the other in a full junction)."""
+vehicles (without it each would wait for the other in a full junction)."""
 
 DANGER_S: Final = 1.0
 """All drivers brake for a pedestrian who steps onto their lane within this time, s."""
@@ -57,7 +57,7 @@ STOOD_S: Final = 0.8
 """Pedestrians assume that a vehicle waits that has stood this long before a crossing, s."""
 
 KERB_M: Final = 0.4
-"""Pedestrians decide this near the kerb whether to step out, m (our choice: half a stride)."""
+"""Pedestrians decide this near the kerb whether to step out, m (half a stride)."""
 
 Walkers: TypeAlias = dict[int, list[tuple[Walker, float]]]
 """The pedestrians on or near each crossing, and how far beyond its kerb they are, m."""
@@ -221,7 +221,7 @@ def _may_start(road: RoadState, walker: Walker, way: Crossover) -> bool:
 
 
 def _is_safe(road: RoadState, walker: Walker, strip: tuple[float, float, tuple[int, int]]) -> bool:
-    """Whether no vehicle comes on a lane while a pedestrian crosses it.
+    """Whether a pedestrian can cross a lane before any vehicle reaches it.
 
     A vehicle that waits before the crossing holds those behind it back.
     """

@@ -1,4 +1,4 @@
-"""Junctions: stop lines, and waiting for those whose way crosses one's own.
+"""Junctions: stop lines, and waiting for vehicles on crossing paths.
 
 A driver waits by signals, priority and the gap that it demands; whether it obeys a red light or a
 stop sign is drawn once per encounter from the driver's own random numbers.
@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, TypeAlias
 from highway_env.vehicle.kinematics import Vehicle
 
 from behaviors import driver_models
-from sim.compiled import compiled, inner, shared
+from sim.compiled import in_place, shared
 from sim.frames import Signal
 from sim.highway import driving
 from sim.highway.conflicts import Conflict
@@ -42,7 +42,7 @@ FOE_ACCEL_MPS2: Final = 2.0
 """Acceleration that drivers expect of others."""
 
 INSISTED_BRAKING_MPS2: Final = 4.5
-"""Braking that the most insistent driver makes others with priority do."""
+"""Braking that the most insistent driver imposes on others with priority, m/s2."""
 
 AT_LINE_M: Final = 5.0
 """Drivers wait at the line for a conflict that begins this soon after it."""
@@ -52,8 +52,8 @@ WAITING_S: Final = 1.0
 to wait."""
 
 PATIENCE_S: Final = 20.0
-"""After standing this long, drivers ignore others that stand too (our choice, after SUMO's ignored
-junction blockers)."""
+"""After standing this long, drivers ignore others that stand too (after SUMO's ignored junction
+blockers)."""
 
 BLOCKED_MPS: Final = 2.0
 """A leader slower than this may come to a stand in the way."""
@@ -172,7 +172,7 @@ def _rank(road: RoadState, vehicle: Vehicle, path: LaneInfo, *, entered: bool) -
     return 1 if path.must_yield else 0
 
 
-@compiled
+@in_place()
 def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
     """Time to cover a distance while speeding up to a top speed, s."""
     if distance <= 0.0:
@@ -234,7 +234,7 @@ def stops_at_sign(vehicle: ProfileVehicle, path: LaneIndex | None, to_line: floa
 
 
 def _exit_blocked(road: RoadState, way: WayAhead) -> bool:
-    """Whether the driver would come to a stand inside the junction behind a standing leader."""
+    """Whether the driver would have to stop inside the junction, behind a standing leader."""
     vehicle = way.vehicle
     assert way.path is not None
     lead = road.neighbours(vehicle, way.lane)
@@ -314,7 +314,7 @@ def _foe(road: RoadState, conflict: Conflict, foe: ApproachingVehicle) -> Foe:
     )
 
 
-@compiled
+@in_place()
 def must_wait(own: Passage, foe: Foe) -> bool:
     """Whether a driver has to wait for another one before a conflict."""
     if foe.end < 0.0:
@@ -345,7 +345,7 @@ def must_wait(own: Passage, foe: Foe) -> bool:
     return not (lets_in and own.leave_s < foe_leaves_s)
 
 
-@inner
+@in_place(inner=True)
 def _goes_first(own: Passage, foe: Foe) -> bool:
     """Whether a driver has the right of way over another one: by rank, place, then number."""
     if own.rank != foe.rank:

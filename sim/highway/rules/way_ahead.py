@@ -12,7 +12,7 @@ from sim.highway.state import RoadState
 from sim.highway.vehicle import ProfileVehicle
 
 RANGE_M: Final = 80.0
-"""Drivers attend to junctions and crossings within this distance (our choice: 6 s at 14 m/s)."""
+"""Drivers attend to junctions and crossings within this distance (6 s at 14 m/s)."""
 
 ENTERED_M: Final = 0.5
 """A vehicle whose front is this far over the stop line has entered the junction."""

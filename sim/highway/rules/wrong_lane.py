@@ -1,4 +1,4 @@
-"""Drivers on a lane that does not lead where they want to go: they get over, or go another way.
+"""Drivers on a lane that does not lead to their goal: they change lanes, or take another route.
 
 Such a driver changes towards the nearest lane that does lead there, into any gap that makes nobody
 brake harder than it may, and the harder the nearer the end of its lane is. A driver that stands at
@@ -30,14 +30,13 @@ GENTLE_MPS2: Final = 2.0
 (highway-env's bound for ordinary changes)."""
 
 URGENT_MPS2: Final = 4.5
-"""The same at the end of its lane (our choice: hard, and held by any tyre)."""
+"""The same at the end of its lane (hard, and held by any tyre)."""
 
 GIVES_UP_S: Final = 4.0
-"""A driver that has stood this long at the end of a wrong lane goes on where it leads (our
-choice)."""
+"""A driver that has stood this long at the end of a wrong lane takes another route, s."""
 
 AT_END_M: Final = 12.0
-"""Only those this near the end of their lane give up, m."""
+"""Drivers take another route only this near to the end of their lane, m."""
 
 ROOM_M: Final = 6.0
 """A standing vehicle needs this much room before its lane's end to get over, m."""
@@ -77,7 +76,7 @@ def lane_to_get_over_to(road: RoadState, way: WayAhead) -> LaneIndex | None:
 
 
 def _fits(road: RoadState, way: WayAhead, side: LaneIndex) -> bool:
-    """Whether a lane has a gap that nobody has to brake too hard for."""
+    """Whether a lane has a gap for which nobody has to brake too hard."""
     vehicle, driver = way.vehicle, way.vehicle.parameters
     there = road.neighbours(vehicle, side)
     least = driving.LEAST_CHANGE_GAP_M

@@ -1,4 +1,4 @@
-"""Overtaking on the wrong side: when a driver pulls out, and when it goes back.
+"""Overtaking on the wrong side: when a driver pulls out, and when it returns.
 
 A driver whose time for it has come pulls out behind a slow leader onto the nearest lane of the
 opposite direction if no oncoming vehicle is within sight. It goes back as soon as there is room on
@@ -31,8 +31,8 @@ JUNCTION_M: Final = 60.0
 """Drivers do not begin to overtake this near the end of the road, m."""
 
 STUCK_S: Final = 5.0
-"""A vehicle that stands on the wrong side for this long is taken off the road (our choice: facing
-oncoming traffic, it would stand there for ever)."""
+"""A vehicle that stands on the wrong side for this long is taken off the road (facing oncoming
+traffic, it would stand there for ever)."""
 
 
 def wrong_way_lane(road: RoadState, vehicle: ProfileVehicle) -> LaneIndex | None:

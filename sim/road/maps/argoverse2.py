@@ -35,10 +35,10 @@ from sim.road.maps.lanelets import (
 )
 
 MAX_MAP_BYTES: Final = 2**23
-"""Largest map that is read (our choice: 8 MiB; those of scenarios have some 0.2)."""
+"""Largest map that is read (8 MiB; those of scenarios have some 0.2)."""
 
 MAX_SEGMENTS, MAX_CROSSWALKS = 5_000, 500
-"""Most lane segments and most crosswalks of a map (our choice; scenarios have some 100 and 10)."""
+"""Most lane segments and most crosswalks of a map (scenarios have some 100 and 10)."""
 
 
 # --- reading ------------------------------------------------------------------------------------

@@ -68,10 +68,10 @@ COLORS: Final = {
 
 SHORTEST_YELLOW_S: Final = 1.0
 """A programme with a shorter yellow, or a green below twice that, is not in the unit that the file
-says, and is not believed (our choice; codes of practice ask for 3 s)."""
+says, and is not believed (codes of practice ask for 3 s)."""
 
 MAX_PHASES: Final = 1_000
-"""Most phases of a programme (our choice)."""
+"""Most phases of a programme."""
 
 
 def read_map(path: Path, name: str | None = None) -> Road:

@@ -48,8 +48,8 @@ Origin = tuple[float, float]
 """Latitude and longitude of a recording's (0, 0), degrees."""
 
 NEAR_ZERO_DEG: Final = 0.2
-"""Maps all within this of latitude and longitude 0 have their origin there, as INTERACTION's
-(our choice: 22 km)."""
+"""Maps all within this of latitude and longitude 0 have their origin there, as INTERACTION's (22
+km)."""
 
 WALKING: Final = frozenset({"walkway", "stairs", "shared_walkway"})
 CROSSING: Final = frozenset({"crosswalk"})

@@ -29,40 +29,40 @@ from sim.road import Connection, Lane
 FloatArray = NDArray[np.float64]
 
 MAX_COORDINATE_M: Final = 1e9
-"""Largest absolute coordinate (our choice; beyond any UTM coordinate)."""
+"""Largest absolute coordinate (beyond any UTM coordinate)."""
 
 MAX_LANELETS: Final = 5_000
-"""Most lanelets of a map (our choice; scenes have some 100, a city district 2 000)."""
+"""Most lanelets of a map (scenes have some 100, a city district 2 000)."""
 
 MAX_POINTS: Final = 2_000_000
-"""Most points of all borders of a map together (our choice)."""
+"""Most points of all borders of a map together."""
 
 MAX_FOLLOWING: Final = 16
-"""Most lanelets that one may lead to (our choice; five are common)."""
+"""Most lanelets that one may lead to (five are common)."""
 
 MAX_WAYS: Final = 100_000
-"""Most ways through junctions of a map (our choice)."""
+"""Most ways through junctions of a map."""
 
 MAX_LENGTH_M: Final = 1e7
-"""Longest that all lanes and crossings of a map may be together, m (our choice; a city's streets
-are some thousand km): what is drawn of them stays small."""
+"""Longest that all lanes and crossings of a map may be together, m (a city's streets are some
+thousand km): what is drawn of them stays small."""
 
 LEAST_MEETINGS: Final = 10
 """Pieces as which two lines count at least: short ones take 25 us too (measured)."""
 
 MAX_MEETINGS: Final = 3_000_000
-"""Most pairs of pieces of centre lines that are compared to find junctions (our choice)."""
+"""Most pairs of pieces of centre lines that are compared to find junctions."""
 
 STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
-"""A way that turns by less than the first goes straight, by more than the second goes back (our
-choice: about as SUMO's netconvert has it)."""
+"""A way that turns by less than the first goes straight, by more than the second goes back (about
+as SUMO's netconvert has it)."""
 
 COMPARED_POINTS: Final = 24
-"""Points of each line that are compared to find junctions (our choice: 2 m apart on a turn)."""
+"""Points of each line that are compared to find junctions (2 m apart on a turn)."""
 
 CROSSING_RAD: Final = math.radians(12.0)
-"""Centre lines that meet at a larger angle cross, so that their lanes are part of a junction (our
-choice: lanes of one carriageway that part or join stay below)."""
+"""Centre lines that meet at a larger angle cross, so that their lanes are part of a junction (lanes
+of one carriageway that part or join stay below)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -416,4 +416,4 @@ class _Segments:
 
 
 END_M: Final = 1.0
-"""Lines that meet this close to an end of one of them follow each other, m (our choice)."""
+"""Lines that meet this close to an end of one of them follow each other, m."""

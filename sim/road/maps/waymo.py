@@ -36,17 +36,17 @@ FloatArray = NDArray[np.float64]
 MPS_PER_MPH: Final = 0.44704
 
 WIDTH_M: Final = 3.5
-"""Width of a lane without a neighbour, m (our choice: urban lanes have 3.3, freeways 3.7)."""
+"""Width of a lane without a neighbour, m (urban lanes have 3.3, freeways 3.7)."""
 
 NARROWEST_M, WIDEST_M = 2.5, 5.0
-"""Widths that the distance to a neighbour may give, m (our choice)."""
+"""Widths that the distance to a neighbour may give, m."""
 
 BIKE_LANE: Final = 3
 """The type of lanes for bicycles."""
 
 JOIN_M: Final = 0.5
-"""Lanes whose ends are this close follow each other where the map does not say it, m (our choice:
-the distance of its points)."""
+"""Lanes whose ends are this close follow each other where the map does not say it, m (the distance
+of its points)."""
 
 
 @dataclass(frozen=True, eq=False)

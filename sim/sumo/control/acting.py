@@ -16,7 +16,7 @@ from sim.road import Road
 from sim.sumo.control import lane_change_mode
 
 ACTION_S: Final = 4.0
-"""How long an action lasts, s (our choice: a lane change takes 2.5 s)."""
+"""How long an action lasts, s (a lane change takes 2.5 s)."""
 
 
 class Action(StrEnum):

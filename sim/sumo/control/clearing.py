@@ -26,11 +26,10 @@ from sim.scenario import AgentSpec
 from sim.sumo.control.drivers import Controller, RouteDriver
 
 APART_M: Final = 2.5
-"""Paths that come closer than this cross or join, m (our choice: a car's width and some room)."""
+"""Paths that come closer than this cross or join, m (a car's width and some room)."""
 
 ELSEWHERE_S: Final = 1.0
-"""A driver on a lane that leads to no such junction is looked at again after this, s (our
-choice)."""
+"""A driver on a lane that leads to no such junction is looked at again after this, s."""
 
 BEFORE_LINE_M: Final = 1.0
 """Drivers wait this far before the line, m (SUMO's own distance)."""

@@ -20,7 +20,7 @@ from sim.sumo.control.wrong_way import WrongWay
 from sim.sumo.vehicle_types import alternative_name
 
 NAMED: Final = 8
-"""Most drivers that an error suggests instead (our choice)."""
+"""Most drivers that an error suggests instead."""
 
 DRIVERS_ACT_S: Final = 0.2
 """How often the controllers of drivers act, s; jaywalkers are moved at every step."""

@@ -18,18 +18,18 @@ LARGEST_HEADWAY_S: Final = 0.45
 less than one second counts as cutting in."""
 
 FRONT_SHARE: Final = 0.75
-"""The new leader must be at least this share of the own time headway ahead (our choice: without
-this check cut-ins end in collisions)."""
+"""The new leader must be at least this share of the own time headway ahead (without this check
+cut-ins end in collisions)."""
 
 HARDEST_BRAKING_MPS2: Final = 3.5
-"""Hardest braking that a cut-in may force on its victim, m/s2 (our choice: comfortable to most
-drivers, AASHTO)."""
+"""Hardest braking that a cut-in may force on its victim, m/s2 (comfortable to most drivers,
+AASHTO)."""
 
 SMALLEST_GAP_M: Final = 1.0
-"""Smallest gap ahead and behind, m (our choice)."""
+"""Smallest gap ahead and behind, m."""
 
 SLOWEST_MPS: Final = 4.0
-"""Drivers slower than this do not cut in, m/s (our choice)."""
+"""Drivers slower than this do not cut in, m/s."""
 
 MANOEUVRE_S: Final = 4.0
 """For how long the lane change is commanded, s; it takes 2.5 s."""
@@ -49,16 +49,16 @@ HALF_CHANGE_S: Final = 1.4
 """When the centre is on the new lane, s; until then the driver keeps the victim's speed."""
 
 RETRY_S: Final = 0.2
-"""A driver that finds no gap looks again after this, s (our choice)."""
+"""A driver that finds no gap looks again after this, s."""
 
 FALLING_BACK_MPS: Final = 2.5
-"""A driver whose victim is too far behind falls back at this speed, m/s (our choice)."""
+"""A driver whose victim is too far behind falls back at this speed, m/s."""
 
 FALLING_BACK_S: Final = 6.0
-"""Longest time to fall back before a cut-in, s (our choice)."""
+"""Longest time to fall back before a cut-in, s."""
 
 CLEAR_M: Final = 30.0
-"""No cut-in starts closer to a junction, m (our choice)."""
+"""No cut-in starts closer to a junction, m."""
 
 _NEIGHBOURS: Final[dict[int, tuple[int, int]]] = {1: (0b000, 0b010), -1: (0b001, 0b011)}
 """SUMO's neighbour queries (follower, leader) on the lane to the left (1) and to the right (-1)."""

@@ -14,19 +14,19 @@ from sim.road import Lane, Road
 from sim.scenario import AgentSpec
 
 MARGIN_S: Final = 1.5
-"""Shortest time between a pedestrian leaving a lane and a vehicle reaching it, s (our choice)."""
+"""Shortest time between a pedestrian leaving a lane and a vehicle reaching it, s."""
 
 SIGHT_M: Final = 150.0
-"""Pedestrians consider vehicles up to this distance, m (our choice)."""
+"""Pedestrians consider vehicles up to this distance, m."""
 
 PATIENCE_S: Final = 60.0
-"""A pedestrian that finds no gap for this long walks on along the sidewalk, s (our choice)."""
+"""A pedestrian that finds no gap for this long walks on along the sidewalk, s."""
 
 BEYOND_M: Final = 0.8
 """The walk ends this far beyond the carriageway, on the other sidewalk, m."""
 
 MARGIN_M: Final = 40.0
-"""No jaywalking nearer to a junction or crossing, m (our choice)."""
+"""No jaywalking nearer to a junction or crossing, m."""
 
 FASTEST: Final = 1.5
 """An upper bound of walking speeds, in free speeds, for the earliest time at which a pedestrian can

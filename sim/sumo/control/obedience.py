@@ -24,7 +24,7 @@ IGNORE_RED: Final = ORDINARY & ~16
 """Ignores red lights, but not vehicles that are already in the way."""
 
 SIGHT_M: Final = 45.0
-"""How far before a junction a driver decides, m (our choice: about three seconds at 50 km/h)."""
+"""How far before a junction a driver decides, m (about three seconds at 50 km/h)."""
 
 FASTEST: Final = 2.5
 """An upper bound of speeds, in limits, for when a driver can be near a junction at the earliest

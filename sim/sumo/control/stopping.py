@@ -12,15 +12,15 @@ from sim.sumo.control.drivers import Controller, RandomTimeDriver
 from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 
 LOWEST_S, HIGHEST_S = 3.0, 6.0
-"""How long the slow speed is kept, s (our choice)."""
+"""How long the slow speed is kept, s."""
 
 STOP_SHARE: Final = 0.5
-"""Share of full stops; the others slow down to ``SLOW_FACTOR`` of the speed (our choice)."""
+"""Share of full stops; the others slow down to ``SLOW_FACTOR`` of the speed."""
 
 SLOW_FACTOR: Final = 0.4
 
 PAUSE_S: Final = 20.0
-"""Shortest pause between two such stops, s (our choice: with shorter ones the road jams)."""
+"""Shortest pause between two such stops, s (with shorter ones the road jams)."""
 
 CLEAR_M: Final = 50.0
 """A driver stops only if no leader, junction or crossing is this near, m: a stop is unprovoked."""

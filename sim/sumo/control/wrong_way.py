@@ -19,8 +19,8 @@ from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 from sim.sumo.vehicle_types import VEHICLE_CLASS
 
 SIGHT_M: Final = 250.0
-"""The oncoming lane must be clear this far to start, m (our choice: with less, vehicles come to
-stand face to face)."""
+"""The oncoming lane must be clear this far to start, m (with less, vehicles come to stand face to
+face)."""
 
 START_S: Final = 14.0
 """No oncoming vehicle may meet the driver sooner than this, s."""
@@ -30,24 +30,23 @@ RETURN_M, RETURN_S = 100.0, 7.0
 sooner than this, s."""
 
 LONGEST_S: Final = 20.0
-"""The driver returns to its own side after this time, s (our choice)."""
+"""The driver returns to its own side after this time, s."""
 
 LEADER_M: Final = 40.0
-"""A driver overtakes a slower leader that is this close, m (our choice)."""
+"""A driver overtakes a slower leader that is this close, m."""
 
 PASSED_M: Final = 12.0
 """The leader is overtaken when its front is this far behind the driver's, m."""
 
 SLOWER_MPS: Final = 1.5
-"""A leader counts as slower if it is this much below the driver's desired speed, m/s (our
-choice)."""
+"""A leader counts as slower if it is this much below the driver's desired speed, m/s."""
 
 STAND_S: Final = 5.0
 """A vehicle that stands this long on the wrong side is removed, s; otherwise the road stays
 blocked."""
 
 CLEAR_M: Final = 60.0
-"""No overtaking starts closer to the end of the lane, m (our choice)."""
+"""No overtaking starts closer to the end of the lane, m."""
 
 PASSING_CLASS: Final = "custom1"
 """The vehicle class of overtaking vehicles; nothing else uses it."""

@@ -1,11 +1,11 @@
-"""Do beliefs about drivers, or their own numbers, say where recorded vehicles go?
+"""Whether knowledge of drivers improves predictions of recordings: beliefs, or their own numbers.
 
-The predictor for recordings goes first. What it leaves, along each vehicle's heading, is then
-explained by what was known of the driver: by what the classifier believed of it, or by what it
-had done itself, both from its past alone. A linear correction is fitted on all other datasets and
-applied to the one left out. Two rivals stand beside it: a correction that is told nothing (it
-only mends what the predictor gets wrong on average), and a placebo, to which each driver's row is
-that of another driver of the same dataset, in the fit and in the test.
+The error of the predictor for recordings along each vehicle's heading is explained by what was
+known of the driver: by what the classifier believed of it, or by what it had done itself, both
+from its past alone. A linear correction is fitted on all other datasets and
+applied to the one left out. It is compared with a correction without any knowledge (which removes
+only the predictor's mean error), and with a placebo, in which each driver has the knowledge of
+another driver of the same dataset, in the fit and in the test.
 
 Knowledge helps where its error over the predictor's and over the placebo's lie below one, beyond
 the intervals, and below that of nothing.
@@ -53,7 +53,7 @@ MOST_M: Final = 20.0
 """Larger residuals count as this one: a few vehicles that stop or turn would rule the fit."""
 
 SPEED_MPS: Final = 10.0
-"""Corrections may grow with speed; this is the unit of speed (our choice)."""
+"""Corrections may grow with speed; this is the unit of speed."""
 
 PLACEBOS: Final = 5
 """Permutations over which the placebo's errors are averaged."""
@@ -80,7 +80,7 @@ class Left:
     known: Mapping[str, FloatArray]
 
 
-def measure_told(data: Path, seed: int) -> Iterator[list[Row]]:
+def measure_knowledge(data: Path, seed: int) -> Iterator[list[Row]]:
     """Score what is known of drivers as a correction of predictions, each dataset left out in turn.
 
     Args:
@@ -97,7 +97,7 @@ def measure_told(data: Path, seed: int) -> Iterator[list[Row]]:
     for one in read_sources([data]):
         parts.setdefault(one.dataset, []).append(one)
     model = load_stream(DEFAULT_MODEL).model
-    left = {name: found for name in sorted(parts) if (found := what_is_left(parts[name], model))}
+    left = {name: found for name in sorted(parts) if (found := residuals_of(parts[name], model))}
     if len(left) < 2:
         raise InputError(f"{data}: found {len(left)} datasets with vehicles to score, expected two")
     for name, held in left.items():
@@ -108,7 +108,7 @@ def measure_told(data: Path, seed: int) -> Iterator[list[Row]]:
         yield list(_rows(keys, others, held, seed))
 
 
-def what_is_left(places: Sequence[RecordedPlace], model: Model) -> Left | None:
+def residuals_of(places: Sequence[RecordedPlace], model: Model) -> Left | None:
     """Predict a dataset's vehicles, and gather what was known of them; None if nobody moves."""
     every_s = scored_every_s(places)
     found: list[tuple[FloatArray, ...]] = []
@@ -128,8 +128,8 @@ def what_is_left(places: Sequence[RecordedPlace], model: Model) -> Left | None:
             rows = np.flatnonzero(moving(history) & np.isfinite(truth).all(axis=(1, 2)))
             if not rows.size:
                 continue
-            told = predict_recorded(history, int(_AT[-1]) + 1, road=one.road)
-            away = truth[rows] - told.best[rows][:, _AT]
+            predicted = predict_recorded(history, int(_AT[-1]) + 1, road=one.road)
+            away = truth[rows] - predicted.best[rows][:, _AT]
             ahead = np.stack([np.cos(history.heading[rows, -1]), np.sin(history.heading[rows, -1])])
             posterior = stream.posterior()
             beliefs = posterior.of(history.ids[rows])
@@ -160,13 +160,13 @@ def _rows(
     """Ratios of each correction's error to that of the predictor alone."""
     alone = np.hypot(held.along, held.across).mean(axis=1)
     for kind in (NOTHING, BELIEFS, NUMBERS):
-        columns = {**keys, "predictor": "graphrqi-predict", "told": kind}
+        columns = {**keys, "predictor": "graphrqi-predict", "knowledge": kind}
         own = _errors(others, held, kind)
-        compared = {"ratio_to_untold": (own, alone)}
+        compared = {"ratio_to_uncorrected": (own, alone)}
         if kind != NOTHING:
             rngs = [np.random.default_rng((seed, number)) for number in range(PLACEBOS)]
             placebo = np.mean([_errors(others, held, kind, rng) for rng in rngs], axis=0)
-            compared["placebo_ratio_to_untold"] = (placebo, alone)
+            compared["placebo_ratio_to_uncorrected"] = (placebo, alone)
             compared["ratio_to_placebo"] = (own, placebo)
         for metric, (above, below) in compared.items():
             found = bootstrap(ratio, summed(held.vehicle, above, below))
@@ -212,7 +212,7 @@ def fitted(
 
 
 def _known(one: Left, kind: str, rng: np.random.Generator | None) -> FloatArray:
-    """(m, WIDTH) what is told of the vehicles; (m, 0) for nothing."""
+    """(m, WIDTH) what is known of the vehicles; (m, 0) for nothing."""
     if kind == NOTHING:
         return np.empty((one.speed.size, 0))
     if rng is None:
@@ -238,8 +238,8 @@ class _Weights:
 
     def columns(self, known: FloatArray, speed: FloatArray) -> FloatArray:
         """The regression's columns: 1 and the knowledge, and both times the speed."""
-        told = np.nan_to_num((known - self.mean) / self.spread)
-        plain = np.concatenate([np.ones((speed.size, 1)), told], axis=1)
+        scaled = np.nan_to_num((known - self.mean) / self.spread)
+        plain = np.concatenate([np.ones((speed.size, 1)), scaled], axis=1)
         return np.concatenate([plain, plain * (speed / SPEED_MPS)[:, None]], axis=1)
 
 
@@ -256,8 +256,8 @@ def _ridge(
     scale = _Weights(mean, spread + 1e-9, np.empty(0))
     width = 2 * (1 + together.shape[1])
     gram, moment = penalty * np.eye(width), np.zeros((width, targets[0].shape[1]))
-    for told, speed, target in zip(known, speeds, targets, strict=True):
-        columns = scale.columns(told, speed)
+    for each, speed, target in zip(known, speeds, targets, strict=True):
+        columns = scale.columns(each, speed)
         gram += columns.T @ columns / speed.size
         moment += columns.T @ target / speed.size
     return _Weights(scale.mean, scale.spread, np.asarray(np.linalg.solve(gram, moment)))
