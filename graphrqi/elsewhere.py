@@ -194,7 +194,8 @@ class Elsewhere:
             asked = share > 0.0
             if asked.any():
                 inputs = relative[asked]
-                out[asked] += share[asked, None] * self._held_back(network.alone(inputs), inputs)
+                found = network.alone(network.described(inputs))
+                out[asked] += share[asked, None] * self._held_back(found, inputs)
         return out
 
     def answers_among(
@@ -218,19 +219,19 @@ class Elsewhere:
         if not len(relative):
             return out
         if kinds[SEEN_BADLY] > 0.0:
-            out += kinds[SEEN_BADLY] * _seen_among(
-                self.seen_badly, relative, seen, time_s, place.seen_badly
-            )
+            found, _ = _seen_among(self.seen_badly, relative, seen, time_s, place.seen_badly)
+            out += kinds[SEEN_BADLY] * found
         away = float(kinds[FOREIGN] + kinds[RECORDED])
         if away > 0.0:
-            found = _seen_among(self.foreign, relative, seen, time_s, place.foreign)
+            found, alone = _seen_among(self.foreign, relative, seen, time_s, place.foreign)
             if kinds[RECORDED] > 0.0:
-                aggressive = aggressive_share(found)
-                unlike = log_odds_of(aggressive) + DEVIATIONS_WORTH * _deviation(relative)
+                # What simulated drivers around one would mean does not hold of people.
+                unlike = log_odds_of(aggressive_share(alone))
+                unlike = unlike + DEVIATIONS_WORTH * _deviation(relative)
                 place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
                 beside = 1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people)))
-                style = (kinds[FOREIGN] * aggressive + kinds[RECORDED] * beside) / away
-                found = restyled(found, style, AGGRESSIVE)
+                style = kinds[FOREIGN] * aggressive_share(found) + kinds[RECORDED] * beside
+                found = restyled(found, style / away, AGGRESSIVE)
             out += away * found
         total = out.sum(axis=1, keepdims=True)
         held = self._held_back(out / np.where(total > 0.0, total, 1.0), relative)
@@ -370,11 +371,14 @@ def _seen_among(
     seen: Observation,
     time_s: float,
     drivers: PlaceDrivers,
-) -> FloatArray:
-    """(n, 6) a network's answers; the drivers seen are added to those of the place."""
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 6) a network's answers among the others, and of each driver as if it were alone.
+
+    The drivers seen are added to those of the place.
+    """
     described = network.described(relative)
     drivers.observe(time_s, seen.ids, network.shown(described), seen.seconds)
-    return network.among(described, drivers)
+    return network.among(described, drivers), network.alone(described)
 
 
 def _scenes(lessons: Lessons, seed: int) -> tuple[FloatArray, CodeArray]:

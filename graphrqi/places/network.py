@@ -100,9 +100,8 @@ class PlaceNetwork:
         crowd = np.log(len(place.values)) / LOG_DRIVERS
         return self._answer(described, mean[None], variance[None], crowd)
 
-    def alone(self, features: FloatArray) -> FloatArray:
-        """(n, C) probabilities of drivers with features (n, F), each as if alone at its place."""
-        described = self.described(features)
+    def alone(self, described: list[SingleArray]) -> FloatArray:
+        """(n, C) probabilities of drivers, from `described`, each as if alone at its place."""
         shown = self.shown(described)
         return self._answer(described, shown, np.zeros_like(shown), 0.0)
 

@@ -83,7 +83,7 @@ def styles_right(network, samples):
 def test_the_level_of_a_place_is_told_from_its_drivers(network):
     """One by one nobody could: the offset is twice as large as what classes differ by."""
     unseen = offset_places(40, 2)
-    alone = network.alone(unseen.features.astype(float))
+    alone = network.alone(network.described(unseen.features.astype(float)))
     one_by_one = (alone[:, AGGRESSIVE].sum(axis=1) > 0.5) == AGGRESSIVE[unseen.codes]
     among = styles_right(network, unseen)
     assert among > 0.9
@@ -111,7 +111,8 @@ def test_the_same_seed_trains_the_same_network(network):
 def test_what_is_saved_answers_as_before(network):
     again = PlaceNetwork.restored(network.arrays(), 2, 6)
     features = offset_places(3, 4).features.astype(float)
-    assert np.allclose(again.alone(features), network.alone(features), atol=1e-6)
+    answers = [n.alone(n.described(features)) for n in (again, network)]
+    assert np.allclose(*answers, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,10 @@ _GAP_M = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 14.0, 20.0, 30.0)
 _LEFT_OVER_M = (0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6, 1.2)
 
 
+TURNING_RAD_PER_S: Final = 0.12
+"""Turning faster than this counts as turning: a change of lanes stays below it at town speeds."""
+
+
 class _Moment:
     """What one moment shows of every driver; arrays (n,), NaN where unknown."""
 
@@ -100,7 +104,7 @@ class _Moment:
                 for assumed in ((1.0, 5.0), (2.5, 2.5), (1.5, 3.5))
             )
             self.rear_headway = around.rear_gap / np.maximum(around.rear_speed, 0.1)
-        self.turning = (v > 1.0) & (self.side > 0.12 * v)
+        self.turning = (v > 1.0) & (self.side > TURNING_RAD_PER_S * v)
         self.starting = has_leader & (v < 0.5) & (self.leader_speed > 0.7)
         self.near_pedestrian = ~np.isnan(around.pedestrian_m)
         self.behind = has_leader & (v > 0.7) & (self.middle < 7.0)
