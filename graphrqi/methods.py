@@ -194,7 +194,13 @@ class Model:
         Returns:
             (n, 6) probabilities of the behaviours, and (n,) 0 at home to 1 elsewhere; 0 from a
             model that takes all traffic for the same.
+
+        Raises:
+            InputError: if they are those of another observer.
         """
+        expected = len(self.observer().feature_names)
+        if features.shape[1] != expected:
+            raise InputError(f"features: found {features.shape[1]} columns, expected {expected}")
         if self.elsewhere is None:
             found, foreign = self.classifier.posterior(features), np.zeros(len(features))
         else:

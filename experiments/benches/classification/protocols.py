@@ -101,7 +101,7 @@ def shipped(
     As its stream answers, corrected for the mix of the scene; and each driver by itself.
     """
     model = load_model(OURS)
-    everything = recordings.scored(OURS, windows_s, split=None)
+    everything = recordings.windows_for(model, windows_s)
     rows: list[Row] = []
     for scenario in recordings.dataset.scenarios:
         here = recordings.of(scenario, everything)

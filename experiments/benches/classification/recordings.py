@@ -14,7 +14,7 @@ from experiments.data.disturbances import DISTURBANCES
 from experiments.data.parallel import in_parallel
 from experiments.scoring.models import majority_of
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
-from graphrqi.methods import METHODS, Model, train
+from graphrqi.methods import METHODS, Model, make_observer, train
 from graphrqi.samples import WINDOWS_S, Samples, collect
 from sim.frames import Tracks
 from sim.store.dataset import Dataset, open_dataset
@@ -72,6 +72,7 @@ def disturbed_samples(
     windows_s: Sequence[float],
     every_s: float,
     per_moment: int | None,
+    elsewhere: bool = False,
 ) -> Samples:
     """Samples of one episode; of lives that are scored only the last look at each driver.
 
@@ -84,12 +85,13 @@ def disturbed_samples(
         windows_s: lengths of observation.
         every_s: time between the ends of windows.
         per_moment: how many lengths to draw per driver and moment; None for all.
+        elsewhere: whether to add the features that answer on foreign traffic.
 
     Returns:
         The samples.
     """
     tracks = disturbed.applied(open_dataset(folder).read(entry).tracks, number)
-    observer = METHODS[method].observer("graphrqi")
+    observer = make_observer(method, elsewhere=elsewhere)
     if per_moment is not None:
         return collect(tracks, observer, number, windows_s, every_s, per_moment, number)
     samples = collect(tracks, observer, number, windows_s, every_s, None, number)
@@ -159,6 +161,15 @@ class Recordings:
         return self._gather(
             "validation", method, disturbed, WINDOWS_S, TRAINING_EVERY_S, TRAINING_PER_MOMENT
         )
+
+    def windows_for(self, model: Model, windows_s: Sequence[float]) -> Samples:
+        """Windows of all episodes, with all features that a model answers on."""
+        arguments = [
+            (self.dataset.path, entry, self._number[entry.id], model.method.name, UNDISTURBED,
+             tuple(windows_s), SCORED_EVERY_S, None, model.elsewhere is not None)
+            for entry in self.dataset.episodes(None)
+        ]  # fmt: skip
+        return Samples.join(list(in_parallel(disturbed_samples, arguments, self._jobs)))
 
     def scored(
         self,
