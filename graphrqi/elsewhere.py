@@ -37,7 +37,7 @@ from graphrqi.features.relative.observer import (
     RelativeObserver,
 )
 from graphrqi.places.drivers import PlaceDrivers
-from graphrqi.places.network import PlaceNetwork
+from graphrqi.places.network import PlaceNetwork, SingleArray
 from graphrqi.places.people import beside_others, log_odds_of, restyled
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.samples import Samples
@@ -219,14 +219,14 @@ class Elsewhere:
         if not len(relative):
             return out
         if kinds[SEEN_BADLY] > 0.0:
-            found, _ = _seen_among(self.seen_badly, relative, seen, time_s, place.seen_badly)
+            _, found = _seen_among(self.seen_badly, relative, seen, time_s, place.seen_badly)
             out += kinds[SEEN_BADLY] * found
         away = float(kinds[FOREIGN] + kinds[RECORDED])
         if away > 0.0:
-            found, alone = _seen_among(self.foreign, relative, seen, time_s, place.foreign)
+            described, found = _seen_among(self.foreign, relative, seen, time_s, place.foreign)
             if kinds[RECORDED] > 0.0:
                 # What simulated drivers around one would mean does not hold of people.
-                unlike = log_odds_of(aggressive_share(alone))
+                unlike = log_odds_of(aggressive_share(self.foreign.alone(described)))
                 unlike = unlike + DEVIATIONS_WORTH * _deviation(relative)
                 place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
                 beside = 1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people)))
@@ -371,14 +371,14 @@ def _seen_among(
     seen: Observation,
     time_s: float,
     drivers: PlaceDrivers,
-) -> tuple[FloatArray, FloatArray]:
-    """(n, 6) a network's answers among the others, and of each driver as if it were alone.
+) -> tuple[list[SingleArray], FloatArray]:
+    """A network's descriptions of drivers, and (n, 6) its answers about them among the others.
 
     The drivers seen are added to those of the place.
     """
     described = network.described(relative)
     drivers.observe(time_s, seen.ids, network.shown(described), seen.seconds)
-    return network.among(described, drivers), network.alone(described)
+    return described, network.among(described, drivers)
 
 
 def _scenes(lessons: Lessons, seed: int) -> tuple[FloatArray, CodeArray]:

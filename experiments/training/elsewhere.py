@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ from experiments.data.worlds.sensor import seen_badly
 from experiments.scoring.metrics import score
 from experiments.scoring.models import majority_of
 from experiments.training.recorded_scenes import read_scenes, scenes_of
-from graphrqi.elsewhere import FOREIGN, Elsewhere, KnownPlace, Lessons, train_elsewhere
+from graphrqi.elsewhere import FOREIGN, Elsewhere, Lessons, train_elsewhere
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES
 from graphrqi.methods import make_observer
@@ -118,31 +118,16 @@ def _scores(learned: Elsewhere, life: Samples, majority: int) -> dict[str, Any]:
     """Scores on drivers of worlds that were not trained on, each seen since it appeared."""
     foreign = np.eye(len(PARTS) + 1)[FOREIGN]  # whatever the gate says
     answer = np.zeros((len(life), len(BEHAVIORS)))
-    for rows, place in _places(life, learned):
-        seen = Observation(
-            life.agent[rows], life.seconds[rows], np.zeros((rows.size, 0)), np.zeros((rows.size, 0))
-        )
-        answer[rows] = learned.answers_among(
-            life.features[rows].astype(np.float64),
-            foreign,
-            seen,
-            float(life.time_s[rows[0]]),
-            place,
-        )
+    for episode in np.unique(life.episode):
+        here, place = np.flatnonzero(life.episode == episode), learned.empty_place()
+        for time_s in np.unique(life.time_s[here]):
+            rows = here[life.time_s[here] == time_s]
+            none = np.zeros((rows.size, 0))
+            seen = Observation(life.agent[rows], life.seconds[rows], none, none)
+            features = life.features[rows].astype(np.float64)
+            answer[rows] = learned.answers_among(features, foreign, seen, float(time_s), place)
     found = score(life.codes, answer, life.episode, majority, "test")
     return {name: value.as_dict() for name, value in found.items()}
-
-
-def _places(life: Samples, learned: Elsewhere) -> Iterator[tuple[NDArray[np.int64], KnownPlace]]:
-    """The rows of each moment of each episode, in order, and what is known of the place."""
-    order = np.lexsort((life.agent, life.time_s, life.episode))
-    episode, time_s = life.episode[order], life.time_s[order]
-    begins = np.flatnonzero(np.r_[True, (np.diff(episode) != 0) | (np.diff(time_s) > 0.0)])
-    place = learned.empty_place()
-    for rows in np.split(order, begins[1:]):
-        if life.time_s[rows[0]] == time_s[np.searchsorted(episode, life.episode[rows[0]])]:
-            place = learned.empty_place()
-        yield rows, place
 
 
 def _gathered(
@@ -171,7 +156,7 @@ def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Sample
     if part == SEEN_THROUGH_SENSORS:
         tracks = seen_badly(tracks, rng)
     try:
-        return collect(tracks, make_observer(METHOD), number, LIFE_S, EVERY_S, seed=seed + number)
+        return collect(tracks, make_observer(METHOD), number, LIFE_S, EVERY_S)
     except NoSamplesError:
         return None
 

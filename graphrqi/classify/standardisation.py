@@ -36,10 +36,10 @@ class Standardisation:
     scale: FloatArray
 
     @classmethod
-    def of(cls, features: FloatArray) -> Standardisation:
-        """Of training vectors (n, F)."""
-        spread = features.std(axis=0)
-        return cls(features.mean(axis=0), np.where(spread > 1e-6, spread, 1.0))
+    def of(cls, features: FloatArray | NDArray[np.float32]) -> Standardisation:
+        """Of training vectors (n, F), of single or double precision."""
+        spread = features.std(axis=0, dtype=np.float64)
+        return cls(features.mean(axis=0, dtype=np.float64), np.where(spread > 1e-6, spread, 1.0))
 
     def apply(self, features: FloatArray) -> FloatArray:
         """(n, F) standardised and clipped vectors."""

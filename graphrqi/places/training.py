@@ -88,9 +88,7 @@ class Examples:
             raise InputError("samples: found no labelled driver, expected at least one")
         order = np.lexsort((samples.time_s, samples.agent, samples.episode))
         features = samples.features[order]
-        mean = features.mean(axis=0, dtype=np.float64)
-        spread = features.std(axis=0, dtype=np.float64)
-        self.inputs = Standardisation(mean, np.where(spread > 1e-6, spread, 1.0))
+        self.inputs = Standardisation.of(features)
         features -= self.inputs.mean.astype(np.float32)  # in place: they take gigabytes
         features /= self.inputs.scale.astype(np.float32)
         self.x = torch.from_numpy(np.clip(features, -CLIP, CLIP, out=features))
