@@ -91,24 +91,27 @@ FARTHEST: Final = 0.5
 _SCENE: Final = slice(-1 - len(SCENE_NAMES), -1)
 """Columns of the scene's numbers among the relative features."""
 
-BRISK: Final[dict[str, float]] = {
-    "headway": -1.0, "law's headway": -1.0, "speed over pace": 1.0, "speed over place": 1.0,
-    "speed over neighbours": 1.0, "acceleration": 1.0, "braking": 1.0, "standstill gap": -1.0,
-    "gap while starting": -1.0,
-}  # fmt: skip
-"""Whether aggressive drivers have more or less of what is compared within a scene, by the meaning
-of the behaviours."""
+CLOSE: Final = ("headway", "law's headway", "standstill gap", "gap while starting")
+"""Quantities, compared within a scene, of which aggressive drivers have less by the meaning of the
+behaviours."""
 
-DEVIATIONS_WORTH: Final = 2.0
-"""Log-odds for a mean deviation of one (our choice: the classifier's own log-odds still count for
-more). Among people, what aggressive means in words counts beside what simulated drivers taught."""
+FAST: Final = ("speed over pace", "speed over place", "speed over neighbours")
+"""The same of which they have more. Accelerations and braking are left out: among people, one half
+of a track says nothing about them in the other."""
 
-_COMPARED_AT: Final = [
-    RelativeObserver.feature_names.index(f"{name}, compared:mean") for name in BRISK
-]
-_EVIDENCE_AT: Final = [
-    RelativeObserver.feature_names.index(f"{name}, compared:evidence") for name in BRISK
-]
+CLOSE_WORTH, FAST_WORTH = 1.0, 2.0
+"""Log-odds for a mean deviation of one in either (our choice: the classifier's own log-odds still
+count for more). Among people, what aggressive means in words counts beside what simulated drivers
+taught; simulated drivers taught mostly what being close means."""
+
+_COMPARED_AT: Final[dict[tuple[str, ...], tuple[list[int], ...]]] = {
+    names: tuple(
+        [RelativeObserver.feature_names.index(f"{name}, compared:{part}") for name in names]
+        for part in ("mean", "evidence")
+    )
+    for names in (CLOSE, FAST)
+}
+"""Columns of the means of these quantities, and of how much is known of them."""
 
 _DRIVERS: Final = SCENE_NAMES.index("drivers")
 
@@ -227,7 +230,7 @@ class Elsewhere:
             if kinds[RECORDED] > 0.0:
                 # What simulated drivers around one would mean does not hold of people.
                 unlike = log_odds_of(aggressive_share(self.foreign.alone(described)))
-                unlike = unlike + DEVIATIONS_WORTH * _deviation(relative)
+                unlike = unlike + _brisk(relative)
                 place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
                 beside = 1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people)))
                 style = kinds[FOREIGN] * aggressive_share(found) + kinds[RECORDED] * beside
@@ -404,12 +407,17 @@ def _as_many_early(scenes: FloatArray, count: int, rng: np.random.Generator) -> 
     return np.concatenate(drawn)
 
 
-def _deviation(relative: FloatArray) -> FloatArray:
-    """(n,) how much more aggressive than the scene's mean drivers are, in standard deviations."""
-    known = relative[:, _EVIDENCE_AT] > 0.0
-    return np.asarray(
-        np.where(known, relative[:, _COMPARED_AT] * list(BRISK.values()), 0.0).mean(axis=1)
-    )
+def _brisk(relative: FloatArray) -> FloatArray:
+    """(n,) log-odds for being closer and faster than is usual in the scene."""
+    closeness, speed = _compared(relative, CLOSE), _compared(relative, FAST)
+    return FAST_WORTH * speed - CLOSE_WORTH * closeness
+
+
+def _compared(relative: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """(n,) mean of a driver's known quantities in deviations of the scene; 0 where none is."""
+    mean, evidence = (relative[:, columns] for columns in _COMPARED_AT[names])
+    known = evidence > 0.0
+    return np.asarray(np.where(known, mean, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
 def _scene_of(relative: FloatArray) -> FloatArray:

@@ -34,18 +34,29 @@ def test_drivers_are_forgotten():
     assert place.values.tolist() == [[0.0]]
 
 
-@pytest.mark.parametrize("level", [-2.0, 0.0, 3.0])
-def test_the_level_of_a_place_does_not_matter_beside_others(level):
-    odds = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    beside = beside_others(odds + level, np.full(5, 20.0), place_of(odds + level))
-    np.testing.assert_allclose(beside, beside_others(odds, np.full(5, 20.0), place_of(odds)))
+@pytest.mark.parametrize("level", [-2.0, 3.0])
+def test_the_level_of_a_place_with_many_drivers_hardly_matters(level):
+    odds = np.linspace(-5.0, 5.0, 201)
+    seconds = np.full(odds.size, 20.0)
+    beside = beside_others(odds + level, seconds, place_of(odds + level))
+    np.testing.assert_allclose(beside, beside_others(odds, seconds, place_of(odds)), atol=0.1)
     assert (np.diff(beside) > 0.0).all()
-    assert beside[2] == 0.0
+    assert abs(beside[100]) < 0.1
 
 
-def test_alike_drivers_are_not_told_apart():
-    odds = np.linspace(2.0, 2.1, 11)
-    assert np.abs(beside_others(odds, np.full(11, 20.0), place_of(odds))).max() < 0.3
+def test_the_level_of_few_drivers_is_held_near_what_is_usual():
+    odds = np.array([3.0, 4.0])
+    beside = beside_others(odds, np.full(2, 20.0), place_of(odds))
+    assert (beside > 0.0).all()
+    assert (beside < 1.0).all()
+
+
+@pytest.mark.parametrize("drivers", [3, 11, 100, 400])
+def test_alike_drivers_are_not_told_apart(drivers):
+    odds = np.linspace(3.0, 3.1, drivers)
+    beside = beside_others(odds, np.full(drivers, 20.0), place_of(odds))
+    assert np.ptp(beside) < 0.25
+    assert np.abs(beside).max() < 1.0
 
 
 def offset_places(count, seed, drivers=24):
