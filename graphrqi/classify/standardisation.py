@@ -18,6 +18,10 @@ CLIP: Final = 8.0
 class; drivers do not differ by 8 standard deviations."""
 
 
+AT_ONCE: Final = 16
+"""Features whose deviation is found at once: the squares of all would take gigabytes."""
+
+
 @dataclass(frozen=True, slots=True)
 class Standardisation:
     """Mean and deviation of each feature.
@@ -38,8 +42,12 @@ class Standardisation:
     @classmethod
     def of(cls, features: FloatArray | NDArray[np.float32]) -> Standardisation:
         """Of training vectors (n, F), of single or double precision."""
-        spread = features.std(axis=0, dtype=np.float64)
-        return cls(features.mean(axis=0, dtype=np.float64), np.where(spread > 1e-6, spread, 1.0))
+        mean, spread = np.empty(features.shape[1]), np.empty(features.shape[1])
+        for first in range(0, mean.size, AT_ONCE):
+            columns = slice(first, first + AT_ONCE)
+            mean[columns] = features[:, columns].mean(axis=0, dtype=np.float64)
+            spread[columns] = features[:, columns].std(axis=0, dtype=np.float64)
+        return cls(mean, np.where(spread > 1e-6, spread, 1.0))
 
     def apply(self, features: FloatArray) -> FloatArray:
         """(n, F) standardised and clipped vectors."""
