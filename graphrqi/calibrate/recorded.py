@@ -40,7 +40,9 @@ LONGEST_GAP: Final = 1.6
 
 JUMPS_MPS: Final = 5.0
 """A leader that seems to be so much faster or slower than just before and after has jumped, m/s
-(our choice: who brakes at 10 m/s2 changes by half of it in a quarter of a second)."""
+(our choice: who brakes at 10 m/s2 changes by half of it in a quarter of a second). So has one that
+seems to move so much faster or slower than its own track does: a gap is not known where a map
+begins after the follower."""
 
 DRIVES: Final = (AgentKind.CAR, AgentKind.BUS, AgentKind.TRUCK, AgentKind.MOTORCYCLE)
 """Kinds whose drivers are calibrated."""
@@ -122,7 +124,7 @@ def _stretches(
     good = counts[columns] & (turning < TURNING_RADPS)
     who = np.where(good, leader[columns], -2)
     breaks = (np.diff(who) != 0) | (np.diff(time_s) > LONGEST_GAP * frame_s)
-    breaks |= _jumps(place + gap[columns], frame_s)
+    breaks |= _jumps(place + gap[columns], _moved(tracks, leader[columns], columns), frame_s)
     edges = np.concatenate([[0], np.flatnonzero(breaks) + 1, [columns.size]])
     parts: list[Stretch] = []
     for first, last in pairwise(edges.tolist()):
@@ -133,16 +135,28 @@ def _stretches(
     return parts
 
 
-def _jumps(rear: FloatArray, frame_s: float) -> BoolArray:
+def _moved(tracks: Tracks, leader: IntArray, columns: IntArray) -> FloatArray:
+    """(n - 1,) how far the leader at each moment moves until the next one, m; nan if unknown."""
+    now, then = columns[:-1], columns[1:]
+    who = leader[:-1]
+    seen = (who >= 0) & tracks.valid[who, now] & tracks.valid[who, then]
+    moved = np.linalg.norm(tracks.xy[who, then] - tracks.xy[who, now], axis=1)
+    return np.where(seen, moved, np.nan)
+
+
+def _jumps(rear: FloatArray, moved: FloatArray, frame_s: float) -> BoolArray:
     """(n - 1,) whether a leader jumps between two frames; see `JUMPS_MPS`.
 
     Args:
         rear: (n,) its rear, m; infinite without a leader.
+        moved: (n - 1,) how far its own track moves from each frame to the next, m; nan if unknown.
         frame_s: time between frames, s.
     """
     steps = np.diff(np.where(np.isfinite(rear), rear, 0.0))
     away = np.abs(steps - median_filter(steps, 5, mode="nearest"))
-    return np.asarray(away > JUMPS_MPS * frame_s + 6.0 * noise_of(rear[np.isfinite(rear)]))
+    off = np.where(np.isnan(moved), 0.0, np.abs(np.abs(steps) - moved))
+    most = JUMPS_MPS * frame_s + 6.0 * noise_of(rear[np.isfinite(rear)])
+    return np.asarray(np.maximum(away, off) > most)
 
 
 def _along(time_s: FloatArray, xy: FloatArray, frame_s: float) -> tuple[FloatArray, FloatArray]:
