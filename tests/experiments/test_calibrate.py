@@ -12,7 +12,7 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.populations import NUMBERS, read_population
-from experiments.calibration import SCHEMA, write_calibration
+from experiments.calibration import SCHEMA, write_calibration, write_shipped
 from experiments.scoring.calibration import population_rows
 from graphrqi.calibrate.laws import Law
 from sim.store.lock import FILLING, LOCK
@@ -37,6 +37,17 @@ def recording(path: Path, seconds: float) -> Path:
         x, v = x + 0.05 * (v + faster), faster
     path.write_text("\n".join([*lines, ""]))
     return path
+
+
+def test_the_population_that_ships_can_be_made_again(tmp_path: Path) -> None:
+    """Of the recordings that it was made of; here of others."""
+    source, out = recording(tmp_path / "a.csv", 30.0), tmp_path / "us101.toml"
+    write_shipped(source, out, quiet=True)
+    made = read_population(out)
+    assert (made.name, made.law, made.drivers) == ("us101", "idm", 3)
+    assert made.source.startswith("3 drives on US-101")
+    ships = read_population("us101")
+    assert ships.source == made.source.replace("3 drives", f"{ships.drivers:,} drives")
 
 
 def test_a_recording_is_calibrated_into_a_folder(tmp_path: Path) -> None:
