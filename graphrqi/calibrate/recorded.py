@@ -6,6 +6,7 @@ nearer than the leader, and lanes without a leader unless the road ahead is know
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -73,18 +74,25 @@ def recorded_drivers(tracks: Tracks, road: Road | None = None) -> list[RecordedD
     Returns:
         In the order of ids.
     """
+    made = ((i, make_drive(parts)) for i, parts in recorded_stretches(tracks, road))
+    return [
+        RecordedDriver(int(tracks.ids[i]), tracks.names[i], drive)
+        for i, drive in made
+        if drive is not None
+    ]
+
+
+def recorded_stretches(
+    tracks: Tracks, road: Road | None = None
+) -> Iterator[tuple[int, list[Stretch]]]:
+    """Row in the recording and stretches of every driver; arguments as `recorded_drivers`."""
     if tracks.time_s.size < 4:
-        return []
+        return
     leader, gap, counts = _leaders(tracks, road)
     wanted = {KINDS.index(kind) for kind in DRIVES}
-    found: list[RecordedDriver] = []
     for i in range(tracks.ids.size):
-        if int(tracks.kind[i]) not in wanted:
-            continue
-        drive = make_drive(_stretches(tracks, i, leader[i], gap[i], counts[i]))
-        if drive is not None:
-            found.append(RecordedDriver(int(tracks.ids[i]), tracks.names[i], drive))
-    return found
+        if int(tracks.kind[i]) in wanted:
+            yield i, _stretches(tracks, i, leader[i], gap[i], counts[i])
 
 
 def _leaders(tracks: Tracks, road: Road | None) -> tuple[IntArray, FloatArray, BoolArray]:
