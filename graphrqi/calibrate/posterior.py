@@ -84,11 +84,12 @@ BETWEEN: Final = 0.5
 EXACT_M: Final = 1.5 * LEAST_NOISE_M
 """Places whose errors seem no larger are exact, m (our choice)."""
 
-LOOKED_AT, MOST_TOLD, FAR_LIKELIER = 96, 6.0, 3.0
-"""So many drivers are asked how they move on; each says by how much the logarithm of its likelihood
-differs, at most, as draws may get lost; and all of them must differ by so much times the root of
-their number (our choice: chance moves the sum by about five times that root, and drivers who move
-on by the mean lie as much below zero)."""
+LOOKED_FIRST, LOOKED_AT, MOST_TOLD, FAR_LIKELIER = 24, 96, 6.0, 3.0
+"""So many drivers are asked how they move on, and then so many in all, unless the first ones are
+likelier to move by the mean; each says by how much the logarithm of its likelihood differs, at
+most, as draws may get lost; and all of them must differ by so much times the root of their number
+(our choice: chance moves the sum by about five times that root, and drivers who move on by the mean
+lie as much below zero)."""
 
 STEP: Final = 0.3
 """Step of the differences by which slopes and curvature are found, in a driver's spreads (our
@@ -258,17 +259,22 @@ def moving_on(law: Law, drives: Sequence[Drive]) -> float:
     some = [exact[i] for i in np.random.default_rng(1).permutation(len(exact))[:LOOKED_AT]]
     if not some:
         return BETWEEN
-    best = {}
-    for newer in (BETWEEN, 0.0, 1.0):
-        drawn, _ = _draw_all(law, some, mean, covariance, None, 1.0, newer, _nothing)
-        told = [
-            log_likelihood(law, logs, one, newer) for logs, one in zip(drawn, some, strict=True)
-        ]
-        best[newer] = np.max(told, axis=1)
-    more = {
-        newer: float((found - best[BETWEEN]).clip(-MOST_TOLD, MOST_TOLD).sum())
-        for newer, found in best.items()
-    }
+    more = dict.fromkeys((0.0, 1.0), 0.0)
+    for part in (some[:LOOKED_FIRST], some[LOOKED_FIRST:]):
+        if not part:
+            break
+        best = {}
+        for newer in (BETWEEN, *more):
+            drawn, _ = _draw_all(law, part, mean, covariance, None, 1.0, newer, _nothing)
+            told = [
+                log_likelihood(law, logs, one, newer) for logs, one in zip(drawn, part, strict=True)
+            ]
+            best[newer] = np.max(told, axis=1)
+        for newer in more:
+            by = (best[newer] - best[BETWEEN]).clip(-MOST_TOLD, MOST_TOLD)
+            more[newer] += float(by.sum())
+        if max(more.values()) < 0.0:
+            return BETWEEN
     newer = max(more, key=lambda one: more[one])
     return newer if more[newer] > FAR_LIKELIER * len(some) ** 0.5 else BETWEEN
 
