@@ -2,12 +2,15 @@
 
 Writes a folder with ``drivers.parquet`` (a row for each driver, law and number), one
 ``population_LAW.toml`` for each law and ``population.toml`` for the law that fits better,
-``calibration.json`` and ``report.html``.
+``calibration.json`` and ``report.html``. ``python -m experiments.calibration FOLDER`` (or ``make
+population``) makes the population that ships again.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +19,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
-from behaviors.populations import NUMBERS, read_population
+from behaviors.populations import NUMBERS, POPULATIONS, read_population
+from experiments.console.exit_codes import exit_on_user_error
+from experiments.console.notices import show_notices
 from experiments.report.calibration import calibration_page
 from experiments.scoring.calibration import (
     Calibrated,
@@ -116,6 +121,32 @@ def write_calibration(
     return calibrated
 
 
+SHIPPED: Final = "us101"
+SHIPPED_SOURCE: Final = (
+    "{drivers:,} drives on US-101 at Los Angeles (NGSIM, US Department of Transportation, 2005), "
+    "by graphrqi calibrate"
+)
+"""The population of recorded drivers that ships, and what it says of where it comes from."""
+
+
+def write_shipped(source: Path, out: Path = POPULATIONS[SHIPPED], quiet: bool = False) -> None:
+    """Make the population that ships again.
+
+    Args:
+        source: the 55 scenes of US-101 that CommonRoad made of NGSIM's recordings, a folder.
+        out: file of the population, which is written anew.
+        quiet: whether to show no progress.
+
+    Raises:
+        InputError: if there is nothing to calibrate.
+        OSError: if the file cannot be written.
+    """
+    calibrated = calibrate_recordings(source, quiet=quiet)
+    found = calibrated.population(Law.IDM)
+    told = SHIPPED_SOURCE.format(drivers=found.drivers)
+    write_whole(out, dataclasses.replace(found, name=SHIPPED, source=told).to_toml().encode())
+
+
 def _calibrated_before(source: Path, out: Path) -> bool:
     """Whether a folder holds a whole calibration of something of this name."""
     if (out / LOCK).exists() or not all((out / name).is_file() for name in FILES):
@@ -155,3 +186,9 @@ def _card(calibrated: Calibrated) -> dict[str, Any]:
         },
         "profiles": quantile_rows([calibrated.population(law) for law in Law]),
     }
+
+
+if __name__ == "__main__":
+    show_notices()
+    with exit_on_user_error():
+        write_shipped(Path(sys.argv[1]))

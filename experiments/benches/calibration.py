@@ -17,6 +17,12 @@ divided by those of one pooled driver (fitted to the same first halves), and by 
 from the literature; beside it stands the same with numbers of another driver (``permuted``), and
 that of the pooled driver if it, too, carries on what each driver lately did beside its law
 (``pooled, carried on``). Intervals are over drivers.
+
+``behind``: drivers of known numbers are simulated behind each of the recorded leaders, whose motion
+is smoothed for it, and shaken by what smoothing takes from the recorded places, which is most of
+what recordings tremble by. ``told`` and ``true`` are the population's medians of each number,
+``told_spread`` and ``true_spread`` its log-spreads, once for drivers who accelerate as `MEDIAN`
+does and once for such who do it half as hard and keep a shorter headway (``noise``: ``close``).
 """
 
 from __future__ import annotations
@@ -49,7 +55,7 @@ from graphrqi.calibrate.driving_on import (
 )
 from graphrqi.calibrate.laws import Law
 from graphrqi.calibrate.posterior import Calibration, calibrate, drawn_again
-from graphrqi.calibrate.recorded import recorded_drivers
+from graphrqi.calibrate.recorded import recorded_stretches
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -65,6 +71,13 @@ NOISE_MPS2, CORRELATION_S, NOISE_M = 0.19, 1.3, 0.1
 """Noise of every second driver: on its acceleration (Zhang and Sun 2024), and on places."""
 
 STEP_S: Final = 0.1
+
+SMOOTHED_HALF_S: Final = 1.6
+"""Half the stretch over which recorded motion is smoothed for ``behind``, s (our choice: errors of
+recordings that tremble last for up to a second or two)."""
+
+CLOSE: Final = {"time_headway_s": 0.6, "max_accel_mps2": 0.5}
+"""Factors of those who follow closely, as on a congested motorway."""
 
 WITHIN: Final = 0.05
 """A posterior is the population's if its spread differs by no more than this share, and its mean by
@@ -109,12 +122,14 @@ def measure(settings: Settings) -> Iterator[Sequence[Row]]:
             yield list(simulated_rows(law, settings))
             yield list(alone_rows(law, settings))
     if settings.data is not None:
-        found: dict[str, list[Drive]] = {}
+        found: dict[str, list[list[Stretch]]] = {}
         for place in read_sources([settings.data]):
-            here = recorded_drivers(place.tracks, place.road)
-            found.setdefault(place.dataset, []).extend(driver.drive for driver in here)
-        for name, drives in found.items():
+            here = recorded_stretches(place.tracks, place.road)
+            found.setdefault(place.dataset, []).extend(parts for _, parts in here)
+        for name, drivers in found.items():
+            drives = [drive for parts in drivers if (drive := make_drive(parts)) is not None]
             yield list(recorded_rows(name, drives, settings.seed))
+            yield list(behind_rows(name, drivers, settings.seed))
 
 
 def simulated_rows(law: Law, settings: Settings) -> Iterator[Row]:
@@ -301,6 +316,67 @@ def recorded_rows(name: str, drives: Sequence[Drive], seed: int) -> Iterator[Row
             named = {**keys, "law": str(law), "numbers": label}
             yield from _ratio_rows(named, errors, pooled, usual)
             yield tidy_row(named, "collisions", float(sum(touched)), None, None, len(touched))
+
+
+def behind_rows(name: str, drivers: Sequence[Sequence[Stretch]], seed: int) -> Iterator[Row]:
+    """What is told of known drivers behind a dataset's leaders; see the module."""
+    for label, factors in (("", {}), ("close", CLOSE)):
+        rng = np.random.default_rng((seed, len(label)))
+        median = MEDIAN + np.log([factors.get(number, 1.0) for number in NUMBERS])
+        drives = []
+        for parts in drivers:
+            numbers = np.exp(median + SPREAD * rng.standard_normal(len(NUMBERS)))
+            drive = make_drive(
+                [_driven_behind(part, numbers, rng) for part in parts if part.time_s.size > 3]
+            )
+            if drive is not None and np.isfinite(drive.rows[3]).any():
+                drives.append(drive)
+        if len(drives) < 2:
+            return
+        fitted = calibrate(Law.IDM, drives)
+        for k, number in enumerate(NUMBERS):
+            keys = {
+                "part": "behind", "dataset": name, "law": str(Law.IDM), "number": number,
+                "noise": label, "numbers": "",
+            }  # fmt: skip
+            for metric, value in (
+                ("told", float(np.exp(fitted.mean[k]))),
+                ("true", float(np.exp(median[k]))),
+                ("told_spread", float(fitted.spread[k])),
+                ("true_spread", float(SPREAD[k])),
+            ):
+                yield tidy_row(keys, metric, value, None, None, len(drives))
+
+
+def _driven_behind(part: Stretch, numbers: FloatArray, rng: np.random.Generator) -> Stretch:
+    """An IDM driver behind a smoothed leader, shaken as the recorded one; see ``behind``."""
+    from graphrqi.calibrate.kernels import local_parabolas
+
+    own, lead = np.empty((4, part.time_s.size)), np.empty((4, part.time_s.size))
+    local_parabolas(part.time_s, part.place, part.time_s, SMOOTHED_HALF_S, own)
+    lead[0], lead[1] = np.inf, 0.0
+    if np.isfinite(part.leader).all():
+        local_parabolas(part.time_s, part.leader, part.time_s, SMOOTHED_HALF_S, lead)
+    v0, headway, s0, a, b = numbers
+    x, v = own[0, 0], max(own[1, 0], 0.0)
+    frame_s = float(np.median(np.diff(part.time_s)))
+    fine = max(1, round(frame_s / STEP_S))
+    h = frame_s / fine
+    kept = np.exp(-h / CORRELATION_S)
+    residual = NOISE_MPS2 * rng.standard_normal()
+    place = np.empty(part.time_s.size)
+    for i in range(place.size):
+        place[i] = x
+        for j in range(fine):
+            u = max(lead[1, i], 0.0)
+            wish = s0 + max(0.0, v * headway + v * (v - u) / (2.0 * np.sqrt(a * b)))
+            gap = max(lead[0, i] + u * j * h - x, 0.1)
+            accel = max(a * (1.0 - (v / v0) ** 4 - (wish / gap) ** 2), -9.0) + residual
+            pushed = NOISE_MPS2 * np.sqrt(1.0 - kept**2) * rng.standard_normal()
+            residual = kept * residual + pushed
+            faster = max(v + h * accel, 0.0)
+            x, v = x + 0.5 * h * (v + faster), faster
+    return Stretch(part.time_s, place + part.place - own[0], part.leader)
 
 
 def _ratio_rows(

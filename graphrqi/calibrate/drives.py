@@ -32,12 +32,21 @@ from `FULL_NOISE_M` on; in between it goes with the root of the noise."""
 FULL_NOISE_M: Final = 0.1
 """Noise from which the longest stretch is smoothed, m."""
 
-LASTS_S: Final = 0.2
-"""Time for which errors last that `trembling_of` finds, s (NGSIM's do)."""
+LASTS_S: Final = (0.2, 0.4, 0.8)
+"""Times for which errors last that `trembling_of` finds, s (NGSIM's do: on US-101, speeds are level
+for a second or two, and then change in steps)."""
 
 BEYOND: Final = 1.5
 """So many times as large as independent errors they have to be (our choice: estimates of the same
 errors differ by a tenth)."""
+
+ROUGHEST_MPS2: Final = 0.57
+"""They have to look like residual accelerations of this size, m/s2, as drivers have smaller ones:
+three times the .19 of highD (our choice: I-80's tracks look like .2, US-101's like 1.3 to 1.8)."""
+
+THIRD_PER_ACCEL: Final = 0.14
+"""What `noise_of_lag` makes of an acceleration of 1 m/s2 that is autocorrelated, over the square of
+the time, m (found: .12 to .17 where it lasts for .3 to 1.3 s)."""
 
 LEAST_NOISE_M: Final = 0.01
 """Places count as no more exact, m (our choice: what cameras resolve at best). More exact ones get
@@ -118,24 +127,31 @@ def noise_of_lag(values: FloatArray, lag: int) -> float:
 
 
 def trembling_of(values: FloatArray, frame_s: float) -> float:
-    """Standard deviation of errors that last for `LASTS_S`, from third differences over that time.
+    """Standard deviation of errors that last for `LASTS_S`, by third differences over these times.
 
     Those of a smooth motion are eight times as large over twice the time, those of errors are not.
-    Where independent errors account for it, it is 0; see `noise_of`.
+    Where independent errors (see `noise_of`) or what drivers do beside any law account for it, it
+    is 0.
 
     Examples:
         >>> t, rng = np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)
         >>> smooth = 30.0 * np.sin(0.3 * t)
         >>> slow = np.interp(t, t[::2], rng.normal(0, 0.02, 200))
-        >>> [round(trembling_of(one, 0.1), 3) for one in (smooth, smooth + slow)]
-        [0.0, 0.01]
+        >>> slower = np.interp(t, t[::8], rng.normal(0, 0.1, 50))
+        >>> tracks = (smooth, smooth + slow, smooth + slower)
+        >>> [round(trembling_of(one, 0.1), 3) for one in tracks]
+        [0.0, 0.015, 0.071]
     """
-    lag = max(1, round(LASTS_S / frame_s))
-    if values.size < 8 * lag:
-        return 0.0
-    once, twice = (noise_of_lag(values, every) for every in (lag, 2 * lag))
-    found = float(np.sqrt(max(once**2 - (twice / 8.0) ** 2, 0.0) / (1.0 - 8.0**-2)))
-    return found if found > BEYOND * noise_of(values) else 0.0
+    least_m, most_m = BEYOND * noise_of(values), 0.0
+    for lag in sorted({max(1, round(lasts_s / frame_s)) for lasts_s in LASTS_S}):
+        if values.size < 7 * lag:
+            break
+        once, twice = (noise_of_lag(values, every) for every in (lag, 2 * lag))
+        found = float(np.sqrt(max(once**2 - (twice / 8.0) ** 2, 0.0) / (1.0 - 8.0**-2)))
+        people_m = THIRD_PER_ACCEL * ROUGHEST_MPS2 * (lag * frame_s) ** 2
+        if found > max(least_m, people_m):
+            most_m = max(most_m, found)
+    return most_m
 
 
 def smoothed_half_s(noise_m: float, frame_s: float) -> float:

@@ -6,6 +6,7 @@ nearer than the leader, and lanes without a leader unless the road ahead is know
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -40,7 +41,9 @@ LONGEST_GAP: Final = 1.6
 
 JUMPS_MPS: Final = 5.0
 """A leader that seems to be so much faster or slower than just before and after has jumped, m/s
-(our choice: who brakes at 10 m/s2 changes by half of it in a quarter of a second)."""
+(our choice: who brakes at 10 m/s2 changes by half of it in a quarter of a second). So has one that
+seems to move so much faster or slower than its own track does: a gap is not known where a map
+begins after the follower."""
 
 DRIVES: Final = (AgentKind.CAR, AgentKind.BUS, AgentKind.TRUCK, AgentKind.MOTORCYCLE)
 """Kinds whose drivers are calibrated."""
@@ -71,18 +74,25 @@ def recorded_drivers(tracks: Tracks, road: Road | None = None) -> list[RecordedD
     Returns:
         In the order of ids.
     """
+    made = ((i, make_drive(parts)) for i, parts in recorded_stretches(tracks, road))
+    return [
+        RecordedDriver(int(tracks.ids[i]), tracks.names[i], drive)
+        for i, drive in made
+        if drive is not None
+    ]
+
+
+def recorded_stretches(
+    tracks: Tracks, road: Road | None = None
+) -> Iterator[tuple[int, list[Stretch]]]:
+    """Row in the recording and stretches of every driver; arguments as `recorded_drivers`."""
     if tracks.time_s.size < 4:
-        return []
+        return
     leader, gap, counts = _leaders(tracks, road)
     wanted = {KINDS.index(kind) for kind in DRIVES}
-    found: list[RecordedDriver] = []
     for i in range(tracks.ids.size):
-        if int(tracks.kind[i]) not in wanted:
-            continue
-        drive = make_drive(_stretches(tracks, i, leader[i], gap[i], counts[i]))
-        if drive is not None:
-            found.append(RecordedDriver(int(tracks.ids[i]), tracks.names[i], drive))
-    return found
+        if int(tracks.kind[i]) in wanted:
+            yield i, _stretches(tracks, i, leader[i], gap[i], counts[i])
 
 
 def _leaders(tracks: Tracks, road: Road | None) -> tuple[IntArray, FloatArray, BoolArray]:
@@ -122,7 +132,7 @@ def _stretches(
     good = counts[columns] & (turning < TURNING_RADPS)
     who = np.where(good, leader[columns], -2)
     breaks = (np.diff(who) != 0) | (np.diff(time_s) > LONGEST_GAP * frame_s)
-    breaks |= _jumps(place + gap[columns], frame_s)
+    breaks |= _jumps(place + gap[columns], _moved(tracks, leader[columns], columns), frame_s)
     edges = np.concatenate([[0], np.flatnonzero(breaks) + 1, [columns.size]])
     parts: list[Stretch] = []
     for first, last in pairwise(edges.tolist()):
@@ -133,16 +143,28 @@ def _stretches(
     return parts
 
 
-def _jumps(rear: FloatArray, frame_s: float) -> BoolArray:
+def _moved(tracks: Tracks, leader: IntArray, columns: IntArray) -> FloatArray:
+    """(n - 1,) how far the leader at each moment moves until the next one, m; nan if unknown."""
+    now, then = columns[:-1], columns[1:]
+    who = leader[:-1]
+    seen = (who >= 0) & tracks.valid[who, now] & tracks.valid[who, then]
+    moved = np.linalg.norm(tracks.xy[who, then] - tracks.xy[who, now], axis=1)
+    return np.where(seen, moved, np.nan)
+
+
+def _jumps(rear: FloatArray, moved: FloatArray, frame_s: float) -> BoolArray:
     """(n - 1,) whether a leader jumps between two frames; see `JUMPS_MPS`.
 
     Args:
         rear: (n,) its rear, m; infinite without a leader.
+        moved: (n - 1,) how far its own track moves from each frame to the next, m; nan if unknown.
         frame_s: time between frames, s.
     """
     steps = np.diff(np.where(np.isfinite(rear), rear, 0.0))
     away = np.abs(steps - median_filter(steps, 5, mode="nearest"))
-    return np.asarray(away > JUMPS_MPS * frame_s + 6.0 * noise_of(rear[np.isfinite(rear)]))
+    off = np.where(np.isnan(moved), 0.0, np.abs(np.abs(steps) - moved))
+    most = JUMPS_MPS * frame_s + 6.0 * noise_of(rear[np.isfinite(rear)])
+    return np.asarray(np.maximum(away, off) > most)
 
 
 def _along(time_s: FloatArray, xy: FloatArray, frame_s: float) -> tuple[FloatArray, FloatArray]:

@@ -32,6 +32,7 @@ from graphrqi.calibrate.laws import FIELDS, Law, prior
 from graphrqi.calibrate.posterior import calibrate, moving_on
 from graphrqi.calibrate.recorded import recorded_drivers
 from graphrqi.calibrate.sampling import sample
+from scenarios import get_scenario
 from sim.frames import KINDS, AgentKind, Tracks
 
 
@@ -357,3 +358,59 @@ def test_everybody_is_heard_of_the_population() -> None:
     told = calibrate(Law.IDM, drives)
     few = calibrate(Law.IDM, [drives[i] for i in np.random.default_rng(0).permutation(6)[:2]])
     assert abs(some.mean[1] - told.mean[1]) < abs(few.mean[1] - told.mean[1])
+
+
+def test_where_a_map_begins_after_the_follower_nothing_is_told_of_its_gap() -> None:
+    """It is at the lane's beginning all the while, so that its leader seems twice as fast."""
+    road = get_scenario("straight_road")().road
+    first = min((lane for lane in road.lanes if lane.cars), key=lambda one: one.centerline[0, 0])
+    begins, y = first.centerline[0]
+    time_s = np.linspace(0.0, 11.9, 120)
+    x = begins - 3.0 + 12.0 * time_s + np.array([[0.0], [25.0]])
+    tracks = Tracks(
+        ids=np.arange(2), names=("a", "b"), kind=np.full(2, KINDS.index(AgentKind.CAR)),
+        length=np.full(2, 4.5), width=np.full(2, 1.8), time_s=time_s,
+        xy=np.stack([x, np.full((2, 120), y)], axis=2), heading=np.zeros((2, 120)),
+        speed=np.full((2, 120), 12.0), valid=np.ones((2, 120), dtype=bool),
+        signals=np.zeros((0, 120), dtype=np.int8),
+    )  # fmt: skip
+    driver = next(one for one in recorded_drivers(tracks, road) if one.name == "a")
+    np.testing.assert_allclose(driver.drive.rows[4], 12.0, atol=0.05)
+
+
+def test_level_speeds_that_change_in_steps_are_no_accelerations() -> None:
+    """Tracks that were cut into level speeds (as US-101's are) leave the population's as it is."""
+    rng = np.random.default_rng(13)
+    truth = np.exp(np.log([21.0, 1.3, 2.5, 1.5, 2.0]) + 0.3 * rng.standard_normal((40, 5)))
+    drives = []
+    for i, numbers in enumerate(truth):
+        smooth = _idm_drive(numbers, 900 + i)
+        time_s = smooth.step_s * np.arange(smooth.rows.shape[1])
+        watched = smooth.rows[1] > 0.0
+        place = np.interp(time_s, time_s[watched], smooth.rows[0, watched])
+        edges = np.unique([0, *np.cumsum(rng.integers(8, 16, 60)), time_s.size - 1])
+        edges = edges[edges < time_s.size]
+        level = np.interp(time_s, time_s[edges], place[edges] + rng.normal(0.0, 0.1, edges.size))
+        drive = make_drive([Stretch(time_s, level, smooth.rows[3])])
+        assert drive is not None
+        drives.append(drive)
+    fitted = calibrate(Law.IDM, drives)
+    np.testing.assert_allclose(np.exp(fitted.mean[1:4]), [1.3, 2.5, 1.5], rtol=0.25)
+
+
+@pytest.mark.parametrize("changes", [False, True], ids=["one mind", "many minds"])
+def test_short_drives_count_by_what_their_parts_say(changes: bool) -> None:
+    """Drives of 8 s are too short for parts of 10 s."""
+    rng = np.random.default_rng(14)
+    drives = []
+    for i in range(40):
+        numbers = np.exp(np.log([21.0, 1.3, 2.5, 1.5, 2.0]) + 0.2 * rng.standard_normal(5))
+        whole = _idm_drive(numbers, 1000 + i, noise_m=0.05, stops=False)
+        begin = 100 * (i % 5)
+        drive = whole.part(begin, begin + 81)
+        if changes:  # comes nearer and falls back by 4 m, whatever the leader does
+            time_s = drive.step_s * np.arange(81)
+            drive.rows[0] += 4.0 * np.sin(1.6 * time_s + i)
+        drives.append(drive)
+    counts = calibrate(Law.IDM, drives).counts
+    assert counts < 0.5 if changes else counts == 1.0
