@@ -38,7 +38,7 @@ from graphrqi.features.relative.observer import (
 )
 from graphrqi.places.drivers import PlaceDrivers
 from graphrqi.places.network import PlaceNetwork, SingleArray
-from graphrqi.places.people import beside_others, log_odds_of, restyled
+from graphrqi.places.people import beside_others, level_shown, log_odds_of, restyled
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.samples import Samples
 
@@ -228,9 +228,11 @@ class Elsewhere:
         if away > 0.0:
             described, found = _seen_among(self.foreign, relative, seen, time_s, place.foreign)
             if kinds[RECORDED] > 0.0:
-                # What simulated drivers around one would mean does not hold of people.
-                unlike = log_odds_of(aggressive_share(self.foreign.alone(described)))
-                unlike = unlike + _brisk(relative)
+                # What simulated drivers around one would mean holds of people by half at most.
+                alone = self.foreign.alone(described)
+                odds = [log_odds_of(aggressive_share(each)) for each in (alone, found)]
+                unlike = 0.5 * (odds[0] + odds[1])
+                unlike = unlike + level_shown(len(place.foreign.values)) * _brisk(relative)
                 place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
                 beside = 1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people)))
                 style = kinds[FOREIGN] * aggressive_share(found) + kinds[RECORDED] * beside

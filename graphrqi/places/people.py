@@ -58,7 +58,7 @@ def beside_others(log_odds: FloatArray, seconds: FloatArray, place: PlaceDrivers
     order = np.argsort(known, kind="stable")
     odds, weight = known[order], place.weights[order]
     share = np.cumsum(weight) / weight.sum()
-    shown = odds.size / (odds.size + HALF_CONFIDENCE_DRIVERS)
+    shown = level_shown(odds.size)
     median = odds[min(int(np.searchsorted(share, 0.5)), odds.size - 1)] * shown
     off, total = odds - median, weight.sum()
     above, below = (2.0 * (weight @ np.maximum(s * off, 0.0)) / total for s in (1.0, -1.0))
@@ -67,6 +67,16 @@ def beside_others(log_odds: FloatArray, seconds: FloatArray, place: PlaceDrivers
     scale = np.maximum(scale, LEAST_DEVIATION)
     worth = MOST_CONFIDENCE * shown * seconds / (seconds + HALF_CONFIDENCE_S)
     return np.asarray(worth * np.tanh(CONFIDENCE / MOST_CONFIDENCE * far / scale))
+
+
+def level_shown(drivers: int) -> float:
+    """How far a number of drivers shows what is usual at their place, from 0 to 1.
+
+    Examples:
+        >>> level_shown(5)
+        0.5
+    """
+    return drivers / (drivers + HALF_CONFIDENCE_DRIVERS)
 
 
 def log_odds_of(probability: FloatArray) -> FloatArray:
