@@ -231,8 +231,8 @@ class Elsewhere:
                 # What simulated drivers around one would mean holds of people by half at most.
                 alone = self.foreign.alone(described)
                 odds = [log_odds_of(aggressive_share(each)) for each in (alone, found)]
-                unlike = 0.5 * (odds[0] + odds[1])
-                unlike = unlike + level_shown(len(place.foreign.values)) * _brisk(relative)
+                level = level_shown(len(place.foreign.values))
+                unlike = odds[0] + level * (0.5 * (odds[1] - odds[0]) + _brisk(relative))
                 place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
                 beside = 1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people)))
                 style = kinds[FOREIGN] * aggressive_share(found) + kinds[RECORDED] * beside
