@@ -261,8 +261,7 @@ def _simulated_drive(
         gap, u = max(behind[i] - x, 0.1), leading[i]
         residual = kept * residual + pushed[i]
         if law is Law.IDM:
-            wish = s0 + max(0.0, v * headway + v * (v - u) / (2.0 * np.sqrt(a * b)))
-            following = max(a * (1.0 - (v / v0) ** 4 - (wish / gap) ** 2), -9.0)
+            following = _idm_accel(numbers, v, u, gap)
         else:
             safe = (
                 np.sqrt(max(0.0, (b * headway) ** 2 + u * u + 2.0 * b * (gap - s0))) - b * headway
@@ -276,6 +275,13 @@ def _simulated_drive(
     drive = make_drive([Stretch(time_s, place + errors[0], behind + errors[1])])
     assert drive is not None
     return drive
+
+
+def _idm_accel(numbers: FloatArray, v: float, u: float, gap: float) -> float:
+    """Acceleration of IDM's driver at speed ``v`` behind a leader at speed ``u``, m/s2."""
+    v0, headway, s0, a, b = numbers
+    wish = s0 + max(0.0, v * headway + v * (v - u) / (2.0 * np.sqrt(a * b)))
+    return float(max(a * (1.0 - (v / v0) ** 4 - (wish / gap) ** 2), -9.0))
 
 
 def recorded_rows(name: str, drives: Sequence[Drive], seed: int) -> Iterator[Row]:
@@ -357,7 +363,6 @@ def _driven_behind(part: Stretch, numbers: FloatArray, rng: np.random.Generator)
     lead[0], lead[1] = np.inf, 0.0
     if np.isfinite(part.leader).all():
         local_parabolas(part.time_s, part.leader, part.time_s, SMOOTHED_HALF_S, lead)
-    v0, headway, s0, a, b = numbers
     x, v = own[0, 0], max(own[1, 0], 0.0)
     frame_s = float(np.median(np.diff(part.time_s)))
     fine = max(1, round(frame_s / STEP_S))
@@ -369,9 +374,8 @@ def _driven_behind(part: Stretch, numbers: FloatArray, rng: np.random.Generator)
         place[i] = x
         for j in range(fine):
             u = max(lead[1, i], 0.0)
-            wish = s0 + max(0.0, v * headway + v * (v - u) / (2.0 * np.sqrt(a * b)))
             gap = max(lead[0, i] + u * j * h - x, 0.1)
-            accel = max(a * (1.0 - (v / v0) ** 4 - (wish / gap) ** 2), -9.0) + residual
+            accel = _idm_accel(numbers, v, u, gap) + residual
             pushed = NOISE_MPS2 * np.sqrt(1.0 - kept**2) * rng.standard_normal()
             residual = kept * residual + pushed
             faster = max(v + h * accel, 0.0)

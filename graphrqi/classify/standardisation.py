@@ -17,7 +17,6 @@ CLIP: Final = 8.0
 """Standardised features are clipped here, so that a single wrong position does not decide the
 class; drivers do not differ by 8 standard deviations."""
 
-
 AT_ONCE: Final = 16
 """Features whose deviation is found at once: the squares of all would take gigabytes."""
 
