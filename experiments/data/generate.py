@@ -12,6 +12,7 @@ into shards (`sim.store.sealing`). Several commands can share the work, each mak
 from __future__ import annotations
 
 import itertools
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -325,6 +326,9 @@ def generate_shards(
         run = Generation(config, out, folder, jobs, cluster, quiet)
         there = whole_shards(place, listed_files(place))
         sealed = run.run(shares(config, None), wanted, there)
+        if run.failed and not sealed and not is_dataset(place.path):
+            remove_unused(folder)
+            raise run.failure(wanted)
         if run.failed and whole_or_not:
             raise run.failure(wanted)
         complete(run, sealed)
@@ -338,6 +342,12 @@ def complete(run: Generation, sealed: Sequence[Shard], sealer: Sealer | None = N
     """Write the catalogue of a dataset whose blocks are all sealed."""
     (sealer or run.sealer).complete(configuration_of(run.config), sealed)
     run.sealer.place.remove(PLAN)
+
+
+def remove_unused(folder: Path) -> None:
+    """Remove what was kept for episodes of which none could be made."""
+    for name in ("episodes", "roads"):
+        shutil.rmtree(folder / name, ignore_errors=True)
 
 
 def clear_partial(folder: Path) -> None:

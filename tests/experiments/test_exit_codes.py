@@ -45,10 +45,15 @@ def _imported(stop: signal.Signals) -> None:
 def test_what_a_signal_broke_is_a_stop(
     stop: signal.Signals, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = signal.getsignal(stop)
-    with pytest.raises(SystemExit) as ended, exit_on_user_error():
-        _imported(stop)
-    assert signal.getsignal(stop) is before
+    found = signal.getsignal(stop)
+    before = signal.default_int_handler if stop == signal.SIGINT else signal.SIG_DFL
+    signal.signal(stop, before)  # the suite itself may have been started to ignore it
+    try:
+        with pytest.raises(SystemExit) as ended, exit_on_user_error():
+            _imported(stop)
+        assert signal.getsignal(stop) is before
+    finally:
+        signal.signal(stop, found)
     assert ended.value.code == 128 + stop
     assert capsys.readouterr().err.count("\n") == 1
 

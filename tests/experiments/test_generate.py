@@ -258,6 +258,23 @@ def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
     assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 1, 2, 3]
 
 
+def _kept_in_vain(folder: Path, task: Task) -> EpisodeEntry:
+    make_episode(folder, task)
+    shutil.rmtree(folder / "episodes")
+    raise InputError("engine: fell over")
+
+
+def test_where_no_episode_can_be_made_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    monkeypatch.setattr(experiments.data.generate, "make_episode", _kept_in_vain)
+    with pytest.raises(InputError, match=r"2 of 2 episodes could not be made: .* fell over"):
+        generate(CONFIG, tmp_path / "data", jobs=1, quiet=True)
+    cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_episode_given_to_workers_of_whom_one_has_died_is_tried_again(tmp_path: Path) -> None:
     def die(folder: Path, task: str) -> EpisodeEntry:
         os.kill(os.getpid(), signal.SIGKILL)
