@@ -99,10 +99,10 @@ FAST: Final = ("speed over pace", "speed over place", "speed over neighbours")
 """The same of which they have more. Accelerations and braking are left out: among people, one half
 of a track says nothing about them in the other."""
 
-CLOSE_WORTH, FAST_WORTH = 1.0, 2.0
+WORTH: Final = 2.0
 """Log-odds for a mean deviation of one in either (our choice: the classifier's own log-odds still
 count for more). Among people, what aggressive means in words counts beside what simulated drivers
-taught; simulated drivers taught mostly what being close means."""
+taught."""
 
 _COMPARED_AT: Final[dict[tuple[str, ...], tuple[list[int], ...]]] = {
     names: tuple(
@@ -228,11 +228,11 @@ class Elsewhere:
         if away > 0.0:
             described, found = _seen_among(self.foreign, relative, seen, time_s, place.foreign)
             if kinds[RECORDED] > 0.0:
-                # What simulated drivers around one would mean holds of people by half at most.
-                alone = self.foreign.alone(described)
-                odds = [log_odds_of(aggressive_share(each)) for each in (alone, found)]
-                level = level_shown(len(place.foreign.values))
-                unlike = odds[0] + level * (0.5 * (odds[1] - odds[0]) + _brisk(relative))
+                # What the others would mean if they were simulated says nothing among people.
+                alone = log_odds_of(aggressive_share(self.foreign.alone(described)))
+                # Two drivers who are compared with each other only mirror one another.
+                known = level_shown(len(place.foreign.values)) ** 2
+                unlike = alone + known * _brisk(relative)
                 place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
                 beside = 1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people)))
                 style = kinds[FOREIGN] * aggressive_share(found) + kinds[RECORDED] * beside
@@ -331,6 +331,7 @@ def train_elsewhere(
     seed: int = 0,
     card: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
+    seen_badly: PlaceNetwork | None = None,
 ) -> Elsewhere:
     """Learn from samples of home, of home seen badly, of many worlds, and of recorded scenes.
 
@@ -339,6 +340,8 @@ def train_elsewhere(
         seed: the same seed and samples give the same answers.
         card: training data and scores.
         options: of the networks, see `graphrqi.places.training.NetworkOptions`.
+        seen_badly: the network for home traffic, if it has been trained on the same home traffic
+            before: it learns nothing from worlds. None trains it.
 
     Returns:
         The networks and the gate.
@@ -352,8 +355,9 @@ def train_elsewhere(
     if found != {HOME, SEEN_BADLY, FOREIGN}:
         raise InputError(f"kinds: found {sorted(found)}, expected samples of each of 0, 1, 2")
     asked = NetworkOptions(**(options or {}))
-    at_home = lessons.training.where(lessons.kinds != FOREIGN)
-    seen_badly = train_place_network(at_home, seed, asked)
+    if seen_badly is None:
+        at_home = lessons.training.where(lessons.kinds != FOREIGN)
+        seen_badly = train_place_network(at_home, seed, asked)
     foreign = train_place_network(lessons.training, seed, asked)
     scenes, shown = _scenes(lessons, seed)
     gate = make_classifier("boosted", 3, **GATE_OPTIONS)
@@ -411,8 +415,7 @@ def _as_many_early(scenes: FloatArray, count: int, rng: np.random.Generator) -> 
 
 def _brisk(relative: FloatArray) -> FloatArray:
     """(n,) log-odds for being closer and faster than is usual in the scene."""
-    closeness, speed = _compared(relative, CLOSE), _compared(relative, FAST)
-    return FAST_WORTH * speed - CLOSE_WORTH * closeness
+    return WORTH * (_compared(relative, FAST) - _compared(relative, CLOSE))
 
 
 def _compared(relative: FloatArray, names: tuple[str, ...]) -> FloatArray:

@@ -107,7 +107,7 @@ class Settings:
     many: Mapping[str, Any] | None = field(
         default_factory=lambda: {"episodes": 40, "duration_s": 150.0}
     )
-    worlds: Mapping[str, Any] = field(default_factory=lambda: {"worlds": 200})
+    worlds: Mapping[str, Any] = field(default_factory=lambda: {"worlds": 600})
     sensed: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 4, "duration_s": 120.0})
     recordings: int | None = option(
         None,

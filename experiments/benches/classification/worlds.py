@@ -24,6 +24,7 @@ from experiments.training.elsewhere import PARTS, gather_lessons, number_of
 from graphrqi.elsewhere import FOREIGN, train_elsewhere
 from graphrqi.methods import Model, train
 from graphrqi.model_files import load_model
+from graphrqi.places.network import PlaceNetwork
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -85,13 +86,16 @@ class LearnedElsewhere:
     def __init__(self, home: Sequence[Dataset], worlds: Dataset, jobs: int | None) -> None:
         self._shipped, self._worlds = load_model(OURS), worlds
         self._lessons = gather_lessons(home, [worlds], jobs=jobs)
+        self._seen_badly: PlaceNetwork | None = None
 
     def model(self, left_out: Collection[str] = ()) -> Model:
         """The model that ships, elsewhere trained without the worlds of these ids."""
         entries = self._worlds.manifest.episodes
         numbers = [number_of(PARTS[FOREIGN], e) for e in entries if e.id in left_out]
         lessons = self._lessons.without(np.array(numbers, dtype=np.int64))
-        return dataclasses.replace(self._shipped, elsewhere=train_elsewhere(lessons))
+        learned = train_elsewhere(lessons, seen_badly=self._seen_badly)
+        self._seen_badly = learned.seen_badly
+        return dataclasses.replace(self._shipped, elsewhere=learned)
 
 
 class Learned:
