@@ -148,6 +148,11 @@ def _command(folder: Path, episodes: int, duration_s: float = 30, flow: str = "l
     ]
 
 
+def _heeds_ctrl_c() -> None:
+    """Where the suite runs in the background, shells let it ignore Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def _workers(parent: int) -> list[int]:
     found = []
     for status in Path("/proc").glob("[0-9]*/stat"):
@@ -176,7 +181,9 @@ def test_stopped_and_killed_runs_go_on_to_the_same_bytes(tmp_path: Path) -> None
     def some_done() -> bool:
         return any((folder / "episodes").glob("*/episode.json"))
 
-    run = subprocess.Popen(_command(folder, episodes), stderr=subprocess.PIPE, text=True)
+    run = subprocess.Popen(
+        _command(folder, episodes), stderr=subprocess.PIPE, text=True, preexec_fn=_heeds_ctrl_c
+    )
     _until(some_done)
     run.send_signal(signal.SIGINT)
     _, said = run.communicate(timeout=60)
