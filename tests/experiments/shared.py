@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import importlib
 import logging
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,6 +47,12 @@ def in_this_process_if_alone(make, folder, tasks, jobs, shown):
     """As `make_in_processes`, which starts a worker for one job, too."""
     made_by = in_this_process if jobs == 1 else make_in_processes
     return made_by(make, folder, tasks, jobs, shown)
+
+
+def heed_signals() -> None:
+    """Be stopped as usual by Ctrl-C and a hangup, whatever started the suite lets it ignore."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from sim.store.entries import write_catalogue
 from sim.store.lock import sole_writer
 from sim.store.places import place_of
 from sim.store.schema import CATALOGUE, EpisodeEntry
-from tests.experiments.shared import content
+from tests.experiments.shared import content, heed_signals
 
 CONFIG = GenerateConfig(
     scenarios=("straight_road", "four_way_intersection"), episodes=1, seed=7, duration_s=12.0
@@ -148,11 +148,6 @@ def _command(folder: Path, episodes: int, duration_s: float = 30, flow: str = "l
     ]
 
 
-def _heeds_ctrl_c() -> None:
-    """Where the suite runs in the background, shells let it ignore Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 def _workers(parent: int) -> list[int]:
     found = []
     for status in Path("/proc").glob("[0-9]*/stat"):
@@ -182,7 +177,7 @@ def test_stopped_and_killed_runs_go_on_to_the_same_bytes(tmp_path: Path) -> None
         return any((folder / "episodes").glob("*/episode.json"))
 
     run = subprocess.Popen(
-        _command(folder, episodes), stderr=subprocess.PIPE, text=True, preexec_fn=_heeds_ctrl_c
+        _command(folder, episodes), stderr=subprocess.PIPE, text=True, preexec_fn=heed_signals
     )
     _until(some_done)
     run.send_signal(signal.SIGINT)
@@ -274,11 +269,9 @@ def _kept_in_vain(folder: Path, task: Task) -> EpisodeEntry:
 def test_where_no_episode_can_be_made_nothing_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
     monkeypatch.setattr(experiments.data.generate, "make_episode", _kept_in_vain)
     with pytest.raises(InputError, match=r"2 of 2 episodes could not be made: .* fell over"):
         generate(CONFIG, tmp_path / "data", jobs=1, quiet=True)
-    cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from experiments.data.exchange import import_recordings
 from sim.store.lock import LOCK, new_folder
+from tests.experiments.shared import heed_signals
 
 FCD = '<timestep time="{t}"><vehicle id="a" x="{t}" y="0" angle="90" speed="1"/></timestep>'
 
@@ -33,10 +34,9 @@ with exit_on_user_error(), new_folder(folder), whole_file(folder / "file") as fi
 
 def stopped(number: int, folder: Path, script: str = STOPPED_INSIDE) -> tuple[int, str]:
     """Exit code and message of a program that a signal stopped while it was writing."""
-    default = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # as under no nohup
     with subprocess.Popen(
-        [sys.executable, "-c", default + script, folder], stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", script, folder], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, preexec_fn=heed_signals,
     ) as run:  # fmt: skip
         assert run.stdout is not None
         assert run.stderr is not None
