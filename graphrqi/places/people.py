@@ -16,19 +16,19 @@ FARTHEST_ODDS: Final = 9.2
 
 USUAL_DEVIATION: Final = 3.5
 """Mean deviation of log-odds from the median on either side, where few drivers are known. At eight
-recorded places it is 1.1 to 5.5, and the median itself -2.2 to 3.9, so that 0 stands for that."""
+recorded places it is .9 to 6.6, and the median itself -1.0 to 2.9, so that 0 stands for that."""
 
 LEAST_DEVIATION: Final = 1.0
 """Log-odds that lie closer together than this do not tell drivers apart."""
 
 CONFIDENCE: Final = 1.75
 """Log-odds of a driver at a recorded place that lies a mean deviation from the median, watched for
-long. Answers of two halves of a track rank drivers of a place alike with Spearman .3 to .6, so that
+long. Answers of two halves of a track rank drivers of a place alike with Spearman .3 to .8, so that
 only the outer third of the drivers is told (our choice)."""
 
 MOST_CONFIDENCE: Final = 3.0
 """Log-odds that the farthest one approaches: a probability of .95. Of those who stand out in the
-first half of their track, .65 to .85 are on the same side of the median in the second one."""
+first half of their track, .63 to .84 are on the same side of the median in the second one."""
 
 HALF_CONFIDENCE_S: Final = 2.0
 """Time watched at which half of that confidence is reached, s. On US-101 halves of tracks agree
