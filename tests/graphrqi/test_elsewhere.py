@@ -9,7 +9,7 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation, from_agreement, from_labels
-from graphrqi.elsewhere import FOREIGN, RECORDED, SEEN_BADLY, Lessons, train_elsewhere
+from graphrqi.elsewhere import FAST, FOREIGN, RECORDED, SEEN_BADLY, Lessons, train_elsewhere
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.methods import Model
@@ -111,6 +111,24 @@ def test_both_styles_are_told_apart_in_a_recording(elsewhere):
     assert ((style > 0.5) == (drivers.codes < 3)).mean() > 0.8
     shortly = among(elsewhere, features, RECORDED, seconds=1.0)
     assert np.abs(shortly - 0.5).mean() < np.abs(style - 0.5).mean()
+
+
+@pytest.mark.parametrize(("headway_s", "rests_on"), [(0.25, "speeds"), (1.5, "network")])
+def test_where_nobody_follows_only_speeds_count(elsewhere, headway_s, rests_on):
+    """Two-wheelers side by side have no leaders; a network that reads headways says nothing."""
+    drivers = made(400, RECORDED, 14)
+    features = drivers.features.astype(float)
+    features[:, SCENE] = features[0, SCENE]
+    features[:, SCENE.start + SCENE_NAMES.index("mean headway")] = np.log(headway_s)
+    fast = np.random.default_rng(0).normal(size=len(drivers))
+    for name in FAST:
+        for part, value in (("mean", fast), ("evidence", 1.0)):
+            column = RelativeObserver.feature_names.index(f"{name}, compared:{part}")
+            features[:, column] = value
+    style = among(elsewhere, features, RECORDED)
+    by_speeds = np.corrcoef(style, fast)[0, 1]
+    by_network = np.corrcoef(style, drivers.codes < 3)[0, 1]
+    assert (by_speeds > by_network) == (rests_on == "speeds")
 
 
 def test_lessons_without_some_episodes():
