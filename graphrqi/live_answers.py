@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
-from graphrqi.elsewhere import FOREIGN, HOME, RECORDED, Elsewhere
+from graphrqi.elsewhere import FOREIGN, HOME, RECORDED, UNSEEN, Elsewhere
 from graphrqi.features.kinematics import align
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import Model, make_observer
@@ -72,10 +72,6 @@ class LiveAnswers:
         return seen.ids[ready], found[ready]
 
 
-_AT_HOME = np.array([1.0, 0.0, 0.0, 0.0])
-"""Before anything is seen, traffic counts as home's."""
-
-
 class _Away:
     """What is known of traffic elsewhere, as of the last moment that was measured."""
 
@@ -84,7 +80,7 @@ class _Away:
         self._elsewhere = elsewhere
         self._asked_s = float("nan")
         self._place = elsewhere.empty_place()
-        self._kinds = _AT_HOME
+        self._kinds = UNSEEN
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._known: FloatArray = np.empty((0, len(BEHAVIORS)))
 
@@ -94,7 +90,7 @@ class _Away:
             return
         self._asked_s = self.observer.measured_s
         one = self.observer.measured(most=1)
-        self._kinds = _AT_HOME
+        self._kinds = UNSEEN
         if one.ids.size:
             described = self.observer.features(one.seconds, one.sums, one.instant)
             self._kinds = self._elsewhere.kinds(described)[0]

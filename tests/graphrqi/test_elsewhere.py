@@ -9,7 +9,7 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation, from_agreement, from_labels
-from graphrqi.elsewhere import FAST, FOREIGN, RECORDED, SEEN_BADLY, Lessons, train_elsewhere
+from graphrqi.elsewhere import FAST, FOREIGN, RECORDED, SEEN_BADLY, UNSEEN, Lessons, train_elsewhere
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.methods import Model
@@ -72,6 +72,18 @@ def test_far_outside_the_training_nothing_is_known(elsewhere):
     kinds = elsewhere.kinds(far)
     assert np.allclose(kinds[:, [FOREIGN, RECORDED]].sum(axis=1), 1.0)
     assert np.allclose(elsewhere.answers(far, kinds), 1.0 / len(BEHAVIORS))
+
+
+@pytest.mark.parametrize(("seconds", "known"), [(0.8, 0.0), (1.5, 0.5), (2.0, 1.0), (30.0, 1.0)])
+def test_a_scene_is_watched_for_two_seconds_before_the_gate_is_believed(elsewhere, seconds, known):
+    features = made(50, FOREIGN, 7).features.astype(float)
+    features[:, SCENE.start + SCENE_NAMES.index("seconds")] = np.log1p(seconds)
+    later = features.copy()
+    later[:, SCENE.start + SCENE_NAMES.index("seconds")] = np.log1p(2.0)
+    expected = known * elsewhere.kinds(later if known < 1.0 else features) + (1.0 - known) * UNSEEN
+    assert np.allclose(elsewhere.kinds(features), expected, atol=0.1)
+    foreign = np.tile(np.eye(4)[FOREIGN], (50, 1))
+    assert elsewhere.answers(features, foreign).max() <= known + (1.0 - known) / 6.0 + 1e-9
 
 
 def test_every_kind_of_traffic_is_needed():

@@ -64,3 +64,15 @@ def test_home_alone_asks_nobody_else(monkeypatch):
         for each in (live, home):
             each.update(0.1 * step, np.arange(8), positions(0.1 * step), drives)
     assert np.array_equal(live.now()[1], home.now()[1])
+
+
+def test_at_first_nobody_is_surely_told():
+    """One second of cars says neither where they drive nor whether they are simulated."""
+    live, drives = LiveAnswers(load_model("graphrqi-plus"), 0.5), np.ones(8, dtype=bool)
+    for step in range(11):
+        live.update(0.1 * step, np.arange(8), positions(0.1 * step), drives)
+    _, probability, domain = live.now()
+    assert domain == 0.5
+    assert probability.shape == (8, 6)
+    aggressive = probability[:, :3].sum(axis=1)
+    assert (np.maximum(aggressive, 1.0 - aggressive) <= 0.75 + 1e-9).all()
