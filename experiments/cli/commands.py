@@ -19,6 +19,7 @@ from experiments.cli.bench import BenchGroup
 from experiments.cli.calibrate import calibrate, populations
 from experiments.cli.classify import classify, evaluate
 from experiments.cli.generate import generate, merge, size_of, upgrade
+from experiments.cli.input_keeping import InputKeepingCommand
 from experiments.cli.options import (
     FLAGS,
     DurationS,
@@ -441,6 +442,10 @@ def doctor(json: Json = None) -> None:
     if broken:
         say(f"graphrqi: error: {broken[0].what}: {broken[0].found}", err=True)
         raise typer.Exit(2)
+
+
+for registered in app.registered_commands:
+    registered.cls = InputKeepingCommand
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -154,7 +154,7 @@ def write_sensed(
     Args:
         folder: the dataset; created if need be. `write_manifest` completes it.
         meta: what the episode is made from.
-        tracks: what the sensor recorded; its labels are those of ``agents``.
+        tracks: what the sensor recorded, sizes included; its labels are those of ``agents``.
         agents: the agent behind each track, in the tracks' order; a track has its own id.
         drawn: everyone who was drawn; with ``meta`` and the road they determine the episode.
         road: the map that the recording comes with, if any.
@@ -168,7 +168,8 @@ def write_sensed(
     """
     steps = collect(tracks.frames())
     named = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
-    specs = [dataclasses.replace(a, id=i) for a, i in zip(agents, named, strict=True)]
+    seen = zip(agents, named, tracks.length.tolist(), tracks.width.tolist(), strict=True)
+    specs = [dataclasses.replace(a, id=i, length_m=long, width_m=wide) for a, i, long, wide in seen]
     made_from = encode_agents(sorted(drawn, key=lambda a: a.id), {})
     content = encode_agents(specs, named)
     return _write(folder, meta, steps, content, len(specs), road, (), made_from)

@@ -17,14 +17,20 @@ from experiments.data.disturbances import (
 from experiments.data.generate import generate
 from experiments.data.verify import find_flaws
 from experiments.data.windows import gather
-from experiments.data.worlds.episode import WorldsConfig, WorldTask, read_worlds_config
+from experiments.data.worlds.episode import (
+    WorldsConfig,
+    WorldTask,
+    make_world,
+    read_worlds_config,
+)
 from experiments.data.worlds.roads import FAMILIES, JUNCTIONS
 from experiments.data.worlds.sensor import Sensor
 from experiments.data.worlds.world import draw_world
 from scenarios.networks.written import limited_net, ramp_net, straight_net
-from sim.frames import Tracks
+from sim.frames import PEDESTRIAN, Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset
+from sim.store.sealing import write_manifest
 from sim.sumo.settings import LAWS
 
 CONFIG = WorldsConfig(worlds=5, seed=4, duration_s=15.0)
@@ -162,6 +168,17 @@ def test_agents_that_are_found_again_have_new_ids_and_their_old_labels():
         assert np.array_equal(xy[seen], tracks.xy[agent, seen])
 
 
+def test_a_world_in_pixels_is_stored_with_sizes_in_pixels(tmp_path: Path):
+    tasks = (WorldTask(CONFIG, index) for index in range(100))
+    task = next(t for t in tasks if t.world.sensor.pixels_per_m > 10.0 and t.world.sensor.has_sizes)
+    folder = tmp_path / "data"
+    entry = make_world(folder, task)
+    write_manifest(folder, {}, [entry])
+    tracks = open_dataset(folder).read(entry).tracks
+    cars = tracks.length[tracks.kind != PEDESTRIAN] / task.world.sensor.pixels_per_m
+    assert 3.0 < np.median(cars) < 6.0
+
+
 def test_speeds_and_headings_are_measured_from_the_positions_seen():
     rng = np.random.default_rng(3)
     exact = Sensor(step_s=0.1).seen(driving(), rng)
@@ -175,6 +192,8 @@ def test_speeds_and_headings_are_measured_from_the_positions_seen():
     image = Sensor(step_s=0.1, has_map=False, pixels_per_m=8.0).seen(driving(), rng)
     assert image.speed.mean() == pytest.approx(80.0, rel=0.01)
     assert set(image.length) == {40.0}
+    boxes = Sensor(step_s=0.1, has_map=False, has_sizes=False, pixels_per_m=8.0)
+    assert set(boxes.seen(driving(), rng).length) == {36.0}
     unknown = Sensor(step_s=0.1, has_map=False, has_sizes=False).seen(driving(), rng)
     assert set(unknown.length) == {4.5}
 

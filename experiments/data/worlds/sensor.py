@@ -136,9 +136,7 @@ class Sensor:
         length, width = tracks.length, tracks.width
         if not self.has_sizes:
             length, width = np.full_like(length, CAR_LENGTH_M), np.full_like(width, CAR_WIDTH_M)
-        elif self.pixels_per_m:
-            length, width = scale * length, scale * width
-        return dataclasses.replace(tracks, xy=xy, length=length, width=width)
+        return dataclasses.replace(tracks, xy=xy, length=scale * length, width=scale * width)
 
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
