@@ -12,6 +12,9 @@ from sim.formats.common.recording import Recording
 SCALED: Final = "scale_estimated"
 """Option of episodes that were in pixels and are in metres by an estimated scale."""
 
+DOUBTED: Final = "no_scene"
+"""Option of episodes whose recording is no scene that can be believed: what makes it none."""
+
 
 def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
     """A recording in metres, and what makes it no scene that can be believed.

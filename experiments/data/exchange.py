@@ -12,7 +12,7 @@ from pydantic import JsonValue
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER, called
 from experiments.console.progress import Progress
-from experiments.data.admission import SCALED, admitted
+from experiments.data.admission import DOUBTED, SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
 from experiments.data.shards.staging import check_empty, fetched, holds, new_output, staged
@@ -132,6 +132,8 @@ def import_recordings(
             }  # fmt: skip
             if unit != "m":
                 options[SCALED] = True
+            if doubt:
+                options[DOUBTED] = doubt
             meta = EpisodeMeta(
                 scenario=key,
                 engine=key,

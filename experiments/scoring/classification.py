@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
+from experiments.data.admission import DOUBTED
 from experiments.data.windows import measured, places_of
 from experiments.rows import Cell, Row
 from experiments.scoring.metrics import of_likelier_style
@@ -62,13 +64,17 @@ def label_episode(episode: Episode, model: Model) -> pa.Table:
         model: a trained model.
 
     Returns:
-        A table with the columns ``LABELS``.
+        A table with the columns ``LABELS``. Everybody is unknown in a recording that is no scene
+        that can be believed.
     """
     stream = BehaviorStream(model)
+    doubted = DOUBTED in episode.entry.options
     tracks = measured(episode)
     agents, times, answers = [], [], list[Posterior]()
     for frame in tracks.frames():
         posterior = stream.update(frame)
+        if doubted:
+            posterior = dataclasses.replace(posterior, unknown=np.ones(posterior.ids.size))
         agents.append(np.searchsorted(tracks.ids, posterior.ids))
         times.append(np.full(posterior.ids.size, frame.time_s))
         answers.append(posterior)

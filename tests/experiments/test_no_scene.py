@@ -1,0 +1,37 @@
+"""Recordings that are no scene that can be believed are named as such, and nobody is told."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from tests.experiments.shared import call
+
+HEAD = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
+
+
+def recording(folder: Path, overlapping: int) -> None:
+    """Cars of 4.5 m behind one another for five seconds; some come in pairs, 1.5 m apart."""
+    places = [20.0 * n for n in range(40)] + [20.0 * n + 1.5 for n in range(overlapping)]
+    rows = [
+        f"{car},{k},{100 * k},car,{place + 0.8 * k:.1f},0.0,8.0,0.0,0.0,4.5,1.8"
+        for car, place in enumerate(places)
+        for k in range(1, 51)
+    ]
+    (folder / "vehicle_tracks_000.csv").write_text("\n".join([HEAD, *rows]) + "\n")
+
+
+@pytest.mark.parametrize(("overlapping", "believed"), [(4, False), (0, True)])
+def test_nobody_is_told_where_outlines_overlap(tmp_path, capsys, overlapping, believed):
+    """They are too few for a stream, which does not know outlines, to doubt the scene."""
+    recording(tmp_path, overlapping)
+    assert call("classify", tmp_path, "--out", tmp_path / "answers.csv") == 0
+    said = capsys.readouterr().err
+    assert ("no scene that can be believed" in said) != believed
+    with (tmp_path / "answers.csv").open(newline="") as file:
+        answers = list(csv.DictReader(file))
+    assert answers
+    unknown = {float(row["unknown"]) for row in answers}
+    assert (unknown == {1.0}) != believed
+    if not believed:
+        assert {(row["behavior"], row["style"]) for row in answers} == {("", "")}
