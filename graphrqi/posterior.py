@@ -161,13 +161,15 @@ class Posterior:
         return out
 
     def __repr__(self) -> str:
-        """The number of drivers and of each most likely behaviour."""
+        """The number of drivers, of each most likely behaviour, and of how many none is told."""
         n = self.ids.size
         counts = np.bincount(self.most_likely, minlength=len(BEHAVIORS)).tolist()
         found = [f"{k} {name}" for k, name in zip(counts, BEHAVIORS, strict=True) if k]
         said = f", most likely: {', '.join(found)}" if n else ""
-        if self.domain > 0.0:
-            said += f", {self.domain:.0%} foreign, {(~self.told).mean():.0%} unknown" if n else ""
+        if n and self.domain > 0.0:
+            said += f", {self.domain:.0%} foreign"
+        if not self.told.all():
+            said += f", {(~self.told).mean():.0%} unknown"
         return f"Posterior({n} driver{'s' * (n != 1)}{said})"
 
     def _repr_html_(self) -> str:

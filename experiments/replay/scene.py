@@ -15,6 +15,7 @@ from behaviors.errors import InputError
 from behaviors.populations import Population
 from experiments.console.progress import Progress
 from experiments.data.admission import SCALED
+from experiments.data.windows import measured
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, likeliest, read_forecasts
 from experiments.replay.ghosts import Ghosts, ghosts_of
@@ -22,6 +23,7 @@ from experiments.replay.graph_history import GraphHistory, graph_history
 from experiments.replay.numbers import KnownNumbers, known_numbers
 from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.model_files import load_model
+from graphrqi.units import image_scale
 from sim.episode.annotate import annotate_recording
 from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
@@ -153,7 +155,7 @@ def gather(
         InputError: if a file is broken or does not speak of this episode, or it has no agents.
     """
     episode = dataset.read(entry)
-    tracks, road = episode.tracks, dataset.road(entry)
+    tracks, road = measured(episode), dataset.road(entry)
     if not tracks.ids.size or tracks.time_s.size < 2:
         raise InputError(
             f"episode {entry.id}: found {tracks.ids.size} agents in {tracks.time_s.size} frames, "
@@ -240,6 +242,8 @@ def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple
             "positions are pixels of an image, and all vehicles are drawn in one size: the shipped "
             "classifier and predictors were made for metres, so what they say here is a guess"
         )
+    if episode.entry.options.get("pixels_per_m"):
+        notes.append(f"seen in pixels: by sizes and speeds {image_scale(episode.tracks)}")
     if episode.tracks.behavior is None:
         notes.append("nobody's true behaviour is known in this data")
     shown_s = stride * episode.tracks.step_s

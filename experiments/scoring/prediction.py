@@ -14,6 +14,7 @@ from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
+from experiments.data.windows import measured
 from experiments.rows import Row, of_bench
 from experiments.scoring.prediction_errors import (
     HORIZONS_S,
@@ -103,7 +104,7 @@ def evaluate_episode(
         InputError: if the episode or the model cannot be read.
     """
     dataset = open_dataset(folder)
-    tracks, road = dataset.read(entry).tracks, dataset.road(entry)
+    tracks, road = measured(dataset.read(entry)), dataset.road(entry)
     stops = list(instants(tracks, max(horizons_s)))
     tables = [PREDICTIONS.empty_table()]
     length_s = float(tracks.time_s[-1] - tracks.time_s[0]) if tracks.time_s.size else 0.0

@@ -32,6 +32,7 @@ from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.sealing import write_manifest
 from sim.sumo.settings import LAWS
+from tests.experiments.shared import call
 
 CONFIG = WorldsConfig(worlds=5, seed=4, duration_s=15.0)
 
@@ -177,6 +178,11 @@ def test_a_world_in_pixels_is_stored_with_sizes_in_pixels(tmp_path: Path):
     tracks = open_dataset(folder).read(entry).tracks
     cars = tracks.length[tracks.kind != PEDESTRIAN] / task.world.sensor.pixels_per_m
     assert 3.0 < np.median(cars) < 6.0
+    page = tmp_path / "world.html"
+    assert call("replay", folder, "--out", page, "--predictor", "none", "-q") == 0
+    shown = page.read_text()
+    assert '"unit":"m"' in shown
+    assert "seen in pixels: by sizes and speeds 1 pixel is" in shown
 
 
 def test_speeds_and_headings_are_measured_from_the_positions_seen():
