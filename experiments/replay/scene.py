@@ -158,7 +158,7 @@ def gather(
     tracks, road = measured(episode), dataset.road(entry)
     if not tracks.ids.size or tracks.time_s.size < 2:
         raise InputError(
-            f"episode {entry.id}: found {tracks.ids.size} agents in {tracks.time_s.size} frames, "
+            f"{entry.name}: found {tracks.ids.size} agents in {tracks.time_s.size} frames, "
             "expected at least 1 in 2"
         )
     if tracks.ids.size > MAX_AGENTS:

@@ -25,7 +25,7 @@ from experiments.scoring.table_file import JOINED, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
-from graphrqi.stream import BehaviorStream
+from graphrqi.stream import MIN_SECONDS, BehaviorStream
 from sim.formats.common.label_file import DriverLabels, read_driver_labels
 from sim.store.dataset import Episode, open_dataset
 from sim.store.schema import EpisodeEntry
@@ -313,7 +313,7 @@ def totals_table(rows: Sequence[Row]) -> list[Row]:
 
 
 def foreign_notice(rows: Sequence[Row]) -> str | None:
-    """One line on what was found, if most of the traffic is foreign to the model.
+    """One line on what was found, if nobody was, or most of the traffic is foreign to the model.
 
     Args:
         rows: as from `classify_dataset`.
@@ -324,7 +324,7 @@ def foreign_notice(rows: Sequence[Row]) -> str | None:
     totals = [row for row in rows if row["episode"] == "all" and row["drivers"]]
     drivers = sum(int(row["drivers"] or 0) for row in totals)
     if not drivers:
-        return None
+        return f"nobody is seen for {MIN_SECONDS:g} s or more, so that there is no answer"
     foreign = sum(float(row["foreign"] or 0.0) * int(row["drivers"] or 0) for row in totals)
     if foreign / drivers < 0.5:
         return None

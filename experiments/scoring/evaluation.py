@@ -52,6 +52,7 @@ from experiments.scoring.metrics import (
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.posterior import aggressive_share
+from graphrqi.stream import MIN_SECONDS
 from sim.formats.common.label_file import read_driver_labels
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -142,6 +143,8 @@ def evaluate(
             table = with_truth(found.table, found.names, entry, given)
             answered[number] = Answered(found.place, found.names, table)
         given.check()
+    if not any(found.table.num_rows for found in answered):
+        raise InputError(f"{source}: found no driver seen for {MIN_SECONDS:g} s, expected one")
     rows = evaluation_rows(answered, str(model))
     if not is_scored(rows):
         raise InputError(

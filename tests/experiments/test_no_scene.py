@@ -1,4 +1,4 @@
-"""Recordings that are no scene that can be believed are named as such, and nobody is told."""
+"""Recordings that are no scene, or too short, are named as such, and nobody is told."""
 
 import csv
 from pathlib import Path
@@ -10,13 +10,13 @@ from tests.experiments.shared import call
 HEAD = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
 
 
-def recording(folder: Path, overlapping: int) -> None:
-    """Cars of 4.5 m behind one another for five seconds; some come in pairs, 1.5 m apart."""
+def recording(folder: Path, overlapping: int, frames: int = 50) -> None:
+    """Cars of 4.5 m behind one another, at 10 Hz; some come in pairs, 1.5 m apart."""
     places = [20.0 * n for n in range(40)] + [20.0 * n + 1.5 for n in range(overlapping)]
     rows = [
         f"{car},{k},{100 * k},car,{place + 0.8 * k:.1f},0.0,8.0,0.0,0.0,4.5,1.8"
         for car, place in enumerate(places)
-        for k in range(1, 51)
+        for k in range(1, frames + 1)
     ]
     (folder / "vehicle_tracks_000.csv").write_text("\n".join([HEAD, *rows]) + "\n")
 
@@ -35,3 +35,13 @@ def test_nobody_is_told_where_outlines_overlap(tmp_path, capsys, overlapping, be
     assert (unknown == {1.0}) != believed
     if not believed:
         assert {(row["behavior"], row["style"]) for row in answers} == {("", "")}
+
+
+def test_where_nobody_is_seen_for_a_second_it_is_said(tmp_path, capsys):
+    recording(tmp_path, 0, frames=4)
+    assert call("classify", tmp_path, "-q") == 0
+    assert "nobody is seen for 1 s or more, so that there is no answer" in capsys.readouterr().err
+    labels = tmp_path.parent / "labels.csv"
+    labels.write_text("name,label\n1,timid\n")
+    assert call("evaluate", "graphrqi-plus", tmp_path, "--labels", labels, "-q") == 2
+    assert "found no driver seen for 1 s, expected one" in capsys.readouterr().err
