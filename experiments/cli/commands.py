@@ -269,11 +269,15 @@ def replay(
     ] = None,
     labels: Annotated[
         Path | None,
-        typer.Option(dir_okay=False, metavar="FILE", help="From classify [default: made here]."),
+        typer.Option(
+            dir_okay=False, metavar="FILE.parquet", help="From classify [default: made here]."
+        ),
     ] = None,
     predictions: Annotated[
         Path | None,
-        typer.Option(dir_okay=False, metavar="FILE", help="From predict [default: made here]."),
+        typer.Option(
+            dir_okay=False, metavar="FILE.parquet", help="From predict [default: made here]."
+        ),
     ] = None,
     format: FormatName = None,
     net: Net = None,

@@ -40,6 +40,19 @@ def table_to_write(path: Path | None) -> Path | None:
     return in_a_folder(path)
 
 
+def at_least_one(jobs: int | None) -> int | None:
+    """Refuse no process, and fewer.
+
+    Raises:
+        InputError: naming the number.
+    """
+    if jobs is not None and jobs < 1:
+        from behaviors.errors import InputError
+
+        raise InputError(f"jobs: found {jobs}, expected at least 1")
+    return jobs
+
+
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 
@@ -65,7 +78,9 @@ def json_option(help: str) -> OptionInfo:
 
 
 Source = Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")]
-Jobs = Annotated[int | None, typer.Option(help="Processes [default: one per core].")]
+Jobs = Annotated[
+    int | None, typer.Option(callback=at_least_one, help="Processes [default: one per core].")
+]
 Json = Annotated[Path | None, json_option("Write the table as JSON; - for standard output.")]
 ModelName = Annotated[
     str, typer.Option("--model", help="A model that ships, or a folder written by train.")

@@ -70,6 +70,6 @@ def test_without_labels_only_the_certainty_changes(data, tmp_path):
 def test_labels_of_nobody_are_refused_and_nothing_is_written(data, tmp_path):
     path = tmp_path / "labels.csv"
     path.write_text("name,label\n3,aggressive\nnobody,careful\n")
-    with pytest.raises(InputError, match="names that no driver has"):
+    with pytest.raises(InputError, match="which no driver is called"):
         adapt("graphrqi-plus", data, tmp_path / "out", path, quiet=True)
     assert not (tmp_path / "out").exists()

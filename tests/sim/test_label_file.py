@@ -73,7 +73,9 @@ def test_names_in_two_recordings_need_a_recording(tmp_path):
 def test_labels_of_nobody_are_named(tmp_path):
     found = labels(tmp_path, "name,label,recording\n3,timid,\n4,timid,elsewhere\n")
     found.of(["3", "4"], "one")
-    with pytest.raises(InputError, match=r"labels of 1 names .* '4' of recording elsewhere"):
+    with pytest.raises(
+        InputError, match=r"found a label of '4' of recording elsewhere, which no driver is called"
+    ):
         found.check()
 
 
@@ -101,3 +103,11 @@ def test_sheets_beside_tracks_label_them(tmp_path):
         sheet.rename(tracks.with_name(sheet.name))
     (beside,) = read_recordings(tracks.parent, "traf")
     np.testing.assert_array_equal(beside.tracks.behavior, read.tracks.behavior)
+
+
+def test_a_missing_file_and_a_file_that_is_no_text_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"none\.csv: found no file, expected a CSV file"):
+        read_driver_labels(tmp_path / "none.csv")
+    (tmp_path / "odd.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"odd\.csv: found no text, expected a CSV file in UTF-8"):
+        read_driver_labels(tmp_path / "odd.csv")

@@ -115,9 +115,10 @@ class DriverLabels:
         if missing:
             place, name = missing[0]
             where = f" of recording {place}" if place else ""
+            more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(
-                f"{self._path}: found labels of {len(missing)} names that no driver has, the first "
-                f"is {name!r:.60}{where}, expected names in the recordings"
+                f"{self._path}: found a label of {name!r:.60}{where}{more}, which no driver is "
+                "called, expected names in the recordings"
             )
 
 
@@ -151,8 +152,13 @@ def read_driver_labels(path: Path) -> DriverLabels:
                 if (place, name) in found:
                     raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
                 found[place, name] = _label(where, cells)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: found {error}, expected a CSV file in UTF-8") from None
+    except FileNotFoundError:
+        raise InputError(f"{path}: found no file, expected a CSV file of labels") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: found no text, expected a CSV file in UTF-8") from None
+    except (OSError, csv.Error) as error:
+        said = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{path}: found {said}, expected a CSV file in UTF-8") from None
     if not found:
         raise InputError(f"{path}: found no label, expected at least one")
     return DriverLabels(path, found)
