@@ -67,9 +67,10 @@ EARLY: Final = 0.15
 """Share of the scenes, simulated and recorded, that it learns from before any course is known."""
 
 DOUBTED, SURELY = 0.3, 0.7
-"""Probabilities of a recorded scene up to which it counts as simulated, and from which it counts as
-recorded (our choice). In between both ways of answering are averaged: an average in which one has a
-small share would still let that one decide about whole places."""
+"""Probabilities of a kind of scene up to which it counts as another, and from which it counts as
+this (our choice), for recorded scenes and for home that is seen exactly. In between both ways of
+answering are averaged: an average in which one has a small share would still let that one decide
+about whole places."""
 
 SCENES_OF_A_KIND: Final = 6000
 """Most scenes of each kind that the gate learns from."""
@@ -134,6 +135,12 @@ _DRIVERS: Final = SCENE_NAMES.index("drivers")
 
 _HEADWAY: Final = SCENE_NAMES.index("mean headway")
 
+EXACT_M: Final = 0.001
+"""Positions whose errors are smaller than this are exact, m: a tenth of the least noise that home
+is seen through in training."""
+
+_NOISE: Final = SCENE_NAMES.index("noise")
+
 _SECONDS: Final = SCENE_NAMES.index("seconds")
 
 _OF_PEOPLE: Final = [
@@ -188,7 +195,7 @@ class Elsewhere:
         scenes = _scene_of(relative)
         people = self.recorded.posterior(np.ascontiguousarray(scenes[:, _OF_PEOPLE]))[:, 1:]
         people = np.clip((people - DOUBTED) / (SURELY - DOUBTED), 0.0, 1.0)
-        simulated = (1.0 - people) * self.gate.posterior(scenes)
+        simulated = (1.0 - people) * _where_exact(self.gate.posterior(scenes), scenes)
         found = np.concatenate([simulated, people], axis=1)
         found = np.where(found < SURE, 0.0, found)
         novelty = self._novelty(scenes)[:, None]
@@ -440,6 +447,21 @@ def _as_many_early(scenes: FloatArray, count: int, rng: np.random.Generator) -> 
     wanted = [round(EARLY * count), round((1.0 - EARLY) * count)]
     drawn = [p[rng.choice(len(p), n)] for p, n in zip(parts, wanted, strict=True) if len(p)]
     return np.concatenate(drawn)
+
+
+def _where_exact(kinds: FloatArray, scenes: FloatArray) -> FloatArray:
+    """(n, 3) probabilities of kinds where home that is seen exactly is home.
+
+    Lost frames and other frame rates cost home's own classifier little; only noise breaks it.
+
+    Args:
+        kinds: (n, 3) as from the gate.
+        scenes: (n, S) their numbers.
+    """
+    badly, noise = kinds[:, SEEN_BADLY], scenes[:, _NOISE]
+    likely = np.clip((badly - DOUBTED) / (SURELY - DOUBTED), 0.0, 1.0)
+    moved = badly * likely * ((noise >= 0.0) & (noise < EXACT_M))
+    return np.stack([kinds[:, HOME] + moved, badly - moved, kinds[:, FOREIGN]], axis=1)
 
 
 def _watched(scenes: FloatArray) -> FloatArray:

@@ -9,7 +9,16 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation, from_agreement, from_labels
-from graphrqi.elsewhere import FAST, FOREIGN, RECORDED, SEEN_BADLY, UNSEEN, Lessons, train_elsewhere
+from graphrqi.elsewhere import (
+    FAST,
+    FOREIGN,
+    HOME,
+    RECORDED,
+    SEEN_BADLY,
+    UNSEEN,
+    Lessons,
+    train_elsewhere,
+)
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
 from graphrqi.methods import Model
@@ -84,6 +93,13 @@ def test_a_scene_is_watched_for_two_seconds_before_the_gate_is_believed(elsewher
     assert np.allclose(elsewhere.kinds(features), expected, atol=0.1)
     foreign = np.tile(np.eye(4)[FOREIGN], (50, 1))
     assert elsewhere.answers(features, foreign).max() <= known + (1.0 - known) / 6.0 + 1e-9
+
+
+@pytest.mark.parametrize(("noise_m", "kind"), [(0.0, HOME), (0.05, SEEN_BADLY)])
+def test_home_that_is_seen_exactly_is_home_however_many_frames_are_lost(elsewhere, noise_m, kind):
+    features = made(50, SEEN_BADLY, 7).features.astype(float)
+    features[:, SCENE.start + SCENE_NAMES.index("noise")] = noise_m
+    assert (elsewhere.kinds(features).argmax(axis=1) == kind).all()
 
 
 def test_every_kind_of_traffic_is_needed():
