@@ -194,7 +194,7 @@ class Elsewhere:
             return np.zeros((0, 4))
         scenes = _scene_of(relative)
         people = self.recorded.posterior(np.ascontiguousarray(scenes[:, _OF_PEOPLE]))[:, 1:]
-        people = np.clip((people - DOUBTED) / (SURELY - DOUBTED), 0.0, 1.0)
+        people = _ramp(people, DOUBTED, SURELY)
         simulated = (1.0 - people) * _where_exact(self.gate.posterior(scenes), scenes)
         found = np.concatenate([simulated, people], axis=1)
         found = np.where(found < SURE, 0.0, found)
@@ -459,24 +459,26 @@ def _where_exact(kinds: FloatArray, scenes: FloatArray) -> FloatArray:
         scenes: (n, S) their numbers.
     """
     badly, noise = kinds[:, SEEN_BADLY], scenes[:, _NOISE]
-    likely = np.clip((badly - DOUBTED) / (SURELY - DOUBTED), 0.0, 1.0)
-    moved = badly * likely * ((noise >= 0.0) & (noise < EXACT_M))
+    moved = badly * _ramp(badly, DOUBTED, SURELY) * ((noise >= 0.0) & (noise < EXACT_M))
     return np.stack([kinds[:, HOME] + moved, badly - moved, kinds[:, FOREIGN]], axis=1)
 
 
 def _watched(scenes: FloatArray) -> FloatArray:
     """(n,) how far scenes (n, S) were watched for long enough to tell their kind, from 0 to 1."""
-    seconds = np.expm1(scenes[:, _SECONDS])
-    return np.asarray(np.clip((seconds - GLIMPSED_S) / (WATCHED_S - GLIMPSED_S), 0.0, 1.0))
+    return _ramp(np.expm1(scenes[:, _SECONDS]), GLIMPSED_S, WATCHED_S)
 
 
 def _share_following(relative: FloatArray) -> float:
     """How far drivers of a scene follow those ahead, from 0 to 1; 1 where no headway is known."""
-    log_headway = float(_scene_of(relative[:1])[0, _HEADWAY])
+    log_headway = _scene_of(relative[:1])[0, _HEADWAY]
     if log_headway == UNKNOWN_SCENE:
         return 1.0
-    beside, behind = np.log([BESIDE_S, BEHIND_S])
-    return float(np.clip((log_headway - beside) / (behind - beside), 0.0, 1.0))
+    return float(_ramp(log_headway, np.log(BESIDE_S), np.log(BEHIND_S)))
+
+
+def _ramp(values: FloatArray, none: float, whole: float) -> FloatArray:
+    """(...) 0 up to one value, 1 from another one on, and a straight line in between."""
+    return np.asarray(np.clip((values - none) / (whole - none), 0.0, 1.0))
 
 
 def _compared(relative: FloatArray, names: tuple[str, ...]) -> FloatArray:

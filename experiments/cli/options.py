@@ -46,10 +46,10 @@ def at_least_one(jobs: int | None) -> int | None:
     Raises:
         InputError: naming the number.
     """
-    if jobs is not None and jobs < 1:
-        from behaviors.errors import InputError
+    if jobs is not None:
+        from experiments.data.parallel import checked_jobs
 
-        raise InputError(f"jobs: found {jobs}, expected at least 1")
+        checked_jobs(jobs)
     return jobs
 
 

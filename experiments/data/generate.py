@@ -26,7 +26,7 @@ from experiments.data.cards.croissant import CROISSANT
 from experiments.data.cluster import make_on_cluster
 from experiments.data.data_card import DATA_CARD, cards_in, edited_cards, write_data_card
 from experiments.data.episode import make_episode
-from experiments.data.parallel import processors
+from experiments.data.parallel import checked_jobs
 from experiments.data.processes import make_in_processes
 from experiments.data.shards.plan import (
     AnyConfig,
@@ -255,18 +255,6 @@ class Generation:
         made, failed = _made(make, self.folder, tasks, self.jobs, self.cluster, shown)  # type: ignore[arg-type,type-var]
         self.failed += failed
         return made
-
-
-def checked_jobs(jobs: int | None) -> int:
-    """Worker processes: as many as asked for, or one per processor.
-
-    Raises:
-        InputError: if they are less than one.
-    """
-    jobs = processors() if jobs is None else jobs
-    if jobs < 1:
-        raise InputError(f"jobs: found {jobs}, expected at least 1")
-    return jobs
 
 
 def generate(

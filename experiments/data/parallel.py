@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
+from behaviors.errors import InputError
 from sim.store.atomic import end_without_temporary
 
 T = TypeVar("T")
@@ -41,6 +42,18 @@ def processors() -> int:
     return int(cpu_count())
 
 
+def checked_jobs(jobs: int | None) -> int:
+    """Worker processes: as many as asked for, or one per processor.
+
+    Raises:
+        InputError: if they are less than one.
+    """
+    jobs = processors() if jobs is None else jobs
+    if jobs < 1:
+        raise InputError(f"jobs: found {jobs}, expected at least 1")
+    return jobs
+
+
 def in_parallel(
     function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int | None
 ) -> Iterator[T]:
@@ -60,7 +73,7 @@ def in_parallel(
         return
     from loky import get_reusable_executor
 
-    workers = min(jobs or processors(), len(arguments))
+    workers = min(checked_jobs(jobs), len(arguments))
     executor = get_reusable_executor(
         max_workers=workers, env={"OMP_NUM_THREADS": "1"},
         initializer=start_worker, initargs=(os.getpid(),),

@@ -6,7 +6,7 @@ import http.client
 import importlib
 import logging
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,6 +29,17 @@ def content(folder: Path) -> dict[str, bytes]:
     """The bytes of every file below a folder, by its name there."""
     files = (p for p in folder.rglob("*") if p.is_file())
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+def write_recording(folder: Path, places: Sequence[tuple[float, float]], frames: int) -> None:
+    """A recording of cars of 4.5 m that drive east at 8 m/s from given places, at 10 Hz."""
+    head = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
+    rows = [
+        f"{car},{k},{100 * k},car,{x + 0.8 * k:.1f},{y},8.0,0.0,0.0,4.5,1.8"
+        for car, (x, y) in enumerate(places)
+        for k in range(1, frames + 1)
+    ]
+    (folder / "vehicle_tracks_000.csv").write_text("\n".join([head, *rows]) + "\n")
 
 
 def in_this_process(make, folder, tasks, jobs, shown):

@@ -8,9 +8,7 @@ from behaviors.errors import InputError
 from experiments.cli.input_keeping import refuse_to_overwrite
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
-from tests.experiments.shared import call, content
-
-HEAD = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
+from tests.experiments.shared import call, content, write_recording
 
 
 @pytest.fixture
@@ -18,12 +16,7 @@ def recordings(tmp_path: Path) -> Path:
     """A folder with one recording: two cars for three seconds."""
     folder = tmp_path / "recordings"
     folder.mkdir()
-    rows = [
-        f"{car},{k},{100 * k},car,{10.0 * car + 0.8 * k},{3.5 * car},8.0,0.0,0.0,4.5,1.8"
-        for car in (1, 2)
-        for k in range(1, 31)
-    ]
-    (folder / "vehicle_tracks_000.csv").write_text("\n".join([HEAD, *rows]) + "\n")
+    write_recording(folder, [(10.0, 3.5), (20.0, 7.0)], frames=30)
     return folder
 
 

@@ -5,20 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiments.shared import call
-
-HEAD = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
+from tests.experiments.shared import call, write_recording
 
 
 def recording(folder: Path, overlapping: int, frames: int = 50) -> None:
-    """Cars of 4.5 m behind one another, at 10 Hz; some come in pairs, 1.5 m apart."""
+    """Cars behind one another; some come in pairs, 1.5 m apart."""
     places = [20.0 * n for n in range(40)] + [20.0 * n + 1.5 for n in range(overlapping)]
-    rows = [
-        f"{car},{k},{100 * k},car,{place + 0.8 * k:.1f},0.0,8.0,0.0,0.0,4.5,1.8"
-        for car, place in enumerate(places)
-        for k in range(1, frames + 1)
-    ]
-    (folder / "vehicle_tracks_000.csv").write_text("\n".join([HEAD, *rows]) + "\n")
+    write_recording(folder, [(x, 0.0) for x in places], frames)
 
 
 @pytest.mark.parametrize(("overlapping", "believed"), [(4, False), (0, True)])

@@ -19,12 +19,12 @@ from experiments.data.generate import (
     PLAN,
     Generation,
     check_same,
-    checked_jobs,
     clear_partial,
     complete,
     listed_files,
     stoppable,
 )
+from experiments.data.parallel import checked_jobs
 from experiments.data.shards.plan import (
     AnyConfig,
     Part,
