@@ -51,6 +51,8 @@ class BehaviorStream:
             nobody's neighbours.
         numbers: infers drivers' car-following numbers along; None for none. Speeds, headings and
             sizes are used then, too.
+        is_scene: False if a check of the whole recording, which sees sizes, found no scene that can
+            be believed (`graphrqi.scene_check.check_scene`): everybody is unknown then.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class BehaviorStream:
         min_seconds: float = MIN_SECONDS,
         window: Window | None = None,
         numbers: LiveNumbers | None = None,
+        is_scene: bool = True,
     ) -> None:
         self.model = model
         self._numbers = numbers
@@ -70,7 +73,7 @@ class BehaviorStream:
         self._prior_shift = PriorShift(np.array(model.shares))
         self._shifted_s = -np.inf
         self._monitor = SceneMonitor(outlines=False)
-        self._is_scene = True
+        self._believed = self._is_scene = is_scene
         self._answered: tuple[NDArray[np.int64], NDArray[np.float64], float] | None = None
 
     def update(self, frame: Frame) -> Posterior:
@@ -101,7 +104,7 @@ class BehaviorStream:
             )
         self._buffer.push(frame)
         self._live.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        self._is_scene = self._monitor.update(frame)
+        self._is_scene = self._monitor.update(frame) and self._believed
         if self._numbers is not None:
             self._numbers.update(frame)
         self._last, self._answered = frame, None

@@ -8,12 +8,18 @@ from typing import Final
 from graphrqi.scene_check import check_scene
 from graphrqi.units import image_scale, in_metres
 from sim.formats.common.recording import Recording
+from sim.store.schema import EpisodeEntry
 
 SCALED: Final = "scale_estimated"
 """Option of episodes that were in pixels and are in metres by an estimated scale."""
 
 DOUBTED: Final = "no_scene"
 """Option of episodes whose recording is no scene that can be believed: what makes it none."""
+
+
+def is_scene(entry: EpisodeEntry) -> bool:
+    """Whether an episode is a scene that can be believed, as far as `admitted` said."""
+    return DOUBTED not in entry.options
 
 
 def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:

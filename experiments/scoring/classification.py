@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
-from experiments.data.admission import DOUBTED
+from experiments.data.admission import is_scene
 from experiments.data.windows import measured, places_of
 from experiments.rows import Cell, Row
 from experiments.scoring.metrics import of_likelier_style
@@ -67,14 +66,11 @@ def label_episode(episode: Episode, model: Model) -> pa.Table:
         A table with the columns ``LABELS``. Everybody is unknown in a recording that is no scene
         that can be believed.
     """
-    stream = BehaviorStream(model)
-    doubted = DOUBTED in episode.entry.options
+    stream = BehaviorStream(model, is_scene=is_scene(episode.entry))
     tracks = measured(episode)
     agents, times, answers = [], [], list[Posterior]()
     for frame in tracks.frames():
         posterior = stream.update(frame)
-        if doubted:
-            posterior = dataclasses.replace(posterior, unknown=np.ones(posterior.ids.size))
         agents.append(np.searchsorted(tracks.ids, posterior.ids))
         times.append(np.full(posterior.ids.size, frame.time_s))
         answers.append(posterior)

@@ -13,6 +13,7 @@ import pyarrow as pa
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
+from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
 from experiments.rows import Row, of_bench
@@ -114,10 +115,10 @@ def evaluate_episode(
     def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
         tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
 
+    posteriors = beliefs(tracks, load_model(model), stops, is_scene(entry))
     errors = evaluate(
-        tracks, beliefs(tracks, load_model(model), stops), road, predictors, horizons_s,
-        keep_futures if keep else None, weights,
-    )  # fmt: skip
+        tracks, posteriors, road, predictors, horizons_s, keep_futures if keep else None, weights
+    )
     futures = pa.concat_tables(tables).unify_dictionaries()
     return EpisodePrediction(errors, futures, length_s)
 

@@ -137,7 +137,9 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
     return np.asarray(out)
 
 
-def beliefs(tracks: Tracks, model: Model, stops: Sequence[int]) -> dict[int, Posterior]:
+def beliefs(
+    tracks: Tracks, model: Model, stops: Sequence[int], is_scene: bool = True
+) -> dict[int, Posterior]:
     """What a classifier believes at each instant of prediction.
 
     Equal to the posteriors of a `graphrqi.stream.BehaviorStream`, computed only where needed.
@@ -146,11 +148,12 @@ def beliefs(tracks: Tracks, model: Model, stops: Sequence[int]) -> dict[int, Pos
         tracks: an episode.
         model: the trained classifier.
         stops: indices one past each present, ascending.
+        is_scene: as for `graphrqi.stream.BehaviorStream`.
 
     Returns:
         Posterior by stop.
     """
-    stream, wanted = BehaviorStream(model), set(stops)
+    stream, wanted = BehaviorStream(model, is_scene=is_scene), set(stops)
     found: dict[int, Posterior] = {}
     for column, frame in enumerate(tracks.frames()):
         stream.push(frame)

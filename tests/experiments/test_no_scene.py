@@ -3,8 +3,13 @@
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from behaviors.labels import BEHAVIORS
+from experiments.data.exchange import as_dataset
+from experiments.replay.scene import gather
+from sim.store.dataset import open_dataset
 from tests.experiments.shared import call, write_recording
 
 
@@ -28,6 +33,13 @@ def test_nobody_is_told_where_outlines_overlap(tmp_path, capsys, overlapping, be
     assert (unknown == {1.0}) != believed
     if not believed:
         assert {(row["behavior"], row["style"]) for row in answers} == {("", "")}
+    with as_dataset(tmp_path) as folder:
+        dataset = open_dataset(folder)
+        (entry,) = dataset.manifest.episodes
+        scene = gather(dataset, entry, model="graphrqi-plus", predictor="none")
+    beliefs = scene.beliefs.probability
+    chance = np.isnan(beliefs) | np.isclose(beliefs, 1.0 / len(BEHAVIORS))
+    assert chance.all() != believed
 
 
 def test_where_nobody_is_seen_for_a_second_it_is_said(tmp_path, capsys):

@@ -96,6 +96,16 @@ def test_stream_answers_after_a_second_for_drivers_only(tracks, model):
     assert stream.history.xy[:, -1] == pytest.approx(frame.xy)
 
 
+def test_where_sizes_show_no_scene_everybody_is_unknown(tracks, model):
+    trusted, doubting = BehaviorStream(model), BehaviorStream(model, is_scene=False)
+    for frame in tracks.frames():
+        believed, doubted = trusted.update(frame), doubting.update(frame)
+    assert doubted.ids.tolist() == believed.ids.tolist() != []
+    assert (doubted.unknown == 1.0).all()
+    assert not doubted.told.any()
+    assert (believed.unknown < 1.0).any()
+
+
 def test_stream_uses_positions_only(tracks, model):
     honest, blinded = BehaviorStream(model), BehaviorStream(model)
     for frame in tracks.window(150, 150).frames():

@@ -117,12 +117,14 @@ def cut_in_half(tracks: Tracks, rows: IntArray, middle: IntArray) -> Tracks:
     )  # fmt: skip
 
 
-def last_beliefs(tracks: Tracks, model: Model) -> tuple[FloatArray, FloatArray]:
+def last_beliefs(
+    tracks: Tracks, model: Model, is_scene: bool = True
+) -> tuple[FloatArray, FloatArray]:
     """(N, 6) what a stream believes of each agent when it is last seen, and (N,) how unknown it is.
 
-    NaN where it gives no answer.
+    NaN where it gives no answer. ``is_scene`` is that of `graphrqi.stream.BehaviorStream`.
     """
-    stream = BehaviorStream(model)
+    stream = BehaviorStream(model, is_scene=is_scene)
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
     leaving: dict[int, list[int]] = {}
     for row in np.flatnonzero(tracks.valid.any(axis=1) & (tracks.kind != PEDESTRIAN)).tolist():
@@ -168,13 +170,11 @@ def drivers_of(recording: Recording, unit: str, model: str) -> Drivers:
         beliefs, _ = last_beliefs(cut, trained)
         at = np.searchsorted(cut.ids, np.stack([2 * rows, 2 * rows + 1], axis=1))
         found = beliefs[at]
-    life, unknown = last_beliefs(tracks, trained)
+    life, unknown = last_beliefs(tracks, trained, doubt is None)
     first = tracks.valid.argmax(axis=1)
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
     seen_s = tracks.time_s[last] - tracks.time_s[first]
     shown = np.isfinite(life[:, 0]) & (seen_s >= LEAST_SEEN_S - 1e-6)
-    if doubt is not None:
-        unknown[:] = 1.0
     return Drivers(found, measured(tracks), life[shown], unknown[shown], int(doubt is not None), 1)
 
 
