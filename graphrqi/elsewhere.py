@@ -129,7 +129,8 @@ BESIDE_S, BEHIND_S = 0.4, 0.7
 everybody does (our choice). Nobody keeps to half a second: all of 2,000 random worlds and of 402
 recordings at eight places, but one drive of KITTI, have .7 s and more, and videos of two-wheelers
 that share no lanes have .2 to .3 s. Who is ahead there is beside, and headways, on which the
-network's answers rest, say nothing."""
+network's answers rest, say nothing: such a scene is none of the simulations that it learned from,
+and its drivers are compared with one another as people are."""
 
 _DRIVERS: Final = SCENE_NAMES.index("drivers")
 
@@ -194,7 +195,7 @@ class Elsewhere:
             return np.zeros((0, 4))
         scenes = _scene_of(relative)
         people = self.recorded.posterior(np.ascontiguousarray(scenes[:, _OF_PEOPLE]))[:, 1:]
-        people = _ramp(people, DOUBTED, SURELY)
+        people = np.maximum(_ramp(people, DOUBTED, SURELY), 1.0 - _share_following(scenes)[:, None])
         simulated = (1.0 - people) * _where_exact(self.gate.posterior(scenes), scenes)
         found = np.concatenate([simulated, people], axis=1)
         found = np.where(found < SURE, 0.0, found)
@@ -262,7 +263,7 @@ class Elsewhere:
                 alone = log_odds_of(aggressive_share(self.foreign.alone(described)))
                 # Two drivers who are compared with each other only mirror one another.
                 known = level_shown(len(place.foreign.values)) ** 2
-                follow = _share_following(relative)
+                follow = _share_following(_scene_of(relative[:1]))
                 brisk = _compared(relative, FAST) - follow * _compared(relative, CLOSE)
                 unlike = follow * alone + known * WORTH * brisk
                 place.people.observe(time_s, seen.ids, unlike[:, None], seen.seconds)
@@ -468,12 +469,11 @@ def _watched(scenes: FloatArray) -> FloatArray:
     return _ramp(np.expm1(scenes[:, _SECONDS]), GLIMPSED_S, WATCHED_S)
 
 
-def _share_following(relative: FloatArray) -> float:
-    """How far drivers of a scene follow those ahead, from 0 to 1; 1 where no headway is known."""
-    log_headway = _scene_of(relative[:1])[0, _HEADWAY]
-    if log_headway == UNKNOWN_SCENE:
-        return 1.0
-    return float(_ramp(log_headway, np.log(BESIDE_S), np.log(BEHIND_S)))
+def _share_following(scenes: FloatArray) -> FloatArray:
+    """(n,) how far drivers of scenes (n, S) follow those ahead, 0 to 1; 1 without any headway."""
+    log_headway = scenes[:, _HEADWAY]
+    following = _ramp(log_headway, np.log(BESIDE_S), np.log(BEHIND_S))
+    return np.where(log_headway == UNKNOWN_SCENE, 1.0, following)
 
 
 def _ramp(values: FloatArray, none: float, whole: float) -> FloatArray:

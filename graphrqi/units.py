@@ -2,10 +2,10 @@
 
 A video's boxes have no scale. Two things bound it: road agents have known sizes, and they move at
 known speeds. Both give a scale with an uncertainty, and the estimate is their mean, weighted by how
-certain each is. A camera shows near agents larger; the size of agents as a function of the height
-in the image (`graphrqi.features.unit_free.scale_at`) takes that out: heights are stretched so that
-one metre is as long everywhere. How much a camera foreshortens the way ahead of it is not known and
-is assumed.
+certain each is. A camera shows near agents larger, in proportion to how far below the horizon they
+are; sizes show where the horizon is, and places in the image become places on a flat ground
+(a pinhole camera without roll). How much it foreshortens the way ahead of it in the middle of the
+image is not known and is assumed. Where sizes show no horizon, the view is from above.
 
 Where a recording says that it is in metres, the sizes of its vehicles tell whether it is: feet and
 millimetres that are given as metres make lorries of cars.
@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.unit_free import SMOOTH_FRAMES, scale_at, smoothed
+from graphrqi.features.unit_free import smoothed
 from sim.frames import AgentKind, Tracks
 from sim.scenario import DIMENSIONS_M
 
@@ -44,8 +44,19 @@ PACE_SPREAD: Final = 0.8
 11 m/s)."""
 
 FORESHORTENED: Final = 1.5
-"""Displacements towards the camera or away from it are longer by this than they look (it looks down
-at some 40 degrees, as from a bridge or a mast)."""
+"""In the middle of the image, displacements towards the camera or away from it are longer by this
+than they look (it looks down at some 40 degrees, as from a bridge or a mast)."""
+
+SMALLEST: Final = 0.25
+"""Agents farthest away look at least this large, over those in the middle (our choice): nearer to
+the horizon, a pixel is many metres."""
+
+FARTHEST_HORIZON, HORIZONS = 100.0, 60
+"""Farthest horizon that is tried, over the nearest one, and how many are tried in between."""
+
+SHOWN: Final = 0.95
+"""A horizon is believed where sizes vary less by this factor once it is taken into account (our
+choice; a handful of agents agree by chance with some horizon)."""
 
 LENGTH_OF_SIZE: Final = 0.85
 WIDTH_OF_SIZE: Final = 0.35
@@ -74,24 +85,39 @@ _SIZES_M: Final = np.array(
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Metres per unit of a recording without scale.
+    """Metres per unit of a recording without scale, on the ground that a camera looks along.
 
     Attributes:
         metres: per unit, at the height ``middle``.
-        slope: by how much the logarithm of that falls with a unit of height, 1/unit; 0 for a view
-            from above.
         middle: height in the image, in units.
+        horizon: how far above ``middle`` the horizon is, in units; infinite for a view from above.
         spread: standard deviation of the logarithm of ``metres``.
     """
 
     metres: float
-    slope: float
     middle: float
+    horizon: float
     spread: float
 
     def at(self, height: FloatArray) -> FloatArray:
         """(n,) metres per unit at heights (n,) in the image."""
-        return np.asarray(self.metres * np.exp(-self.slope * (height - self.middle)))
+        return np.asarray(self.metres / self._nearness(height))
+
+    def ground(self, xy: FloatArray) -> FloatArray:
+        """(..., 2) places on the ground, m, of places (..., 2) in the image.
+
+        The first axis is across the view and has its origin at 0 of the image, the second one leads
+        away from the camera and has its origin at ``middle``.
+        """
+        nearness = self._nearness(xy[..., 1])
+        away = xy[..., 1] - self.middle
+        if math.isfinite(self.horizon):
+            away = FORESHORTENED * away
+        return np.asarray(self.metres * np.stack([xy[..., 0], away], axis=-1) / nearness[..., None])
+
+    def _nearness(self, height: FloatArray) -> FloatArray:
+        """(n,) size of agents in the image, over those at ``middle``."""
+        return np.maximum(1.0 - (height - self.middle) / self.horizon, SMALLEST)
 
     def __str__(self) -> str:
         """One clause for a note."""
@@ -107,32 +133,62 @@ def image_scale(tracks: Tracks) -> Scale:
     Returns:
         The scale; sizes alone decide where nobody moves.
     """
-    size = np.sqrt(tracks.length * tracks.width)
-    place = smoothed(np.where(tracks.valid[..., None], tracks.xy, np.nan), SMOOTH_FRAMES)
     seen = tracks.valid.any(axis=1)
-    height = np.array([np.median(place[i, tracks.valid[i], 1]) for i in np.flatnonzero(seen)])
-    level, slope = scale_at(height, size[seen])
+    size = np.sqrt(tracks.length * tracks.width)[seen]
+    xy = np.where(tracks.valid[..., None], tracks.xy, np.nan)[seen]
+    height = np.nanmedian(xy[..., 1], axis=1)
     middle = float(np.median(height))
-    by_size = math.log(SIZE_M) - (level + slope * middle)
-    weight = SIZE_SPREAD**-2
+    horizon = _horizon(height - middle, size, float(np.nanmax(xy[..., 1])) - middle)
+    in_units = Scale(1.0, middle, horizon, 0.0)
+    typical = float(np.median(size * in_units.at(height)))
+    by_size, weight = math.log(SIZE_M / typical), SIZE_SPREAD**-2
     total, weights = weight * by_size, weight
-    pace = _pace(place, tracks, level, slope)
+    pace = _pace(in_units.ground(smoothed(xy)), tracks, typical)
     if pace > 0.0:
-        by_pace = math.log(PACE_MPS / pace) - (level + slope * middle)
+        by_pace = math.log(PACE_MPS / pace)
         total, weights = total + by_pace * PACE_SPREAD**-2, weights + PACE_SPREAD**-2
-    return Scale(math.exp(total / weights), slope, middle, weights**-0.5)
+    return Scale(math.exp(total / weights), middle, horizon, weights**-0.5)
 
 
-def _pace(place: FloatArray, tracks: Tracks, level: float, slope: float) -> float:
-    """Median speed of those that move, in sizes of an agent per second; 0 where nobody does."""
+def _horizon(above: FloatArray, size: FloatArray, top: float) -> float:
+    """How far above the middle the horizon is; infinite where sizes do not show it.
+
+    Agents of one kind are the smaller the nearer to the horizon they are. It is where sizes that
+    are corrected for that have the least absolute deviation, since all kinds occur at all heights.
+
+    Args:
+        above: (n,) height of each agent above the middle.
+        size: (n,) its size.
+        top: the greatest height of anybody.
+    """
+    nearest = top / (1.0 - SMALLEST)
+    if not nearest > 0.0:
+        return math.inf
+
+    def left_over(horizon: float) -> float:
+        true = np.log(size / (1.0 - above / horizon))
+        return float(np.abs(true - np.median(true)).mean())
+
+    candidates = nearest * np.geomspace(1.0, FARTHEST_HORIZON, HORIZONS)
+    best = min(candidates.tolist(), key=left_over)
+    return best if left_over(best) < SHOWN * left_over(math.inf) else math.inf
+
+
+def _pace(ground: FloatArray, tracks: Tracks, size: float) -> float:
+    """Median speed of those that move, in units per second; 0 where nobody does.
+
+    Args:
+        ground: (n, T, 2) smoothed places on the ground.
+        tracks: for their times.
+        size: of an agent.
+    """
     if tracks.time_s.size < 2:
         return 0.0
     span = max(1, round(SPAN_S / tracks.step_s))
-    moved = place[:, span::span] - place[:, :-span:span][:, : place[:, span::span].shape[1]]
+    moved = ground[:, span::span] - ground[:, :-span:span][:, : ground[:, span::span].shape[1]]
     passed = tracks.time_s[span::span] - tracks.time_s[:-span:span][: moved.shape[1]]
-    size = np.exp(level + slope * place[:, span::span, 1])
-    speed = np.hypot(moved[..., 0], moved[..., 1]) / size / passed
-    moving = speed[speed > MOVING]  # NaN where not seen at both ends
+    speed = np.hypot(moved[..., 0], moved[..., 1]) / passed
+    moving = speed[speed > MOVING * size]  # NaN where not seen at both ends
     return float(np.median(moving)) if moving.size else 0.0
 
 
@@ -144,26 +200,17 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
         scale: as from `image_scale`.
 
     Returns:
-        Tracks with places, headings, speeds, lengths and widths in metres. Every place is stretched
-        as the scale is there, so that displacements anywhere are in metres. Whole pixels are
-        smoothed before headings and speeds are taken from them.
+        Tracks with places on the ground, headings, speeds, lengths and widths in metres. Whole
+        pixels are smoothed before headings and speeds are taken from them.
     """
     from sim.formats.common.recording import motion
 
-    height = tracks.xy[..., 1]
-    here = scale.at(height)
-    away = height - scale.middle
-    if scale.slope:
-        away = -np.expm1(-scale.slope * away) / scale.slope
-    seen = np.where(tracks.valid, height, np.nan)
     known = tracks.valid.any(axis=1)
-    size = np.sqrt(tracks.length * tracks.width)
-    size[known] *= scale.at(np.nanmedian(seen[known], axis=1))
-    size[~known] *= scale.metres
-    middle = 0.5 * (np.nanmin(tracks.xy[..., 0]) + np.nanmax(tracks.xy[..., 0]))
-    xy = np.stack(
-        [(tracks.xy[..., 0] - middle) * here, FORESHORTENED * scale.metres * away], axis=2
-    )
+    size = scale.metres * np.sqrt(tracks.length * tracks.width)
+    height = np.where(tracks.valid, tracks.xy[..., 1], np.nan)[known]
+    size[known] *= scale.at(np.nanmedian(height, axis=1)) / scale.metres
+    centre = 0.5 * (np.nanmin(tracks.xy[..., 0]) + np.nanmax(tracks.xy[..., 0]))
+    xy = scale.ground(tracks.xy - np.array([centre, 0.0]))
     heading, speed = motion(smoothed(xy), tracks.time_s, 0.0)
     return dataclasses.replace(
         tracks,

@@ -27,6 +27,7 @@ from graphrqi.samples import Samples
 
 F = len(RelativeObserver.feature_names)
 SCENE = slice(-1 - len(SCENE_NAMES), -1)
+HEADWAY = SCENE.start + SCENE_NAMES.index("mean headway")
 DRIVERS = 4
 """Drivers of one place."""
 SMALL = {"members": 1, "own": 24, "shown": 8, "joint": 16, "dropout": 0.3, "passes": 40}
@@ -39,6 +40,7 @@ def made(n: int, kind: int, seed: int) -> Samples:
     features = rng.normal(0.0, 1.0, (n, F)).astype(np.float32)
     features[:, 0] = codes + rng.normal(0.0, 0.3, n)
     features[:, SCENE] = rng.normal(5.0 * kind, 1.0, (n, len(SCENE_NAMES)))
+    features[:, HEADWAY] = np.abs(features[:, HEADWAY])  # a second and more: drivers follow
     places = np.arange(n) // DRIVERS
     return Samples(
         features=features, codes=codes, episode=1000 * seed + places, agent=np.arange(n),
@@ -63,6 +65,13 @@ def test_the_gate_tells_the_kind_of_traffic(elsewhere, kind):
     found = elsewhere.kinds(made(200, kind, 4 + kind).features.astype(float))
     assert np.allclose(found.sum(axis=1), 1.0)
     assert (found.argmax(axis=1) == kind).mean() > 0.95
+
+
+def test_where_nobody_follows_it_is_no_simulation(elsewhere):
+    scenes = made(200, FOREIGN, 8).features.astype(float)
+    assert (elsewhere.kinds(scenes).argmax(axis=1) == FOREIGN).mean() > 0.95
+    scenes[:, HEADWAY] = np.log(0.25)
+    assert (elsewhere.kinds(scenes)[:, RECORDED] > 0.9).mean() > 0.95
 
 
 @pytest.mark.parametrize("kind", [SEEN_BADLY, FOREIGN, RECORDED])
@@ -147,7 +156,7 @@ def test_where_nobody_follows_only_speeds_count(elsewhere, headway_s, rests_on):
     drivers = made(400, RECORDED, 14)
     features = drivers.features.astype(float)
     features[:, SCENE] = features[0, SCENE]
-    features[:, SCENE.start + SCENE_NAMES.index("mean headway")] = np.log(headway_s)
+    features[:, HEADWAY] = np.log(headway_s)
     fast = np.random.default_rng(0).normal(size=len(drivers))
     for name in FAST:
         for part, value in (("mean", fast), ("evidence", 1.0)):

@@ -8,25 +8,28 @@ import numpy as np
 import pytest
 
 from graphrqi.scene_check import check_scene
-from graphrqi.units import image_scale, in_metres, unit_of
+from graphrqi.units import Scale, image_scale, in_metres, unit_of
 from sim.frames import Tracks
 
 
-def street(metres: float = 0.05, near: float = 0.0, n: int = 30, seed: int = 0) -> Tracks:
+def street(metres: float = 0.05, horizon: float = np.inf, n: int = 30, seed: int = 0) -> Tracks:
     """Cars that drive at 6 m/s up and down a filmed street, in whole pixels.
 
     Args:
         metres: per pixel at the height 240.
-        near: by how much the logarithm of that grows with each pixel of height.
+        horizon: pixels above that height; infinite for a camera that looks straight down.
         n: how many.
         seed: of places.
     """
     rng = np.random.default_rng(seed)
     time_s = 0.04 * np.arange(250)
     way = 6.0 * time_s - 30.0 + rng.uniform(-8.0, 8.0, n)[:, None]
-    way *= np.where(np.arange(n) % 2, -1.0, 1.0)[:, None] / 1.5  # a tilted camera shortens it
-    height = 240.0 + (np.log1p(near * way / metres) / near if near else way / metres)
-    here = metres * np.exp(near * (height - 240.0))
+    way *= np.where(np.arange(n) % 2, -1.0, 1.0)[:, None]
+    height = 240.0 + way / metres
+    if np.isfinite(horizon):  # a tilted camera: way = 1.5 metres above / (1 - above / horizon)
+        above = way / (1.5 * metres)
+        height = 240.0 + above / (1.0 + above / horizon)
+    here = metres / (1.0 - (height - 240.0) / horizon)
     across = 3.0 * rng.integers(-2, 3, n)[:, None] + 0.0 * way
     size = 2.2 / np.median(here, axis=1)
     xy = np.stack([np.rint(320.0 + across / here), np.rint(height)], axis=2)
@@ -52,9 +55,24 @@ def test_the_scale_of_a_video_is_found(metres):
     assert abs(np.log(scale.metres / metres)) < 2.0 * scale.spread
 
 
-@pytest.mark.parametrize("near", [0.0, 0.0004, 0.0008])
-def test_speeds_are_the_same_near_and_far(near):
-    video = street(0.05, near)
+@pytest.mark.parametrize("horizon", [2500.0, 1250.0])
+def test_the_horizon_is_found_and_none_where_there_is_none(horizon):
+    assert image_scale(street(0.05, horizon)).horizon == pytest.approx(horizon, rel=0.25)
+    assert image_scale(street(0.05)).horizon == np.inf
+
+
+def test_straight_ways_stay_straight_on_the_ground():
+    scale = Scale(0.05, 240.0, 1250.0, 0.4)
+    line = np.stack([np.linspace(0.0, 640.0, 9), np.linspace(100.0, 480.0, 9)], axis=1)
+    way = np.diff(scale.ground(line), axis=0)
+    angle = np.arctan2(way[:, 1], way[:, 0])
+    assert np.ptp(angle) < 1e-9
+    assert np.hypot(*way.T)[-1] > 1.2 * np.hypot(*way.T)[0]
+
+
+@pytest.mark.parametrize("horizon", [np.inf, 2500.0, 1250.0])
+def test_speeds_are_the_same_near_and_far(horizon):
+    video = street(0.05, horizon)
     found = in_metres(video, image_scale(video))
     speed = found.speed[:, 30:-30].mean(axis=1)
     assert np.median(speed) == pytest.approx(6.0, rel=0.25)

@@ -11,6 +11,7 @@ import numpy as np
 from experiments.data.disturbances import (
     correlated_noise,
     dropped_frames,
+    frame_rate,
     lost_detections,
     lost_tracks,
     position_noise,
@@ -175,9 +176,10 @@ def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:
         rng: source of the sensor and of its errors.
 
     Returns:
-        Every so many frames, with noise, losses and turned axes.
+        At the sensor's frame rate or near to it, with noise, losses and turned axes. Frames between
+        those of the tracks lie on splines.
     """
     sensor = dataclasses.replace(draw_sensor(rng), pixels_per_m=0.0)
-    every = max(1, round(sensor.step_s / tracks.step_s))
-    fewer = tracks.part(np.arange(tracks.ids.size), np.arange(0, tracks.time_s.size, every))
-    return sensor.seen(fewer, rng)
+    every = round(sensor.step_s / tracks.step_s)
+    step_s = every * tracks.step_s if every else sensor.step_s
+    return sensor.seen(frame_rate(tracks, 1.0 / step_s, rng), rng)

@@ -55,6 +55,10 @@ _GAP_M = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 14.0, 20.0, 30.0)
 _LEFT_OVER_M = (0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6, 1.2)
 
 
+MOVING_MPS, MOVING_OF_PACE, STANDING_MPS = 2.0, 0.25, 0.5
+"""Drivers move who are faster than 2 m/s or, where traffic is slow or its scale is only estimated,
+than this share of the scene's pace, but not slower than a walk (our choices)."""
+
 TURNING_RAD_PER_S: Final = 0.12
 """Turning faster than this counts as turning: a change of lanes stays below it at town speeds."""
 
@@ -71,6 +75,7 @@ class _Moment:
         places: Callable[[FloatArray, FloatArray, BoolArray], FloatArray],
         usual: Callable[[FloatArray, BoolArray], FloatArray],
         course: tuple[FloatArray, FloatArray],
+        slowest_mps: float,
     ) -> None:
         drives = motion.drives
         self.weaving, self.unrest = course
@@ -80,7 +85,7 @@ class _Moment:
         self.gap, self.leader_speed = around.gap, around.leader_speed
         self.always = np.ones(v.size, dtype=bool)
         self.has_leader = has_leader = around.leader >= 0
-        self.moving = moving = v > 2.0
+        self.moving = moving = v > slowest_mps
         self.closing = v - self.leader_speed
         with np.errstate(divide="ignore", invalid="ignore"):
             self.headway = self.gap / v
@@ -304,6 +309,7 @@ class RelativeObserver:
             partial(self._places.update, time_s),
             partial(self._usual.update, time_s),
             self._courses.update(motion),
+            slowest_moving(self._free_flow.mean_mps),
         )
         self._count(drives, moment)
         measured = [values(moment) for _, _, values in QUANTITIES]
@@ -399,6 +405,18 @@ class RelativeObserver:
         out[:, law:-1] = instant
         out[:, -1] = np.log1p(seconds)
         return out
+
+
+def slowest_moving(pace_mps: float) -> float:
+    """Speed above which drivers move, m/s, where the pace is this; it may be NaN.
+
+    Examples:
+        >>> slowest_moving(14.0), slowest_moving(4.0), slowest_moving(float("nan"))
+        (2.0, 1.0, 2.0)
+    """
+    if np.isnan(pace_mps):
+        return MOVING_MPS
+    return min(MOVING_MPS, max(STANDING_MPS, MOVING_OF_PACE * pace_mps))
 
 
 def neighbor_speed(
