@@ -17,6 +17,7 @@ References:
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -348,19 +349,21 @@ class Lessons:
         training: samples with the features of `RelativeObserver`, of drivers that are each seen
             since they appeared, several moments of each.
         kinds: (n,) the kind of traffic of each; each of the first three must occur.
+        roads: (h, S) numbers of scenes of home traffic on further roads.
         sensed: (k, S) numbers of further scenes of home seen badly.
         recorded: (r, S) numbers of recorded scenes, as many of each place.
     """
 
     training: Samples
     kinds: CodeArray
+    roads: FloatArray
     sensed: FloatArray
     recorded: FloatArray
 
     def without(self, episodes: IntArray) -> Lessons:
         """The lessons without the samples of some episodes."""
         kept = ~np.isin(self.training.episode, episodes)
-        return Lessons(self.training.where(kept), self.kinds[kept], self.sensed, self.recorded)
+        return dataclasses.replace(self, training=self.training.where(kept), kinds=self.kinds[kept])
 
 
 def train_elsewhere(
@@ -434,6 +437,7 @@ def _scenes(lessons: Lessons, seed: int) -> tuple[FloatArray, CodeArray]:
     _, first = np.unique(moments, axis=1, return_index=True)
     known = _scene_of(training.features[first].astype(np.float64))
     parts = [known[lessons.kinds[first] == kind] for kind in (HOME, SEEN_BADLY, FOREIGN)]
+    parts[HOME] = np.concatenate([parts[HOME], _capped(lessons.roads)])
     parts[SEEN_BADLY] = np.concatenate([parts[SEEN_BADLY], _capped(lessons.sensed)])
     most = min(max(len(part) for part in parts), SCENES_OF_A_KIND)
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +24,7 @@ from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES
 from graphrqi.methods import make_observer
 from graphrqi.samples import NoSamplesError, Samples, collect
+from sim.frames import Tracks
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -57,6 +58,7 @@ def train_on_worlds(
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = True,
+    roads: Sequence[Dataset] = (),
 ) -> Elsewhere:
     """Train the networks for traffic that is not as at home, and the gate.
 
@@ -68,16 +70,17 @@ def train_on_worlds(
         seed: the same seed and data give the same answers.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
+        roads: datasets of usual traffic on other roads, which the gate is to take for home, too.
 
     Returns:
         What was learned, with the data in its card.
     """
-    lessons = gather_lessons(home, worlds, seed, jobs, quiet)
+    lessons = gather_lessons(home, worlds, seed, jobs, quiet, roads)
     counts = np.bincount(lessons.kinds, minlength=len(PARTS)).tolist()
     card: dict[str, Any] = {
         "data": {
             kind: [dict(dataset.header.configuration) for dataset in datasets]
-            for kind, datasets in (("home", home), ("worlds", worlds))
+            for kind, datasets in (("home", home), ("roads", roads), ("worlds", worlds))
         },
         "training_samples": dict(zip(PARTS, counts, strict=True)),
     }
@@ -95,6 +98,7 @@ def gather_lessons(
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = True,
+    roads: Sequence[Dataset] = (),
 ) -> Lessons:
     """What `train_on_worlds` learns from; see there."""
     parts = [
@@ -105,8 +109,16 @@ def gather_lessons(
     ]
     kinds = [np.full(len(s), PARTS.index(part), dtype=np.int8) for part, s in parts]
     training = Samples.join([samples for _, samples in parts])
-    sensed = _sensed(home, seed, jobs, quiet)
-    return Lessons(training, np.concatenate(kinds), sensed, read_scenes())
+    usual = [(dataset.path, entry) for dataset in roads for entry in dataset.episodes("train")]
+    on_roads = _scenes(_usual, usual, "home: other roads", jobs, quiet)
+    sensed = [
+        (dataset.path, entry, seed, sensor)
+        for dataset in (*home, *roads)
+        for entry in dataset.episodes("train")
+        for sensor in range(MORE_SENSORS)
+    ]
+    through = _scenes(_seen_badly, sensed, "home: more sensors", jobs, quiet)
+    return Lessons(training, np.concatenate(kinds), on_roads, through, read_scenes())
 
 
 def number_of(part: str, entry: EpisodeEntry) -> int:
@@ -161,28 +173,32 @@ def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Sample
         return None
 
 
-def _sensed(
-    datasets: Sequence[Dataset], seed: int, jobs: int | None, quiet: bool
+def _scenes(
+    observed: Callable[..., NDArray[np.float64]],
+    arguments: Sequence[tuple[Any, ...]],
+    what: str,
+    jobs: int | None,
+    quiet: bool,
 ) -> NDArray[np.float64]:
-    """(k, S) numbers of the scenes of training episodes, seen through further sensors."""
-    arguments = [
-        (dataset.path, entry, seed, sensor)
-        for dataset in datasets
-        for entry in dataset.episodes("train")
-        for sensor in range(MORE_SENSORS)
-    ]
+    """(k, S) numbers of the scenes of some episodes, as a function of one episode gives them."""
     parts: list[NDArray[np.float64]] = [np.zeros((0, len(SCENE_NAMES)))]
-    with Progress("home: more sensors", len(arguments), quiet) as progress:
-        for scenes in in_parallel(_scenes_seen_badly, arguments, jobs):
+    with Progress(what, len(arguments), quiet) as progress:
+        for scenes in in_parallel(observed, arguments, jobs):
             parts.append(scenes)
             progress.advance()
     return np.concatenate(parts)
 
 
-def _scenes_seen_badly(
-    folder: Path, entry: EpisodeEntry, seed: int, sensor: int
-) -> NDArray[np.float64]:
+def _usual(folder: Path, entry: EpisodeEntry) -> NDArray[np.float64]:
+    """(k, S) numbers of the scenes of one episode."""
+    return _numbers(measured(open_dataset(folder).read(entry)))
+
+
+def _seen_badly(folder: Path, entry: EpisodeEntry, seed: int, sensor: int) -> NDArray[np.float64]:
     """(k, S) numbers of the scenes of one episode, seen through one sensor."""
     rng = np.random.default_rng([seed, sensor, zlib.crc32(entry.id.encode())])
-    tracks = seen_badly(measured(open_dataset(folder).read(entry)), rng)
+    return _numbers(seen_badly(measured(open_dataset(folder).read(entry)), rng))
+
+
+def _numbers(tracks: Tracks) -> NDArray[np.float64]:
     return np.array(list(scenes_of(tracks))).reshape(-1, len(SCENE_NAMES))

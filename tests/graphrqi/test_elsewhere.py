@@ -54,6 +54,7 @@ def elsewhere():
     training = Samples.join([made(1200, kind, kind) for kind in range(3)])
     lessons = Lessons(
         training, np.arange(3, dtype=np.int8).repeat(1200),
+        made(100, HOME, 18).features[:, SCENE].astype(float),
         made(100, SEEN_BADLY, 19).features[:, SCENE].astype(float),
         made(400, RECORDED, 20).features[:, SCENE].astype(float),
     )  # fmt: skip
@@ -115,7 +116,7 @@ def test_every_kind_of_traffic_is_needed():
     with pytest.raises(InputError, match="kinds: found \\[2\\]"):
         train_elsewhere(
             Lessons(made(100, FOREIGN, 8), np.full(100, FOREIGN, np.int8),
-                    np.zeros((0, len(SCENE_NAMES))), np.zeros((1, len(SCENE_NAMES))))
+                    *np.zeros((3, 1, len(SCENE_NAMES))))
         )  # fmt: skip
 
 
@@ -170,7 +171,7 @@ def test_where_nobody_follows_only_speeds_count(elsewhere, headway_s, rests_on):
 
 def test_lessons_without_some_episodes():
     none = np.zeros((0, len(SCENE_NAMES)))
-    lessons = Lessons(made(60, FOREIGN, 1), np.full(60, FOREIGN, np.int8), none, none)
+    lessons = Lessons(made(60, FOREIGN, 1), np.full(60, FOREIGN, np.int8), none, none, none)
     fewer = lessons.without(np.array([1001, 2001]))
     assert np.unique(fewer.training.episode).tolist() == [1000, *range(1002, 1015)]
     assert len(fewer.kinds) == len(fewer.training) == 56
