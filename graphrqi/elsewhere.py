@@ -141,7 +141,13 @@ EXACT_M: Final = 0.001
 """Positions whose errors are smaller than this are exact, m: a tenth of the least noise that home
 is seen through in training."""
 
+FINEST_S: Final = 0.09
+"""Time between frames below which exact home is no longer home's classifier's, s: it learned from
+frames .1 s apart, and how a simulated driver dawdles from frame to frame depends on their step."""
+
 _NOISE: Final = SCENE_NAMES.index("noise")
+
+_FRAME: Final = SCENE_NAMES.index("frame interval")
 
 _SECONDS: Final = SCENE_NAMES.index("seconds")
 
@@ -457,14 +463,16 @@ def _as_many_early(scenes: FloatArray, count: int, rng: np.random.Generator) -> 
 def _where_exact(kinds: FloatArray, scenes: FloatArray) -> FloatArray:
     """(n, 3) probabilities of kinds where home that is seen exactly is home.
 
-    Lost frames and other frame rates cost home's own classifier little; only noise breaks it.
+    Lost frames and lower frame rates cost home's own classifier little; noise breaks it, and so do
+    simulations in finer steps.
 
     Args:
         kinds: (n, 3) as from the gate.
         scenes: (n, S) their numbers.
     """
     badly, noise = kinds[:, SEEN_BADLY], scenes[:, _NOISE]
-    moved = badly * _ramp(badly, DOUBTED, SURELY) * ((noise >= 0.0) & (noise < EXACT_M))
+    exact = (noise >= 0.0) & (noise < EXACT_M) & (scenes[:, _FRAME] > FINEST_S)
+    moved = badly * _ramp(badly, DOUBTED, SURELY) * exact
     return np.stack([kinds[:, HOME] + moved, badly - moved, kinds[:, FOREIGN]], axis=1)
 
 

@@ -105,10 +105,16 @@ def test_a_scene_is_watched_for_two_seconds_before_the_gate_is_believed(elsewher
     assert elsewhere.answers(features, foreign).max() <= known + (1.0 - known) / 6.0 + 1e-9
 
 
-@pytest.mark.parametrize(("noise_m", "kind"), [(0.0, HOME), (0.05, SEEN_BADLY)])
-def test_home_that_is_seen_exactly_is_home_however_many_frames_are_lost(elsewhere, noise_m, kind):
+@pytest.mark.parametrize(
+    ("noise_m", "step_s", "kind"),
+    [(0.0, 0.1, HOME), (0.0, 0.4, HOME), (0.05, 0.1, SEEN_BADLY), (0.0, 0.04, SEEN_BADLY)],
+)
+def test_home_that_is_seen_exactly_is_home_however_many_frames_are_lost(
+    elsewhere, noise_m, step_s, kind
+):
     features = made(50, SEEN_BADLY, 7).features.astype(float)
     features[:, SCENE.start + SCENE_NAMES.index("noise")] = noise_m
+    features[:, SCENE.start + SCENE_NAMES.index("frame interval")] = step_s
     assert (elsewhere.kinds(features).argmax(axis=1) == kind).all()
 
 
