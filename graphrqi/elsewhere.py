@@ -77,8 +77,7 @@ SCENES_OF_A_KIND: Final = 6000
 """Most scenes of each kind that the gate learns from."""
 
 MOST_DRIVERS: Final = 40.0
-"""Drivers at once beyond which their number does not count for the gate: a city is no other kind of
-traffic than a crossing."""
+"""Drivers at once beyond which their number does not count: a city is no other kind of traffic."""
 
 UNSEEN: Final[FloatArray] = np.array([0.5, 0.0, 0.25, 0.25])
 """Probability of each kind of traffic before anything of it is known: whether it is as at home is
@@ -87,12 +86,10 @@ open, and so is whether it is simulated (our choice)."""
 GLIMPSED_S, WATCHED_S = 1.0, 2.0
 """Time for which a scene was watched, s, up to which its kind is not known at all, and from which
 the gate is believed (our choice). Its lessons are scenes of three seconds and more; at one second
-it had taken all drivers of KITTI for those of home and all of US-101 for foreign simulations, and
-half of them were told."""
+it took all drivers of KITTI for those of home and all of US-101 for foreign simulations."""
 
 SURE: Final = 0.05
-"""A kind of traffic that is less likely than this is left out, so that mostly one classifier
-answers."""
+"""A kind of traffic that is less likely is left out, so that mostly one classifier answers."""
 
 RANGE: Final = 0.002
 """Share of the training scenes beyond each end of a number's range."""
@@ -133,10 +130,6 @@ that share no lanes have .2 to .3 s. Who is ahead there is beside, and headways,
 network's answers rest, say nothing: such a scene is none of the simulations that it learned from,
 and its drivers are compared with one another as people are."""
 
-_DRIVERS: Final = SCENE_NAMES.index("drivers")
-
-_HEADWAY: Final = SCENE_NAMES.index("mean headway")
-
 EXACT_M: Final = 0.001
 """Positions whose errors are smaller than this are exact, m: a tenth of the least noise that home
 is seen through in training."""
@@ -144,12 +137,6 @@ is seen through in training."""
 FINEST_S: Final = 0.09
 """Time between frames below which exact home is no longer home's classifier's, s: it learned from
 frames .1 s apart, and how a simulated driver dawdles from frame to frame depends on their step."""
-
-_NOISE: Final = SCENE_NAMES.index("noise")
-
-_FRAME: Final = SCENE_NAMES.index("frame interval")
-
-_SECONDS: Final = SCENE_NAMES.index("seconds")
 
 _OF_PEOPLE: Final = [
     SCENE_NAMES.index(name)
@@ -159,11 +146,12 @@ _OF_PEOPLE: Final = [
     )
 ]  # fmt: skip
 """Numbers of a scene that tell recorded from simulated traffic: how restless its drivers are beside
-the noise. Others, like the pace, tell the places that were trained on from simulations, and miss
-those that were not."""
+the noise. Others, like the pace, tell only places that were trained on from simulations."""
 
-_COURSES: Final = SCENE_NAMES.index("mean weaving")
-
+_DRIVERS, _HEADWAY, _NOISE, _FRAME, _SECONDS, _COURSES = map(
+    SCENE_NAMES.index,
+    ("drivers", "mean headway", "noise", "frame interval", "seconds", "mean weaving"),
+)
 
 _LEARNED: Final = ("seen_badly", "foreign", "gate", "recorded")
 """Attributes of `Elsewhere` that have arrays."""
@@ -463,8 +451,7 @@ def _as_many_early(scenes: FloatArray, count: int, rng: np.random.Generator) -> 
 def _where_exact(kinds: FloatArray, scenes: FloatArray) -> FloatArray:
     """(n, 3) probabilities of kinds where home that is seen exactly is home.
 
-    Lost frames and lower frame rates cost home's own classifier little; noise breaks it, and so do
-    simulations in finer steps.
+    Lost frames and lower rates cost home's classifier little; noise and finer steps break it.
 
     Args:
         kinds: (n, 3) as from the gate.
