@@ -19,7 +19,8 @@ from experiments.data.worlds.sensor import seen_badly
 from experiments.scoring.metrics import score
 from experiments.scoring.models import majority_of
 from experiments.training.recorded_scenes import read_scenes, scenes_of
-from graphrqi.elsewhere import FOREIGN, Elsewhere, Lessons, train_elsewhere
+from graphrqi.elsewhere import FOREIGN, Elsewhere
+from graphrqi.elsewhere_training import Lessons, train_elsewhere
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES
 from graphrqi.methods import make_observer

@@ -16,11 +16,10 @@ from graphrqi.elsewhere import (
     RECORDED,
     SEEN_BADLY,
     UNSEEN,
-    Lessons,
-    train_elsewhere,
 )
+from graphrqi.elsewhere_training import Lessons, train_elsewhere
 from graphrqi.features.observer import Observation
-from graphrqi.features.relative.observer import SCENE_NAMES, RelativeObserver
+from graphrqi.features.relative.observer import SCENE_NAMES, UNKNOWN_SCENE, RelativeObserver
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
 from graphrqi.samples import Samples
@@ -103,6 +102,20 @@ def test_a_scene_is_watched_for_two_seconds_before_the_gate_is_believed(elsewher
     assert np.allclose(elsewhere.kinds(features), expected, atol=0.1)
     foreign = np.tile(np.eye(4)[FOREIGN], (50, 1))
     assert elsewhere.answers(features, foreign).max() <= known + (1.0 - known) / 6.0 + 1e-9
+
+
+@pytest.mark.parametrize(("kind", "share"), [(HOME, UNSEEN[HOME]), (FOREIGN, 0.0)])
+def test_until_courses_are_known_home_is_not_likelier_than_at_first(elsewhere, kind, share):
+    features = made(50, kind, 7).features.astype(float)
+    features[:, SCENE.start + SCENE_NAMES.index("seconds")] = np.log1p(30.0)
+    known = elsewhere.kinds(features)
+    features[:, SCENE.start + SCENE_NAMES.index("mean weaving")] = UNKNOWN_SCENE
+    wide = dataclasses.replace(elsewhere, low=np.minimum(elsewhere.low, UNKNOWN_SCENE))
+    open_ = wide.kinds(features)
+    assert np.allclose(open_.sum(axis=1), 1.0)
+    assert np.median(known[:, kind]) > 0.9
+    assert open_[:, HOME].max() <= UNSEEN[HOME] + 0.02
+    assert np.median(open_[:, HOME]) == pytest.approx(share, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,8 @@ from experiments.data.windows import gather
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from experiments.training.elsewhere import PARTS, gather_lessons, number_of
-from graphrqi.elsewhere import FOREIGN, train_elsewhere
+from graphrqi.elsewhere import FOREIGN
+from graphrqi.elsewhere_training import train_elsewhere
 from graphrqi.methods import Model, train
 from graphrqi.model_files import load_model
 from graphrqi.places.network import PlaceNetwork
