@@ -264,7 +264,7 @@ def probabilities(table: pa.Table) -> NDArray[np.float64]:
     return np.stack(columns, axis=1).astype(np.float64)
 
 
-_HEADINGS: Final = {"true_known": "truth known", "right_at_end": "right"}
+_HEADINGS: Final = {"true_known": "truth known", "right_at_end": "told and right"}
 """What columns are called for people, where it differs from the key."""
 
 
@@ -302,7 +302,7 @@ def totals_table(rows: Sequence[Row]) -> list[Row]:
         line["confidence"] = per_cent(float(row["confidence"] or 0.0))
         known = int(row.get("true_known") or 0)
         if known:
-            line["right"] = per_cent(int(row["right_at_end"] or 0) / known)
+            line["told and right"] = per_cent(int(row["right_at_end"] or 0) / known)
             line["if all were the most frequent"] = per_cent(int(row["most_frequent"] or 0) / known)
         lines.append(line)
     return lines

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from graphrqi.samples import NoSamplesError, Samples, collect
 from sim.frames import Tracks
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
+
+T = TypeVar("T")
 
 METHOD: Final = "graphrqi-relative"
 """The method whose features answer elsewhere."""
@@ -152,13 +154,22 @@ def _gathered(
         for dataset in datasets
         for entry in dataset.episodes(split)
     ]
-    parts: list[Samples] = []
-    with Progress(f"{part}: observing {split} episodes", len(arguments), quiet) as progress:
-        for samples in in_parallel(_observed, arguments, jobs):
-            if samples is not None:
-                parts.append(samples)
+    found = _of_each(_observed, arguments, f"{part}: observing {split} episodes", jobs, quiet)
+    return Samples.join([samples for samples in found if samples is not None])
+
+
+def _of_each(
+    function: Callable[..., T],
+    arguments: Sequence[tuple[Any, ...]],
+    what: str,
+    jobs: int | None,
+    quiet: bool,
+) -> Iterator[T]:
+    """What a function of one episode gives, of one after another."""
+    with Progress(what, len(arguments), quiet) as progress:
+        for found in in_parallel(function, arguments, jobs):
+            yield found
             progress.advance()
-    return Samples.join(parts)
 
 
 def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Samples | None:
@@ -182,12 +193,8 @@ def _scenes(
     quiet: bool,
 ) -> NDArray[np.float64]:
     """(k, S) numbers of the scenes of some episodes, as a function of one episode gives them."""
-    parts: list[NDArray[np.float64]] = [np.zeros((0, len(SCENE_NAMES)))]
-    with Progress(what, len(arguments), quiet) as progress:
-        for scenes in in_parallel(observed, arguments, jobs):
-            parts.append(scenes)
-            progress.advance()
-    return np.concatenate(parts)
+    none = np.zeros((0, len(SCENE_NAMES)))
+    return np.concatenate([none, *_of_each(observed, arguments, what, jobs, quiet)])
 
 
 def _usual(folder: Path, entry: EpisodeEntry) -> NDArray[np.float64]:

@@ -181,6 +181,7 @@ FORMATS: Final[Registry[Format]] = Registry(
             ("*.csv",),
             re.compile(rb'^"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
             "sim.formats.argo:read",
+            beside=("*_labels.csv",),
         ),
         "pairs": Format(
             ("*.csv",),
