@@ -24,16 +24,12 @@ from sim.store.atomic import whole_file
 MOST_RECORDINGS: Final = 55
 """Recordings of a place that are used."""
 
-SENSORS: Final = 3
-"""Sensors that are drawn for each recording: with one alone, half of the noisy ones pass for
-simulations at places that nothing was learned from."""
-
-DIGITS: Final = 4
+DIGITS: Final = 5
 """Significant digits that are kept."""
 
 
 def write_scenes(folder: Path, places: Sequence[str], path: Path = SCENES) -> int:
-    """Write the scenes of recordings, as they are and through sensors that are drawn at random.
+    """Write the scenes of recordings, as they are and through a sensor that is drawn at random.
 
     Args:
         folder: holds a folder of recordings for each place.
@@ -52,7 +48,7 @@ def write_scenes(folder: Path, places: Sequence[str], path: Path = SCENES) -> in
         found = islice(recordings_of(folder / place, lambda said: None), MOST_RECORDINGS)
         for recording, unit in found:
             tracks = admitted(recording, unit)[0].tracks
-            for seen in (tracks, *(seen_badly(tracks, rng) for _ in range(SENSORS))):
+            for seen in (tracks, seen_badly(tracks, rng)):
                 rows += [[place, *(f"{v:.{DIGITS}g}" for v in scene)] for scene in scenes_of(seen)]
     with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
