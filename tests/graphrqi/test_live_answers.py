@@ -72,7 +72,7 @@ def test_at_first_nobody_is_surely_told():
     for step in range(11):
         live.update(0.1 * step, np.arange(8), positions(0.1 * step), drives)
     _, probability, domain = live.now()
-    assert domain == 0.5
+    assert domain == pytest.approx(2.0 / 3.0)
     assert probability.shape == (8, 6)
     aggressive = probability[:, :3].sum(axis=1)
-    assert (np.maximum(aggressive, 1.0 - aggressive) <= 0.75 + 1e-9).all()
+    assert (np.maximum(aggressive, 1.0 - aggressive) <= 2.0 / 3.0 + 1e-9).all()
