@@ -41,7 +41,6 @@ from graphrqi.places.people import beside_others, level_shown, log_odds_of, rest
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 HOME, SEEN_BADLY, FOREIGN, RECORDED = range(4)
 """Kinds of traffic: as at home, home's seen badly, simulated by others, and recorded."""

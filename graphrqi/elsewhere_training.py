@@ -37,7 +37,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 EARLY: Final = 0.15
-"""Share of the scenes, simulated and recorded, that it learns from before any course is known."""
+"""Share of the scenes, simulated and recorded, before any course is known, among those that the
+classifier of recorded scenes learns from."""
 
 SCENES_OF_A_KIND: Final = 6000
 """Most scenes of each kind that the gate learns from."""

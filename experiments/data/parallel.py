@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
 from behaviors.errors import InputError
+from experiments.console.progress import Progress
 from sim.store.atomic import end_without_temporary
 
 T = TypeVar("T")
@@ -81,3 +82,30 @@ def in_parallel(
     futures = [executor.submit(function, *one) for one in arguments]
     for future in futures:
         yield future.result()
+
+
+def all_in_parallel(
+    function: Callable[..., T],
+    arguments: Sequence[tuple[Any, ...]],
+    jobs: int | None,
+    what: str,
+    quiet: bool,
+) -> list[T]:
+    """Call a function on each tuple of arguments, and show how far that has come.
+
+    Args:
+        function: importable by workers.
+        arguments: one tuple per call; there may be none.
+        jobs: processes; None for one per core. One call or one job runs in this process.
+        what: the work and what is counted.
+        quiet: whether to show no progress.
+
+    Returns:
+        The answers, in the order of the arguments.
+    """
+    found: list[T] = []
+    with Progress(what, len(arguments), quiet) as progress:
+        for one in in_parallel(function, arguments, jobs) if arguments else ():
+            found.append(one)
+            progress.advance()
+    return found

@@ -8,8 +8,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
-from experiments.console.progress import Progress
-from experiments.data.parallel import in_parallel
+from experiments.data.parallel import all_in_parallel
 from graphrqi.methods import make_observer
 from graphrqi.samples import NoSamplesError, Samples, collect
 from graphrqi.units import image_scale, in_metres
@@ -114,15 +113,10 @@ def gather(
             f"{paths}: found no {split} episode{where}, expected at least one; "
             "generate more episodes"
         )
-    parts: list[Samples] = []
-    left_out: list[str] = []
-    with Progress(f"{method}: observing {split} episodes", len(arguments), quiet) as progress:
-        for part in in_parallel(episode_samples, arguments, jobs):
-            if isinstance(part, str):
-                left_out.append(part)
-            else:
-                parts.append(part)
-            progress.advance()
+    what = f"{method}: observing {split} episodes"
+    found = all_in_parallel(episode_samples, arguments, jobs, what, quiet)
+    parts = [part for part in found if not isinstance(part, str)]
+    left_out = [reason for reason in found if isinstance(reason, str)]
     if not parts:
         raise NoSamplesError(left_out[0])
     for reason in left_out:

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
-from experiments.console.progress import Progress
-from experiments.data.parallel import in_parallel
+from experiments.data.parallel import all_in_parallel
 from experiments.data.windows import places_of
 from experiments.rows import Cell, Row, of_bench, tidy_row
 from experiments.scoring.classification import (
@@ -179,12 +178,7 @@ def answers_of(
         for (path, entry), place in zip(every, places_of(datasets), strict=True)
         if split in (None, entry.split)
     ]
-    found = []
-    with Progress("answering episodes", len(arguments), quiet) as progress:
-        for one in in_parallel(_answered, arguments, jobs) if arguments else ():
-            found.append(one)
-            progress.advance()
-    return found
+    return all_in_parallel(_answered, arguments, jobs, "answering episodes", quiet)
 
 
 @lru_cache(maxsize=4)

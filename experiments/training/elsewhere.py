@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
-from experiments.console.progress import Progress
-from experiments.data.parallel import in_parallel
+from experiments.data.parallel import all_in_parallel
 from experiments.data.windows import measured
 from experiments.data.worlds.sensor import seen_badly
 from experiments.scoring.metrics import score
@@ -28,8 +27,6 @@ from graphrqi.samples import NoSamplesError, Samples, collect
 from sim.frames import Tracks
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
-
-T = TypeVar("T")
 
 METHOD: Final = "graphrqi-relative"
 """The method whose features answer elsewhere."""
@@ -154,22 +151,10 @@ def _gathered(
         for dataset in datasets
         for entry in dataset.episodes(split)
     ]
-    found = _of_each(_observed, arguments, f"{part}: observing {split} episodes", jobs, quiet)
+    found = all_in_parallel(
+        _observed, arguments, jobs, f"{part}: observing {split} episodes", quiet
+    )
     return Samples.join([samples for samples in found if samples is not None])
-
-
-def _of_each(
-    function: Callable[..., T],
-    arguments: Sequence[tuple[Any, ...]],
-    what: str,
-    jobs: int | None,
-    quiet: bool,
-) -> Iterator[T]:
-    """What a function of one episode gives, of one after another."""
-    with Progress(what, len(arguments), quiet) as progress:
-        for found in in_parallel(function, arguments, jobs):
-            yield found
-            progress.advance()
 
 
 def _observed(folder: Path, entry: EpisodeEntry, part: str, seed: int) -> Samples | None:
@@ -194,7 +179,7 @@ def _scenes(
 ) -> NDArray[np.float64]:
     """(k, S) numbers of the scenes of some episodes, as a function of one episode gives them."""
     none = np.zeros((0, len(SCENE_NAMES)))
-    return np.concatenate([none, *_of_each(observed, arguments, what, jobs, quiet)])
+    return np.concatenate([none, *all_in_parallel(observed, arguments, jobs, what, quiet)])
 
 
 def _usual(folder: Path, entry: EpisodeEntry) -> NDArray[np.float64]:

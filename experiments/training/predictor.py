@@ -13,7 +13,7 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
-from experiments.data.parallel import in_parallel
+from experiments.data.parallel import all_in_parallel
 from experiments.scoring.prediction_errors import (
     HISTORY_S,
     HORIZONS_S,
@@ -256,11 +256,8 @@ def train_predictors(
         if not entries:
             raise InputError(f"{source}: found no {split} episode, expected at least 1")
         arguments = [(source, entry, model, EXAMPLES_EVERY_S) for entry in entries]
-        found = []
-        with Progress(f"predictors: observing {split} episodes", len(entries), quiet) as progress:
-            for one in in_parallel(examples_of, arguments, None):
-                found.append(one)
-                progress.advance()
+        what = f"predictors: observing {split} episodes"
+        found = all_in_parallel(examples_of, arguments, None, what, quiet)
         informed, label_free = (list(same) for same in zip(*found, strict=True))
         parts[split] = BeliefExamples.join(informed), Examples.join(label_free)
     card: dict[str, Any] = {
