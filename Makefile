@@ -36,8 +36,11 @@ docs: $(VENV)/.installed-dev
 study: $(VENV)/.installed
 	$(BIN)/python -m experiments.study
 
+# numpy and PyTorch use the widest instructions of a processor, and the last bits of a result differ
+# with them. Models are trained without those that not every processor has.
 model: $(VENV)/.installed-dev
-	$(BIN)/python -m experiments.model
+	NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR" ATEN_CPU_CAPABILITY=avx2 \
+	    $(BIN)/python -m experiments.model
 
 population: $(VENV)/.installed
 	$(if $(US101),,$(error found no folder of recordings, expected make population US101=FOLDER))

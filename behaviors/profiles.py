@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from behaviors.elementwise import exponential
 from behaviors.errors import InputError
 from behaviors.labels import Behavior
 
@@ -225,6 +226,6 @@ def sample_profile(
         raise InputError(f"spread: found {spread}, expected a number >= 0")
     median = PROFILES[behavior]
     drawn_z = rng.standard_normal(len(SPREAD_FIELDS)).clip(-FARTHEST_SPREADS, FARTHEST_SPREADS)
-    factors = np.exp(spread * drawn_z)
+    factors = exponential(spread * drawn_z)
     drawn = {n: float(getattr(median, n) * f) for n, f in zip(SPREAD_FIELDS, factors, strict=True)}
     return dataclasses.replace(median, **drawn)

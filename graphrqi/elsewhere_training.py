@@ -36,10 +36,6 @@ from graphrqi.samples import Samples
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-EARLY: Final = 0.15
-"""Share of the scenes, simulated and recorded, before any course is known, among those that the
-classifier of recorded scenes learns from."""
-
 SCENES_OF_A_KIND: Final = 6000
 """Most scenes of each kind that the gate learns from."""
 
@@ -111,8 +107,8 @@ def train_elsewhere(
     people = capped(lessons.recorded)
     recorded = make_classifier("boosted", 2, **RECORDED_OPTIONS)
     rng = np.random.default_rng(seed)
-    parts = [_as_many_early(part, len(scenes), rng)[:, OF_PEOPLE] for part in (scenes, people)]
-    is_recorded = np.repeat(np.array([0, 1], dtype=np.int8), [len(part) for part in parts])
+    parts = [_with_courses(part, len(scenes), rng)[:, OF_PEOPLE] for part in (scenes, people)]
+    is_recorded = np.repeat(np.array([0, 1], dtype=np.int8), len(scenes))
     recorded.fit(np.concatenate(parts), is_recorded, None, seed)
     both = np.concatenate([scenes, people])
     low, high = np.quantile(both, [RANGE, 1.0 - RANGE], axis=0)
@@ -135,10 +131,7 @@ def _scenes(lessons: Lessons, seed: int) -> tuple[FloatArray, CodeArray]:
     return np.concatenate(drawn), np.repeat(np.arange(3, dtype=np.int8), most)
 
 
-def _as_many_early(scenes: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
-    """Some ``count`` scenes drawn with repetition, the share ``EARLY`` before courses are known."""
-    early = scenes[:, COURSES] == UNKNOWN_SCENE
-    parts = [scenes[early], scenes[~early]]
-    wanted = [round(EARLY * count), round((1.0 - EARLY) * count)]
-    drawn = [p[rng.choice(len(p), n)] for p, n in zip(parts, wanted, strict=True) if len(p)]
-    return np.concatenate(drawn)
+def _with_courses(scenes: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """(count, S) scenes in which courses are known, drawn with repetition."""
+    known = scenes[scenes[:, COURSES] != UNKNOWN_SCENE]
+    return np.asarray(known[rng.choice(len(known), count)])

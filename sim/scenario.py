@@ -355,7 +355,7 @@ def _draw_driver(
         profile = drivers_of(scenario.population).draw(behavior, own, scenario.spread)
     profile = _limited(profile, limits)
     median, width, spread = DIMENSIONS_M[kind]
-    length = float(median * np.exp(spread * rng.standard_normal()))
+    length = median * math.exp(spread * rng.standard_normal())
     return AgentSpec(0, kind, behavior, profile, route, depart_s, length, width, 0.0, seed)
 
 

@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.elementwise import exponential, logarithm
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.populations.population import Around, Population
@@ -76,7 +77,7 @@ class DriverSource:
 
     def median(self, behavior: Behavior) -> Profile:
         """The median driver of a behaviour; what the population does not tell is the profile's."""
-        return _replaced(PROFILES[behavior], np.exp(self.centre[BEHAVIORS.index(behavior)]))
+        return _replaced(PROFILES[behavior], exponential(self.centre[BEHAVIORS.index(behavior)]))
 
     def draw(self, behavior: Behavior, rng: np.random.Generator, spread: float) -> Profile:
         """One driver of a behaviour.
@@ -97,7 +98,7 @@ class DriverSource:
         centre = self.centre[BEHAVIORS.index(behavior)]
         for _ in range(0, MOST_DRAWS, _AT_ONCE):
             z = rng.standard_normal((_AT_ONCE, centre.size)) @ self.root.T
-            told = np.exp(centre + self.spread * z)
+            told = exponential(centre + self.spread * z)
             good = (np.abs(z) <= FARTHEST).all(axis=1)
             good &= told[:, POPULATION_TOLD.index("time_headway_s")] >= LOWEST_HEADWAY_S
             if good.any():
@@ -119,13 +120,13 @@ def drivers_of(population: Population) -> DriverSource:
         >>> round(source.median(Behavior.TIMID).time_headway_s, 6)
         2.9
     """
-    own = np.log([[getattr(PROFILES[b], n) for n in POPULATION_TOLD] for b in BEHAVIORS])
+    own = logarithm([[getattr(PROFILES[b], n) for n in POPULATION_TOLD] for b in BEHAVIORS])
     centre, within = own.copy(), population.log_spread.copy()
     if population.around is Around.POPULATION:
         middle, apart = own.mean(axis=0), own.std(axis=0)
         centre = middle + (own - middle) / apart * np.sqrt(BETWEEN) * population.log_spread
         told = slice(1, None)  # all but the speed factor, whose middle stays that of the profiles
-        centre[:, told] += np.log(population.median[told]) - middle[told]
+        centre[:, told] += logarithm(population.median[told]) - middle[told]
         within *= np.sqrt(1.0 - BETWEEN)
     values, vectors = np.linalg.eigh(population.correlation)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -145,6 +146,6 @@ def _varied(profile: Profile, rng: np.random.Generator, spread: float) -> Profil
     z = rng.standard_normal(len(names))
     while (far := np.abs(z) > FARTHEST_SPREADS).any():
         z[far] = rng.standard_normal(int(far.sum()))
-    factors = np.exp(spread * z)
+    factors = exponential(spread * z)
     drawn = {n: float(getattr(profile, n) * f) for n, f in zip(names, factors, strict=True)}
     return dataclasses.replace(profile, **drawn)

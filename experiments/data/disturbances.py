@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from behaviors.elementwise import exponential
 from behaviors.errors import InputError
 from sim.frames import Tracks
 
@@ -37,7 +38,7 @@ def correlated_noise(
     ``correlation_s``.
     """
     error = rng.normal(0.0, deviation_m, tracks.xy.shape)
-    kept = np.exp(-np.diff(tracks.time_s) / correlation_s)
+    kept = exponential(-np.diff(tracks.time_s) / correlation_s)
     for step, share in enumerate(kept, start=1):
         error[:, step] = share * error[:, step - 1] + (1 - share**2) ** 0.5 * error[:, step]
     return dataclasses.replace(tracks, xy=tracks.xy + error)

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
+from experiments.recorded_scenes import SENSORS, seen_scenes
 from experiments.training.recorded_scenes import OPEN_DATA, SCENES, read_scenes, scenes_of
 from graphrqi.features.relative.observer import SCENE_NAMES
+from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind, Tracks
 
 
@@ -43,3 +45,16 @@ def test_a_file_of_another_version_is_refused(tmp_path):
     path.write_text("place,noise\nroad,0.1\n")
     with pytest.raises(InputError, match="found columns"):
         read_scenes(path)
+
+
+def test_a_recording_is_seen_as_it_is_and_through_sensors_of_its_own():
+    tracks = platoon(20.0)
+    scenes = seen_scenes(Recording("platoon", tracks), "m", 3)
+    as_it_is = np.array(list(scenes_of(tracks)))
+    assert (scenes[:5] == as_it_is).all()
+    noise = scenes[5:, SCENE_NAMES.index("noise")]
+    assert noise.size >= 3 * SENSORS  # a sensor may lose the last frames
+    assert noise.max() > 0.01 > as_it_is[:, SCENE_NAMES.index("noise")].max()
+    assert (seen_scenes(Recording("platoon", tracks), "m", 3) == scenes).all()
+    others = seen_scenes(Recording("platoon", tracks), "m", 4)
+    assert others.shape != scenes.shape or (others != scenes).any()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -107,7 +108,7 @@ class Population:
         for z, name in zip(own, SHIFTS, strict=True):
             mixed = (1 - self.correlation) ** 0.5 * z
             mixed += self.correlation**0.5 * common * TENDENCY[name]
-            factor = float(np.exp(self.spread * mixed)) * self.shifts.get(name, 1.0)
+            factor = math.exp(self.spread * mixed) * self.shifts.get(name, 1.0)
             numbers[name] = getattr(median, name) * factor
         numbers["time_headway_s"] = max(numbers["time_headway_s"], LOWEST_HEADWAY_S)
         numbers["max_accel_mps2"] = min(numbers["max_accel_mps2"], limits.max_accel_mps2)
@@ -133,7 +134,7 @@ def draw_population(rng: np.random.Generator) -> Population:
     shares = _draw_mix(kind, rng)
     shifted = rng.random() < 0.8
     shifts = {
-        name: round(float(np.exp(deviation * rng.standard_normal())), 3) if shifted else 1.0
+        name: round(math.exp(deviation * rng.standard_normal()), 3) if shifted else 1.0
         for name, deviation in SHIFTS.items()
     }
     trucks = float(rng.choice((0.0, 0.0, 0.05, 0.15)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -126,7 +127,7 @@ class Sensor:
         """Positions and sizes in the sensor's axes and unit."""
         if self.has_map:
             return tracks
-        cos, sin = np.cos(self.turned_rad), np.sin(self.turned_rad)
+        cos, sin = math.cos(self.turned_rad), math.sin(self.turned_rad)
         axes = np.array([[cos, sin], [-sin, cos]])
         if self.left_hand:
             axes = np.diag([1.0, -1.0]) @ axes
@@ -142,14 +143,15 @@ class Sensor:
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
     """Draw what sees the traffic; one in five measures positions exactly."""
-    low, high = np.log(NOISE_M)
-    noise = 0.0 if rng.random() < 0.2 else float(np.exp(rng.uniform(low, high)))
+    low, high = map(math.log, NOISE_M)
+    noise = 0.0 if rng.random() < 0.2 else math.exp(rng.uniform(low, high))
     correlation = float(rng.choice(NOISE_CORRELATION_S))
     step_s = float(rng.choice(STEPS_S))
     lost_frames, lost_detections = float(rng.choice(LOSSES)), float(rng.choice(LOSSES))
     lost_per_min, found_as = float(rng.choice(LOST_PER_MIN)), str(rng.choice([SAME, NEW]))
     has_map, pixels = bool(rng.random() < MAP_SHARE), bool(rng.random() < PIXEL_SHARE)
-    scale = float(np.exp(rng.uniform(*np.log(PIXELS_PER_M))))
+    low, high = map(math.log, PIXELS_PER_M)
+    scale = math.exp(rng.uniform(low, high))
     left, turned = bool(rng.random() < 0.3), float(rng.uniform(-np.pi, np.pi))
     sizes = bool(rng.random() < 0.6)
     return Sensor(
