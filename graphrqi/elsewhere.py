@@ -30,6 +30,7 @@ from graphrqi.classify import Classifier, restore_classifier
 from graphrqi.classify.checks import part_of, saved
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import (
+    LEAST_LEFT_OVER_M,
     LEFT_OVER,
     SCENE_NAMES,
     UNKNOWN_SCENE,
@@ -189,6 +190,7 @@ class Elsewhere:
         people = self.recorded.posterior(np.ascontiguousarray(scenes[:, OF_PEOPLE]))[:, 1]
         people = _ramp(people, HARDLY_PEOPLE, SURELY_PEOPLE)
         people = np.where(scenes[:, COURSES] == UNKNOWN_SCENE, PEOPLE_AT_FIRST, people)
+        people = np.where(_on_a_line(scenes), 0.0, people)
         people = np.maximum(people, 1.0 - _share_following(scenes))[:, None]
         simulated = _where_exact(self.gate.posterior(scenes), scenes)
         found = _kept_open(np.concatenate([(1.0 - people) * simulated, people], axis=1), scenes)
@@ -363,6 +365,15 @@ def _where_exact(kinds: FloatArray, scenes: FloatArray) -> FloatArray:
     exact = (noise >= 0.0) & (noise < EXACT_M) & (scenes[:, _FRAME] > FINEST_S)
     moved = badly * _ramp(badly, DOUBTED, SURELY) * exact
     return np.stack([kinds[:, HOME] + moved, badly - moved, kinds[:, FOREIGN]], axis=1)
+
+
+def _on_a_line(scenes: FloatArray) -> NDArray[np.bool_]:
+    """(n,) whether nobody in scenes (n, S) leaves a line, so that no restlessness is seen.
+
+    Simulated cars keep to lines, and so do recordings of distances along a lane.
+    """
+    weaving = scenes[:, COURSES]
+    return np.asarray((weaving != UNKNOWN_SCENE) & (weaving <= np.log(LEAST_LEFT_OVER_M) + 1e-6))
 
 
 def _watched(scenes: FloatArray) -> FloatArray:
