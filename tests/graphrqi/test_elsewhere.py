@@ -13,13 +13,19 @@ from graphrqi.elsewhere import (
     FAST,
     FOREIGN,
     HOME,
+    PEOPLE_AT_FIRST,
     RECORDED,
     SEEN_BADLY,
     UNSEEN,
 )
 from graphrqi.elsewhere_training import Lessons, train_elsewhere
 from graphrqi.features.observer import Observation
-from graphrqi.features.relative.observer import SCENE_NAMES, UNKNOWN_SCENE, RelativeObserver
+from graphrqi.features.relative.observer import (
+    LEAST_LEFT_OVER_M,
+    SCENE_NAMES,
+    UNKNOWN_SCENE,
+    RelativeObserver,
+)
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
 from graphrqi.samples import Samples
@@ -72,6 +78,20 @@ def test_where_nobody_follows_it_is_no_simulation(elsewhere):
     assert (elsewhere.kinds(scenes).argmax(axis=1) == FOREIGN).mean() > 0.95
     scenes[:, HEADWAY] = np.log(0.25)
     assert (elsewhere.kinds(scenes)[:, RECORDED] > 0.9).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("weaving", "recorded"),
+    [(np.log(LEAST_LEFT_OVER_M), 0.0), (UNKNOWN_SCENE, PEOPLE_AT_FIRST)],
+    ids=["on a line", "not known yet"],
+)
+def test_restlessness_that_cannot_be_seen_makes_no_people(elsewhere, weaving, recorded):
+    scenes = made(200, RECORDED, 9).features.astype(float)
+    assert np.median(elsewhere.kinds(scenes)[:, RECORDED]) > 0.9
+    scenes[:, SCENE.start + SCENE_NAMES.index("mean weaving")] = weaving
+    low, high = np.full_like(elsewhere.low, -100.0), np.full_like(elsewhere.high, 100.0)
+    found = dataclasses.replace(elsewhere, low=low, high=high).kinds(scenes)
+    assert np.median(found[:, RECORDED]) == pytest.approx(recorded, abs=0.02)
 
 
 @pytest.mark.parametrize("kind", [SEEN_BADLY, FOREIGN, RECORDED])
