@@ -19,7 +19,7 @@ from experiments.benches.classification.recorded import recordings_of
 from experiments.data.admission import admitted
 from experiments.data.parallel import all_in_parallel
 from experiments.data.worlds.sensor import seen_badly
-from experiments.training.recorded_scenes import OPEN_DATA, SCENES, scenes_of
+from experiments.training.recorded_scenes import OPEN_DATA, SCENES, scene_rows
 from graphrqi.features.relative.observer import SCENE_NAMES
 from sim.formats.common.recording import Recording
 from sim.store.atomic import whole_file
@@ -81,8 +81,7 @@ def seen_scenes(recording: Recording, unit: str, number: int) -> NDArray[np.floa
     tracks = admitted(recording, unit)[0].tracks
     rng = np.random.default_rng(number)
     seen = (tracks, *(seen_badly(tracks, rng) for _ in range(SENSORS)))
-    scenes = [scene for one in seen for scene in scenes_of(one)]
-    return np.array(scenes).reshape(-1, len(SCENE_NAMES))
+    return np.concatenate([scene_rows(one) for one in seen])
 
 
 if __name__ == "__main__":

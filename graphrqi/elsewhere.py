@@ -67,7 +67,7 @@ from which it counts as home (our choice). In between both ways of answering are
 average in which one has a small share would still let that one decide about whole places."""
 
 HARDLY_PEOPLE, SURELY_PEOPLE = 0.5, 0.9
-"""The same of recorded scenes (our choice): from where they count as simulated, and as recorded.
+"""The same of recorded scenes (our choice): simulated up to the first, recorded from the second.
 Noise hides the difference, and who is taken for people is told less than who is simulated."""
 
 PEOPLE_AT_FIRST: Final = 2.0 / 3.0
@@ -189,8 +189,8 @@ class Elsewhere:
         scenes = scene_of(relative)
         people = self.recorded.posterior(np.ascontiguousarray(scenes[:, OF_PEOPLE]))[:, 1]
         people = _ramp(people, HARDLY_PEOPLE, SURELY_PEOPLE)
-        people = np.where(scenes[:, COURSES] == UNKNOWN_SCENE, PEOPLE_AT_FIRST, people)
-        people = np.where(_on_a_line(scenes), 0.0, people)
+        unseen = [scenes[:, COURSES] == UNKNOWN_SCENE, _on_a_line(scenes)]
+        people = np.select(unseen, [PEOPLE_AT_FIRST, 0.0], people)
         people = np.maximum(people, 1.0 - _share_following(scenes))[:, None]
         simulated = _where_exact(self.gate.posterior(scenes), scenes)
         found = _kept_open(np.concatenate([(1.0 - people) * simulated, people], axis=1), scenes)
@@ -368,12 +368,11 @@ def _where_exact(kinds: FloatArray, scenes: FloatArray) -> FloatArray:
 
 
 def _on_a_line(scenes: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether nobody in scenes (n, S) leaves a line, so that no restlessness is seen.
+    """(n,) whether nobody in scenes (n, S) whose courses are known leaves a line.
 
     Simulated cars keep to lines, and so do recordings of distances along a lane.
     """
-    weaving = scenes[:, COURSES]
-    return np.asarray((weaving != UNKNOWN_SCENE) & (weaving <= np.log(LEAST_LEFT_OVER_M) + 1e-6))
+    return np.asarray(scenes[:, COURSES] <= np.log(LEAST_LEFT_OVER_M) + 1e-6)
 
 
 def _watched(scenes: FloatArray) -> FloatArray:

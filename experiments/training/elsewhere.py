@@ -17,14 +17,13 @@ from experiments.data.windows import measured
 from experiments.data.worlds.sensor import seen_badly
 from experiments.scoring.metrics import score
 from experiments.scoring.models import majority_of
-from experiments.training.recorded_scenes import read_scenes, scenes_of
+from experiments.training.recorded_scenes import read_scenes, scene_rows
 from graphrqi.elsewhere import FOREIGN, Elsewhere
 from graphrqi.elsewhere_training import Lessons, train_elsewhere
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import SCENE_NAMES
 from graphrqi.methods import make_observer
 from graphrqi.samples import NoSamplesError, Samples, collect
-from sim.frames import Tracks
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -184,14 +183,10 @@ def _scenes(
 
 def _usual(folder: Path, entry: EpisodeEntry) -> NDArray[np.float64]:
     """(k, S) numbers of the scenes of one episode."""
-    return _numbers(measured(open_dataset(folder).read(entry)))
+    return scene_rows(measured(open_dataset(folder).read(entry)))
 
 
 def _seen_badly(folder: Path, entry: EpisodeEntry, seed: int, sensor: int) -> NDArray[np.float64]:
     """(k, S) numbers of the scenes of one episode, seen through one sensor."""
     rng = np.random.default_rng([seed, sensor, zlib.crc32(entry.id.encode())])
-    return _numbers(seen_badly(measured(open_dataset(folder).read(entry)), rng))
-
-
-def _numbers(tracks: Tracks) -> NDArray[np.float64]:
-    return np.array(list(scenes_of(tracks))).reshape(-1, len(SCENE_NAMES))
+    return scene_rows(seen_badly(measured(open_dataset(folder).read(entry)), rng))

@@ -45,6 +45,11 @@ def scenes_of(tracks: Tracks) -> Iterator[FloatArray]:
             yield np.nan_to_num(observer.scene(), nan=UNKNOWN_SCENE)
 
 
+def scene_rows(tracks: Tracks) -> FloatArray:
+    """(k, S) what `scenes_of` gives, one row a moment; there may be none."""
+    return np.array(list(scenes_of(tracks))).reshape(-1, len(SCENE_NAMES))
+
+
 def read_scenes(path: Path = SCENES) -> FloatArray:
     """Numbers of recorded scenes, as many of each place.
 
