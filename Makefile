@@ -36,11 +36,14 @@ docs: $(VENV)/.installed-dev
 study: $(VENV)/.installed
 	$(BIN)/python -m experiments.study
 
-# numpy and PyTorch use the widest instructions of a processor, and the last bits of a result differ
-# with them. Models are trained without those that not every processor has.
+# Libraries choose instructions and the order of sums by the make of a processor, and the last bits of
+# a result differ with them. Models are trained with those that every processor with AVX2 has: of
+# numpy, PyTorch, OpenBLAS, MKL and numba, in this order.
+ALIKE := NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR" ATEN_CPU_CAPABILITY=avx2 \
+    OPENBLAS_CORETYPE=Haswell MKL_CBWR=COMPATIBLE NUMBA_CPU_NAME=haswell
+
 model: $(VENV)/.installed-dev
-	NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR" ATEN_CPU_CAPABILITY=avx2 \
-	    $(BIN)/python -m experiments.model
+	$(ALIKE) $(BIN)/python -m experiments.model
 
 population: $(VENV)/.installed
 	$(if $(US101),,$(error found no folder of recordings, expected make population US101=FOLDER))

@@ -28,6 +28,7 @@ from experiments.training.recorded import train_on_recordings
 from experiments.training.recorded_scenes import OPEN_DATA
 from experiments.training.roads import generate_roads
 from graphrqi.model_files import MODELS, load_model, save_model
+from graphrqi.portable_torch import leave_onednn_out
 from graphrqi.predict.rollout.driver_table import CARD
 from sim.store.dataset import open_dataset
 
@@ -193,5 +194,6 @@ def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
 
 if __name__ == "__main__":
     show_notices()
+    leave_onednn_out()
     with exit_on_user_error():
         build_models(Path("runs/model"))

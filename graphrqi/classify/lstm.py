@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from graphrqi.classify.checks import of_trained_classes, saved
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
-from graphrqi.classify.mlp import one_thread
 from graphrqi.classify.standardisation import Standardisation
+from graphrqi.portable_torch import adamw, one_thread
 
 
 class _Network(nn.Module):
@@ -69,7 +69,7 @@ class LstmClassifier:
         with torch.random.fork_rng(devices=[]), one_thread():
             torch.manual_seed(seed)
             network = _Network(self._hidden, self._num_classes)
-            optimizer = torch.optim.Adam(network.parameters(), lr=self._learning_rate)
+            optimizer = adamw(network.parameters(), self._learning_rate)
             best, best_loss = network.state_dict(), float("inf")
             for _ in range(self._epochs):
                 order = torch.randperm(len(x))

@@ -8,8 +8,6 @@ the best epoch and divides the logits by the temperature that fits best (Guo et 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
@@ -21,23 +19,9 @@ from behaviors.errors import InputError
 from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.standardisation import CLIP, Standardisation
+from graphrqi.portable_torch import adamw, one_thread
 
 Loss = Literal["squared-error", "cross-entropy"]
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Compute on one thread.
-
-    Sums then do not depend on the number of cores, and on layers this small more threads would cost
-    more time than they save.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 class Mlp:
@@ -119,9 +103,7 @@ class Mlp:
 
     def _train_member(self, x: Tensor, y: Tensor, held: tuple[Tensor, Tensor] | None) -> Any:
         network = self._network(x.shape[1])
-        optimizer = torch.optim.AdamW(
-            network.parameters(), lr=self._learning_rate, weight_decay=self._weight_decay
-        )
+        optimizer = adamw(network.parameters(), self._learning_rate, self._weight_decay)
         steps = max(1, -(-len(x) // self._batch))
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimizer, self._learning_rate, total_steps=self._epochs * steps

@@ -19,7 +19,6 @@ from torch import Tensor, nn
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.classify.mlp import one_thread
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.places.drivers import weights_of
 from graphrqi.places.network import (
@@ -30,6 +29,7 @@ from graphrqi.places.network import (
     Member,
     PlaceNetwork,
 )
+from graphrqi.portable_torch import adamw, one_thread, root
 from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples
 
@@ -159,7 +159,7 @@ class _Network(nn.Module):
         mean = summed(weights[:, None] * shown) / total
         variance = summed(weights[:, None] * (shown - mean[place]) ** 2) / total
         crowd = torch.log(summed(torch.ones_like(weights)[:, None])) / LOG_DRIVERS
-        around = torch.cat([mean, torch.sqrt(variance + LEAST_VARIANCE), crowd], dim=1)
+        around = torch.cat([mean, root(variance + LEAST_VARIANCE), crowd], dim=1)
         joint = torch.relu(self.joint(torch.cat([own, around[place]], dim=1)))
         return torch.as_tensor(self.answer(self.dropout(joint)))
 
@@ -203,9 +203,7 @@ def train_place_network(
 def _trained(examples: Examples, rng: np.random.Generator, options: NetworkOptions) -> _Network:
     """One network."""
     network = _Network(examples.x.shape[1], options)
-    optimizer = torch.optim.AdamW(
-        network.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay
-    )
+    optimizer = adamw(network.parameters(), options.learning_rate, options.weight_decay)
     steps = options.passes * -(-len(examples.places) // options.places_a_step)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, options.learning_rate, total_steps=steps
@@ -225,7 +223,7 @@ def _loss(network: _Network, examples: Examples, rows: IntArray, place: IntArray
     scores = network(examples.x[rows], examples.weights[rows], at)
     codes = examples.codes[rows]
     known, true = codes >= 0, codes.clamp(min=0)
-    worth = known / torch.bincount(at).float().sqrt()[at]
+    worth = known / root(torch.bincount(at).float())[at]
     aggressive = torch.from_numpy(AGGRESSIVE)
     style = scores[:, aggressive].logsumexp(dim=1) - scores[:, ~aggressive].logsumexp(dim=1)
     losses = nn.functional.cross_entropy(scores, true, reduction="none")

@@ -87,13 +87,15 @@ def displacement_loss(
     """The loss of a batch: (m, K PER_MODE) outputs, (m, ANCHORS, KNOTS, 2), (m, KNOTS, 2)."""
     import torch
 
+    from graphrqi.portable_torch import root
+
     n, b = raw.shape[0], ANCHORS
     each = raw.view(n, MODES, PER_MODE)
     time_s = torch.arange(1, KNOTS + 1) * KNOT_S
     weight = torch.softmax(each[..., :b], dim=-1)
     residual = each[..., b : b + 2 * KNOTS].reshape(n, MODES, KNOTS, 2) * time_s[:, None]
     own = torch.einsum("nkb,nbtc->nktc", weight, anchors) + residual
-    gap = torch.sqrt(((own - truth[:, None]) ** 2).sum(-1) + 1e-4)
+    gap = root(((own - truth[:, None]) ** 2).sum(-1) + 1e-4)
     mean_gap = gap.mean(-1)
     guess = mean_gap[:, 0].mean()
     others = mean_gap[:, 1:]
@@ -131,7 +133,9 @@ def fit(
     """
     import torch
 
-    optimizer = torch.optim.AdamW(module.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    from graphrqi.portable_torch import adamw
+
+    optimizer = adamw(module.parameters(), LEARNING_RATE, WEIGHT_DECAY)
     training = draw(0)
     steps = max(1, len(training.features) // BATCH) * epochs
     schedule = torch.optim.lr_scheduler.OneCycleLR(

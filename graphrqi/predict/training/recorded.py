@@ -190,6 +190,8 @@ def _fit(
     """Fit a module that maps features to outputs, and the one that looks at paths."""
     import torch
 
+    from graphrqi.portable_torch import adamw
+
     features = torch.from_numpy(standardized(training.features, *moments, CLIP))
     base, truth = torch.from_numpy(training.base), torch.from_numpy(training.truth)
     size = torch.from_numpy(scale_of(training.measured[:, 0]).astype(np.float32))
@@ -202,7 +204,7 @@ def _fit(
     batches = max(1, min(PER_EPOCH, len(training)) // BATCH)
     fitted = [*module.parameters(), *(() if lanes is None else lanes.module.parameters())]
     paths = None if lanes is None else lanes.examples(training.ahead, training.truth)
-    optimizer = torch.optim.AdamW(fitted, lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    optimizer = adamw(fitted, LEARNING_RATE, WEIGHT_DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, max_lr=LEARNING_RATE, total_steps=batches * epochs + 1, pct_start=0.1
     )

@@ -40,9 +40,9 @@ def futures_of(raw: torch.Tensor, base: torch.Tensor, size: torch.Tensor) -> tor
 
 def distances(own: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
     """(m, K, KNOTS) from futures (m, K, KNOTS, 2) to what happened (m, KNOTS, 2), m."""
-    import torch
+    from graphrqi.portable_torch import root
 
-    return torch.sqrt(((own - truth[:, None]) ** 2).sum(-1) + 1e-3)
+    return root(((own - truth[:, None]) ** 2).sum(-1) + 1e-3)
 
 
 def covering_loss(

@@ -1,0 +1,56 @@
+"""PyTorch arithmetic that gives the same bits on processors of different makers.
+
+Elementary operations are rounded alike everywhere. Not so the square root that PyTorch takes from
+Intel's MKL: it begins with an estimate for which each maker's processors have another table. What
+is here does without it. Products of matrices are left to MKL, which ``make model`` asks for the
+same results everywhere, and to oneDNN, which can only be left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import torch
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one thread.
+
+    Sums then do not depend on the number of cores, and on small layers more threads would cost more
+    time than they save.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def root(x: torch.Tensor) -> torch.Tensor:
+    """The square root of positive numbers, of the same shape.
+
+    PyTorch divides by the processor's own root for ``rsqrt``, which is exactly rounded.
+
+    >>> root(torch.tensor([0.25, 9.0]))
+    tensor([0.5000, 3.0000])
+    """
+    return x * x.rsqrt()
+
+
+def adamw(
+    parameters: Iterable[torch.nn.Parameter], learning_rate: float, weight_decay: float = 0.0
+) -> torch.optim.AdamW:
+    """The optimiser AdamW (Loshchilov and Hutter 2019) of PyTorch, its fused version.
+
+    The fused version takes exactly rounded roots; the usual one takes MKL's. Without weight decay
+    it is Adam.
+    """
+    return torch.optim.AdamW(parameters, lr=learning_rate, weight_decay=weight_decay, fused=True)
+
+
+def leave_onednn_out() -> None:
+    """Let PyTorch compute without oneDNN in this process: it adds up as suits the processor."""
+    torch.backends.mkldnn.set_flags(False)  # type: ignore[no-untyped-call]
