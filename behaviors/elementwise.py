@@ -35,6 +35,16 @@ def logarithm(values: ArrayLike) -> NDArray[np.float64]:
     return _of_each(math.log, values)
 
 
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number from ``low`` to ``high``, both positive, whose logarithm is uniformly distributed.
+
+    Examples:
+        >>> 2.0 <= log_uniform(np.random.default_rng(0), 2.0, 8.0) <= 8.0
+        True
+    """
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
 def _of_each(function: Callable[[float], float], values: ArrayLike) -> NDArray[np.float64]:
     given = np.asarray(values, dtype=np.float64)
     found = np.array([function(value) for value in given.ravel().tolist()], dtype=np.float64)

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from behaviors.elementwise import log_uniform
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.scoring.recordings import (
@@ -196,10 +197,9 @@ def mirrored_road(road: Road) -> Road:
 
 def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:
     """The same instant as other sensors would have seen it."""
-    low, high = np.log(NOISE_M)
     found = [history]
     for _ in range(NOISY_COPIES):
-        noise_m = float(np.exp(rng.uniform(low, high)))
+        noise_m = log_uniform(rng, *NOISE_M)
         found.append(with_noise(history, noise_m, rng, int(rng.integers(3))))
     if history.step_s < DENSE_S:
         found.append(coarser(history, int(rng.choice(COARSER))))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from behaviors.elementwise import log_uniform
 from behaviors.errors import InputError
 from scenarios.four_way_intersection import TURNS
 from scenarios.networks.geometry import ARMS, TWO_WAY_LENGTH_M
@@ -140,7 +140,7 @@ def draw_road(rng: np.random.Generator) -> WorldRoad:
     ramp = family == "ramp"
     limit = float(rng.uniform(60.0 if ramp else 20.0, 130.0)) / 3.6
     lanes = int(rng.integers(1, 5 if ramp else 6))
-    seconds = math.exp(rng.uniform(math.log(25.0), math.log(80.0)))
+    seconds = log_uniform(rng, 25.0, 80.0)
     length = min(max(limit * seconds, 900.0 if ramp else 250.0), 2500.0)
     flow = (250.0 + 1550.0 * level) * lanes
     present = flow / 3600.0 * length / (0.85 * limit)

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from behaviors.elementwise import log_uniform
 from experiments.data.disturbances import (
     correlated_noise,
     dropped_frames,
@@ -143,15 +144,13 @@ class Sensor:
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
     """Draw what sees the traffic; one in five measures positions exactly."""
-    low, high = map(math.log, NOISE_M)
-    noise = 0.0 if rng.random() < 0.2 else math.exp(rng.uniform(low, high))
+    noise = 0.0 if rng.random() < 0.2 else log_uniform(rng, *NOISE_M)
     correlation = float(rng.choice(NOISE_CORRELATION_S))
     step_s = float(rng.choice(STEPS_S))
     lost_frames, lost_detections = float(rng.choice(LOSSES)), float(rng.choice(LOSSES))
     lost_per_min, found_as = float(rng.choice(LOST_PER_MIN)), str(rng.choice([SAME, NEW]))
     has_map, pixels = bool(rng.random() < MAP_SHARE), bool(rng.random() < PIXEL_SHARE)
-    low, high = map(math.log, PIXELS_PER_M)
-    scale = math.exp(rng.uniform(low, high))
+    scale = log_uniform(rng, *PIXELS_PER_M)
     left, turned = bool(rng.random() < 0.3), float(rng.uniform(-np.pi, np.pi))
     sizes = bool(rng.random() < 0.6)
     return Sensor(
