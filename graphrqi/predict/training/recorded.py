@@ -73,6 +73,10 @@ is left out of the inputs, too, costs .04 on noisy pasts)."""
 CHECKED: Final = 2000
 """Examples at most from which the spreads' scale is found."""
 
+AT_ONCE: Final = 2_000
+"""Examples that are answered at once: along the lanes of a map, the arrays of their futures take some
+250 kB each."""
+
 RANGE_QUANTILE: Final = 0.998
 """Quantile of the training examples at which the trained range ends (outliers are no range)."""
 
@@ -167,7 +171,8 @@ def _moments(values: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
 
 def guesses(network: RecordedNetwork, examples: RecordedExamples) -> FloatArray:
     """(m, KNOTS, 2) the likeliest futures in the agents' frames, m."""
-    return _decoded(network, examples).own[:, 0]
+    parts = np.split(np.arange(len(examples)), range(AT_ONCE, len(examples), AT_ONCE))
+    return np.concatenate([_decoded(network, examples.rows(part)).own[:, 0] for part in parts])
 
 
 def _decoded(network: RecordedNetwork, examples: RecordedExamples) -> Futures:
