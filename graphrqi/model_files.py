@@ -109,7 +109,8 @@ def check_model_folder(folder: Path) -> None:
 def save_model(model: Model, folder: Path) -> None:
     """Write a model folder.
 
-    A model that is already there is replaced; other files in its folder are kept.
+    A model that is already there is replaced, with what it had learned for traffic elsewhere and
+    its adaptation; other files in its folder are kept.
 
     Raises:
         InputError: if the folder holds something that is not a model, or JSON cannot hold the card.
@@ -134,7 +135,7 @@ def save_model(model: Model, folder: Path) -> None:
             f"{folder / 'model.json'}: card: found what JSON cannot hold ({error}), "
             "expected finite numbers, texts, lists and tables"
         ) from None
-    with whole_folder(folder) as partial:
+    with whole_folder(folder, outdated=(ELSEWHERE, ADAPTATION)) as partial:
         (partial / "model.json").write_text(written)
         (partial / "weights.safetensors").write_bytes(save(arrays))
         if model.elsewhere is not None:

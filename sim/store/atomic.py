@@ -16,7 +16,7 @@ import threading
 import time
 import uuid
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, NoReturn
@@ -173,12 +173,13 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
+def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
     """A new folder to fill, moved to its place when the block ends without an error.
 
     Args:
         path: where it will appear; a link is followed. Of an older folder there, files of the same
             names are replaced and all others are kept. Its parent is created.
+        outdated: names of files and folders of the older folder that are not kept.
 
     Yields:
         The folder to write into.
@@ -193,7 +194,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     try:
         partial.mkdir()
         yield partial
-        _move_folder(partial, path)
+        _move_folder(partial, path, outdated)
     except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
         _name(error, partial, given)
@@ -258,7 +259,7 @@ def end_without_temporary(code: int) -> NoReturn:
         os._exit(code)
 
 
-def _move_folder(partial: Path, path: Path) -> None:
+def _move_folder(partial: Path, path: Path, outdated: Collection[str]) -> None:
     """Put a folder in its place, also while other processes write the same place."""
     while True:
         try:
@@ -266,7 +267,7 @@ def _move_folder(partial: Path, path: Path) -> None:
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
-            _keep_others(path, partial)
+            _keep_others(path, partial, outdated)
             old = _partial(path)
             with suppress(FileNotFoundError):
                 os.replace(path, old)
@@ -275,12 +276,12 @@ def _move_folder(partial: Path, path: Path) -> None:
             return
 
 
-def _keep_others(old: Path, new: Path) -> None:
+def _keep_others(old: Path, new: Path, outdated: Collection[str]) -> None:
     """Link into a new folder what only the old one has, so that it stays when the old one goes."""
     with suppress(FileNotFoundError):  # another process has just replaced the old folder
         for child in old.iterdir():
             target = new / child.name
-            if os.path.lexists(target):
+            if child.name in outdated or os.path.lexists(target):
                 continue
             if child.is_dir() and not child.is_symlink():
                 shutil.copytree(child, target, symlinks=True, copy_function=_link)

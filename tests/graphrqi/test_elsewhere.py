@@ -231,6 +231,18 @@ def test_a_saved_model_answers_as_before(elsewhere, tmp_path):
     assert np.allclose(again.answer(features)[1], model.answer(features)[1])
 
 
+def test_a_saved_model_keeps_nothing_of_the_one_it_replaces(elsewhere, tmp_path):
+    home = dataclasses.replace(load_model("graphrqi-plus"), elsewhere=None)
+    whole = dataclasses.replace(home, elsewhere=elsewhere, adaptation=Adaptation(1.0, np.zeros(6)))
+    save_model(whole, tmp_path / "model")
+    (tmp_path / "model" / "notes.txt").write_text("mine")
+    save_model(home, tmp_path / "model")
+    again = load_model(tmp_path / "model")
+    assert again.elsewhere is None
+    assert again.adaptation is None
+    assert (tmp_path / "model" / "notes.txt").read_text() == "mine"
+
+
 @pytest.mark.parametrize(
     ("file", "change", "said"),
     [

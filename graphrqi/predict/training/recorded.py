@@ -74,8 +74,8 @@ CHECKED: Final = 2000
 """Examples at most from which the spreads' scale is found."""
 
 AT_ONCE: Final = 2_000
-"""Examples that are answered at once: along the lanes of a map, the arrays of their futures take some
-250 kB each."""
+"""Examples that are answered at once: along the lanes of a map, the arrays of their futures take
+some 250 kB each."""
 
 RANGE_QUANTILE: Final = 0.998
 """Quantile of the training examples at which the trained range ends (outliers are no range)."""
