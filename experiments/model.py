@@ -37,7 +37,7 @@ PREDICTOR_SEED: Final = 2021
 """Seeds of the datasets, the classifier's by engine; examples and benches use other seeds."""
 
 CLASSIFIER_EPISODES: Final = {
-    "sumo": {"straight_road": 25, "four_way_intersection": 300},
+    "sumo": {"straight_road": 40, "four_way_intersection": 450},
     "sumo-idm": {"straight_road": 15, "four_way_intersection": 75},
 }
 PREDICTOR_EPISODES: Final = 20
@@ -114,8 +114,6 @@ def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -
 def learn_elsewhere(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
     """Generate home traffic and random worlds, and teach the classifier to answer elsewhere.
 
-    It is done last: the predictors are trained on beliefs about home traffic alone.
-
     Args:
         work: folder for the data.
         quiet: whether to show no progress.
@@ -149,11 +147,14 @@ def learn_elsewhere(work: Path, quiet: bool = False, jobs: int | None = None) ->
 def build_models(work: Path, quiet: bool = False) -> None:
     """Generate the data, train classifier and predictors, and calibrate the driver parameters.
 
+    The predictors are trained last, on beliefs as the whole classifier has them.
+
     Args:
         work: folder for the data.
         quiet: whether to show no progress.
     """
     train_classifier(work, quiet)
+    learn_elsewhere(work, quiet)
     data = work / "predictor"
     config = GenerateConfig(scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES, seed=PREDICTOR_SEED)
     generate(config, data, None, quiet)
@@ -161,7 +162,6 @@ def build_models(work: Path, quiet: bool = False) -> None:
     calibrate_drivers(data, weights / CARD, quiet=quiet)
     train_predictors(data, BEST_METHOD, weights, quiet=quiet)
     train_for_recordings(work, weights, quiet)
-    learn_elsewhere(work, quiet)
 
 
 def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
