@@ -97,6 +97,9 @@ def test_networks_survive_their_files(perceptron, tmp_path):
     assert np.allclose(
         load_lstm(tmp_path / "lstm.safetensors")(test).own, rival(test).own, atol=1e-3
     )
+    (tmp_path / "usual").touch()
+    usual = (tmp_path / "usual").stat().st_mode
+    assert {one.stat().st_mode for one in tmp_path.iterdir()} == {usual}, "others may read them"
 
 
 @pytest.mark.parametrize("load", [load_perceptron, load_lstm])

@@ -126,12 +126,12 @@ class TrajectoryLstm:
     def save(self, path: Path, card: dict[str, Any]) -> None:
         """Write the network with its card (data, split, scores) in the file's metadata."""
         import torch
-        from safetensors.torch import save_file
+        from safetensors.torch import save
 
         tensors = {f"net.{k}": v.contiguous() for k, v in self.module.state_dict().items()}
         tensors["mean"] = torch.from_numpy(self.mean.astype(np.float32))
         tensors["scale"] = torch.from_numpy(self.scale.astype(np.float32))
-        save_file(tensors, path, about(self.spread_scale, card))
+        path.write_bytes(save(tensors, about(self.spread_scale, card)))
 
 
 def load_lstm(path: Path) -> TrajectoryLstm:
