@@ -1,17 +1,11 @@
-"""Imports and sizes of modules.
-
-The contracts of ``pyproject.toml`` hold, no module imports itself by a detour, and files, folders
-and functions keep to the limits of ``docs/measure_code.py``.
-"""
+"""Imports: the contracts of ``pyproject.toml`` hold, and no module imports itself by a detour."""
 
 from __future__ import annotations
 
-import runpy
 import subprocess
 import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any
 
 import grimp
 import pytest
@@ -53,31 +47,3 @@ def test_behaviors_needs_numpy_only(graph: grimp.ImportGraph) -> None:
         if imported.split(".")[0] != "behaviors"
     }
     assert outside - sys.stdlib_module_names <= {"numpy"}
-
-
-@pytest.fixture(scope="module")
-def sizes() -> dict[str, Any]:
-    script = runpy.run_path(str(ROOT / "docs" / "measure_code.py"))
-    return {**script, "files": script["measure"](ROOT)}
-
-
-def test_no_file_is_too_long(sizes: dict[str, Any]) -> None:
-    most = sizes["MOST_LINES"]
-    assert {file.path: file.lines for file in sizes["files"] if file.lines > most} == {}
-
-
-def test_no_folder_has_too_many_modules(sizes: dict[str, Any]) -> None:
-    modules = sizes["modules_per_folder"](sizes["files"])
-    assert len(modules) > 30
-    assert {folder: n for folder, n in modules.items() if n > sizes["MOST_MODULES"]} == {}
-
-
-def test_no_function_has_too_many_parameters(sizes: dict[str, Any]) -> None:
-    """A command of the command line has a parameter for each of its options."""
-    assert {
-        f"{file.path}: {function.name}": function.parameters
-        for file in sizes["files"]
-        if file.path not in sizes["DECLARATIONS"]
-        for function in file.functions
-        if function.parameters > sizes["MOST_PARAMETERS"]
-    } == {}
