@@ -65,9 +65,9 @@ _NO_NUMBER: Final = re.compile(
 
 _BROKEN: Final = (
     xml.sax.SAXException, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
-    OSError, RuntimeError, SyntaxError, TypeError, ValueError, zlib.error,
+    OSError, RuntimeError, TypeError, ValueError, zlib.error,
 )  # fmt: skip
-"""What sumolib raises on a broken net; with lxml, that is its SyntaxError too."""
+"""What sumolib raises on a broken net."""
 
 
 def signal_code(letter: str) -> int:
@@ -158,7 +158,11 @@ def _road(source: Path, name: str | None) -> Road:
     import sumolib
 
     net = sumolib.net.readNet(
-        str(source), withInternal=True, withPedestrianConnections=True, withPrograms=True
+        str(source),
+        withInternal=True,
+        withPedestrianConnections=True,
+        withPrograms=True,
+        lxml=False,  # sumolib's reader for lxml does not link crossings to the roads they cross
     )
     lanes = tuple(_lane(lane, edge) for edge in _edges(net) for lane in edge.getLanes())
     if not any(lane.cars for lane in lanes):
@@ -352,6 +356,12 @@ def _crossings(net: Any, group_of: dict[tuple[str, int], int]) -> list[Crossing]
     found = []
     edges = [e for e in net.getEdges() if e.getFunction() == "crossing"]
     for edge in sorted(edges, key=lambda e: str(e.getID())):
+        crossed = tuple(str(e.getID()) for e in edge.getCrossingEdges())
+        if not crossed:
+            raise InputError(
+                f"crossing {str(edge.getID())!r:.60}: found no road that it crosses, "
+                "expected at least one"
+            )
         lane = edge.getLanes()[0]
         links = [link for group in edge.getIncoming().values() for link in group]
         signal, priority = -1, True
@@ -363,7 +373,7 @@ def _crossings(net: Any, group_of: dict[tuple[str, int], int]) -> list[Crossing]
                 id=str(edge.getID()),
                 centerline=_points(lane),
                 width_m=float(lane.getWidth()),
-                edges=tuple(str(e.getID()) for e in edge.getCrossingEdges()),
+                edges=crossed,
                 signal=signal,
                 priority=priority,
             )
