@@ -25,8 +25,8 @@ from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.episode.annotate import annotate
 from sim.episode.rows import TrajectoryRows
-from sim.frames import Event, EventKind, Tracks
-from sim.scenario import sample_agents
+from sim.frames import Event, EventKind, Frame, Tracks
+from sim.scenario import Scenario, sample_agents
 
 FREE_HEADWAY_S: Final = 6.0
 """A road is free for who has this much headway or more."""
@@ -68,6 +68,9 @@ COUNTS: Final[tuple[str, ...]] = (
 """What is counted for every driver; ``headway`` is the driver's median, NaN without any."""
 
 
+ENCOUNTERS: Final = (EventKind.YIELDED, EventKind.NOT_YIELDED)
+"""Encounters of a driver with a pedestrian that wants to cross."""
+
 NOT_WAITED_FOR: Final = (EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED)
 """Encounters in which somebody did not wait, though a rule says so: waits of 0 s."""
 
@@ -108,28 +111,38 @@ class DriverCounts:
         )
 
 
-def count_episode(
-    scenario: str, seed: int, duration_s: float, engine: str = "sumo"
+def count_scenario(
+    scenario: Scenario, seed: int, engine: str = "sumo", clearing_s: float = CLEARING_S
 ) -> DriverCounts:
     """Drive one episode and count what its drivers did.
 
+    Encounters with pedestrians are found in the tracks. An engine whose frames report them counts
+    itself: in highway-env, pedestrians step out only in front of drivers that wait.
+
     Args:
-        scenario: a key of ``SCENARIOS``.
+        scenario: agents set out for its whole duration.
         seed: of the population and the engine.
-        duration_s: for how long agents set out, s; the episode lasts ``CLEARING_S`` longer.
         engine: a key of ``ENGINES``.
+        clearing_s: the episode lasts this much longer, s.
 
     Returns:
         The counts, one row per driver.
     """
-    made = get_scenario(scenario)(duration_s=duration_s)
-    agents = sample_agents(made, seed)
-    made = dataclasses.replace(made, duration_s=duration_s + CLEARING_S)
-    tracks = Tracks.from_frames(
-        get_engine(engine)(made, agents, seed), {a.id: a.behavior for a in agents}
-    )
-    found = annotate(TrajectoryRows.of(tracks), made.road)
-    return count(tracks, found.inputs, found.events, found.shown_traits)
+    agents = sample_agents(scenario, seed)
+    longer = dataclasses.replace(scenario, duration_s=scenario.duration_s + clearing_s)
+    reported: list[Event] = []
+
+    def frames() -> Iterator[Frame]:
+        for frame in get_engine(engine)(longer, agents, seed):
+            reported.extend(event for event in frame.events if event.kind in ENCOUNTERS)
+            yield frame
+
+    tracks = Tracks.from_frames(frames(), {a.id: a.behavior for a in agents})
+    found = annotate(TrajectoryRows.of(tracks), longer.road)
+    events = list(found.events)
+    if reported:
+        events = [event for event in events if event.kind not in ENCOUNTERS] + reported
+    return count(tracks, found.inputs, events, found.shown_traits)
 
 
 def count(
@@ -184,7 +197,7 @@ def count(
             table["red_faced"][i] += 1.0
         elif event.kind is EventKind.STOPPED and event.rule == "red light":
             table["red_faced"][i] += 1.0
-        elif event.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED):
+        elif event.kind in ENCOUNTERS:
             table["crossing_encounters"][i] += 1.0
             table["yields"][i] += event.kind is EventKind.YIELDED
         elif event.kind is EventKind.COLLISION and event.other is not None:
@@ -317,8 +330,9 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     names = [get_scenario(name).name for name in settings.scenarios] or list(SCENARIOS)
     everything: list[DriverCounts] = []
     for name in names:
-        tasks = [(name, seed, settings.duration_s, settings.engine) for seed in settings.seeds]
-        counted = list(in_parallel(count_episode, tasks, settings.jobs))
+        made = get_scenario(name)(duration_s=settings.duration_s)
+        tasks = [(made, seed, settings.engine) for seed in settings.seeds]
+        counted = list(in_parallel(count_scenario, tasks, settings.jobs))
         everything += counted
         yield rows_of(DriverCounts.joined(counted), settings.engine, name)
     if len(names) > 1:
