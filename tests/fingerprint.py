@@ -168,12 +168,40 @@ def environments(_: Path) -> Named:
         yield name, seen.hexdigest()[:16]
 
 
+def quick(folder: Path) -> Named:
+    """Frames of both engines, an import, a classification and a prediction, in some seconds."""
+    from scenarios import SCENARIOS as MAKERS
+    from sim.engines import get_engine
+    from sim.scenario import sample_agents
+
+    for name in ("straight_road", "four_way_intersection"):
+        scenario = MAKERS[name](duration_s=20.0, flow="dense", pedestrians_per_h=600.0)
+        for engine in ("sumo", "highway"):
+            seen = hashlib.sha256()
+            for frame in get_engine(engine)(scenario, sample_agents(scenario, seed=5), 5):
+                for array in (frame.ids, frame.xy, frame.heading, frame.speed):
+                    seen.update(np.ascontiguousarray(array).tobytes())
+            yield f"frames/{engine}/{name}", seen.hexdigest()[:16]
+    data = make_dataset(folder / "data", "sumo", "four_way_intersection", seconds=20)
+    yield "dataset", of_folder(data)
+    command("export", data, "--format", "sumo-fcd", "--out", folder / "fcd")
+    command("import", folder / "fcd", "--format", "sumo-fcd", "--out", folder / "imported")
+    yield "import", of_folder(folder / "imported")
+    for name in ("data", "imported"):
+        labels, rows = folder / f"{name}.parquet", folder / f"{name}.json"
+        command("classify", folder / name, "--out", labels, "--quiet")
+        yield f"classify/{name}", of_bytes(labels.read_bytes())
+        command("predict", folder / name, "--json", rows, "--quiet", "--horizon-s", "3")
+        yield f"predict/{name}", of_rows(rows)
+
+
 PARTS: dict[str, Callable[[Path], Named]] = {
     "frames": frames,
     "datasets": datasets,
     "answers": answers,
     "spectra": spectra,
     "environments": environments,
+    "quick": quick,
 }
 
 
