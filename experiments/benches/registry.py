@@ -19,9 +19,7 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "classification": "experiments.benches.classification.bench:BENCH",
         "real-data": "experiments.benches.real_data:BENCH",
         "prediction": "experiments.benches.prediction.bench:BENCH",
-        "navigation": "experiments.benches.navigation:BENCH",
         "loop": "experiments.benches.loop:BENCH",
-        "drive": "experiments.benches.drive.bench:BENCH",
     },
 )
 """Every bench; its module is imported when it is asked for."""
