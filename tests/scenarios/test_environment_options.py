@@ -1,13 +1,12 @@
 """Every environment with every option keeps the contracts of gymnasium, stable-baselines3 and
 PettingZoo.
 
-By default some of the settings are checked, each with another environment; set GRAPHRQI_SLOW=1 to
-check all of them with all environments.
+By default some of the settings are checked, each with another environment; the marker `slow` has
+all of them with all environments.
 """
 
 from __future__ import annotations
 
-import os
 import warnings
 from importlib import import_module
 from pathlib import Path
@@ -106,6 +105,7 @@ GRID = [
     for number in range(len(settings))
 ]
 SAMPLE = GRID[:: len(GRID) // 12]
+OTHERS = [pytest.param(*one, marks=pytest.mark.slow) for one in GRID if one not in SAMPLE]
 """Every so many: one of each environment or so, each with another option."""
 
 
@@ -125,9 +125,7 @@ def test_every_option_of_every_environment_is_checked():
     assert {option for name in IDS for option in options_of(name)} == VALUES.keys()
 
 
-@pytest.mark.parametrize(
-    ("name", "option", "number"), GRID if "GRAPHRQI_SLOW" in os.environ else SAMPLE
-)
+@pytest.mark.parametrize(("name", "option", "number"), [*SAMPLE, *OTHERS])
 def test_keeps_every_contract(name, option, number, files, monkeypatch):
     config = {**QUICK, **VALUES[option][number]}
     config = {k: files.get(v, v) if isinstance(v, str) else v for k, v in config.items()}
