@@ -11,26 +11,15 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 
 from behaviors.populations import read_population
 from experiments.benches.drive.crowds import CROWDS, Crowd
 from experiments.benches.drive.policies import BLIND, get_policy
-from scenarios.environments.environment import TrafficEnv
-from scenarios.environments.four_way_intersection import FourWayIntersectionEnv
-from scenarios.environments.roads import (
-    AllWayStopEnv,
-    MotorwayEnv,
-    MotorwayRampsEnv,
-    OwnRoadEnv,
-    PriorityIntersectionEnv,
-    RightBeforeLeftEnv,
-    RoundaboutEnv,
-    TwoWayRoadEnv,
-)
-from scenarios.environments.straight_road import StraightRoadEnv
+from scenarios.environments import ENVIRONMENTS
+from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
 from sim.frames import EventKind, FloatArray, Frame, Tracks
@@ -65,20 +54,13 @@ METRICS: Final = (
 """What is measured of an episode; all are counts or shares but for the jerk and the minutes."""
 
 
-class _CityEnv(OwnRoadEnv):
-    """Drive through a grid of streets, along a route of the traffic's."""
+_GRID: Final = ENVIRONMENTS["graphrqi/OwnRoad-v0"]
 
-    scenario_name = "city"
-
-
-ROADS: Final[dict[str, type[TrafficEnv]]] = {
-    made.scenario_name: made
-    for made in (
-        StraightRoadEnv, TwoWayRoadEnv, FourWayIntersectionEnv, PriorityIntersectionEnv,
-        AllWayStopEnv, RightBeforeLeftEnv, MotorwayEnv, MotorwayRampsEnv, RoundaboutEnv, _CityEnv,
-    )
-}  # fmt: skip
-"""The environment of each scenario."""
+ROADS: Final[dict[str, dict[str, Any]]] = {
+    **{row["scenario_name"]: row for row in ENVIRONMENTS.values() if row is not _GRID},
+    "city": {**_GRID, "scenario_name": "city"},
+}
+"""What `TrafficEnv` makes the environment of each scenario of."""
 
 
 OWN: Final = ("action", "policy_frequency", "observation", "observed")
@@ -104,73 +86,74 @@ class _Start:
     frames: tuple[Frame, ...]
 
 
-def _among(base: type[TrafficEnv], crowd: Crowd) -> type[TrafficEnv]:
-    """The environment whose other drivers are a crowd, and which keeps every frame.
+class _Among(TrafficEnv):
+    """The environment of a scenario whose other drivers are a crowd; it keeps every frame.
 
     Its first episode drives the traffic until the ego vehicle enters; all others of the same
     configuration go on from a copy.
     """
 
-    class Among(base):  # type: ignore[misc, valid-type]
-        """The environment with a crowd."""
+    def __init__(
+        self, scenario: str, crowd: Crowd, config: Mapping[str, Any], starts: list[_Start]
+    ) -> None:
+        self._crowd, self._starts = crowd, starts
+        self.looks = True
+        self.on_frame: Callable[[Frame], object] | None = None
+        self.frames: list[Frame] = []
+        self.truth: Mapping[int, int] = {}
+        super().__init__(config, **ROADS[scenario])
 
-        start: ClassVar[_Start | None] = None
-        looks: bool = True
-        on_frame: Callable[[Frame], object] | None = None
-        frames: list[Frame]
-        truth: Mapping[int, int]
-        road: TrafficRoad
-        _demand: Demand
+    @property
+    def ego_id(self) -> int:
+        """Agent id of the vehicle that is driven."""
+        return self.egos[0].id
 
-        def _draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
-            agents = tuple(crowd.changed(agent) for agent in super()._draw_agents(seed))
-            self.truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
-            self.frames = []
-            return agents
+    def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
+        """Everybody but the ego vehicle: the crowd."""
+        agents = tuple(self._crowd.changed(agent) for agent in super().draw_agents(seed))
+        self.truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
+        self.frames = []
+        return agents
 
-        @property
-        def ego_id(self) -> int:
-            """Agent id of the vehicle that is driven."""
-            return int(self._ego_id)
+    def warm_up(
+        self, agents: tuple[AgentSpec, ...], seed: int, lanes: list[LaneIndex]
+    ) -> tuple[LaneIndex, float, float]:
+        """The traffic until the ego vehicle enters: driven once, then copied."""
+        same = {name: value for name, value in self.config.items() if name not in OWN}
+        same["traffic"] = seed
+        start = self._starts[-1] if self._starts else None
+        sees = self.config["observation"] == "posterior"  # the classifier needs the frames itself
+        if sees or start is None or start.config != same:
+            room = super().warm_up(agents, seed, lanes)
+            if not sees:
+                road = self.road.copied()
+                made = _Start(same, road, self.demand.copied(road), room, tuple(self.frames))
+                self._starts[:] = [made]
+            return room
+        self.road = start.road.copied()
+        self.demand = start.demand.copied(self.road)
+        for frame in start.frames:
+            self._show(frame)
+        return start.room
 
-        def _warm_up(
-            self, agents: tuple[AgentSpec, ...], seed: int, lanes: list[LaneIndex]
-        ) -> tuple[LaneIndex, float, float]:
-            room: tuple[LaneIndex, float, float]
-            start, same = type(self).start, {**self.config, "traffic": seed}
-            for key in OWN:
-                same.pop(key)
-            if self._classify is not None or start is None or start.config != same:
-                room = super()._warm_up(agents, seed, lanes)
-                if self._classify is None:  # else it has to see the traffic itself
-                    road = self.road.copied()
-                    demand = self._demand.copied(road)
-                    type(self).start = _Start(same, road, demand, room, tuple(self.frames))
-                return room
-            self.road = start.road.copied()
-            self._demand = start.demand.copied(self.road)
-            for frame in start.frames:
-                self._show(frame)
-            return start.room
+    def advance(self) -> None:
+        """Move everybody for one simulation step, and keep the frame."""
+        known = len(self.events)
+        super().advance()
+        self._show(read_frame(self.road, tuple(self.events[known:])))
 
-        def _advance(self) -> None:
-            known = len(self._events)
-            super()._advance()
-            self._show(read_frame(self.road, tuple(self._events[known:])))
+    def watch(self) -> None:
+        """Do nothing: near misses are counted afterwards, in what was driven."""
 
-        def _watch(self) -> None:
-            """Do nothing: near misses are counted afterwards, in what was driven."""
+    def observe(self, ego: Ego) -> Observation:
+        """What the policy observes; nothing for one that does not look."""
+        return super().observe(ego) if self.looks else {}
 
-        def _observe(self) -> Observation:
-            return super()._observe() if self.looks else {}
-
-        def _show(self, frame: Frame) -> None:
-            """Keep a frame, and show it to the policy."""
-            self.frames.append(frame)
-            if self.on_frame is not None:
-                self.on_frame(frame)
-
-    return Among
+    def _show(self, frame: Frame) -> None:
+        """Keep a frame, and show it to the policy."""
+        self.frames.append(frame)
+        if self.on_frame is not None:
+            self.on_frame(frame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +196,7 @@ def drive(
     population = CROWDS[crowd].population
     if population is not None:  # another file of that name is another crowd
         of["population"] = read_population(population).sha256
-    made = _among(ROADS[scenario], CROWDS[crowd])
+    starts: list[_Start] = []
     every, minutes = [], 0.0
     for policy in policies:
         path = None
@@ -222,7 +205,7 @@ def drive(
             path = Path(kept) / scenario / crowd / name / f"{seed}.json"
         figures = None if path is None else _kept(path, of)
         if figures is None:
-            figures = _drive(made, CROWDS[crowd], policy, seed, config)
+            figures = _drive(scenario, CROWDS[crowd], policy, seed, config, starts)
             minutes += figures["minutes"]
             if path is not None:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -245,16 +228,17 @@ def _kept(path: Path, config: Mapping[str, Any]) -> dict[str, float] | None:
 
 
 def _drive(
-    made: type[TrafficEnv], crowd: Crowd, policy: str, seed: int, config: Mapping[str, Any]
-) -> dict[str, float]:
+    scenario: str, crowd: Crowd, policy: str, seed: int, config: Mapping[str, Any],
+    starts: list[_Start],
+) -> dict[str, float]:  # fmt: skip
     make, changes = get_policy(policy)
     drawn = {"seed": seed, "mix": crowd.mix, "population": crowd.population}
-    env: Any = made(config={**drawn, **config, **changes})
+    env = _Among(scenario, crowd, {**drawn, **config, **changes}, starts)
     env.looks = policy not in BLIND
     act = make(env)
     observation, _ = env.reset(seed=seed)
     begun = len(env.frames)
-    left_m, limit = env._distance_left, float(env.vehicle.lane.speed_limit)
+    left_m, limit = env.egos[0].distance_left_m, float(env.vehicle.lane.speed_limit)
     ended = cut = False
     while not (ended or cut):
         observation, _, ended, cut, info = env.step(act(observation))
