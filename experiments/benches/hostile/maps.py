@@ -67,8 +67,8 @@ def lanelets() -> bytes:
 def map_samples() -> dict[str, Sample]:
     """A valid map of every kind."""
     from scenarios import get_scenario
-    from scenarios.own import source_check
     from scenarios.own.routes import read_routes
+    from scenarios.own.survey import survey
     from sim.road.maps.argoverse2 import static_map
     from sim.road.maps.stored import encode_road
 
@@ -101,11 +101,11 @@ def map_samples() -> dict[str, Sample]:
         for one in [road(file, oracle)]
     }
     found["opendrive"] = Sample(
-        {"a.xodr": OPENDRIVE}, lambda folder: source_check.opendrive(folder / "a.xodr"),
+        {"a.xodr": OPENDRIVE}, lambda folder: survey(folder / "a.xodr"),
         lambda folder: altered.well_formed(folder / "a.xodr"), altered.other_opendrive,
     )  # fmt: skip
     found["openstreetmap"] = Sample(
-        {"a.osm": OPENSTREETMAP}, lambda folder: source_check.openstreetmap(folder / "a.osm"),
+        {"a.osm": OPENSTREETMAP}, lambda folder: survey(folder / "a.osm"),
         lambda folder: altered.well_formed(folder / "a.osm"), altered.other_openstreetmap,
     )  # fmt: skip
     edge = next(lane.edge for lane in straight.lanes if lane.cars and not lane.internal)
