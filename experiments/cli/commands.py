@@ -45,6 +45,7 @@ from experiments.cli.options import (
     Version,
     WindowText,
     names_of,
+    read_options,
     table_to_write,
 )
 from experiments.cli.predictors import train_predictor
@@ -124,7 +125,6 @@ def run(
     from experiments.console.tables import show_table
     from experiments.data.configuration import read_config
     from experiments.run import read_window, run_scenario
-    from scenarios.command import read_options
 
     config = read_config(
         None, scenarios=[scenario] if scenario else None, net=net, routes=routes, episodes=1,

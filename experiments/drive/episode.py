@@ -10,19 +10,8 @@ import numpy as np
 
 from experiments.drive.crowds import CROWDS, Crowd
 from experiments.drive.policies import PLANNER, POLICIES, get_policy
-from scenarios.environments.environment import TrafficEnv
-from scenarios.environments.four_way_intersection import FourWayIntersectionEnv
-from scenarios.environments.roads import (
-    AllWayStopEnv,
-    MotorwayEnv,
-    MotorwayRampsEnv,
-    OwnRoadEnv,
-    PriorityIntersectionEnv,
-    RightBeforeLeftEnv,
-    RoundaboutEnv,
-    TwoWayRoadEnv,
-)
-from scenarios.environments.straight_road import StraightRoadEnv
+from scenarios.environments import ENVIRONMENTS
+from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
 from sim.frames import EventKind, FloatArray, Frame, Tracks
@@ -54,58 +43,52 @@ METRICS: Final = (
 """What is measured of an episode; all are counts or shares but for the jerk and the minutes."""
 
 
-class _CityEnv(OwnRoadEnv):
-    """Drive through a grid of streets, along a route of the traffic's."""
+_GRID: Final = ENVIRONMENTS["graphrqi/OwnRoad-v0"]
 
-    scenario_name = "city"
-
-
-ROADS: Final[dict[str, type[TrafficEnv]]] = {
-    made.scenario_name: made
-    for made in (
-        StraightRoadEnv, TwoWayRoadEnv, FourWayIntersectionEnv, PriorityIntersectionEnv,
-        AllWayStopEnv, RightBeforeLeftEnv, MotorwayEnv, MotorwayRampsEnv, RoundaboutEnv, _CityEnv,
-    )
-}  # fmt: skip
-"""The environment of each scenario."""
+ROADS: Final[dict[str, dict[str, Any]]] = {
+    **{row["scenario_name"]: row for row in ENVIRONMENTS.values() if row is not _GRID},
+    "city": {**_GRID, "scenario_name": "city"},
+}
+"""What `TrafficEnv` makes the environment of each scenario of."""
 
 
-def _among(base: type[TrafficEnv], crowd: Crowd) -> type[TrafficEnv]:
-    """The environment whose other drivers are a crowd, and which keeps every frame."""
+class _Among(TrafficEnv):
+    """The environment of a scenario whose other drivers are a crowd; it keeps every frame."""
 
-    class Among(base):  # type: ignore[misc, valid-type]
-        """The environment with a crowd."""
+    def __init__(self, scenario: str, crowd: Crowd, config: Mapping[str, Any]) -> None:
+        self._crowd = crowd
+        self.looks = True
+        self.on_frame: Callable[[Frame], object] | None = None
+        self.frames: list[Frame] = []
+        self.truth: Mapping[int, int] = {}
+        super().__init__(config, **ROADS[scenario])
 
-        looks: bool = True
-        on_frame: Callable[[Frame], object] | None = None
-        frames: list[Frame]
-        truth: Mapping[int, int]
+    @property
+    def ego_id(self) -> int:
+        """Agent id of the vehicle that is driven."""
+        return self.egos[0].id
 
-        def _draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
-            agents = tuple(crowd.changed(agent) for agent in super()._draw_agents(seed))
-            self.truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
-            self.frames = []
-            return agents
+    def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
+        """Everybody but the ego vehicle: the crowd."""
+        agents = tuple(self._crowd.changed(agent) for agent in super().draw_agents(seed))
+        self.truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
+        self.frames = []
+        return agents
 
-        @property
-        def ego_id(self) -> int:
-            """Agent id of the vehicle that is driven."""
-            return int(self._ego_id)
+    def advance(self) -> None:
+        """Move everybody for one simulation step, keep the frame and show it to the policy."""
+        known = len(self.events)
+        super().advance()
+        self.frames.append(read_frame(self.road, tuple(self.events[known:])))
+        if self.on_frame is not None:
+            self.on_frame(self.frames[-1])
 
-        def _advance(self) -> None:
-            known = len(self._events)
-            super()._advance()
-            self.frames.append(read_frame(self.road, tuple(self._events[known:])))
-            if self.on_frame is not None:
-                self.on_frame(self.frames[-1])
+    def watch(self) -> None:
+        """Do nothing: near misses are counted afterwards, in what was driven."""
 
-        def _watch(self) -> None:
-            """Do nothing: near misses are counted afterwards, in what was driven."""
-
-        def _observe(self) -> Observation:
-            return super()._observe() if self.looks else {}
-
-    return Among
+    def observe(self, ego: Ego) -> Observation:
+        """What the policy observes; nothing for one that does not look."""
+        return super().observe(ego) if self.looks else {}
 
 
 def drive(
@@ -129,12 +112,12 @@ def drive(
     make, changes = get_policy(policy)
     others = CROWDS[crowd]
     drawn = {"seed": seed, "mix": others.mix, "population": others.population}
-    env: Any = _among(ROADS[scenario], others)(config={**drawn, **config, **changes})
+    env = _Among(scenario, others, {**drawn, **config, **changes})
     env.looks = policy not in {*POLICIES, PLANNER}  # ours see frames
     act = make(env)
     observation, _ = env.reset(seed=seed)
     begun = len(env.frames)
-    left_m, limit = env._distance_left, float(env.vehicle.lane.speed_limit)
+    left_m, limit = env.egos[0].distance_left_m, float(env.vehicle.lane.speed_limit)
     ended = cut = False
     while not (ended or cut):
         observation, _, ended, cut, info = env.step(act(observation))
