@@ -15,7 +15,6 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
     {
         "spectrum": "experiments.benches.spectrum.bench:BENCH",
         "behaviors": "experiments.benches.behaviors:BENCH",
-        "highway": "experiments.benches.highway:BENCH",
         "generate": "experiments.benches.generate:BENCH",
         "store": "experiments.benches.store:BENCH",
         "classification": "experiments.benches.classification.bench:BENCH",

@@ -118,9 +118,6 @@ class TrafficConfig(BaseModel):
     policy_frequency: int = Field(default=5, ge=1, le=1000)
     """Decisions per second; divides the simulation frequency."""
 
-    compiled: bool = True
-    """Whether compiled code drives the other vehicles; the result is the same to the bit."""
-
     classifier: Annotated[str | Callable[..., Any], PlainValidator(_check_classifier)] = (
         "graphrqi.stream:load_stream"
     )

@@ -38,9 +38,8 @@ from sim.highway.ego import (
     is_on_route,
 )
 from sim.highway.engine import network_of, read_frame
-from sim.highway.fast_road import outlines_of
 from sim.highway.lanes import LaneIndex
-from sim.highway.state import agent_of
+from sim.highway.state import agent_of, outlines_of
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -263,7 +262,7 @@ class TrafficEnv(EgoEnv):
             That lane, its room, m, and the speed of the next vehicle on it, m/s.
         """
         network = network_of(self.scenario.road)
-        self.road = TrafficRoad(network, compiled=self.config["compiled"])
+        self.road = TrafficRoad(network)
         self._demand = Demand(self.road, agents, seed)
         for _ in range(round(self.config["warmup_s"] / self._dt)):
             self._advance()
