@@ -40,7 +40,7 @@ from sim.highway.ego import (
 )
 from sim.highway.engine import network_of, read_frame
 from sim.highway.lanes import LaneIndex
-from sim.highway.state import agent_of
+from sim.highway.state import agent_of, outlines_of
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -304,7 +304,7 @@ class TrafficEnv(EgoEnv):
         Returns:
             The lane with most room, its room, m, and the speed of the next vehicle on it, m/s.
         """
-        self.road = TrafficRoad(network_of(self.scenario.road), compiled=True)
+        self.road = TrafficRoad(network_of(self.scenario.road))
         self.demand = Demand(self.road, agents, seed)
         for _ in range(round(self.config["warmup_s"] / self.dt)):
             self.advance()
