@@ -23,7 +23,7 @@ from graphrqi.predict.rollout.driver_table import default_table
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from sim.frames import Frame, Tracks
-from sim.scenario import sampleagents
+from sim.scenario import sample_agents
 from tests.experiments.shared import call
 
 PAGE = Path(__file__).parents[2] / "docs" / "what-if.md"
@@ -79,7 +79,7 @@ def test_crowds_depart_alike_and_differ_by_their_drivers() -> None:
     def drawn(crowd: str):
         mix = CROWDS[crowd].mix
         scenario = SCENARIOS["straight_road"](flow="dense", duration_s=60.0, mix=mix)
-        return [CROWDS[crowd].changed(agent) for agent in sampleagents(scenario, 3)]
+        return [CROWDS[crowd].changed(agent) for agent in sample_agents(scenario, 3)]
 
     timid, mixed, clones = (drawn(name) for name in (Behavior.TIMID.value, MIXED, HOMOGENEOUS))
     for one, two, three in zip(timid, mixed, clones, strict=True):
@@ -102,8 +102,8 @@ def test_the_recorded_crowd_is_drawn_from_a_population(monkeypatch) -> None:
     drive("straight_road", "recorded", "watching", 4, SHORT)
     drive("straight_road", MIXED, "watching", 4, SHORT)
     (recorded, plain), scenario = [tuple(e.agents.values()) for e in seen], seen[1].scenario
-    assert plain == sampleagents(scenario, 4)
-    assert recorded == sampleagents(scenario, 4, read_population(CROWDS["recorded"].population))
+    assert plain == sample_agents(scenario, 4)
+    assert recorded == sample_agents(scenario, 4, read_population(CROWDS["recorded"].population))
 
 
 @pytest.mark.parametrize("policy", POLICIES)
