@@ -185,18 +185,9 @@ def least_shift(
     [0, until_2]. Each axis bounds t between two parallel lines over the shift; so does each range.
     The shifts at which every lower line is below every upper one are an interval.
 
-    Args:
-        place: of the second body on the axes at both times 0, m.
-        rate: the first body's velocity along the axes, m/s.
-        rate_2: the second one's.
-        reach: of the axes, m.
-        until: last time of the first body, s.
-        until_2: last time of the second body, s.
-        slab: (SLABS, 3) scratch: slope, lower and upper intercept.
-
-    Returns:
-        Least and greatest shift, s, and a time t at the least one; the least is above the greatest
-        where the bodies share no place.
+    ``rate`` and ``rate_2`` are the velocities along the axes; ``slab`` is scratch for each bound's
+    slope and intercepts. Returns the least and the greatest shift and a time t at the least one;
+    the least is above the greatest where the bodies share no place.
     """
     low, high, n = -np.inf, np.inf, 0
     for k in range(4):
@@ -237,11 +228,7 @@ def least_shift(
 def measure(first: FloatArray, second: FloatArray, found: FloatArray, slab: FloatArray) -> None:
     """Everything that `sim.safety.measures.PairMeasures` lists.
 
-    Args:
-        first: (7, n) x, y, heading, speed, acceleration, length, width.
-        second: (7, n) likewise.
-        found: (6, n) receives the measures, in their order.
-        slab: (SLABS, 3) scratch.
+    Rows of the bodies: x, y, heading, speed, acceleration, length, width; ``slab`` is scratch.
     """
     for i in range(first.shape[1]):
         dx, dy = second[0, i] - first[0, i], second[1, i] - first[1, i]

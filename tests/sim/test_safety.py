@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from sim.safety import Bodies, is_near_miss, pair_measures
+from sim.frames import PEDESTRIAN, Tracks
+from sim.safety import CONFLICT_KINDS, Bodies, conflicts, is_near_miss, pair_measures
 
 HORIZON_S = 8.0
 STEP_S = 0.001
@@ -294,3 +295,120 @@ def test_one_near_miss():
     assert not is_near_miss(1.51, 9.0)
     assert is_near_miss(np.inf, 0.0, 0.99)
     assert not is_near_miss(0.0, 9.0, 0.0)
+
+
+def tracks_of(paths, kinds=None, sizes=None, times=None, **changes):
+    """Tracks of (T, 4) x, y, heading, speed; nan where an agent is not there."""
+    paths = np.asarray(paths, dtype=float)
+    n, steps = paths.shape[:2]
+    sizes = np.tile([4.5, 1.8], (n, 1)) if sizes is None else np.asarray(sizes)
+    facts = {
+        "ids": 10 * np.arange(1, n + 1),
+        "names": tuple(map(str, range(n))),
+        "kind": np.zeros(n) if kinds is None else kinds,
+        "length": sizes[:, 0],
+        "width": sizes[:, 1],
+        "time_s": np.arange(steps) * 0.1 if times is None else times,
+        "xy": paths[..., :2],
+        "heading": paths[..., 2],
+        "speed": paths[..., 3],
+        "valid": np.isfinite(paths[..., 0]),
+        "signals": np.zeros((0, steps)),
+    }
+    return Tracks(**(facts | changes))
+
+
+def line(times, x, y, degrees, speed, acceleration=0.0):
+    """(T, 4) a straight drive that is at (x, y) at time 0; who comes to stand stays."""
+    end = -speed / acceleration if acceleration < 0 else np.inf
+    t = np.minimum(times, end)
+    way, heading = speed * t + 0.5 * acceleration * t**2, np.radians(degrees)
+    now = np.where(times < end, speed + acceleration * t, 0.0)
+    at = [x + way * np.cos(heading), y + way * np.sin(heading)]
+    return np.stack([*at, np.full(len(t), heading), now], axis=1)
+
+
+def turn(times, x, y, degrees, speed, rate, begin_s):
+    """(T, 4) a drive that turns with a rate, rad/s, for 1.5 s."""
+    heading = np.radians(degrees) + rate * np.clip(times - begin_s, 0.0, 1.5)
+    fine = np.linspace(times[0], times[-1], 20 * len(times))
+    angle = np.radians(degrees) + rate * np.clip(fine - begin_s, 0.0, 1.5)
+    step = np.diff(fine, prepend=fine[0])
+    path = [np.cumsum(speed * step * f(angle)) for f in (np.cos, np.sin)]
+    at = [c + np.interp(times, fine, p) for c, p in zip((x, y), path, strict=True)]
+    return np.stack([*at, heading, np.full(len(times), speed)], axis=1)
+
+
+TIMES = np.arange(0.0, 8.0, 0.1)
+FINE = np.arange(0.0, 7.9, 0.01)
+
+
+def covered(path, size, places):
+    """(2, P) the first and the last time at which a body covers each place; nan if never."""
+    near = np.linalg.norm(path[:, :2] - places.mean(axis=0), axis=1) < 14.0
+    path, times = path[near], FINE[near]
+    off = places[:, None] - path[None, :, :2]
+    c, s = np.cos(path[:, 2]), np.sin(path[:, 2])
+    along, aside = off[..., 0] * c + off[..., 1] * s, off[..., 1] * c - off[..., 0] * s
+    inside = (np.abs(along) <= size[0] / 2) & (np.abs(aside) <= size[1] / 2)
+    never = ~inside.any(axis=1)
+    first, last = inside.argmax(axis=1), len(path) - 1 - inside[:, ::-1].argmax(axis=1)
+    return np.where(never, np.nan, [times[first], times[last]])
+
+
+def gap_at(places, makers, sizes):
+    """(P,) time between the bodies at each place, negative where they meet; nan if unshared."""
+    one, other = (covered(make(FINE), s, places) for make, s in zip(makers, sizes, strict=True))
+    return np.maximum(other[0] - one[1], one[0] - other[1])
+
+
+def square(half_m, step_m):
+    """(P, 2) places about the origin."""
+    side = np.arange(-half_m, half_m + 1e-9, step_m)
+    return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+
+
+def test_a_thousand_driven_crossings():
+    """Post-encroachment time beside places of a fine grid that are looked up one by one."""
+    rng = np.random.default_rng(5)
+    n, drives, sizes, expected = 1000, [], [], []
+    for _ in range(n):
+        size = [SIZES["car"], SIZES["truck"], SIZES["bicycle"]][rng.integers(3)], SIZES["car"]
+        v, v_2, late = rng.uniform(5, 12), rng.uniform(4, 12), rng.uniform(-2.5, 2.5)
+        angle = np.radians(rng.uniform(35, 145) * rng.choice([-1, 1]))
+        passes = 3.5, 3.5 + late
+        at = -passes[1] * v_2 * np.array([np.cos(angle), np.sin(angle)])
+        makers = [lambda t, v=v: line(t, -passes[0] * v, 0, 0, v, 0.0)]
+        if rng.random() < 0.5:
+            a = rng.uniform(-0.4, 0.4)
+            makers.append(lambda t, p=at, h=angle, v=v_2, a=a: line(t, *p, np.degrees(h), v, a))
+        else:
+            r = rng.uniform(-0.3, 0.3)
+            makers.append(
+                lambda t, p=at, h=angle, v=v_2, r=r, b=passes[1] - 0.7: turn(
+                    t, *p, np.degrees(h), v, r, b
+                )
+            )
+        wide = square(8.0, 0.8)
+        gaps = gap_at(wide, makers, size)
+        if np.isfinite(gaps).any():
+            fine = wide[np.nanargmin(gaps)] + square(0.9, 0.1)
+            gaps = np.append(gaps, gap_at(fine, makers, size))
+        expected.append(np.nanmin(gaps) if np.isfinite(gaps).any() else np.nan)
+        drives += [make(TIMES) for make in makers]
+        sizes += size
+    drives = np.array(drives)
+    drives[..., 0] += 300.0 * (np.arange(2 * n) // 2 % 40)[:, None]
+    drives[..., 1] += 300.0 * (np.arange(2 * n) // 80)[:, None]
+    found = conflicts(tracks_of(drives, sizes=sizes))
+    assert (found.second == found.first + 10).all()
+    pet = np.full(n, np.nan)
+    for i, value in zip((found.first // 20).tolist(), found.pet_s, strict=True):
+        pet[i] = np.fmin(pet[i], value)
+    expected = np.array(expected)
+    clear = np.isfinite(expected) & (expected < 4.5) & (expected > 0.1)
+    assert clear.sum() > 500
+    np.testing.assert_allclose(pet[clear], expected[clear], atol=0.1)
+    meet = expected < -0.1
+    assert meet.any()
+    assert (pet[meet] == 0).all()
