@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 from behaviors.display import import_pandas
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
-from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
+from sim.frames import (
+    KINDS,
+    PEDESTRIAN,
+    AgentKind,
+    BoolArray,
+    CodeArray,
+    FloatArray,
+    IntArray,
+    Tracks,
+)
 from sim.geometry import GRAZE_M, Outlines, separation
 from sim.road import Road
 from sim.safety.encounters import (
@@ -32,11 +41,6 @@ from sim.safety.encounters import (
 )
 from sim.safety.measures import Bodies, is_near_miss, pair_measures
 from sim.safety.priority import priorities
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-CodeArray = NDArray[np.int8]
-BoolArray = NDArray[np.bool_]
 
 MASS_KG: Final = {
     AgentKind.CAR: 1500.0,
@@ -161,11 +165,11 @@ class Conflicts:
 def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -> Conflicts:
     """Every encounter of two road users.
 
-    An encounter lasts while the areas that the two would sweep within ``within_s``, if both kept
-    their velocity, overlap; and from when one leaves a place to when the other comes there, if that
-    is no longer than ``within_s``. Encounters of a pair are one if no more than that lies between
-    them. Of bodies that drive one behind the other, neighbours meet only; pedestrians do not meet
-    each other.
+    An encounter lasts while the areas overlap that the two would sweep within ``within_s`` at
+    constant velocity; for bodies that go the same way, while a collision is that near. It lasts,
+    too, from when one leaves a place to when the other comes there, if that is no longer than
+    ``within_s``; a body follows only the last one of those that went the same way. Encounters of a
+    pair are one if no more than that lies between them. Pedestrians do not meet each other.
 
     Args:
         tracks: an episode or a recording.

@@ -12,19 +12,14 @@ from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from behaviors.row_index import RowIndex
 from sim.compiled import in_place
-from sim.frames import PEDESTRIAN, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road.cells import cells_of
-from sim.safety.kernels import SLABS, least_shift, meeting, on_axes, projections
+from sim.safety.kernels import SLABS, apart, least_shift, meeting, on_axes, reaches
 from sim.safety.measures import Bodies
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SAME_WAY_RAD: Final = math.radians(30.0)
 """Bodies whose headings differ by less go the same way (SSAM: rear-end conflicts are below it)."""
@@ -49,26 +44,16 @@ class Driven:
     """What is known of m rows, by agent and then by time.
 
     A piece is the straight motion from one row to the next; it takes no time before a break.
-
-    Attributes:
-        index: the agent and the time of each row.
-        bodies: m bodies.
-        time_s: (m,) s.
-        turning: (m,) rad/s.
-        walking: (m,) whether the agent is a pedestrian.
-        piece_s: (m,) how long the piece lasts, s.
-        piece_mps: (m, 2) its velocity, m/s.
-        piece_heading: (m,) heading halfway, rad.
     """
 
     index: RowIndex
     bodies: Bodies
     time_s: FloatArray
-    turning: FloatArray
-    walking: BoolArray
+    turning: FloatArray  # rad/s
+    walking: BoolArray  # pedestrians
     piece_s: FloatArray
-    piece_mps: FloatArray
-    piece_heading: FloatArray
+    piece_mps: FloatArray  # (m, 2)
+    piece_heading: FloatArray  # halfway
 
     @classmethod
     def of(cls, tracks: Tracks) -> Driven:
@@ -99,19 +84,12 @@ class Driven:
 
 
 class Shared(NamedTuple):
-    """Moments at which a body comes to a place where another one has been.
+    """Moments at which a body comes to a place where another one has been."""
 
-    Attributes:
-        later: (k,) row of the body that comes, whose piece it is then in.
-        earlier: (k,) row of the one that has been there.
-        gap_s: (k,) how long after, s; 0 where they touch.
-        time_s: (k,) when it comes, s.
-    """
-
-    later: IntArray
-    earlier: IntArray
-    gap_s: FloatArray
-    time_s: FloatArray
+    later: IntArray  # row of the body that comes, whose piece it is then in
+    earlier: IntArray  # row of the one that has been there
+    gap_s: FloatArray  # how long after; 0 where they touch
+    time_s: FloatArray  # when it comes
 
 
 def shared_places(driven: Driven, within_s: float) -> Shared:
@@ -221,31 +199,29 @@ def _same_way(one: Any, other: Any) -> Any:
 @in_place(inner=True)
 def _shift_of(piece: Any, other: Any, slab: Any) -> Any:
     """`least_shift` of two pieces, from the beginning of each; cheap where they are apart."""
-    dx, dy = other[0] - piece[0], other[1] - piece[1]
     ahead, ahead_2 = (piece[2], piece[3]), (other[2], other[3])
-    place, reach = projections(dx, dy, ahead, (piece[6], piece[7]), ahead_2, (other[6], other[7]))
+    place = on_axes(other[0] - piece[0], other[1] - piece[1], ahead, ahead_2)
+    reach = reaches(ahead, (piece[6], piece[7]), ahead_2, (other[6], other[7]))
     rate = on_axes(piece[4], piece[5], ahead, ahead_2)
     rate_2 = on_axes(other[4], other[5], ahead, ahead_2)
-    for k in range(4):
-        end, end_2 = -rate[k] * piece[9], rate_2[k] * other[9]
-        if place[k] + min(end, 0.0) + min(end_2, 0.0) > reach[k]:
-            return np.inf, -np.inf, 0.0
-        if place[k] + max(end, 0.0) + max(end_2, 0.0) < -reach[k]:
-            return np.inf, -np.inf, 0.0
+    way = on_axes(piece[4] * piece[9], piece[5] * piece[9], ahead, ahead_2)
+    way_2 = on_axes(other[4] * other[9], other[5] * other[9], ahead, ahead_2)
+    if apart(place, reach, way, way_2):
+        return np.inf, -np.inf, 0.0
     return least_shift(place, rate, rate_2, reach, piece[9], other[9], slab)
 
 
 def areas_ahead(driven: Driven, within_s: float) -> IntArray:
     """(k, 2) rows of one time whose areas ahead overlap, pedestrians with each other aside.
 
-    An area ahead is what a body sweeps in ``within_s`` at constant velocity. Of bodies straight
-    ahead of one that go the same way, only the nearest counts, which would be hit first. One that
-    goes the same way beside it counts on a collision course only.
+    An area ahead is what a body sweeps in ``within_s`` at constant velocity. Bodies that go the
+    same way count on a collision course only.
     """
     ahead, half, speed = _ahead(driven.bodies.heading), _halves(driven.bodies), driven.bodies.speed
-    middle = driven.bodies.xy + 0.5 * within_s * speed[:, None] * ahead
+    way = within_s * speed[:, None] * ahead
+    middle = driven.bodies.xy + 0.5 * way
     reach = np.hypot(half[:, 0] + 0.5 * within_s * np.abs(speed), half[:, 1])
-    bodies = np.concatenate([driven.bodies.xy, ahead, half, speed[:, None]], axis=1)
+    bodies = np.concatenate([driven.bodies.xy, ahead, way, half], axis=1)
     order, begins = driven.index.by_time()
     found = [np.empty((0, 2), np.int64)]
     for begin, end in pairwise(begins.tolist()):
@@ -254,44 +230,28 @@ def areas_ahead(driven: Driven, within_s: float) -> IntArray:
             tree = cKDTree(middle[rows])
             near = tree.query_pairs(2.0 * float(reach[rows].max()), output_type="ndarray")
             kept = np.empty(len(near), dtype=bool)
-            _meet(bodies[rows], near, within_s, np.full(rows.size, np.inf), kept)
+            _meet(bodies[rows], near, kept)
             pairs = rows[near[kept]]
             found.append(pairs[~driven.walking[pairs].all(axis=1)])
     return np.concatenate(found)
 
 
 @in_place()
-def _meet(
-    bodies: FloatArray, pairs: IntArray, within_s: float, nearest: FloatArray, kept: BoolArray
-) -> None:
-    """Which pairs count in `areas_ahead`: the second pass knows the nearest body ahead of each."""
-    for second in (False, True):
-        for n in range(len(pairs)):
-            if second and not kept[n]:
-                continue
-            one, other = bodies[pairs[n, 0]], bodies[pairs[n, 1]]
-            ahead, ahead_2 = (one[2], one[3]), (other[2], other[3])
-            dx, dy = other[0] - one[0], other[1] - one[1]
-            half, half_2 = (one[4], one[5]), (other[4], other[5])
-            place, reach = projections(dx, dy, ahead, half, ahead_2, half_2)
-            way, way_2 = within_s * one[6], within_s * other[6]
-            to = on_axes(way * one[2], way * one[3], ahead, ahead_2)
-            to_2 = on_axes(way_2 * other[2], way_2 * other[3], ahead, ahead_2)
-            if not second:
-                kept[n] = True
-                for k in range(4):
-                    kept[n] &= place[k] + min(-to[k], 0.0) + min(to_2[k], 0.0) <= reach[k]
-                    kept[n] &= place[k] + max(-to[k], 0.0) + max(to_2[k], 0.0) >= -reach[k]
-            if not kept[n] or not _same_way(one, other):
-                continue
-            if abs(place[1]) < half[1] + half_2[1]:
-                behind, rear = (0, half_2[0]) if place[0] > 0.0 else (1, half[0])
-                behind, gap = pairs[n, behind], abs(place[0]) - rear
-                kept[n] = not second or gap <= nearest[behind]
-                nearest[behind] = min(nearest[behind], gap)
-            elif not second:
-                rate = (to_2[0] - to[0], to_2[1] - to[1], to_2[2] - to[2], to_2[3] - to[3])
-                kept[n] = meeting(place, rate, reach) <= 1.0
+def _meet(bodies: FloatArray, pairs: IntArray, kept: BoolArray) -> None:
+    """Which pairs count in `areas_ahead`; a body is x, y, heading, way ahead, half sizes."""
+    for n in range(len(pairs)):
+        one, other = bodies[pairs[n, 0]], bodies[pairs[n, 1]]
+        ahead, ahead_2 = (one[2], one[3]), (other[2], other[3])
+        place = on_axes(other[0] - one[0], other[1] - one[1], ahead, ahead_2)
+        reach = reaches(ahead, (one[6], one[7]), ahead_2, (other[6], other[7]))
+        way, way_2 = (
+            on_axes(one[4], one[5], ahead, ahead_2),
+            on_axes(other[4], other[5], ahead, ahead_2),
+        )
+        kept[n] = not apart(place, reach, way, way_2)
+        if kept[n] and _same_way(one, other):
+            between = on_axes(other[4] - one[4], other[5] - one[5], ahead, ahead_2)
+            kept[n] = meeting(place, between, reach) <= 1.0
 
 
 def _ahead(heading: FloatArray) -> FloatArray:

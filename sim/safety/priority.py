@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim.frames import Signal, Tracks
+from sim.frames import IntArray, Signal, Tracks
 from sim.road import Road
 from sim.road.lane_search import along
 from sim.safety.encounters import Driven
-
-IntArray = NDArray[np.int64]
 
 NEAR_S = 10.0
 """A body is on its way over a junction if it is inside within this time, s."""
