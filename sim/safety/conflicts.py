@@ -326,7 +326,7 @@ def _beside(bodies: Bodies, rows: IntArray, others: IntArray) -> tuple[FloatArra
 
 def _velocity(bodies: Bodies) -> FloatArray:
     """(2, n) m/s."""
-    return bodies.speed * np.stack([np.cos(bodies.heading), np.sin(bodies.heading)])
+    return np.asarray(bodies.speed * np.stack([np.cos(bodies.heading), np.sin(bodies.heading)]))
 
 
 def _straight(bodies: Bodies, turning: FloatArray, ttc_s: FloatArray) -> BoolArray:
@@ -337,8 +337,8 @@ def _straight(bodies: Bodies, turning: FloatArray, ttc_s: FloatArray) -> BoolArr
 
 def _overlap(one: Bodies, other: Bodies, which: IntArray) -> FloatArray:
     """How deep the outlines of some pairs overlap, m."""
-    outlines = (Outlines.of(b.xy, b.heading, b.length, b.width) for b in (one, other))
-    return -separation(*(each.rows(which) for each in outlines))
+    first, second = (Outlines.of(b.xy, b.heading, b.length, b.width) for b in (one, other))
+    return -separation(first.rows(which), second.rows(which))
 
 
 def _least(values: FloatArray, number: IntArray, k: int) -> IntArray:

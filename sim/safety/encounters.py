@@ -122,15 +122,14 @@ def _shared_in_block(
     cells = cells_of(boxes, np.arange(rows.size), CELL_M)
     corners = (boxes - np.tile([cells.x0, cells.y0], 2)) / cells.size
     pieces = np.concatenate([xy, ahead, way, half, driven.time_s[rows, None], piece_s], axis=1)
-    _, agent = np.unique(driven.index.agent[rows], return_inverse=True)
     size = 4 * rows.size
     while True:
         pairs, times = np.empty((size, 2), np.int64), np.empty((size, 2))
-        best = np.full((int(agent.max()) + 1, 4), np.inf)
+        best = np.full((driven.index.agents, 4), np.inf)
         size = _find_shared(
-            pieces, agent.ravel(), driven.walking[rows], corners.astype(np.int64), cells.columns,
-            cells.first, cells.items, begin, within_s, longest_s, best, np.empty((SLABS, 3)),
-            pairs, times,
+            pieces, driven.index.agent[rows], driven.walking[rows], corners.astype(np.int64),
+            cells.columns, cells.first, cells.items, begin, within_s, longest_s, best,
+            np.empty((SLABS, 3)), pairs, times,
         )  # fmt: skip
         if size <= len(pairs):
             return Shared(*rows[pairs[:size].T], *times[:size].T)
