@@ -10,12 +10,17 @@ References:
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+
+GRAZE_M: Final = 0.15
+"""Outlines may overlap by this much without a contact (a corner rounded with a radius of 0.4 m, as
+cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and recorded positions are no more
+accurate)."""
 
 
 class Outlines(NamedTuple):

@@ -12,13 +12,7 @@ import numpy as np
 
 from sim.episode.rows import BLOCK_ROWS, TrajectoryRows
 from sim.frames import PEDESTRIAN, IntArray
-from sim.geometry import Outlines, separation
-
-GRAZE_M: Final = 0.15
-"""Outlines may overlap by this much without a contact (a corner rounded with a radius of 0.4 m, as
-cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and recorded positions are no more
-accurate)."""
-
+from sim.geometry import GRAZE_M, Outlines, separation
 
 KEY_ERROR_M: Final = 0.01
 """Pairs are looked for this much farther than circles reach, m: places along x and times are sorted

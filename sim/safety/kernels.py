@@ -13,11 +13,9 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.compiled import in_place
-
-FloatArray = NDArray[np.float64]
+from sim.frames import FloatArray
 
 SLABS: Final = 6
 """Bounds on two times: one for each axis, and one for the range of each time."""
@@ -30,22 +28,6 @@ EXACT: Final = 1e-9
 
 
 @in_place(inner=True)
-def projections(dx: Any, dy: Any, ahead: Any, half: Any, ahead_2: Any, half_2: Any) -> Any:
-    """Places of the second body on the four axes, m, and how near these may come to 0 apart, m."""
-    c, s = ahead
-    c_2, s_2 = ahead_2
-    cosine, sine = abs(c * c_2 + s * s_2), abs(c * s_2 - s * c_2)
-    place = (dx * c + dy * s, dy * c - dx * s, dx * c_2 + dy * s_2, dy * c_2 - dx * s_2)
-    reach = (
-        half[0] + half_2[0] * cosine + half_2[1] * sine,
-        half[1] + half_2[0] * sine + half_2[1] * cosine,
-        half_2[0] + half[0] * cosine + half[1] * sine,
-        half_2[1] + half[0] * sine + half[1] * cosine,
-    )
-    return place, reach
-
-
-@in_place(inner=True)
 def on_axes(x: Any, y: Any, ahead: Any, ahead_2: Any) -> Any:
     """The four components of a vector along the axes of two bodies."""
     c, s = ahead
@@ -54,33 +36,55 @@ def on_axes(x: Any, y: Any, ahead: Any, ahead_2: Any) -> Any:
 
 
 @in_place(inner=True)
-def nearest(place: Any, ahead: Any, half: Any, ahead_2: Any, half_2: Any) -> Any:
-    """The shortest way from the first to the second of two bodies apart, in x and y, m.
+def reaches(ahead: Any, half: Any, ahead_2: Any, half_2: Any) -> Any:
+    """How near the centres of two bodies come to each other on the four axes, m."""
+    cosine = abs(ahead[0] * ahead_2[0] + ahead[1] * ahead_2[1])
+    sine = abs(ahead[0] * ahead_2[1] - ahead[1] * ahead_2[0])
+    return (
+        half[0] + half_2[0] * cosine + half_2[1] * sine,
+        half[1] + half_2[0] * sine + half_2[1] * cosine,
+        half_2[0] + half[0] * cosine + half[1] * sine,
+        half_2[1] + half[0] * sine + half[1] * cosine,
+    )
 
-    One of its ends is a corner, so the way from each corner to the other body is looked at.
-    """
+
+@in_place(inner=True)
+def apart(place: Any, reach: Any, way: Any, way_2: Any) -> Any:
+    """Whether an axis separates the areas that bodies sweep on their ways, m along the axes."""
+    for k in range(4):
+        if place[k] + min(-way[k], 0.0) + min(way_2[k], 0.0) > reach[k]:
+            return True
+        if place[k] + max(-way[k], 0.0) + max(way_2[k], 0.0) < -reach[k]:
+            return True
+    return False
+
+
+@in_place(inner=True)
+def to_corners(u: Any, v: Any, half: Any, cosine: Any, sine: Any, half_2: Any) -> Any:
+    """Shortest way, along and to the left, from a body to a corner of one at (u, v), turned."""
+    best, along, aside = np.inf, 0.0, 0.0
+    for k in range(4):
+        long = half_2[0] if k & 1 else -half_2[0]
+        wide = half_2[1] if k & 2 else -half_2[1]
+        x, y = u + long * cosine - wide * sine, v + long * sine + wide * cosine
+        x -= min(max(x, -half[0]), half[0])
+        y -= min(max(y, -half[1]), half[1])
+        if x * x + y * y < best:
+            best, along, aside = x * x + y * y, x, y
+    return best, along, aside
+
+
+@in_place(inner=True)
+def nearest(place: Any, ahead: Any, half: Any, ahead_2: Any, half_2: Any) -> Any:
+    """Shortest way from the first to the second of two bodies apart, in x and y, m."""
     c, s = ahead
     c_2, s_2 = ahead_2
     cosine, sine = c * c_2 + s * s_2, c * s_2 - s * c_2
-    best, x, y = np.inf, 0.0, 0.0
-    for k in range(4):
-        along = half_2[0] if k & 1 else -half_2[0]
-        aside = half_2[1] if k & 2 else -half_2[1]
-        u = place[0] + along * cosine - aside * sine  # the second body's corner, seen by the first
-        v = place[1] + along * sine + aside * cosine
-        u -= min(max(u, -half[0]), half[0])
-        v -= min(max(v, -half[1]), half[1])
-        if u * u + v * v < best:
-            best, x, y = u * u + v * v, u * c - v * s, u * s + v * c
-        along = half[0] if k & 1 else -half[0]
-        aside = half[1] if k & 2 else -half[1]
-        u = place[2] - along * cosine - aside * sine  # the first's, from which the second is seen
-        v = place[3] + along * sine - aside * cosine
-        u -= min(max(u, -half_2[0]), half_2[0])
-        v -= min(max(v, -half_2[1]), half_2[1])
-        if u * u + v * v < best:
-            best, x, y = u * u + v * v, u * c_2 - v * s_2, u * s_2 + v * c_2
-    return x, y
+    best, u, v = to_corners(place[0], place[1], half, cosine, sine, half_2)
+    best_2, u_2, v_2 = to_corners(-place[2], -place[3], half_2, cosine, -sine, half)
+    if best <= best_2:
+        return u * c - v * s, u * s + v * c
+    return v_2 * s_2 - u_2 * c_2, -u_2 * s_2 - v_2 * c_2
 
 
 @in_place(inner=True)
@@ -185,18 +189,9 @@ def least_shift(
     [0, until_2]. Each axis bounds t between two parallel lines over the shift; so does each range.
     The shifts at which every lower line is below every upper one are an interval.
 
-    Args:
-        place: of the second body on the axes at both times 0, m.
-        rate: the first body's velocity along the axes, m/s.
-        rate_2: the second one's.
-        reach: of the axes, m.
-        until: last time of the first body, s.
-        until_2: last time of the second body, s.
-        slab: (SLABS, 3) scratch: slope, lower and upper intercept.
-
-    Returns:
-        Least and greatest shift, s, and a time t at the least one; the least is above the greatest
-        where the bodies share no place.
+    ``rate`` and ``rate_2`` are the velocities along the axes; ``slab`` is scratch for each bound's
+    slope and intercepts. Returns the least and the greatest shift and a time t at the least one;
+    the least is above the greatest where the bodies share no place.
     """
     low, high, n = -np.inf, np.inf, 0
     for k in range(4):
@@ -237,11 +232,7 @@ def least_shift(
 def measure(first: FloatArray, second: FloatArray, found: FloatArray, slab: FloatArray) -> None:
     """Everything that `sim.safety.measures.PairMeasures` lists.
 
-    Args:
-        first: (7, n) x, y, heading, speed, acceleration, length, width.
-        second: (7, n) likewise.
-        found: (6, n) receives the measures, in their order.
-        slab: (SLABS, 3) scratch.
+    Rows of the bodies: x, y, heading, speed, acceleration, length, width; ``slab`` is scratch.
     """
     for i in range(first.shape[1]):
         dx, dy = second[0, i] - first[0, i], second[1, i] - first[1, i]
@@ -254,7 +245,8 @@ def measure(first: FloatArray, second: FloatArray, found: FloatArray, slab: Floa
         if not math.isfinite(known + half[0] + half[1] + half_2[0] + half_2[1]):
             found[:, i] = np.nan
             continue
-        place, reach = projections(dx, dy, ahead, half, ahead_2, half_2)
+        place = on_axes(dx, dy, ahead, ahead_2)
+        reach = reaches(ahead, half, ahead_2, half_2)
         unit = on_axes(ahead[0], ahead[1], ahead, ahead_2)
         unit_2 = on_axes(ahead_2[0], ahead_2[1], ahead, ahead_2)
         rate = v * unit[0], 0.0, v * unit[2], v * unit[3]

@@ -20,13 +20,11 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from behaviors.errors import InputError
+from sim.frames import BoolArray, FloatArray
 from sim.safety.kernels import SLABS, measure
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 NEAR_MISS_TTC_S: Final = 1.5
 """A near miss has a time to collision below this, s (van der Horst 1990, A time-based analysis of

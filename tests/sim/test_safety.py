@@ -1,10 +1,16 @@
 """Safety measures beside a slow oracle: polygons that are moved on in small steps."""
 
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from sim.safety import Bodies, is_near_miss, pair_measures
+from sim.frames import PEDESTRIAN, Signal, Tracks
+from sim.road import Connection, Crossing, Lane, Road
+from sim.safety import CONFLICT_KINDS, Bodies, conflicts, is_near_miss, pair_measures
 
 HORIZON_S = 8.0
 STEP_S = 0.001
@@ -294,3 +300,261 @@ def test_one_near_miss():
     assert not is_near_miss(1.51, 9.0)
     assert is_near_miss(np.inf, 0.0, 0.99)
     assert not is_near_miss(0.0, 9.0, 0.0)
+
+
+def tracks_of(paths, kinds=None, sizes=None, times=None, **changes):
+    """Tracks of (T, 4) x, y, heading, speed; nan where an agent is not there."""
+    paths = np.asarray(paths, dtype=float)
+    n, steps = paths.shape[:2]
+    sizes = np.tile([4.5, 1.8], (n, 1)) if sizes is None else np.asarray(sizes)
+    facts = {
+        "ids": 10 * np.arange(1, n + 1),
+        "names": tuple(map(str, range(n))),
+        "kind": np.zeros(n) if kinds is None else kinds,
+        "length": sizes[:, 0],
+        "width": sizes[:, 1],
+        "time_s": np.arange(steps) * 0.1 if times is None else times,
+        "xy": paths[..., :2],
+        "heading": paths[..., 2],
+        "speed": paths[..., 3],
+        "valid": np.isfinite(paths[..., 0]),
+        "signals": np.zeros((0, steps)),
+    }
+    return Tracks(**(facts | changes))
+
+
+def line(times, x, y, degrees, speed, acceleration=0.0):
+    """(T, 4) a straight drive that is at (x, y) at time 0; who comes to stand stays."""
+    end = -speed / acceleration if acceleration < 0 else np.inf
+    t = np.minimum(times, end)
+    way, heading = speed * t + 0.5 * acceleration * t**2, np.radians(degrees)
+    now = np.where(times < end, speed + acceleration * t, 0.0)
+    at = [x + way * np.cos(heading), y + way * np.sin(heading)]
+    return np.stack([*at, np.full(len(t), heading), now], axis=1)
+
+
+def turn(times, x, y, degrees, speed, rate, begin_s):
+    """(T, 4) a drive that turns with a rate, rad/s, for 1.5 s."""
+    heading = np.radians(degrees) + rate * np.clip(times - begin_s, 0.0, 1.5)
+    fine = np.linspace(times[0], times[-1], 20 * len(times))
+    angle = np.radians(degrees) + rate * np.clip(fine - begin_s, 0.0, 1.5)
+    step = np.diff(fine, prepend=fine[0])
+    path = [np.cumsum(speed * step * f(angle)) for f in (np.cos, np.sin)]
+    at = [c + np.interp(times, fine, p) for c, p in zip((x, y), path, strict=True)]
+    return np.stack([*at, heading, np.full(len(times), speed)], axis=1)
+
+
+TIMES = np.arange(0.0, 8.0, 0.1)
+FINE = np.arange(0.0, 7.9, 0.01)
+
+
+def covered(path, size, places):
+    """(2, P) the first and the last time at which a body covers each place; nan if never."""
+    near = np.linalg.norm(path[:, :2] - places.mean(axis=0), axis=1) < 14.0
+    path, times = path[near], FINE[near]
+    off = places[:, None] - path[None, :, :2]
+    c, s = np.cos(path[:, 2]), np.sin(path[:, 2])
+    along, aside = off[..., 0] * c + off[..., 1] * s, off[..., 1] * c - off[..., 0] * s
+    inside = (np.abs(along) <= size[0] / 2) & (np.abs(aside) <= size[1] / 2)
+    never = ~inside.any(axis=1)
+    first, last = inside.argmax(axis=1), len(path) - 1 - inside[:, ::-1].argmax(axis=1)
+    return np.where(never, np.nan, [times[first], times[last]])
+
+
+def gap_at(places, makers, sizes):
+    """(P,) time between the bodies at each place, negative where they meet; nan if unshared."""
+    one, other = (covered(make(FINE), s, places) for make, s in zip(makers, sizes, strict=True))
+    return np.maximum(other[0] - one[1], one[0] - other[1])
+
+
+def square(half_m, step_m):
+    """(P, 2) places about the origin."""
+    side = np.arange(-half_m, half_m + 1e-9, step_m)
+    return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("n", [200])
+def test_driven_crossings(n):
+    """Post-encroachment time beside places of a fine grid that are looked up one by one."""
+    rng = np.random.default_rng(5)
+    drives, sizes, expected = [], [], []
+    for _ in range(n):
+        size = [SIZES["car"], SIZES["truck"], SIZES["bicycle"]][rng.integers(3)], SIZES["car"]
+        v, v_2, late = rng.uniform(5, 12), rng.uniform(4, 12), rng.uniform(-2.5, 2.5)
+        angle = np.radians(rng.uniform(35, 145) * rng.choice([-1, 1]))
+        at = -(3.5 + late) * v_2 * np.array([np.cos(angle), np.sin(angle)])
+        makers = [lambda t, v=v: line(t, -3.5 * v, 0, 0, v)]
+        if rng.random() < 0.5:
+            a = rng.uniform(-0.4, 0.4)
+            makers.append(lambda t, p=at, h=angle, v=v_2, a=a: line(t, *p, np.degrees(h), v, a))
+        else:
+            r = rng.uniform(-0.3, 0.3)
+            makers.append(
+                lambda t, p=at, h=angle, v=v_2, r=r, b=2.8 + late: turn(
+                    t, *p, np.degrees(h), v, r, b
+                )
+            )
+        wide = square(8.0, 0.8)
+        gaps = gap_at(wide, makers, size)
+        if np.isfinite(gaps).any():
+            fine = wide[np.nanargmin(gaps)] + square(0.9, 0.1)
+            gaps = np.append(gaps, gap_at(fine, makers, size))
+        expected.append(np.nanmin(gaps) if np.isfinite(gaps).any() else np.nan)
+        drives += [make(TIMES) for make in makers]
+        sizes += size
+    drives = np.array(drives)
+    drives[..., 0] += 300.0 * (np.arange(2 * n) // 2 % 40)[:, None]
+    drives[..., 1] += 300.0 * (np.arange(2 * n) // 80)[:, None]
+    found = conflicts(tracks_of(drives, sizes=sizes))
+    assert (found.second == found.first + 10).all()
+    pet = np.full(n, np.nan)
+    for i, value in zip((found.first // 20).tolist(), found.pet_s, strict=True):
+        pet[i] = np.fmin(pet[i], value)
+    expected = np.array(expected)
+    clear = np.isfinite(expected) & (expected < 4.5) & (expected > 0.1)
+    assert clear.mean() > 0.5
+    np.testing.assert_allclose(pet[clear], expected[clear], atol=0.1)
+    meet = expected < -0.1
+    assert meet.any()
+    assert (pet[meet] == 0).all()
+
+
+def only(found):
+    """The single encounter, by column, kinds as words."""
+    assert len(found) == 1
+    return found.to_pandas().iloc[0]
+
+
+def test_one_follows_and_brakes():
+    """Both drive at 10 m/s, 9.5 m apart bumper to bumper: the headway is no near miss."""
+    apart = tracks_of([line(TIMES, 0, 0, 0, 10), line(TIMES, 14, 0, 0, 10)])
+    row = only(conflicts(apart))
+    assert (row.kind, row.near_miss) == ("following", False)
+    assert row.pet_s == pytest.approx(0.95)
+    assert (row.passed_first, row.ttc_s, row.drac_mps2) == (20, np.inf, 0.0)
+    stands = line(TIMES, 19.5, 0, 0, 0)
+    row = only(conflicts(tracks_of([line(TIMES, 0, 0, 0, 10, -3.5), stands])))
+    assert (row.kind, row.near_miss) == ("following", True)
+    left_m = 15 - 100 / 7
+    assert row.ttc_s == pytest.approx(2 * np.sqrt(left_m / 7), abs=0.01)
+    assert row.gap_m == pytest.approx(left_m, abs=0.02)
+    assert row.mttc_s == np.inf
+    assert row.delta_v_mps == pytest.approx(np.sqrt(7 * left_m) / 2, abs=0.2)
+    row = only(conflicts(tracks_of([line(TIMES, 0, 0, 0, 10), stands])))
+    assert (row.near_miss, row.gap_m, row.ttc_s) == (False, 0.0, 0.0)
+
+
+def test_a_body_follows_the_nearest_only():
+    row = [line(TIMES, 14.0 * k, 0, 0, 10) for k in range(4)]
+    found = conflicts(tracks_of(row))
+    assert [*zip(found.first, found.second, strict=True)] == [(10, 20), (20, 30), (30, 40)]
+
+
+def test_kinds():
+    def kind(first, second, kinds=(0, 0), sizes=None):
+        found = conflicts(tracks_of([first, second], kinds=kinds, sizes=sizes))
+        return {CONFLICT_KINDS[code].value for code in found.kind}
+
+    east = line(TIMES, -30, 0, 0, 10)
+    assert kind(east, line(TIMES, 0, -50, 90, 10)) == {"crossing"}
+    assert kind(east, line(TIMES, 30, 0.5, 180, 10, -4.0)) == {"oncoming"}
+    assert kind(east, turn(TIMES, 0, -37, 90, 10, -np.pi / 3, 2.9)) == {"merging"}
+    changes = turn(TIMES, -10, 3.3, 0, 10, -0.1, 1.0)
+    changes[26:, :3] = line(TIMES[26:] - 2.6, changes[25, 0] + 1, 0.0, 0, 10)[:, :3]
+    assert kind(east, changes) == {"merging"}
+    drifts = line(TIMES, -29, 3.0, -3.0, 10)
+    drifts[20:] = line(TIMES[20:] - 2.0, *drifts[20, :2], 3.0, 10)
+    assert kind(east, drifts) == {"side"}
+    person = line(TIMES, 0, -4, 90, 1.2)
+    assert kind(east, person, (0, PEDESTRIAN), [(4.5, 1.8), (0.5, 0.5)]) == {"pedestrian"}
+    assert kind(person, person + 0.3, (PEDESTRIAN, PEDESTRIAN)) == set()
+    assert kind(east, line(TIMES, -30, 3.5, 0, 12)) == set()
+
+
+def test_least_values_are_those_of_all_moments():
+    """Beside every pair at every time; nobody turns."""
+    rng = np.random.default_rng(2)
+    paths = [
+        line(TIMES, *rng.uniform(-50, 50, 2), rng.uniform(0, 360), rng.uniform(3, 14),
+             rng.uniform(-2, 1))
+        for _ in range(30)
+    ]  # fmt: skip
+    tracks = tracks_of(paths)
+    table = conflicts(tracks).to_pandas().set_index(["first", "second"])
+    heading, speed = np.array(paths)[..., 2], np.array(paths)[..., 3]
+    faster = np.gradient(speed, 0.1, axis=1)
+    size = np.full(TIMES.size, 4.5), np.full(TIMES.size, 1.8)
+    near = 0
+    for i in range(30):
+        for j in range(i + 1, 30):
+            one, other = (
+                Bodies(tracks.xy[k], heading[k], speed[k], faster[k], *size) for k in (i, j)
+            )
+            ttc = pair_measures(one, other).ttc_s
+            if ttc.min() > 5.0:
+                continue
+            near += 1
+            rows = table.loc[[(10 * i + 10, 10 * j + 10)]]
+            assert rows.ttc_s.min() == pytest.approx(ttc.min())
+            gap = pair_measures(one, other).gap_m
+            assert gap.min() - 1e-9 <= rows.gap_m.min() <= gap[ttc <= 5.0].min() + 1e-9
+    assert near > 20
+
+
+def test_a_turn_is_no_collision_course():
+    """A car that turns passes in front of a standing one at which it heads for a moment."""
+    turns = turn(TIMES, -20, 0, 0, 8, np.pi / 3, 1.6)
+    stands = line(TIMES, 7, 0, 180, 0)
+    found = conflicts(tracks_of([turns, stands]))
+    straight = pair_measures(
+        bodies([(turns[15, 0], 0, 0, 8, 0, 4.5, 1.8)]),
+        bodies([(7, 0, 180, 0, 0, 4.5, 1.8)]),
+    )
+    assert straight.ttc_s < 1.5
+    assert not found.near_miss.any()
+
+
+def test_lost_from_sight_and_empty_tracks():
+    gone = line(TIMES, 0, -50, 90, 10)
+    gone[20:] = np.nan
+    late = line(TIMES, -30, 0, 0, 10)
+    late[:25] = np.nan
+    found = conflicts(tracks_of([gone, late]))
+    assert len(found) == 0
+    nobody = conflicts(tracks_of(np.empty((0, 5, 4))))
+    assert len(nobody.to_pandas()) == 0
+    with pytest.raises(InputError, match="within_s"):
+        conflicts(tracks_of([gone, late]), within_s=0.0)
+
+
+def test_who_has_priority():
+    """From the west and from the south through a junction; the south yields."""
+    ways = {"west": ((-40, 0), (40, 0)), "south": ((0, -40), (0, 40))}
+    lanes, links = [], []
+    for name, ends in ways.items():
+        begin, end = np.array(ends, dtype=float)
+        parts = [begin, begin / 8, end / 8, end]
+        for part, pair in zip("abc", pairwise(parts), strict=True):
+            lanes.append(
+                Lane(name + part, name, 0, np.array(pair), 3.2, 14.0, internal=part == "b")
+            )
+        links.append(Connection(name + "a", name + "c", (name + "b",), "straight"))
+    crossing = Crossing("x", np.array([[20.0, -4.0], [20.0, 4.0]]), 3.0, ("west",))
+    yielding = replace(links[1], must_yield=True, yields_to=(0,))
+    road = Road("r", tuple(lanes), (links[0], yielding), (crossing,), (), Path("none"))
+    west, south = line(TIMES, -30, 0, 0, 10), line(TIMES, 0, -50, 90, 10)
+    assert only(conflicts(tracks_of([west, south]), road)).priority == 10
+    assert conflicts(tracks_of([west, south])).priority == -1
+    same = replace(road, connections=tuple(links))
+    assert conflicts(tracks_of([west, south]), same).priority == -1
+    lit = replace(
+        same,
+        connections=tuple(replace(link, signal=k) for k, link in enumerate(links)),
+        signal_groups=("w", "s"),
+    )
+    signals = np.tile([[Signal.RED.code], [Signal.GREEN.code]], TIMES.size)
+    assert conflicts(tracks_of([west, south], signals=signals), lit).priority == 20
+    facts = {"kinds": [0, PEDESTRIAN], "sizes": [(4.5, 1.8), (0.5, 0.5)]}
+    for x, expected in ((20, 20), (30, -1)):
+        person = line(TIMES, x, -5, 90, 1.2)
+        assert conflicts(tracks_of([west, person], **facts), road).priority == expected
