@@ -8,13 +8,11 @@ by the next run.
 from __future__ import annotations
 
 import dataclasses
-import os
 import sys
 from pathlib import Path
 from typing import Any, Final
 
 import graphrqi.predict
-from experiments.benches.real_data import DATA_VARIABLE
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
 from experiments.data.configuration import GenerateConfig
@@ -32,9 +30,12 @@ from graphrqi.portable_torch import leave_onednn_out
 from graphrqi.predict.rollout.driver_table import CARD
 from sim.store.dataset import open_dataset
 
+RECORDINGS: Final = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
+"""Folder of open recordings, beside the checkout."""
+
 CLASSIFIER_SEEDS: Final = {"sumo": 2020, "sumo-idm": 2022}
 PREDICTOR_SEED: Final = 2021
-"""Seeds of the datasets, the classifier's by engine; examples and benches use other seeds."""
+"""Seeds of the datasets, the classifier's by engine; examples and benchmarks use other seeds."""
 
 CLASSIFIER_EPISODES: Final = {
     "sumo": {"straight_road": 40, "four_way_intersection": 450},
@@ -175,12 +176,11 @@ def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
         out: folder of the weights.
         quiet: whether to show no progress.
     """
-    folder = os.environ.get(DATA_VARIABLE)
-    recordings = [] if folder is None else [Path(folder) / "real" / name for name in OPEN_DATA]
-    if not recordings or not all(path.is_dir() for path in recordings):
+    recordings = [RECORDINGS / name for name in OPEN_DATA]
+    if not all(path.is_dir() for path in recordings):
         sys.stderr.write(
             f"graphrqi: weights for recordings left as they are: found no recordings "
-            f"{', '.join(OPEN_DATA)} by {DATA_VARIABLE}\n"
+            f"{', '.join(OPEN_DATA)} in {RECORDINGS}\n"
         )
         return
     worlds, home = work / "recorded-worlds", work / "recorded-home"

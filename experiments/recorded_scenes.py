@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -15,12 +16,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.benches.classification.recorded import recordings_of
+from behaviors.errors import InputError
 from experiments.data.admission import admitted
 from experiments.data.parallel import all_in_parallel
 from experiments.data.worlds.sensor import seen_badly
 from experiments.training.recorded_scenes import OPEN_DATA, SCENES, scene_rows
 from graphrqi.features.relative.observer import SCENE_NAMES
+from sim.formats import FORMATS, formats_in, read_recordings, recording_files
 from sim.formats.common.recording import Recording
 from sim.store.atomic import whole_file
 
@@ -57,7 +59,7 @@ def write_scenes(
     """
     rows: list[list[str]] = []
     for place in places:
-        found = islice(recordings_of(folder / place, lambda said: None), MOST_RECORDINGS)
+        found = islice(recordings_of(folder / place), MOST_RECORDINGS)
         arguments = [(recording, unit, n) for n, (recording, unit) in enumerate(found)]
         scenes = np.concatenate(all_in_parallel(seen_scenes, arguments, jobs, place, False))
         most = min(len(scenes), MOST_ROWS)
@@ -68,6 +70,19 @@ def write_scenes(
         writer.writerow(["place", *SCENE_NAMES])
         writer.writerows(rows)
     return len(rows)
+
+
+def recordings_of(folder: Path) -> Iterator[tuple[Recording, str]]:
+    """Every recording of a folder that can be read, with its format's unit.
+
+    Raises:
+        InputError: if there is no file of any format.
+    """
+    for name in formats_in(folder):
+        for file in recording_files(folder, name)[0]:
+            with suppress(InputError):  # such as the map of nobody
+                for recording in read_recordings(file, name):
+                    yield recording, FORMATS[name].unit
 
 
 def seen_scenes(recording: Recording, unit: str, number: int) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     share = max((os.cpu_count() or 1) // testing, 1)
     os.environ.setdefault("LOKY_MAX_CPU_COUNT", str(share))
 
-SLOWEST = ("test_docs.py", "test_benches.py", "test_examples.py")
+SLOWEST = ("test_docs.py", "test_examples.py")
 """Files with tests of a minute; the others follow in their own order."""
 
 

@@ -1,7 +1,7 @@
 """Every command and snippet of the README and of the documentation runs as it stands there.
 
-Left out are ``make`` and ``pip``, which install, and benches: ``test_benches`` runs each of those
-commands at ``--quick`` size, and here only their names and options are looked up. The cluster of
+Left out are ``make`` and ``pip``, which install, and benchmarks, of which
+only the names and options are looked up here. The cluster of
 the documentation has two workers, on this machine, and large datasets are made small. A shell runs
 the scripts of the README and those that need one; in others, ``graphrqi`` runs in this process,
 which has its libraries imported already.
@@ -22,11 +22,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import typer
 from sybil import Example, Sybil
 from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
 
-from experiments.benches.registry import BENCHES
-from experiments.cli.bench import bench_command
+from experiments.cli.bench import bench
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from tests.experiments.shared import call
@@ -52,7 +52,7 @@ LONGEST_S = 240.0
 def run_commands(example: Example) -> None:
     script = INSTALLS.sub("", str(example.parsed))
     for name, options in BENCH.findall(script):
-        parameters = bench_command(BENCHES[name]).params
+        parameters = typer.main.get_command(bench).commands[name].params
         known = {option for parameter in parameters for option in parameter.opts}
         assert set(re.findall(r"--[a-z-]+", options)) <= known, f"{name} {options}"
     script = BENCH.sub("", script)

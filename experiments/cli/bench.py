@@ -1,162 +1,204 @@
-"""``graphrqi bench NAME``: a command for every registered bench, made from its settings."""
+"""``graphrqi bench NAME``: measures what the product does, and prints one row per figure."""
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
-import typing
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-from experiments.cli.options import json_option
+from experiments.cli.options import Jobs, json_option
 
-if TYPE_CHECKING:
-    from experiments.benches.contract import Bench
+bench = typer.Typer(
+    help="Measure, and print one row per figure.",
+    epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
+    rich_markup_mode=None,
+    invoke_without_command=True,
+)
 
 Json = Annotated[
     Path | None,
-    json_option("Write the rows as JSON, after every part of the bench; - for standard output."),
+    json_option("Write the rows as JSON, after every part; - for standard output."),
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="Small sizes, in a minute or so.")]
-Plot = Annotated[
-    Path | None,
-    typer.Option(
-        "--plot", dir_okay=False, metavar="FILE", help="Draw the rows: .pdf, .png or .svg."
-    ),
+Data = Annotated[
+    Path,
+    typer.Option(file_okay=False, exists=True, metavar="FOLDER", help="Folder of recordings."),
 ]
+Episodes = Annotated[int | None, typer.Option(help="Episodes per scenario.")]
 
 
-class BenchGroup(TyperGroup):
-    """The benches of the registry as commands; each bench is imported when it is asked for."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        """The names of all benches."""
-        from experiments.benches.registry import BENCHES
-
-        return list(BENCHES)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of one bench; None if there is no such bench."""
-        from experiments.benches.registry import BENCHES
-
-        return bench_command(BENCHES[cmd_name]) if cmd_name in BENCHES else None
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The bench that the arguments name, and what follows.
-
-        Raises:
-            InputError: if there is no such bench; the message suggests the nearest name.
-        """
-        from behaviors.errors import lookup
-        from experiments.benches.registry import BENCHES
-
-        if not ctx.resilient_parsing:
-            lookup(BENCHES, args[0], "bench")
-        return super().resolve_command(ctx, args)
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """What follows ``graphrqi bench``; where nothing does, the help is shown."""
-        if not args and not ctx.resilient_parsing:  # as it is while the shell completes a name
-            typer.echo(ctx.get_help())
-            ctx.exit()
-        return super().parse_args(ctx, args)
+@bench.callback()
+def show_help(context: typer.Context) -> None:
+    """Measure, and print one row per figure."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
-def bench_command(bench: Bench[Any]) -> Any:
-    """A bench's command: an option for every field of its settings that is one.
+@bench.command(epilog="example: graphrqi bench behaviors --quick --json behaviors.json")
+def behaviors(
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="Where; repeat for several [default: everywhere].")
+    ] = None,
+    engine: Annotated[str, typer.Option(help="Which simulator.")] = "sumo",
+    jobs: Jobs = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Measure which behaviour shows which trait, in every scenario."""
+    from experiments.benchmarks.behaviors import measure
+    from experiments.console.parts import show_parts
 
-    Args:
-        bench: what to run; ``--quick`` takes its quick settings, and every other option replaces
-            one of the settings.
-    """
-    types = typing.get_type_hints(type(bench.full))
-    offered = [f for f in dataclasses.fields(bench.full) if "help" in f.metadata]
-    annotations: dict[str, Any] = {}
-    for entry in offered:
-        kind = types[entry.name]
-        listed = typing.get_origin(kind) is tuple
-        annotations[entry.name] = Annotated[
-            list[str] | None if listed else kind | None,
-            typer.Option(
-                "--" + entry.name.replace("_", "-"),
-                help=f"{entry.metadata['help']}{_default(getattr(bench.full, entry.name))}",
-                metavar=entry.metadata["metavar"] or ("A,B" if listed else None),
-            ),
-        ]
-    annotations["quick"], annotations["json"] = Quick, Json
-    if bench.plot is not None:
-        annotations["plot"] = Plot
-
-    def command(quick: bool, json: Path | None, **given: Any) -> None:
-        if given.get("plot") is not None:
-            from experiments.figure_files import check_figure_file
-
-            check_figure_file(given["plot"], "--plot")
-        plot = None if bench.plot is None else given.pop("plot")
-        settings = bench.quick if quick else bench.full
-        chosen = {
-            name: _parsed(name, value, types[name]) if isinstance(value, list) else value
-            for name, value in given.items()
-            if value not in (None, [])
-        }
-        _measure(bench, dataclasses.replace(settings, **chosen), json, plot)
-
-    command.__annotations__ = annotations
-    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=False if name == "quick" else None,
-                annotation=annotation,
-            )
-            for name, annotation in annotations.items()
-        ]
-    )
-    app = typer.Typer(rich_markup_mode=None, add_completion=False)
-    app.command(
-        bench.name,
-        help=bench.summary,
-        epilog=f"example: graphrqi bench {bench.name} --quick --json {bench.name}.json",
-    )(command)
-    return typer.main.get_command(app)
+    seeds, duration_s = ((0,), 60.0) if quick else (tuple(range(5)), 600.0)
+    show_parts("behaviors", measure(scenario or (), engine, seeds, duration_s, jobs), json)
 
 
-def _measure(bench: Bench[Any], settings: Any, json: Path | None, plot: Path | None) -> None:
-    from experiments.console.tables import show_table
-    from experiments.rows import write_json
+@bench.command(epilog="example: graphrqi bench classification --quick --json rows.json")
+def classification(
+    protocol: Annotated[
+        list[str] | None, typer.Option(help="Only this; repeat for several [default: all].")
+    ] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="Only this; repeat for several [default: all].")
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Dataset to learn and score on [default: made]."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Where datasets are made, and used again."),
+    ] = None,
+    episodes: Episodes = None,
+    jobs: Jobs = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Score methods and the plain rival on unseen drivers, scenarios, engines, noise."""
+    from experiments.benchmarks.classification import OURS, measure
+    from experiments.console.parts import show_parts
 
-    kept = None if json is None or str(json) == "-" else partial(write_json, path=json)
-    rows = bench.run(settings, kept)
-    if plot is not None and bench.plot is not None:
-        bench.plot(rows, plot)
-    if json is not None:
-        write_json(rows, json)
-    if json is None or str(json) != "-":
-        show_table(rows if bench.table is None else bench.table(rows))
+    chosen, duration_s = (method or [], 150.0)
+    if quick:
+        protocol = protocol or ["inductive", "leak-probe"]
+        chosen, duration_s = chosen or [OURS, "majority"], 60.0
+    count = episodes or (5 if quick else 15)
+    parts = measure(protocol or (), chosen, count, duration_s, jobs, data, out)
+    show_parts("classification", parts, json)
 
 
-def _default(value: object) -> str:
-    if value is None or value == ():
-        return ""
-    words = ",".join(map(str, value)) if isinstance(value, tuple) else value
-    return f" [default: {words}]"
+@bench.command("real-data", epilog="example: graphrqi bench real-data --data FOLDER --quick")
+def real_data(
+    data: Data,
+    task: Annotated[
+        str, typer.Option(help="behavior, or prediction: where vehicles go.")
+    ] = "behavior",
+    leave_out: Annotated[
+        str, typer.Option("--leave-out", help="Of prediction: dataset, place or nothing.")
+    ] = "dataset",
+    jobs: Jobs = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Score methods or predictors on recordings, each left out of the training in turn."""
+    from behaviors.errors import lookup
+    from experiments.benchmarks import real_data as behavior
+    from experiments.benchmarks import recorded_prediction as prediction
+    from experiments.console.parts import show_parts
+
+    lookup({"behavior": 0, "prediction": 1}, task, "task")
+    if task == "prediction":
+        parts = prediction.measure(data, leave_out, 1 if quick else 4)
+    else:
+        views = ("majority", "leak-probe", "unit-free") if quick else tuple(behavior.VIEWS)
+        tasks = (2,) if quick else tuple(behavior.TASKS)
+        parts = behavior.measure(data, views, tasks, jobs)
+    show_parts("real-data", parts, json)
 
 
-def _parsed(name: str, texts: Sequence[str], kind: Any) -> tuple[object, ...]:
-    """A tuple from words between commas, of an option that may be repeated."""
-    from behaviors.errors import InputError
+@bench.command(epilog="example: graphrqi bench prediction --quick --json prediction.json")
+def prediction(
+    predictor: Annotated[
+        list[str] | None,
+        typer.Option(help="A name or module:function; repeat for several [default: all names]."),
+    ] = None,
+    model: Annotated[
+        str, typer.Option(help="The classifier whose beliefs are used.")
+    ] = "graphrqi-plus",
+    episodes: Episodes = None,
+    jobs: Jobs = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Measure every predictor's errors on unseen episodes, and who is predicted to yield."""
+    from experiments.benchmarks.prediction import QUICK, measure
+    from experiments.console.parts import show_parts
 
-    words = [word.strip() for text in texts for word in text.split(",") if word.strip()]
-    if typing.get_args(kind)[0] is not int:
-        return tuple(words)
-    try:
-        return tuple(int(word) for word in words)
-    except ValueError:
-        option, found = name.replace("_", "-"), ",".join(texts)
-        raise InputError(f"--{option}: found {found!r}, expected whole numbers: 25,100") from None
+    names = predictor or (QUICK if quick else ())
+    duration_s = 30.0 if quick else None
+    count = episodes or (2 if quick else 10)
+    show_parts("prediction", measure(count, duration_s, names, model, jobs), json)
+
+
+@bench.command(epilog="example: graphrqi bench spectrum --quick --json spectrum.json")
+def spectrum(
+    graph: Annotated[
+        list[str] | None,
+        typer.Option(help="road, crossing or city; repeat for several [default: road, crossing]."),
+    ] = None,
+    size: Annotated[
+        list[int] | None, typer.Option(help="Vehicles; repeat for several [default: 25 to 20000].")
+    ] = None,
+    solver: Annotated[
+        list[str] | None, typer.Option(help="Only this; repeat for several [default: all].")
+    ] = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Measure every eigenvalue algorithm on the same graphs, in one process."""
+    from experiments.benchmarks.spectrum import measure, table
+    from experiments.console.parts import show_parts
+
+    sizes = size or ([25] if quick else [25, 100, 400, 1000, 4000, 20000])
+    graphs = graph or ("road", "crossing")
+    parts = measure(sizes, graphs, solver or (), 5 if quick else 60)
+    show_parts("spectrum", parts, json, table)
+
+
+@bench.command(epilog="example: graphrqi bench loop --quick --json loop.json")
+def loop(
+    engine: Annotated[
+        list[str] | None,
+        typer.Option(help="Simulator; repeat for several [default: sumo, highway]."),
+    ] = None,
+    city: Annotated[
+        bool, typer.Option("--city", help="In cities, all but the smallest need netgenerate.")
+    ] = False,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Time classifying and predicting while a simulation runs, stage by stage."""
+    from itertools import chain
+
+    from experiments.benchmarks.loop import measure_cities, measure_road, stock_rows
+    from experiments.console.parts import show_parts
+
+    engines = engine or ["sumo", "highway"]
+    if city:
+        blocks, vehicles = ((3,), (30, 90)) if quick else ((3, 8, 20, 60), (300, 1000, 3000))
+        parts = measure_cities(engines, blocks, vehicles)
+    else:
+        duration_s, repeats = (20.0, 1) if quick else (180.0, 3)
+        road = measure_road(engines, duration_s, repeats)
+        parts = chain(road, stock_rows((20,) if quick else (20, 50, 100, 200)))
+    show_parts("loop", parts, json)
+
+
+@bench.command(epilog="example: graphrqi bench generate --quick --json generate.json")
+def generate(quick: Quick = False, json: Json = None) -> None:
+    """Measure the cost of generating data."""
+    from experiments.benchmarks.generate import measure
+    from experiments.console.parts import show_parts
+
+    parts = measure(1, 30.0, 2) if quick else measure()
+    show_parts("generate", parts, json)

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.adapt import adapt
-from experiments.cli.bench import BenchGroup
+from experiments.cli.bench import bench
 from experiments.cli.calibrate import calibrate, populations
 from experiments.cli.classify import classify, evaluate
 from experiments.cli.drive import drive
@@ -420,15 +420,7 @@ def export(
 
 app.command(epilog="example: graphrqi verify data --repair")(verify)
 
-app.add_typer(
-    typer.Typer(
-        cls=BenchGroup,
-        help="Measure, and print one row per figure.",
-        epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
-        rich_markup_mode=None,
-    ),
-    name="bench",
-)
+app.add_typer(bench, name="bench")
 
 
 def _words(text: str) -> list[str]:

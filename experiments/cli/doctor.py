@@ -72,7 +72,6 @@ REGISTRIES: Final[dict[str, str]] = {
     "predictor": "graphrqi.predict:PREDICTORS",
     "classifier": "graphrqi.classify.registry:CLASSIFIERS",
     "format": "sim.formats:FORMATS",
-    "bench": "experiments.benches.registry:BENCHES",
 }
 """The registries, as "module:attribute", by what they hold."""
 
@@ -84,7 +83,6 @@ SUMMARIES: Final[dict[str, Literal["entry", "function", "module"]]] = {
     "predictor": "function",
     "classifier": "function",
     "format": "module",
-    "bench": "entry",
 }
 """What says in one line what an entry of a registry is: the entry itself, which is imported; or the
 docstring of its function (or class) or of its module, which is read without importing it."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -52,23 +51,14 @@ def drive(
     quiet: Quiet = False,
 ) -> None:
     """Test how driving policies do in every scenario among drivers of every kind."""
-    from experiments.console.tables import show_table
+    from experiments.console.parts import show_parts
     from experiments.drive.run import QUICK, LicenceTest, run_test, short_table
-    from experiments.rows import Row, of_bench, write_json
 
-    given = {
+    given: dict[str, Any] = {
         "policies": tuple(policy or ()), "scenarios": tuple(scenario or ()),
         "crowds": tuple(crowd or ()), "episodes": episodes, "seed": seed, "flow": flow,
         "duration_s": duration_s, "warmup_s": warmup_s,
     }  # fmt: skip
     chosen = {name: value for name, value in given.items() if value not in (None, ())}
     test = dataclasses.replace(QUICK if quick else LicenceTest(), **chosen)
-    rows: list[Row] = []
-    for part in run_test(test, jobs, quiet):
-        rows += of_bench("drive", part)
-        if json is not None and str(json) != "-":
-            write_json(rows, Path(json))  # after every scenario, for a test that is stopped
-    if str(json) == "-":
-        write_json(rows, Path("-"))
-    else:
-        show_table(short_table(rows), title="means per episode over all scenarios")
+    show_parts("drive", run_test(test, jobs, quiet), json, short_table)

@@ -16,16 +16,7 @@ from sklearn.metrics import cohen_kappa_score
 from behaviors.errors import InputError
 from behaviors.labelling import style_of
 from behaviors.labels import Behavior, Style, Trait
-from experiments.benches.real_data import (
-    BENCH,
-    VIEWS,
-    Settings,
-    Video,
-    _posterior,
-    choose,
-    evaluate_traf,
-    read_traf,
-)
+from experiments.benchmarks.real_data import VIEWS, Video, measure, read_traf
 from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
 from sim.formats import argo, traf
 from sim.formats.argo_labels import read_labels
@@ -254,8 +245,8 @@ def test_standardised_ignores_the_unknown():
 # --- the bench ----------------------------------------------------------------------------------
 
 
-def test_bench_finds_what_is_there(videos):
-    rows = evaluate_traf(videos, views=("unit-free", "majority"), tasks=(2,))
+def test_bench_finds_what_is_there(data):
+    rows = [row for part in measure(data, ("unit-free", "majority"), (2,), 1) for row in part]
     score = {(r["method"], r["metric"]): r["value"] for r in rows if r["fold"] == "all"}
     assert score["unit-free", "balanced_accuracy"] > 0.9
     assert score["unit-free", "auc"] > 0.95
@@ -267,36 +258,27 @@ def test_bench_finds_what_is_there(videos):
     assert per_fold == [14, 14, 14, 42]
 
 
-def test_held_out_labels_take_no_part(videos):
+def test_a_held_out_videos_labels_take_no_part(videos, monkeypatch):
+    """With other labels, that video's answers are the same: its own are only scored."""
+    from experiments.benchmarks import real_data
+
     held, *training = videos
     other = dataclasses.replace(held, codes=held.codes[::-1].copy())
-    for task in (2, 4, 6):
-        setting = choose(training, "unit-free", task)
-        np.testing.assert_array_equal(
-            _posterior(setting, training, held, "unit-free", task),
-            _posterior(setting, training, other, "unit-free", task),
-        )
+    answers: list[np.ndarray] = []
+
+    def keep(found, task, keys):
+        answers.append(found[1])
+        return []
+
+    monkeypatch.setattr(real_data, "_rows", keep)
+    for first in (held, other):
+        real_data._scored([first, *training], "unit-free", 4)
+    np.testing.assert_array_equal(answers[0], answers[4])
 
 
-def test_named_test_videos_are_never_trained_on(videos):
-    rows = evaluate_traf(videos, ["TRAF53_2"], views=("unit-free",), tasks=(2,))
-    assert {r["fold"] for r in rows} == {"all", "TRAF53_2"}
-    assert {r["protocol"] for r in rows} == {"held-out-videos"}
-    with pytest.raises(InputError, match="did you mean 'TRAF53_2'"):
-        evaluate_traf(videos, ["TRAF53_22"], views=("unit-free",), tasks=(2,))
-    with pytest.raises(InputError, match="expected some to train on"):
-        evaluate_traf(videos, ["TRAF53_1", "TRAF53_2", "TRAF53_3"])
-
-
-def test_absent_data_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.delenv("GRAPHRQI_DATA", raising=False)
-    assert BENCH.run() == []
-    assert BENCH.run(Settings(tmp_path)) == []
-    (tmp_path / "traf" / "tracks").mkdir(parents=True)
-    assert BENCH.run(Settings(tmp_path)) == []
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 3
-    assert all(line.startswith("real-data: traf skipped: ") for line in lines)
+def test_absent_recordings_are_named(tmp_path):
+    with pytest.raises(InputError, match="found 0 annotated videos, expected two or more"):
+        next(measure(tmp_path))
 
 
 def test_every_view_gives_one_row_per_agent(data):

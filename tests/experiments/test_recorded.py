@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,10 +12,7 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.benches import real_data
-from experiments.benches.prediction import knowledge
-from experiments.benches.prediction.recordings import RATIOS, _distance, measure_recordings
-from experiments.report.worst_cases import WORST
+from experiments.benchmarks.recorded_prediction import RATIOS, measure
 from experiments.scoring.recordings import (
     family_of,
     happened,
@@ -221,7 +216,7 @@ def test_nobody_who_moves_is_an_error(tmp_path):
 
 
 def test_the_bench_leaves_each_dataset_out(data):
-    rows = [row for part in measure_recordings(data, "dataset", 1, 0, 200) for row in part]
+    rows = [row for part in measure(data, "dataset", 1, 0, 200) for row in part]
     keys = {"dataset", "family", "place", "predictor", "noise_m", "horizon_s"}
     assert all(row.keys() == keys | {"metric", "value", "low", "high", "n"} for row in rows)
     assert {row["predictor"] for row in rows} >= {"left-out", "graphrqi-predict", "fading"}
@@ -229,55 +224,7 @@ def test_the_bench_leaves_each_dataset_out(data):
     ratios = {row["metric"] for row in rows if "ratio" in str(row["metric"])}
     assert ratios == {name + suffix for name, *_ in RATIOS for suffix in ("", "_by_place")}
     with pytest.raises(InputError, match="leave_out"):
-        next(measure_recordings(data, "nobody", 1, 0))
-
-
-def planted(seed: int, per_mps: float) -> knowledge.Left:
-    """Drivers, three times each, of whom one number tells how much faster they become."""
-    rng = np.random.default_rng(seed)
-    vehicle = np.repeat(np.arange(200), 3)
-    number = rng.normal(size=200)[vehicle]
-    speed = rng.uniform(5.0, 15.0, vehicle.size)
-    along = (per_mps * number * speed)[:, None] * TIME_S + rng.normal(0, 0.5, (600, TIME_S.size))
-    numbers = np.column_stack([number, *rng.normal(size=(3, 600))])
-    numbers[::7, 0] = np.nan
-    beliefs = np.full((600, len(BEHAVIORS)), np.nan)
-    known = {knowledge.BELIEFS: beliefs, knowledge.NUMBERS: numbers}
-    return knowledge.Left(along, np.zeros_like(along), speed, vehicle, known)
-
-
-def told_ratios(per_mps: float) -> dict[tuple[str, str], tuple[float, float, float]]:
-    others, held = [planted(seed, per_mps) for seed in range(3)], planted(9, per_mps)
-    rows = knowledge._rows({"dataset": "held"}, others, held, seed=0)
-    return {(r["knowledge"], r["metric"]): (r["low"], r["value"], r["high"]) for r in rows}
-
-
-def test_what_tells_where_drivers_go_is_found_and_its_placebo_is_not():
-    found = told_ratios(per_mps=0.1)
-    assert found["numbers", "ratio_to_placebo"][2] < 0.7
-    assert found["numbers", "placebo_ratio_to_uncorrected"][1] == pytest.approx(1.0, abs=0.03)
-    assert found["nothing", "ratio_to_uncorrected"][1] == pytest.approx(1.0, abs=0.03)
-    assert found["beliefs", "ratio_to_placebo"] == (1.0, 1.0, 1.0)
-
-
-def test_what_tells_nothing_is_not_found():
-    low, _, high = told_ratios(per_mps=0.0)["numbers", "ratio_to_placebo"]
-    assert low < 1.005
-    assert high > 0.98
-
-
-def test_knowledge_of_drivers_is_measured_on_each_dataset_left_out(data):
-    rows = [row for part in knowledge.measure_knowledge(data, seed=0) for row in part]
-    assert {row["dataset"] for row in rows} == {"ngsim_us101", "some_junction"}
-    assert {(row["knowledge"], row["metric"]) for row in rows} == {
-        (knowledge.NOTHING, "ratio_to_uncorrected"),
-        *((kind, metric) for kind in (knowledge.BELIEFS, knowledge.NUMBERS)
-          for metric in (
-              "ratio_to_uncorrected", "placebo_ratio_to_uncorrected", "ratio_to_placebo"
-          )),
-    }  # fmt: skip
-    with pytest.raises(InputError, match="expected two"):
-        list(knowledge.measure_knowledge(data / "some_junction", seed=0))
+        next(measure(data, "nobody", 1, 0))
 
 
 def test_the_command_trains_and_tells(data, tmp_path):
@@ -289,25 +236,3 @@ def test_the_command_trains_and_tells(data, tmp_path):
     rows = json.loads(out.stdout)
     assert [row["dataset"] for row in rows] == ["ngsim_us101"]
     assert (tmp_path / SHIPPED).is_file()
-
-
-def test_the_worst_cases_of_each_family_are_drawn(data, tmp_path, monkeypatch):
-    page = tmp_path / "worst.html"
-    settings = real_data.Settings(data=data, task="prediction", leave_out="nothing", worst=page)
-    monkeypatch.setattr(real_data, "MOST_CASES", 12)
-    for _ in real_data.measure(settings):
-        pass
-    text = page.read_text()
-    assert "<h2>motorway</h2>" in text
-    assert "<h2>junction</h2>" in text
-    assert 2 <= text.count("<svg") <= 2 * WORST
-    shown = re.findall(r"<figcaption>(.+?, vehicle \w+) at ", text)
-    assert len(shown) == len(set(shown)) == text.count("<svg")
-    with pytest.raises(InputError, match="ending in"):
-        list(real_data.measure(dataclasses.replace(settings, worst=tmp_path / "worst.png")))
-
-
-def test_the_nearest_point_of_a_line_counts():
-    line = np.array([[0.0, 0.0], [10.0, 0.0]])
-    assert _distance(np.array([5.0, 3.0]), line) == pytest.approx(3.0)
-    assert _distance(np.array([13.0, 4.0]), line) == pytest.approx(5.0)

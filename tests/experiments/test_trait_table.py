@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.benches.behaviors import DriverCounts, count_scenario, rows_of
+from experiments.benchmarks.behaviors import DriverCounts, count_scenario, rows_of
 from scenarios import SCENARIOS
 from sim.scenario import Scenario
 

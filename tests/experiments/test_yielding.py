@@ -10,8 +10,7 @@ from sklearn.metrics import brier_score_loss, roc_auc_score
 
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
-from experiments.benches.prediction.yield_picture import clearest, draw_cases
-from experiments.benches.prediction.yielding import (
+from experiments.benchmarks.yielding import (
     BELIEFS,
     EncounterChances,
     approaching,
@@ -124,20 +123,3 @@ def test_rows_need_both_outcomes():
     assert {r["metric"] for r in rows} == {"yield_auc", "yield_brier"}  # all waited
     one = EncounterChances({"a": np.ones(2)}, np.ones(2), np.ones(2))
     assert score_chances([one], "somewhere", "test") == []
-
-
-def test_the_clearest_cases_are_drawn(road, tmp_path):
-    asked = [
-        encounter_chances(
-            with_event(episode(road, brakes=False), yielded), road,
-            dict.fromkeys(range(55, 65), NOBODY), ["graphrqi-predict"],
-        )
-        for yielded in (True, False)
-    ]  # fmt: skip
-    cases = clearest([case for one in asked for case in one.cases])
-    assert [case.yielded for case in cases] == [True, False]
-    assert cases[0].futures.shape[0] == 6
-    assert cases[0].walks.tolist() == [False, True]
-    draw_cases(cases, tmp_path / "yield.png")
-    assert (tmp_path / "yield.png").read_bytes().startswith(b"\x89PNG")
-    assert [path.name for path in tmp_path.iterdir()] == ["yield.png"]

@@ -17,9 +17,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from experiments.benches.spectrum.sequences import (
+from experiments.benchmarks.graph_sequences import (
     graph_sequence,
-    hostile_graphs,
     traffic_positions,
 )
 from graphrqi.graph import TrafficGraph
@@ -27,6 +26,7 @@ from graphrqi.spectrum import SOLVERS, Spectrum, certify, full_spectrum, topolog
 from graphrqi.spectrum.rivals import exact
 from graphrqi.spectrum.spectrum import End
 from graphrqi.spectrum.subspaces import null_space
+from tests.graphrqi.hostile_graphs import hostile_graphs
 
 RIGHT = ("graphrqi", "graphrqi-exact", "eigh", "svd")
 """Solvers that promise every answer."""
@@ -195,7 +195,7 @@ def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
 import numpy as np
-from experiments.benches.spectrum.sequences import graph_sequence
+from experiments.benchmarks.graph_sequences import graph_sequence
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 

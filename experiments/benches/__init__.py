@@ -1,1 +1,0 @@
-"""Benches: every measured figure, as tidy rows that name what was measured."""

@@ -1,1 +1,0 @@
-"""The classification bench: protocols that cannot leak, and how far each disturbance hurts."""

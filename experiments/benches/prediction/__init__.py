@@ -1,1 +1,0 @@
-"""The prediction bench: errors on unseen episodes, and who will let a pedestrian go first."""

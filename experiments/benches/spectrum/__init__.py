@@ -1,1 +1,0 @@
-"""The spectrum bench: the paper's runtime table, measured."""

@@ -1,0 +1,293 @@
+"""Do drivers behave as they are labelled? Every behaviour against the paper's traits, in numbers.
+
+Episodes are driven, watched with the trait detectors, and counted driver by driver; the intervals
+come from drawing drivers anew (bootstrap).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.detector_inputs import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes
+from behaviors.labelling import label_from_traits
+from behaviors.labels import BEHAVIORS, Trait
+from behaviors.traits import waits
+from experiments.data.parallel import in_parallel
+from experiments.rows import Cell, Row, tidy_row
+from scenarios import SCENARIOS, get_scenario
+from sim.engines import get_engine
+from sim.episode.annotate import annotate
+from sim.episode.rows import TrajectoryRows
+from sim.frames import Event, EventKind, Frame, Tracks
+from sim.scenario import Scenario, sample_agents
+
+FREE_HEADWAY_S: Final = 6.0
+"""A road is free for who has this much headway or more."""
+
+STEADY_MPS2: Final = 0.3
+"""Largest acceleration of a driver at the speed that it has chosen, m/s2."""
+
+CLEARING_S: Final = 300.0
+"""Episodes are driven on for so long after the demand ends, so that vehicles can leave, s."""
+
+RESAMPLES: Final = 1000
+
+METRICS: Final[tuple[tuple[str, str, str], ...]] = (
+    ("red_run_share", "red_runs", "red_faced"),
+    ("yield_share", "yields", "crossing_encounters"),
+    ("headway_median_s", "headway", ""),
+    ("lane_changes_per_km", "lane_changes", "km"),
+    ("cut_ins_per_km", "cut_ins", "km"),
+    ("over_limit_share", "over_limit_s", "free_s"),
+    ("unprovoked_stops_per_km", "unprovoked_stops", "km"),
+    ("wait_per_encounter_s", "wait_s", "waits"),
+    ("wrong_way_m", "wrong_way_m", "drivers"),
+    ("collisions_caused", "collisions", ""),
+    ("pedestrians_hit", "pedestrians_hit", ""),
+    ("label_agreement", "agrees", "drivers"),
+)
+"""Metric, the count above, the count below: "" for a median (``headway``) or a sum."""
+
+COUNTS: Final[tuple[str, ...]] = (
+    "drivers", "km", "red_faced", "red_runs", "crossing_encounters", "yields", "headway",
+    "lane_changes", "cut_ins", "free_s", "over_limit_s", "unprovoked_stops", "waits", "wait_s",
+    "wrong_way_m", "collisions", "pedestrians_hit", "agrees",
+)  # fmt: skip
+"""What is counted for every driver; ``headway`` is the driver's median, NaN without any."""
+
+
+ENCOUNTERS: Final = (EventKind.YIELDED, EventKind.NOT_YIELDED)
+"""Encounters of a driver with a pedestrian that wants to cross."""
+
+NOT_WAITED_FOR: Final = (EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED)
+"""Encounters in which somebody did not wait, though a rule says so: waits of 0 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriverCounts:
+    """What the drivers of one or more episodes did.
+
+    Attributes:
+        behavior: (n,) codes into ``BEHAVIORS``.
+        counts: (n, len(COUNTS)) in the order of ``COUNTS``.
+        jaywalks: how often pedestrians jaywalked.
+        walkers: how many pedestrians there were.
+    """
+
+    behavior: NDArray[np.int8]
+    counts: NDArray[np.float64]
+    jaywalks: int
+    walkers: int
+
+    @classmethod
+    def joined(cls, parts: Sequence[DriverCounts]) -> DriverCounts:
+        """The drivers of several episodes together."""
+        return cls(
+            behavior=np.concatenate([p.behavior for p in parts]),
+            counts=np.concatenate([p.counts for p in parts]),
+            jaywalks=sum(p.jaywalks for p in parts),
+            walkers=sum(p.walkers for p in parts),
+        )
+
+
+def count_scenario(
+    scenario: Scenario, seed: int, engine: str = "sumo", clearing_s: float = CLEARING_S
+) -> DriverCounts:
+    """Drive one episode and count what its drivers did.
+
+    Encounters with pedestrians are found in the tracks. An engine whose frames report them counts
+    itself: in highway-env, pedestrians step out only in front of drivers that wait.
+
+    Args:
+        scenario: agents set out for its whole duration.
+        seed: of the population and the engine.
+        engine: a key of ``ENGINES``.
+        clearing_s: the episode lasts this much longer, s.
+
+    Returns:
+        The counts, one row per driver.
+    """
+    agents = sample_agents(scenario, seed)
+    longer = dataclasses.replace(scenario, duration_s=scenario.duration_s + clearing_s)
+    reported: list[Event] = []
+
+    def frames() -> Iterator[Frame]:
+        for frame in get_engine(engine)(longer, agents, seed):
+            reported.extend(event for event in frame.events if event.kind in ENCOUNTERS)
+            yield frame
+
+    tracks = Tracks.from_frames(frames(), {a.id: a.behavior for a in agents})
+    found = annotate(TrajectoryRows.of(tracks), longer.road)
+    events = list(found.events)
+    if reported:
+        events = [event for event in events if event.kind not in ENCOUNTERS] + reported
+    return count(tracks, found.inputs, events, found.shown_traits)
+
+
+def count(
+    tracks: Tracks,
+    seen: DetectorInputs,
+    events: Sequence[Event],
+    traits_shown: Sequence[ShownTrait],
+) -> DriverCounts:
+    """Count what the labelled drivers of an episode did."""
+    labels = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
+    table = {name: np.zeros(tracks.ids.size) for name in COUNTS}
+    row = {int(agent): i for i, agent in enumerate(tracks.ids)}
+    table["drivers"][:] = 1.0
+    row_index, headway = seen.row_index, seen.headway
+
+    def in_all(values: NDArray[np.float64] | NDArray[np.bool_]) -> NDArray[np.float64]:
+        counts = np.bincount(row_index.agent, values, minlength=tracks.ids.size)
+        return np.asarray(counts, dtype=np.float64)
+
+    table["km"] = in_all(seen.speed) * seen.step_s / 1000.0
+    steady = (np.abs(seen.closing) < 1.5) & (headway < FREE_HEADWAY_S)
+    for i in range(tracks.ids.size):
+        rows = row_index.rows(i)
+        values = headway[rows][steady[rows]]
+        table["headway"][i] = np.median(values) if values.size else np.nan
+    np.add.at(table["lane_changes"], row_index.agent[lane_changes(seen)], 1.0)
+    free = _free(seen)
+    table["free_s"] = in_all(free) * seen.step_s
+    table["over_limit_s"] = in_all(free & (seen.speed > seen.limit)) * seen.step_s
+    for found in waits(seen):
+        table["waits"][found.agent] += 1.0
+        table["wait_s"][found.agent] += found.value
+    for event in events:
+        i = row[event.agent]
+        if event.kind is EventKind.RED_RUN:
+            table["red_runs"][i] += 1.0
+            table["red_faced"][i] += 1.0
+        elif event.kind is EventKind.STOPPED and event.rule == "red light":
+            table["red_faced"][i] += 1.0
+        elif event.kind in ENCOUNTERS:
+            table["crossing_encounters"][i] += 1.0
+            table["yields"][i] += event.kind is EventKind.YIELDED
+        elif event.kind is EventKind.COLLISION and event.other is not None:
+            walks = not seen.drives[row[event.other]]
+            table["pedestrians_hit" if walks else "collisions"][i] += 1.0
+        if event.kind in NOT_WAITED_FOR:
+            table["waits"][i] += 1.0
+    shown: dict[int, list[ShownTrait]] = {i: [] for i in row.values()}
+    for found in traits_shown:
+        i = row[found.agent]
+        shown[i].append(found)
+        if found.trait is Trait.CUTTING_IN:
+            table["cut_ins"][i] += 1.0
+        elif found.trait is Trait.NOT_MOVING:
+            table["unprovoked_stops"][i] += 1.0
+        elif found.trait is Trait.WRONG_DIRECTION:
+            table["wrong_way_m"][i] += found.value
+    for i, mine in shown.items():
+        label = label_from_traits(mine)
+        table["agrees"][i] = label is not None and label.code == labels[i]
+    keep = np.flatnonzero((labels >= 0) & seen.drives)
+    return DriverCounts(
+        behavior=labels[keep].astype(np.int8),
+        counts=np.stack([table[name] for name in COUNTS], axis=1)[keep],
+        jaywalks=sum(e.trait is Trait.JAYWALKING for e in traits_shown),
+        walkers=int((~seen.drives).sum()),
+    )
+
+
+def _free(seen: DetectorInputs) -> NDArray[np.bool_]:
+    """(m,) whether an agent drives at the speed chosen, with nobody and nothing near ahead."""
+    before = np.roll(seen.speed, 1)
+    before[seen.row_index.begins] = 0.0  # who has just come is not known to drive evenly
+    change = np.abs(seen.speed - before) / seen.step_s
+    near = seen.gap < FREE_HEADWAY_S * np.maximum(seen.speed, FOLLOWING_MPS)
+    near |= seen.stop_distance < 60.0
+    return np.asarray(seen.driving & ~near & (change < STEADY_MPS2))
+
+
+def rows_of(counts: DriverCounts, engine: str, scenario: str, seed: int = 0) -> list[Row]:
+    """One row per behaviour and metric, with a 95 % interval over drivers.
+
+    Args:
+        counts: of one scenario.
+        engine: what drove it.
+        scenario: its name.
+        seed: of the bootstrap.
+
+    Returns:
+        Rows with the keys ``engine scenario behavior metric value low high n``; n is the number of
+        drivers with something to count.
+    """
+    rng = np.random.default_rng(seed)
+    found: list[Row] = []
+    for behavior in BEHAVIORS:
+        keys = _keys(engine, scenario, behavior.value)
+        mine = counts.counts[counts.behavior == behavior.code]
+        weights = (
+            rng.multinomial(len(mine), np.full(len(mine), 1 / len(mine)), RESAMPLES)
+            if (len(mine))
+            else np.zeros((RESAMPLES, 0))
+        )
+        for metric, above, below in METRICS:
+            top = mine[:, COUNTS.index(above)]
+            low = high = value = None
+            if metric == "headway_median_s":
+                top = top[np.isfinite(top)]
+                n = top.size
+                if n:
+                    value = float(np.median(top))
+                    drawn = np.median(top[rng.integers(n, size=(RESAMPLES, n))], axis=1)
+                    low, high = (float(q) for q in np.percentile(drawn, [2.5, 97.5]))
+            elif below:
+                bottom = mine[:, COUNTS.index(below)]
+                n = int((bottom > 0).sum())
+                if n:
+                    value = float(top.sum() / bottom.sum())
+                    with np.errstate(invalid="ignore", divide="ignore"):
+                        ratio = (weights @ top) / (weights @ bottom)
+                    low, high = (float(q) for q in np.nanpercentile(ratio, [2.5, 97.5]))
+            else:
+                n = len(mine)
+                value = float(top.sum())
+            found.append(tidy_row(keys, metric, value, low, high, n))
+    keys = _keys(engine, scenario, "pedestrian")
+    found.append(tidy_row(keys, "jaywalks", counts.jaywalks, None, None, counts.walkers))
+    return found
+
+
+def _keys(engine: str, scenario: str, behavior: str) -> dict[str, Cell]:
+    return {"engine": engine, "scenario": scenario, "behavior": behavior}
+
+
+def measure(
+    scenarios: Sequence[str],
+    engine: str = "sumo",
+    seeds: Sequence[int] = (0, 1, 2, 3, 4),
+    duration_s: float = 600.0,
+    jobs: int | None = 1,
+) -> Iterator[list[Row]]:
+    """Measure every behaviour against every trait.
+
+    Args:
+        scenarios: keys of ``SCENARIOS``; () for all.
+        engine: a key of ``ENGINES``.
+        seeds: one episode per scenario and seed.
+        duration_s: length of each episode, s.
+        jobs: processes; None for one per core.
+
+    Yields:
+        The rows of each scenario; last, where there are several, those of all together, as
+        scenario ``all``.
+    """
+    names = [get_scenario(name).name for name in scenarios] or list(SCENARIOS)
+    everything: list[DriverCounts] = []
+    for name in names:
+        made = get_scenario(name)(duration_s=duration_s)
+        tasks = [(made, seed, engine) for seed in seeds]
+        counted = list(in_parallel(count_scenario, tasks, jobs))
+        everything += counted
+        yield rows_of(DriverCounts.joined(counted), engine, name)
+    if len(names) > 1:
+        yield rows_of(DriverCounts.joined(everything), engine, "all")

@@ -1,0 +1,266 @@
+"""The closed loop: simulate, classify and predict at every step, timed stage by stage.
+
+On a straight road, and in cities of growing size; and the highway-env engine's own steps beside
+those of highway-env's road with the same cars. All times are of the processor.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple, TypeVar
+
+import numpy as np
+
+from experiments.rows import Cell, Row, tidy_row
+from graphrqi.predict import predict
+from graphrqi.stream import DEFAULT_MODEL, load_stream
+from scenarios import get_scenario
+from scenarios.city import city_agents, city_scenario
+from scenarios.networks.grid import grid_net
+from sim.engines import get_engine
+from sim.frames import FloatArray
+from sim.road.net import read_road
+from sim.scenario import AgentSpec, Scenario, sample_agents
+
+T = TypeVar("T")
+
+STAGES: Final = ("simulate", "classify", "remember", "predict")
+"""What a step consists of: the engine's frame, the stream's posterior, the history, the futures."""
+
+PREDICTOR: Final = "graphrqi-predict"
+
+FLOW_PER_H: Final = 2700.0
+"""Vehicles per hour of the straight road; some 60 agents are there at a time."""
+
+ROAD_FILLS_S: Final = 60.0
+"""The straight road fills first, s; a third of the time, if that is less."""
+
+CITY_FILLS_S, CITY_MEASURED_S = 35.0, 10.0
+"""Time until the vehicles of a city have entered, and the time measured after it, s."""
+
+WARM_FRAMES: Final = 5
+"""Frames of a city that are classified and predicted before any is timed."""
+
+STOCK_STEP_S: Final = 1.0 / 15.0
+"""highway-env's default step, s."""
+
+
+def timed(work: Callable[[], T]) -> tuple[T, float]:
+    """What a piece of work gives, and how many ms of the processor it took."""
+    begin = time.process_time()
+    result = work()
+    return result, 1e3 * (time.process_time() - begin)
+
+
+def go_through(
+    scenario: Scenario, agents: Sequence[AgentSpec], engine: str, from_s: float
+) -> tuple[float, FloatArray]:
+    """Go through a scenario once."""
+    stream = load_stream(DEFAULT_MODEL)
+    frames = get_engine(engine)(scenario, agents, 0)
+    count: list[int] = []
+    spent: list[tuple[float, ...]] = []
+    while True:
+        frame, simulate_ms = timed(lambda: next(frames, None))
+        if frame is None:
+            return float(np.mean(count)), np.array(spent)
+        if frame.time_s <= from_s - WARM_FRAMES * scenario.step_s:
+            stream.push(frame)
+            continue
+        posterior, classify_ms = timed(lambda f=frame: stream.update(f))  # type: ignore[misc]
+        history, remember_ms = timed(lambda: stream.history)
+        _, predict_ms = timed(
+            lambda h=history, p=posterior: predict(h, p, scenario.road, predictor=PREDICTOR)  # type: ignore[misc]
+        )
+        if frame.time_s > from_s:
+            count.append(len(frame))
+            spent.append((simulate_ms, classify_ms, remember_ms, predict_ms))
+
+
+def measure_road(engines: Sequence[str], duration_s: float, repeats: int) -> Iterator[list[Row]]:
+    """Measure the loop on a straight road.
+
+    Args:
+        engines: keys of ``ENGINES``.
+        duration_s: simulated, s.
+        repeats: how often the same frames are gone through; of each stage of each frame the least
+            time counts, as whatever else the machine does only adds to it.
+
+    Yields:
+        Rows of each engine: ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of
+        all together.
+    """
+    scenario = get_scenario("straight_road")(flow=FLOW_PER_H, duration_s=duration_s)
+    agents = sample_agents(scenario, 0)
+    from_s = min(ROAD_FILLS_S, duration_s / 3)
+    for engine in engines:
+        runs = [go_through(scenario, agents, engine, from_s) for _ in range(repeats)]
+        keys: dict[str, Cell] = {
+            "engine": engine, "agents": round(runs[0][0]), "lanes": len(scenario.road.lanes),
+            "vehicles": None,
+        }  # fmt: skip
+        least = np.min([spent for _, spent in runs], axis=0)
+        yield list(_stage_rows(keys, least, scenario.step_s))
+
+
+def _stage_rows(keys: dict[str, Cell], spent_ms: FloatArray, step_s: float) -> Iterator[Row]:
+    """The costs of each stage and of all together."""
+    every = zip((*STAGES, "all"), [*spent_ms.T, spent_ms.sum(axis=1)], strict=True)
+    for stage, spans in every:
+        for metric, value in (
+            ("ms_median", np.median(spans)),
+            ("ms_p99", np.quantile(spans, 0.99)),
+            ("real_time_factor", 1e3 * step_s / max(float(np.mean(spans)), 1e-9)),
+        ):
+            row_keys = {**keys, "stage": stage}
+            yield tidy_row(row_keys, metric, float(value), None, None, len(spans))
+
+
+class City(NamedTuple):
+    """What one city cost.
+
+    Attributes:
+        blocks: junctions along each side of the grid.
+        vehicles: how many were to be there.
+        lanes: of its road.
+        agents: vehicles in a frame, on average.
+        spent_ms: (F, 4) time of each of `STAGES` in each frame, ms.
+        open_s: time to read the road, s.
+        memory_mb: most memory of the process, MB.
+    """
+
+    blocks: int
+    vehicles: int
+    lanes: int
+    agents: float
+    spent_ms: FloatArray
+    open_s: float
+    memory_mb: float
+
+
+def cities(blocks: Sequence[int], vehicles: Sequence[int]) -> list[tuple[int, int]]:
+    """The cities that are compared: one map with each crowd, and each map with the smallest crowd.
+
+    The largest map has the largest crowd, too.
+
+    Examples:
+        >>> cities((3, 8, 20), (300, 1000))
+        [(8, 300), (8, 1000), (3, 300), (20, 300), (20, 1000)]
+    """
+    middle = sorted(blocks)[(len(blocks) - 1) // 2]
+    found = [(middle, n) for n in sorted(vehicles)]
+    found += [(b, min(vehicles)) for b in sorted(blocks) if b != middle]
+    found.append((max(blocks), max(vehicles)))
+    return list(dict.fromkeys(found))
+
+
+def measure_cities(
+    engines: Sequence[str], blocks: Sequence[int], vehicles: Sequence[int]
+) -> Iterator[list[Row]]:
+    """Measure the loop in cities, each in a process of its own, so that its memory is its own.
+
+    Args:
+        engines: keys of ``ENGINES``.
+        blocks: junctions along the sides of the grids; all but 3 need netgenerate.
+        vehicles: sizes of the crowds.
+
+    Yields:
+        Rows of each city: those of `measure_road`, ``us_per_agent``, ``open_s`` and ``memory_mb``;
+        then ``slope_agents`` and ``slope_lanes``: how the cost of a step grows with vehicles on one
+        map, and with lanes at one crowd, both in logarithms (1 is linear).
+    """
+    from loky import ProcessPoolExecutor
+
+    for engine in engines:
+        done: list[City] = []
+        for size in cities(blocks, vehicles):
+            with ProcessPoolExecutor(max_workers=1, env={"OMP_NUM_THREADS": "1"}) as pool:
+                done.append(pool.submit(measure_city, *size, engine).result())
+            yield city_rows(done[-1], engine)
+        yield slopes(done, engine)
+
+
+def measure_city(blocks: int, vehicles: int, engine: str) -> City:
+    """Go through one city; see `measure_cities`."""
+    warming = get_scenario("four_way_intersection")(duration_s=15.0)  # loads every kernel
+    go_through(warming, sample_agents(warming, 0), engine, 5.0)
+    _, open_ms = timed(lambda: read_road(grid_net(blocks), f"grid_{blocks}"))
+    scenario = city_scenario(blocks, vehicles, 0, CITY_FILLS_S + CITY_MEASURED_S)
+    agents, spent = go_through(scenario, city_agents(scenario, vehicles, 0), engine, CITY_FILLS_S)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    memory_mb = most / (2**20 if sys.platform == "darwin" else 2**10)
+    return City(blocks, vehicles, len(scenario.road.lanes), agents, spent, open_ms / 1e3, memory_mb)
+
+
+def city_rows(city: City, engine: str) -> list[Row]:
+    """The rows of one city; see `measure_cities`."""
+    keys: dict[str, Cell] = {
+        "engine": engine, "agents": round(city.agents), "lanes": city.lanes,
+        "vehicles": city.vehicles,
+    }  # fmt: skip
+    rows = list(_stage_rows(keys, city.spent_ms, 0.1))
+    per_agent = 1e3 * float(np.median(city.spent_ms.sum(axis=1))) / city.agents
+    for stage, metric, value in (
+        ("all", "us_per_agent", per_agent),
+        ("open", "open_s", city.open_s),
+        ("open", "memory_mb", city.memory_mb),
+    ):
+        rows.append(tidy_row({**keys, "stage": stage}, metric, value, None, None, 1))
+    return rows
+
+
+def slopes(done: Sequence[City], engine: str) -> list[Row]:
+    """How the cost of a step grows; see `measure_cities`."""
+    rows: list[Row] = []
+    first = done[0]
+    for metric, some, size in (
+        ("slope_agents", [c for c in done if c.blocks == first.blocks], "agents"),
+        ("slope_lanes", [c for c in done if c.vehicles == first.vehicles], "lanes"),
+    ):
+        if len(some) > 1:
+            across = np.log([float(getattr(city, size)) for city in some])
+            costs = np.log([np.median(city.spent_ms.sum(axis=1)) for city in some])
+            keys: dict[str, Cell] = {
+                "engine": engine, "agents": None, "lanes": None, "vehicles": None, "stage": "all",
+            }  # fmt: skip
+            slope = float(np.polyfit(across, costs, 1)[0])
+            rows.append(tidy_row(keys, metric, slope, None, None, len(some)))
+    return rows
+
+
+def stock_rows(cars: Sequence[int], frames: int = 60) -> Iterator[list[Row]]:
+    """Agent-steps per second of the highway-env engine beside highway-env's own road.
+
+    Args:
+        cars: numbers of cars on the straight road.
+        frames: that are timed.
+
+    Yields:
+        Rows of each number of cars: ``agent_steps_per_cpu_s`` of both, and ``ratio_to_stock``.
+    """
+    from sim.highway.comparison import straight_traffic
+
+    for n in cars:
+        speed = {}
+        for name in ("compiled", "stock-profiles"):
+            road = straight_traffic(name, n, 0)
+            spent = []
+            for _ in range(frames + 2):
+                begin = time.process_time()
+                road.act()
+                road.step(STOCK_STEP_S)
+                spent.append(time.process_time() - begin)
+            speed[name] = n * frames / max(sum(spent[2:]), 1e-9)  # the first ones compile
+        keys: dict[str, Cell] = {"agents": n, "lanes": None, "vehicles": n, "stage": "simulate"}
+        own, stock = speed["compiled"], speed["stock-profiles"]
+        yield [
+            tidy_row({"engine": engine, **keys}, metric, value, None, None, frames)
+            for engine, metric, value in (
+                ("highway", "agent_steps_per_cpu_s", own),
+                ("highway-env's own", "agent_steps_per_cpu_s", stock),
+                ("highway", "ratio_to_stock", own / stock),
+            )
+        ]

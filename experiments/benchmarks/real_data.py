@@ -1,0 +1,313 @@
+"""The labelled recordings of real traffic: every choice made inside the training videos.
+
+TRAF is scored leaving one video out. Labels come from the annotators' traits, conflicts resolved
+the ``lenient`` way. For each held-out video the learner is chosen by leaving one of the *other*
+videos out, over the `SETTINGS`; the held-out labels take no part in anything. Features are
+standardised within each video (its labels are not needed for that), so neither pixels nor cameras
+are compared.
+
+Balanced accuracy, macro-F1 and the recalls are of answers at even odds (posterior over the shares
+of the training classes); weighted accuracy is of the most likely class, for which it is meant. The
+AUC compares agents of the same video only. Intervals are by bootstrap over agents: five videos are
+too few to resample.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError, lookup
+from behaviors.labelling import Resolution
+from behaviors.labels import BEHAVIORS, Style
+from experiments.data.parallel import in_parallel
+from experiments.rival import nine_numbers
+from experiments.rows import Cell, Row, tidy_row
+from experiments.scoring.metrics import (
+    auc_within,
+    balanced_accuracy,
+    bootstrap,
+    calibration_error,
+    confusion,
+    macro_f1,
+    recall_of,
+    reliability,
+    weighted_accuracy,
+)
+from graphrqi.classify import make_classifier
+from graphrqi.features.observer import Observer
+from graphrqi.features.unit_free import standardised, unit_free_features
+from graphrqi.methods import METHODS
+from sim.formats import traf, traf_sheets
+from sim.formats.common.recording import CAR_LENGTH_M
+from sim.frames import Tracks
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+CodeArray = NDArray[np.int8]
+
+SETTINGS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
+    ("logistic", {"inverse_penalty": 0.001}),
+    ("logistic", {"inverse_penalty": 0.01}),
+    ("logistic", {"inverse_penalty": 0.1}),
+    ("forest", {"trees": 100, "min_leaf": 8}),
+    ("forest", {"trees": 100, "min_leaf": 15}),
+)
+"""The learners among which the training videos choose."""
+
+TASKS: Final[dict[int, tuple[int, ...]]] = {
+    2: tuple(0 if b.style is Style.AGGRESSIVE else 1 for b in BEHAVIORS),
+    4: tuple(i if b.style is Style.AGGRESSIVE else 3 for i, b in enumerate(BEHAVIORS)),
+    6: tuple(range(len(BEHAVIORS))),
+}
+"""Classes of each task, by number of classes: the style; the aggressive ones and the rest; all."""
+
+EVERY_FRAMES: Final = 3
+"""Frames of video per step of an observer (8 steps a second)."""
+
+LOOK_STEPS: Final = 5
+"""Steps between looks at what an observer has gathered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Video:
+    """One annotated video.
+
+    Attributes:
+        name: of the video.
+        codes: (n,) resolved labels of the labelled agents, codes into ``BEHAVIORS``.
+        features: (n, F) of each view, standardised over all agents of the video.
+        defects: what is wrong with tracks and sheets, one sentence each.
+    """
+
+    name: str
+    codes: CodeArray
+    features: Mapping[str, FloatArray]
+    defects: tuple[str, ...]
+
+
+# --- views: what a method sees of a track's whole life -------------------------------------------
+
+
+def _unit_free(tracks: Tracks) -> FloatArray:
+    return unit_free_features(tracks.xy, np.stack([tracks.length, tracks.width], axis=1))
+
+
+def _identity(tracks: Tracks) -> FloatArray:
+    """Number, first and last time: what must tell nothing about how someone drives."""
+    first = tracks.valid.argmax(axis=1)
+    last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
+    return np.stack([tracks.ids, first, last], axis=1).astype(np.float64)
+
+
+def _nothing(tracks: Tracks) -> FloatArray:
+    return np.zeros((tracks.ids.size, 1))
+
+
+def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
+    """What an observer, which expects metres, knows of each agent when it is last looked at."""
+    observer = make("graphrqi")
+    scale = _metres_per_pixel(tracks)
+    out = np.zeros((tracks.ids.size, len(observer.feature_names)))
+    for step, t in enumerate(range(0, tracks.time_s.size, EVERY_FRAMES)):
+        rows = np.flatnonzero(tracks.valid[:, t])
+        drives = np.ones(rows.size, dtype=bool)
+        observer.update(tracks.time_s[t], tracks.ids[rows], tracks.xy[rows, t] * scale, drives)
+        if step % LOOK_STEPS == LOOK_STEPS - 1:
+            seen = observer.observation()
+            at = np.searchsorted(tracks.ids, seen.ids)
+            out[at] = observer.features(seen.seconds, seen.sums, seen.instant)
+    return out
+
+
+def _nine(tracks: Tracks) -> FloatArray:
+    """The plain rival's numbers (`experiments.rival`), 0 where not known."""
+    scale = _metres_per_pixel(tracks)
+    scaled = dataclasses.replace(
+        tracks, xy=tracks.xy * scale, length=tracks.length * scale, width=tracks.width * scale
+    )
+    return np.nan_to_num(nine_numbers(scaled, None))
+
+
+def _metres_per_pixel(tracks: Tracks) -> float:
+    """With this scale, an agent of median size is as long as a car."""
+    return CAR_LENGTH_M / float(np.median(np.sqrt(tracks.length * tracks.width)))
+
+
+_OBSERVED: Final = ("graphrqi", "graphrqi-invariant", "dane", "cheung", "graphrqi-plus")
+
+VIEWS: Final[dict[str, Callable[[Tracks], FloatArray]]] = {
+    "majority": _nothing,
+    "leak-probe": _identity,
+    **{name: partial(_observed, METHODS[name].observer) for name in _OBSERVED},
+    "unit-free": _unit_free,
+    "nine-numbers": _nine,
+}
+"""Features by name of the method whose they are; ``unit-free`` are made for such recordings."""
+
+
+# --- reading ------------------------------------------------------------------------------------
+
+
+def read_video(
+    path: Path, annotations: Path, views: Sequence[str], rule: Resolution = "lenient"
+) -> Video | None:
+    """Read one video with its labels."""
+    number = traf_sheets.video_number(path)
+    sheets = () if number is None else traf_sheets.sheets_of(annotations, number)
+    if not sheets:
+        return None
+    tracks = next(iter(traf.read(path))).tracks
+    codes = traf_sheets.labels(tracks, sheets, rule)
+    known = codes >= 0
+    features = {name: standardised(lookup(VIEWS, name, "view")(tracks))[known] for name in views}
+    name = path.stem.removesuffix("_gt")
+    return Video(name, codes[known], features, traf_sheets.defects(tracks, sheets))
+
+
+def read_traf(
+    folder: Path, views: Sequence[str], rule: Resolution = "lenient", jobs: int | None = None
+) -> list[Video]:
+    """Read every annotated video in a folder with ``tracks`` and ``annotations``."""
+    paths = sorted((folder / "tracks").glob("*_gt.txt"))
+    arguments = [(path, folder / "annotations", tuple(views), rule) for path in paths]
+    if not arguments:
+        return []
+    return [video for video in in_parallel(read_video, arguments, jobs) if video is not None]
+
+
+# --- learning and scoring -----------------------------------------------------------------------
+
+
+def _posterior(
+    setting: int, training: Sequence[Video], held: Video, view: str, task: int
+) -> FloatArray:
+    """(n, C) posteriors of a held-out video."""
+    classes = np.array(TASKS[task], dtype=np.int8)
+    features = np.concatenate([v.features[view] for v in training])
+    codes = classes[np.concatenate([v.codes for v in training])]
+    if view == "majority" or np.unique(codes).size < 2:
+        learner = make_classifier("majority", task)
+    else:
+        name, options = SETTINGS[setting]
+        learner = make_classifier(name, task, **options)
+    learner.fit(features, codes, None, seed=0)
+    return learner.posterior(held.features[view])
+
+
+def _shares(videos: Sequence[Video], task: int) -> FloatArray:
+    codes = np.array(TASKS[task])[np.concatenate([v.codes for v in videos])]
+    return np.asarray(np.maximum(np.bincount(codes, minlength=task), 0.5) / codes.size)
+
+
+def _figure_of_merit(setting: int, training: Sequence[Video], view: str, task: int) -> float:
+    """How well a setting does, leaving each training video out in turn: AUC, or macro-F1."""
+    probability, truth, group = [], [], []
+    for number, video in enumerate(training):
+        others = [v for v in training if v is not video]
+        found = _posterior(setting, others, video, view, task)
+        probability.append(found if task == 2 else found / _shares(others, task))
+        truth.append(np.array(TASKS[task], dtype=np.int8)[video.codes])
+        group.append(np.full(video.codes.size, number))
+    p, y, g = np.concatenate(probability), np.concatenate(truth), np.concatenate(group)
+    if task == 2:
+        return auc_within(p[:, 0], y == 0, g)[0]
+    return float(macro_f1(confusion(y, p.argmax(axis=1), g, task).sum(axis=0)))
+
+
+def _chosen(training: Sequence[Video], view: str, task: int) -> int:
+    """The setting that does best inside the training videos (the first when there is one video)."""
+    if view == "majority" or len(training) < 2:
+        return 0
+    merits = [_figure_of_merit(s, training, view, task) for s in range(len(SETTINGS))]
+    return int(np.nanargmax(merits)) if not np.isnan(merits).all() else 0
+
+
+def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
+    """Rows of one view on one task: of each video, left out in turn, and of all together."""
+    classes = np.array(TASKS[task], dtype=np.int8)
+    folds = []
+    for number, video in enumerate(videos):
+        training = [other for other in videos if other is not video]
+        probability = _posterior(_chosen(training, view, task), training, video, view, task)
+        shares = _shares(training, task)
+        even = probability if view == "majority" else probability / shares
+        n = video.codes.size
+        majority = np.full(n, shares.argmax(), dtype=np.int64)
+        folds.append((classes[video.codes], probability, even, majority, np.full(n, number)))
+    keys: dict[str, Cell] = {
+        "dataset": "traf", "protocol": "leave-one-video-out", "method": view, "classes": task,
+    }  # fmt: skip
+    rows: list[Row] = []
+    for video, fold in zip(videos, folds, strict=True):
+        rows += _rows(fold, task, {**keys, "fold": video.name})
+    together = tuple(np.concatenate(column) for column in zip(*folds, strict=True))
+    return rows + _rows(together, task, {**keys, "fold": "all"})
+
+
+def _rows(answers: tuple[Any, ...], task: int, keys: Mapping[str, Cell]) -> list[Row]:
+    """Every metric of some answers, with intervals over agents."""
+    truth, probability, even, majority, video = answers
+    agent = np.arange(truth.size)
+    at_even_odds = confusion(truth, even.argmax(axis=1), agent, task)
+    likely = confusion(truth, probability.argmax(axis=1), agent, task)
+    constant = confusion(truth, majority, agent, task)
+    values = {
+        "macro_f1": bootstrap(macro_f1, at_even_odds),
+        "balanced_accuracy": bootstrap(balanced_accuracy, at_even_odds),
+        "weighted_accuracy": bootstrap(weighted_accuracy, likely),
+        "majority_weighted_accuracy": bootstrap(weighted_accuracy, constant),
+        "ece": bootstrap(calibration_error, reliability(truth, probability, agent)),
+    }
+    classes: dict[int, tuple[str, ...]] = {
+        2: tuple(Style), 4: (*BEHAVIORS[:3], Style.CONSERVATIVE), 6: tuple(BEHAVIORS)
+    }  # fmt: skip
+    for code in np.unique(truth).tolist():
+        values[f"recall_{classes[task][code]}"] = bootstrap(recall_of(code), at_even_odds)
+    if task == 2:
+        values["auc"] = auc_within(probability[:, 0], truth == 0, video)
+    return [
+        tidy_row(keys, metric, *value, int(truth.size))
+        for metric, value in values.items()
+        if not np.isnan(value[0])
+    ]
+
+
+def measure(
+    data: Path,
+    views: Sequence[str] = tuple(VIEWS),
+    tasks: Sequence[int] = tuple(TASKS),
+    jobs: int | None = None,
+) -> Iterator[list[Row]]:
+    """Score methods on the labelled recordings.
+
+    Args:
+        data: folder with ``traf``.
+        views: keys of ``VIEWS``.
+        tasks: keys of ``TASKS``.
+        jobs: processes; None for one per core.
+
+    Yields:
+        The rows of each view and task.
+
+    Raises:
+        InputError: if fewer than two videos are annotated.
+    """
+    videos = read_traf(data / "traf", views, jobs=jobs)
+    if len(videos) < 2:
+        raise InputError(
+            f"{data}/traf/tracks: found {len(videos)} annotated videos, expected two or more"
+        )
+    for video in videos:
+        for defect in video.defects:
+            print(f"{video.name}: {defect}", file=sys.stderr)
+    arguments = [(videos, view, task) for view in views for task in tasks]
+    yield from in_parallel(_scored, arguments, jobs)
