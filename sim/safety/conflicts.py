@@ -211,18 +211,20 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     ttc = np.where(holds, found.ttc_s, np.inf)
     mttc = np.where(holds & ~np.isnan(found.mttc_s), found.mttc_s, np.inf)
     drac = np.where(holds & (found.gap_m > 0.0), found.drac_mps2, 0.0)
-    approach = np.hypot(*(_velocity(one) - _velocity(other)))
+    outlines = driven.outlines(driven.bodies.heading)
+    velocity = driven.bodies.speed[:, None] * outlines.forward
+    approach = np.hypot(*(velocity[rows[0]] - velocity[rows[1]]).T)
     at_ttc, at_gap = _least(ttc, number, k), _least(found.gap_m, number, k)
     at_pet = _least(places.gap_s, of_place, k)
     ttc_s, pet_s = _taken(ttc, at_ttc, np.inf), _taken(places.gap_s, at_pet, np.nan)
     moment = np.where(ttc_s < np.inf, at_ttc, at_gap)
     nearest = np.stack([_taken(each, moment, 0) for each in rows])
 
-    kind = _kinds(driven, places, of_place, at_pet, nearest)
+    kind = _kinds(driven, outlines, places, of_place, at_pet, nearest)
     kind[(tracks.kind == PEDESTRIAN)[agents].any(axis=0)] = WALKING
     touch = np.flatnonzero(found.gap_m == 0.0)
-    deep = touch[_overlap(one, other, touch) > GRAZE_M]
-    contact = np.bincount(number[deep], minlength=k) > 0
+    depth = -separation(*(outlines.rows(each[touch]) for each in rows))
+    contact = np.bincount(number[touch[depth > GRAZE_M]], minlength=k) > 0
     crossing_s = np.maximum(pet_s, np.finfo(float).tiny)  # what grazes is no contact
     crossing_s[~np.isin(kind, PATHS_CROSS)] = np.nan
     close = np.bincount(number[is_near_miss(ttc, approach)], minlength=k) > 0
@@ -294,22 +296,25 @@ def _moments(
 
 
 def _kinds(
-    driven: Driven, places: Shared, of_place: IntArray, at_pet: IntArray, nearest: IntArray
+    driven: Driven,
+    outlines: Outlines,
+    places: Shared,
+    of_place: IntArray,
+    at_pet: IntArray,
+    nearest: IntArray,
 ) -> CodeArray:
     """(k,) the kinds, as `ConflictKind` says; ``nearest``: rows nearest to a collision."""
-    k, bodies = at_pet.size, driven.bodies
+    k = at_pet.size
     turn = np.abs(wrapped(*np.diff(driven.piece_heading[[places.earlier, places.later]], axis=0)))
-    aside, _ = _beside(bodies, places.earlier, places.later)
-    widest = np.maximum(bodies.width[places.earlier], bodies.width[places.later])
-    enters = (turn > SAME_WAY_RAD) | (aside > widest / 2.0)
+    aside, _, wide, _ = _beside(outlines, places.earlier, places.later)
+    enters = (turn > SAME_WAY_RAD) | (aside > wide / 2.0)
     at_first = _least(places.time_s, of_place, k)
     at_last = _least(-places.time_s, of_place, k)
     in_the_end = _taken(turn, at_last, np.inf) < SAME_WAY_RAD
     behind = np.where(_taken(enters, at_first, False), MERGING, FOLLOWING)
 
-    facing = np.abs(wrapped(*np.diff(bodies.heading[nearest], axis=0)))
-    aside, along = _beside(bodies, *nearest)
-    long, wide = bodies.length[nearest].sum(axis=0) / 2.0, bodies.width[nearest].sum(axis=0) / 2.0
+    facing = np.abs(wrapped(*np.diff(driven.bodies.heading[nearest], axis=0)))
+    aside, along, wide, long = _beside(outlines, *nearest)
     predicted = np.where(aside < wide, FOLLOWING, np.where(along < long, SIDE, MERGING))
     angle = np.where(at_pet < 0, facing, _taken(turn, at_pet, 0.0))
     kind = np.where(angle > ONCOMING_RAD, ONCOMING, CROSSING)
@@ -317,28 +322,18 @@ def _kinds(
     return np.where(same_way, np.where(at_pet < 0, predicted, behind), kind).astype(np.int8)
 
 
-def _beside(bodies: Bodies, rows: IntArray, others: IntArray) -> tuple[FloatArray, FloatArray]:
-    """How far others are beside and along the lines on which bodies head, m."""
-    dx, dy = (bodies.xy[others] - bodies.xy[rows]).T
-    cosine, sine = np.cos(bodies.heading[rows]), np.sin(bodies.heading[rows])
-    return np.abs(dy * cosine - dx * sine), np.abs(dx * cosine + dy * sine)
-
-
-def _velocity(bodies: Bodies) -> FloatArray:
-    """(2, n) m/s."""
-    return np.asarray(bodies.speed * np.stack([np.cos(bodies.heading), np.sin(bodies.heading)]))
+def _beside(outlines: Outlines, rows: IntArray, others: IntArray) -> tuple[FloatArray, ...]:
+    """How far others are beside and ahead of or behind bodies, and how far if they touched, m."""
+    dx, dy = (outlines.centre[others] - outlines.centre[rows]).T
+    cosine, sine = outlines.forward[rows].T
+    long, wide = (outlines.half[rows] + outlines.half[others]).T
+    return np.abs(dy * cosine - dx * sine), np.abs(dx * cosine + dy * sine), wide, long
 
 
 def _straight(bodies: Bodies, turning: FloatArray, ttc_s: FloatArray) -> BoolArray:
     """Whether bodies stay on their straight paths until they meet, but for half their width."""
     until_s = np.where(np.isfinite(ttc_s), ttc_s, 0.0)
     return np.asarray(np.abs(bodies.speed * turning) * until_s**2 <= bodies.width)
-
-
-def _overlap(one: Bodies, other: Bodies, which: IntArray) -> FloatArray:
-    """How deep the outlines of some pairs overlap, m."""
-    first, second = (Outlines.of(b.xy, b.heading, b.length, b.width) for b in (one, other))
-    return -separation(first.rows(which), second.rows(which))
 
 
 def _least(values: FloatArray, number: IntArray, k: int) -> IntArray:

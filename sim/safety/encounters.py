@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from behaviors.row_index import RowIndex
 from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
+from sim.geometry import Outlines
 from sim.road.cells import cells_of
 from sim.safety.kernels import SLABS, apart, least_shift, meeting, on_axes, reaches
 from sim.safety.measures import Bodies
@@ -82,6 +83,10 @@ class Driven:
             piece_heading=heading + 0.5 * wrapped(heading[after] - heading),
         )
 
+    def outlines(self, heading: FloatArray) -> Outlines:
+        """The outlines of the rows, with these headings."""
+        return Outlines.of(self.bodies.xy, heading, self.bodies.length, self.bodies.width)
+
 
 class Shared(NamedTuple):
     """Moments at which a body comes to a place where another one has been."""
@@ -113,9 +118,8 @@ def _shared_in_block(
     driven: Driven, rows: IntArray, begin: int, within_s: float, longest_s: float
 ) -> Shared:
     """`shared_places` of the rows from ``begin`` on, with all of them as those before."""
-    xy, half = driven.bodies.xy[rows], _halves(driven.bodies)[rows]
-    ahead, way = _ahead(driven.piece_heading)[rows], driven.piece_mps[rows]
-    piece_s = driven.piece_s[rows, None]
+    xy, ahead, half = driven.outlines(driven.piece_heading).rows(rows)
+    way, piece_s = driven.piece_mps[rows], driven.piece_s[rows, None]
     ends = np.stack([xy, xy + way * piece_s])
     reach = np.abs(ahead) * half[:, :1] + np.abs(ahead[:, ::-1]) * half[:, 1:]
     boxes = np.concatenate([ends.min(axis=0) - reach, ends.max(axis=0) + reach], axis=1)
@@ -216,11 +220,10 @@ def areas_ahead(driven: Driven, within_s: float) -> IntArray:
     An area ahead is what a body sweeps in ``within_s`` at constant velocity. Bodies that go the
     same way count on a collision course only.
     """
-    ahead, half, speed = _ahead(driven.bodies.heading), _halves(driven.bodies), driven.bodies.speed
-    way = within_s * speed[:, None] * ahead
-    middle = driven.bodies.xy + 0.5 * way
-    reach = np.hypot(half[:, 0] + 0.5 * within_s * np.abs(speed), half[:, 1])
-    bodies = np.concatenate([driven.bodies.xy, ahead, way, half], axis=1)
+    xy, ahead, half = driven.outlines(driven.bodies.heading)
+    way = within_s * driven.bodies.speed[:, None] * ahead
+    middle, reach = xy + 0.5 * way, np.hypot(*half.T) + 0.5 * np.hypot(*way.T)
+    bodies = np.concatenate([xy, ahead, way, half], axis=1)
     order, begins = driven.index.by_time()
     found = [np.empty((0, 2), np.int64)]
     for begin, end in pairwise(begins.tolist()):
@@ -251,16 +254,6 @@ def _meet(bodies: FloatArray, pairs: IntArray, kept: BoolArray) -> None:
         if kept[n] and _same_way(one, other):
             between = on_axes(other[4] - one[4], other[5] - one[5], ahead, ahead_2)
             kept[n] = meeting(place, between, reach) <= 1.0
-
-
-def _ahead(heading: FloatArray) -> FloatArray:
-    """(m, 2) headings as vectors."""
-    return np.stack([np.cos(heading), np.sin(heading)], axis=1)
-
-
-def _halves(bodies: Bodies) -> FloatArray:
-    """(m, 2) half sizes, m."""
-    return np.stack([bodies.length, bodies.width], axis=1) / 2.0
 
 
 def _rate(change: FloatArray, over_s: FloatArray) -> FloatArray:
