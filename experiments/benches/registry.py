@@ -29,8 +29,6 @@ BENCHES: Final[Registry[Bench[Any]]] = Registry(
         "hostile": "experiments.benches.hostile.bench:BENCH",
         "roads": "experiments.benches.roads.bench:BENCH",
         "kills": "experiments.benches.kills.bench:BENCH",
-        "realism": "experiments.benches.realism.bench:BENCH",
-        "calibration": "experiments.benches.calibration:BENCH",
     },
 )
 """Every bench; its module is imported when it is asked for."""
