@@ -112,18 +112,19 @@ def vectorised(function: F) -> F:
         As `compiled`.
     """
     kernel: Any = compiled(function)
-    plain = getattr(kernel, "compile", None)
+    settings: Any = config
+    if not isinstance(kernel, Dispatcher):  # nothing is compiled (NUMBA_DISABLE_JIT)
+        return cast(F, kernel)
+    plain = kernel.compile
 
     def with_vectors(signature: Any) -> Any:
-        before = config.SLP_VECTORIZE
-        config.SLP_VECTORIZE = 1
+        before, settings.SLP_VECTORIZE = settings.SLP_VECTORIZE, 1
         try:
             return plain(signature)
         finally:
-            config.SLP_VECTORIZE = before
+            settings.SLP_VECTORIZE = before
 
-    if plain is not None:  # none where nothing is compiled (NUMBA_DISABLE_JIT)
-        kernel.compile = with_vectors
+    kernel.compile = with_vectors
     return cast(F, kernel)
 
 

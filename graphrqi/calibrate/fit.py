@@ -181,7 +181,8 @@ def _most_likely(
         return np.vstack([(missed[1:] - missed[0]).T / DIFFERENCE, whitened])
 
     found = least_squares(misses, start, slopes, method="lm", xtol=1e-4, ftol=1e-4)
-    return found.x, np.linalg.inv(found.jac.T @ found.jac)
+    slope = np.asarray(found.jac)
+    return np.asarray(found.x), np.linalg.inv(slope.T @ slope)
 
 
 def _population(

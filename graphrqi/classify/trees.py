@@ -136,10 +136,13 @@ class Trees:
         batches = -(-n // WIDTH)
         padded = np.zeros((batches * WIDTH, width), np.float32)
         padded[:n] = features
-        by_feature = padded.reshape(batches, WIDTH, width).swapaxes(1, 2)
-        by_feature = np.ascontiguousarray(by_feature).reshape(-1, WIDTH)
+        turned = np.ascontiguousarray(padded.reshape(batches, WIDTH, width).swapaxes(1, 2))
         out = np.zeros((batches, sums, WIDTH))
-        sum_of_leaves(by_feature, *self._masks, np.empty(WIDTH, np.uint32), out)
+        first, feature, threshold, keep, leaf, column = self._masks
+        sum_of_leaves(
+            turned.reshape(-1, WIDTH), first, feature, threshold, keep, leaf, column,
+            np.empty(WIDTH, np.uint32), out,
+        )  # fmt: skip
         return out.swapaxes(1, 2).reshape(-1, sums)[:n]
 
     @cached_property

@@ -133,7 +133,7 @@ class Problem:
     @property
     def num_pairs(self) -> int:
         """How many pairs are wanted; so many exist."""
-        return min(self.asked, self.graph.ids.size - self.null.shape[1])
+        return int(min(self.asked, self.graph.ids.size - self.null.shape[1]))
 
     def starting_block(self) -> Floats:
         """(d, k) orthonormal columns outside ``null``: the earlier vectors, or noise."""

@@ -184,10 +184,9 @@ def graph_sequence(
 def hostile_graphs(count: int, largest: int = 400, seed: int = 0) -> Iterator[tuple[Any, ...]]:
     """Graphs and questions that eigenvalue algorithms get wrong.
 
-    Sequences of ten: traffic graphs of either kind, nearest or within a radius, with and without
-    weights, on a road or a crossing, vehicles coming and going, at times on whole metres (equal
-    distances, coincident vehicles); between them stars, rings, complete graphs, paths, matchings,
-    random graphs, trees, cliques and graphs without edges, with and without weights.
+    Sequences of ten: traffic graphs of either kind, on a road or a crossing, vehicles coming and
+    going, at times on whole metres (equal distances, coincident vehicles). Between them are stars,
+    rings, complete graphs, paths, matchings, random graphs, trees, cliques and graphs without edges.
 
     Args:
         count: how many.
@@ -203,10 +202,8 @@ def hostile_graphs(count: int, largest: int = 400, seed: int = 0) -> Iterator[tu
     while done < count:
         d = int(np.exp(rng.uniform(0.0, np.log(largest))))
         kind = ("accumulated", "instantaneous")[rng.integers(2)]
-        radius = float(rng.choice([15.0, 40.0])) if rng.random() < 0.3 else None
-        scale = float(rng.choice([5.0, 20.0])) if rng.random() < 0.4 else None
         traffic = TrafficGraph.empty(
-            int(rng.integers(1, 6)), int(rng.integers(3, 12)), cast(Any, kind), radius, scale
+            int(rng.integers(1, 6)), int(rng.integers(3, 12)), cast(Any, kind)
         )
         xy = rng.random((2 * d, 2)) * [[4.0 * d, 12.0]]
         if rng.random() < 0.5:

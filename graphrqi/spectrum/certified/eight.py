@@ -6,7 +6,8 @@ floats, which the compiler keeps in vector registers; it fuses products with sum
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import TypeAlias, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -18,7 +19,13 @@ Floats: TypeAlias = NDArray[np.float64]
 CACHE_LINE = 64
 """Bytes that a processor reads at once. Rows that begin with such a line are a quarter quicker."""
 
-_inlined = njit(fastmath={"contract"}, error_model="numpy", no_cpython_wrapper=True)
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def _inlined(function: F) -> F:
+    """Compile for the calls of kernels; products and sums may be fused."""
+    kernel = njit(fastmath={"contract"}, error_model="numpy", no_cpython_wrapper=True)(function)
+    return cast(F, kernel)
 
 
 @_inlined

@@ -53,7 +53,6 @@ from numpy.typing import NDArray
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import arpack
 from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
-from graphrqi.spectrum.certified.eight import new_rows
 from graphrqi.spectrum.certified.prepared import Prepared, prepare
 from graphrqi.spectrum.certified.search import Goal
 from graphrqi.spectrum.certified.tracking import track
@@ -147,7 +146,7 @@ def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
     goal = Goal(int(k), EXTRA, smallest, matrix.scale, float(tol), low, high, sweeps)
     lower = start.lower
     if lower is None or len(lower) < entries:
-        lower = new_rows.py_func(entries + entries // 4)
+        lower = np.empty((entries + entries // 4 + 1, 8))
     certified, pairs, found, departure = track(matrix, goal, start.vectors, lower)
     if not certified:
         return None
