@@ -168,7 +168,7 @@ def test_a_process_that_is_forked_after_compiling_answers_alike() -> None:
 
 @pytest.mark.parametrize("again", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
 def test_copies_of_a_stream_go_on_alike_and_apart(again: Any) -> None:
-    stream = load_stream(population="us101")
+    stream = load_stream()
     drive(stream, 15)
     other = again(stream)
     assert same(other.update(Frame(**fields(1.5, 4))), stream.update(Frame(**fields(1.5, 4))))

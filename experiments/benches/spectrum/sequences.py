@@ -186,7 +186,7 @@ def hostile_graphs(count: int, largest: int = 400, seed: int = 0) -> Iterator[tu
 
     Sequences of ten: traffic graphs of either kind, on a road or a crossing, vehicles coming and
     going, at times on whole metres (equal distances, coincident vehicles). Between them are stars,
-    rings, complete graphs, paths, matchings, random graphs, trees, cliques and graphs without edges.
+    rings, complete graphs, paths, matchings, random graphs, trees, cliques and edgeless graphs.
 
     Args:
         count: how many.
