@@ -4,7 +4,6 @@
 # make docs     builds the pages of the documentation into build/site
 # make test-slow  runs the tests that take minutes each
 # make model    trains the models that ship with the package again
-# make population US101=FOLDER  makes the population that ships again, of CommonRoad's scenes of US-101
 # make release  builds what is published into dist: sdist, wheel, hash-pinned lock, bill of
 #               materials, licences
 
@@ -16,7 +15,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 # Many processes with one thread each are faster than a few that compete for the cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: install demo test test-slow docs model population release
+.PHONY: install demo test test-slow docs model release
 
 install: $(VENV)/.installed
 
@@ -44,10 +43,6 @@ ALIKE := NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR" ATEN_CPU_CAPABI
 
 model: $(VENV)/.installed-dev
 	$(ALIKE) $(BIN)/python -m experiments.model
-
-population: $(VENV)/.installed
-	$(if $(US101),,$(error found no folder of recordings, expected make population US101=FOLDER))
-	$(BIN)/python -m experiments.calibration "$(US101)"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.exit("found Python %d.%d, expected 3.11 to 3.13: make PYTHON=/path/to/python3.11" % sys.version_info[:2])'

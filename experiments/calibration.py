@@ -1,16 +1,13 @@
 """Calibrates the drivers of recordings: ``graphrqi calibrate RECORDING_OR_DATASET --out FOLDER``.
 
 Writes a folder with ``drivers.parquet`` (a row for each driver, law and number), one
-``population_LAW.toml`` for each law and ``population.toml`` for the law that fits better,
-``calibration.json`` and ``report.html``. ``python -m experiments.calibration FOLDER`` (or ``make
-population``) makes the population that ships again.
+``population_LAW.toml`` for each law, and ``population.toml`` for the law with the smaller errors.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,19 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
-from behaviors.populations import NUMBERS, POPULATIONS, read_population
-from experiments.console.exit_codes import exit_on_user_error
-from experiments.console.notices import show_notices
-from experiments.report.calibration import calibration_page
-from experiments.scoring.calibration import (
-    Calibrated,
-    calibrate_recordings,
-    label_of,
-    quantile_rows,
-)
-from graphrqi.calibrate.laws import FIELDS, Law
-from sim.store.atomic import whole_file, write_whole
-from sim.store.lock import LOCK, new_folder, same_again
+from behaviors.populations import NUMBERS, Population
+from experiments.console.progress import Progress
+from experiments.data.exchange import as_dataset
+from experiments.rows import Row
+from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
+from graphrqi.calibrate.following import RecordedDriver, Stretch, recorded_drivers
+from sim.store.atomic import whole_folder
+from sim.store.dataset import open_dataset
 
 SCHEMA: Final = pa.schema(
     [
@@ -40,48 +32,58 @@ SCHEMA: Final = pa.schema(
         ("name", pa.string()),
         ("seconds", pa.float64()),
         ("law", pa.string()),
-        ("law_probability", pa.float64()),
+        ("error_m", pa.float64()),
         ("number", pa.string()),
-        ("mean", pa.float64()),
+        ("median", pa.float64()),
         ("low", pa.float64()),
         ("high", pa.float64()),
         ("known", pa.bool_()),
     ]
 )
-"""Columns of ``drivers.parquet``: mean and 90 % interval of a number, and whether the data tell it;
-``law_probability`` is that of the row's law, both laws being as likely beforehand."""
+"""Columns of ``drivers.parquet``: the error of the driver's simulated places under a law, median
+and 90 % interval of a number, and whether the recording tells it better than the population."""
+
+NORMAL_90: Final = 1.6449
+"""Standard deviations from the median to the ends of a 90 % interval."""
+
+LEAST_HALF_S: Final = 5.0
+"""Shorter halves do not count for the errors of second halves, s."""
 
 
-FILES: Final = frozenset(
-    {"drivers.parquet", "population.toml", "calibration.json", "report.html"}
-    | {f"population_{law}.toml" for law in Law}
-)
-"""What is written into the folder."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """Drivers of recordings under both laws.
 
+    Attributes:
+        source: what was calibrated, in words.
+        recording: (N,) name of the recording of each driver.
+        drivers: (N,) who they are.
+        laws: the calibration under each law.
+    """
 
-def driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
-    """A row for each driver, law and number; columns as `SCHEMA`."""
-    rows: list[dict[str, Any]] = []
-    for law, fitted in calibrated.laws.items():
-        told, share = fitted.summary(), calibrated.law_probability(law)
-        for i, driver in enumerate(calibrated.drivers):
-            rows += [
-                {
-                    "recording": calibrated.recording[i],
-                    "agent": driver.agent,
-                    "name": driver.name,
-                    "seconds": driver.drive.seconds,
-                    "law": str(law),
-                    "law_probability": float(share[i]),
-                    "number": number,
-                    "mean": float(told.mean[i, k]),
-                    "low": float(told.low[i, k]),
-                    "high": float(told.high[i, k]),
-                    "known": bool(told.known[i, k]),
-                }
-                for k, number in enumerate(NUMBERS)
-            ]
-    return rows
+    source: str
+    recording: tuple[str, ...]
+    drivers: tuple[RecordedDriver, ...]
+    laws: Mapping[Law, Calibration]
+
+    @property
+    def better(self) -> Law:
+        """The law with the smaller median error."""
+        return min(self.laws, key=lambda law: float(np.median(self.laws[law].error_m)))
+
+    def population(self, law: Law) -> Population:
+        """The population under a law."""
+        fitted = self.laws[law]
+        spread = np.sqrt(np.diag(fitted.covariance))
+        return Population(
+            name=self.source,
+            source=f"{len(self.drivers)} drivers of {self.source}",
+            law=str(law),
+            drivers=len(self.drivers),
+            median=np.exp(fitted.mean),
+            log_spread=spread,
+            correlation=fitted.covariance / np.outer(spread, spread),
+        )
 
 
 def write_calibration(
@@ -89,106 +91,124 @@ def write_calibration(
 ) -> Calibrated:
     """Calibrate and write everything into a new folder.
 
-    Where ``out`` already holds the same it stays as it is: so a command that was stopped at its
-    very end can be run again.
-
     Args:
         source: a dataset, a recording or a folder of recordings.
-        out: folder: new, empty, or with the same calibration.
+        out: folder: new or empty.
         format: as in `calibrate_recordings`.
         net: as in `calibrate_recordings`.
         quiet: whether to show no progress.
 
     Raises:
-        InputError: if there is nothing to calibrate or ``out`` holds anything else.
+        InputError: if there is nothing to calibrate or ``out`` holds anything.
         OSError: if something cannot be written.
     """
-    again = _calibrated_before(source, out)
-    with same_again(out, "calibration") if again else new_folder(out, FILES) as folder:
-        calibrated = calibrate_recordings(source, format, net, quiet)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: found something there, expected a new or empty folder")
+    calibrated = calibrate_recordings(source, format, net, quiet)
+    with whole_folder(out) as folder:
         table = pa.Table.from_pylist(driver_rows(calibrated), schema=SCHEMA)
-        with whole_file(folder / "drivers.parquet") as partial:
-            pq.write_table(table, partial)
+        pq.write_table(table, folder / "drivers.parquet")
         for law in Law:
             text = calibrated.population(law).to_toml()
-            write_whole(folder / f"population_{law}.toml", text.encode())
+            (folder / f"population_{law}.toml").write_text(text)
         best = calibrated.population(calibrated.better)
-        write_whole(folder / "population.toml", best.to_toml().encode())
-        write_whole(
-            folder / "calibration.json", (json.dumps(_card(calibrated), indent=1) + "\n").encode()
-        )
-        write_whole(folder / "report.html", calibration_page(calibrated).encode())
+        (folder / "population.toml").write_text(best.to_toml())
     return calibrated
 
 
-SHIPPED: Final = "us101"
-SHIPPED_SOURCE: Final = (
-    "{drivers:,} drives on US-101 at Los Angeles (NGSIM, US Department of Transportation, 2005), "
-    "by graphrqi calibrate"
-)
-"""The population of recorded drivers that ships, and what it says of where it comes from."""
-
-
-def write_shipped(source: Path, out: Path = POPULATIONS[SHIPPED], quiet: bool = False) -> None:
-    """Make the population that ships again.
+def calibrate_recordings(
+    source: Path, format: str | None = None, net: Path | None = None, quiet: bool = True
+) -> Calibrated:
+    """Calibrate all drivers of a dataset, a recording or a folder of recordings.
 
     Args:
-        source: the 55 scenes of US-101 that CommonRoad made of NGSIM's recordings, a folder.
-        out: file of the population, which is written anew.
+        source: where they are.
+        format: key of the recordings' format; None to recognise it by the content.
+        net: their map; None for what comes with them.
         quiet: whether to show no progress.
 
     Raises:
-        InputError: if there is nothing to calibrate.
-        OSError: if the file cannot be written.
+        InputError: if a file is broken, or nobody follows or drives freely for long enough.
     """
-    calibrated = calibrate_recordings(source, quiet=quiet)
-    found = calibrated.population(Law.IDM)
-    told = SHIPPED_SOURCE.format(drivers=found.drivers)
-    write_whole(out, dataclasses.replace(found, name=SHIPPED, source=told).to_toml().encode())
+    names: list[str] = []
+    drivers: list[RecordedDriver] = []
+    with as_dataset(source, format, net) as folder:
+        dataset = open_dataset(folder)
+        episodes = list(dataset.episodes())
+        with Progress("finding drivers", len(episodes), quiet) as shown:
+            for entry in episodes:
+                if not entry.options.get("pixels_per_m"):
+                    found = recorded_drivers(dataset.read(entry).tracks, dataset.road(entry))
+                    drivers += found
+                    names += [str(entry.options.get("recording", entry.id))] * len(found)
+                shown.advance(entry.agents, entry.agent_steps)
+    if not drivers:
+        raise InputError(
+            f"{source}: found no driver that follows another one for 4 s, expected some"
+        )
+    label = source.resolve().name.split(".")[0] or "recordings"
+    stretches = [driver.stretches for driver in drivers]
+    with Progress("calibrating drivers", len(Law) * ROUNDS * len(drivers), quiet) as shown:
+        laws = {law: calibrate(law, stretches, shown.advance) for law in Law}
+    return Calibrated(label, tuple(names), tuple(drivers), laws)
 
 
-def _calibrated_before(source: Path, out: Path) -> bool:
-    """Whether a folder holds a whole calibration of something of this name."""
-    if (out / LOCK).exists() or not all((out / name).is_file() for name in FILES):
-        return False
-    try:
-        return read_population(out / "population.toml").name == label_of(source)
-    except InputError:
-        return False
+def driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
+    """A row for each driver, law and number; columns as `SCHEMA`."""
+    rows: list[dict[str, Any]] = []
+    for law, fitted in calibrated.laws.items():
+        margin = NORMAL_90 * fitted.deviation
+        low, high = np.exp(fitted.logs - margin), np.exp(fitted.logs + margin)
+        for i, driver in enumerate(calibrated.drivers):
+            rows += [
+                {
+                    "recording": calibrated.recording[i],
+                    "agent": driver.agent,
+                    "name": driver.name,
+                    "seconds": driver.seconds,
+                    "law": str(law),
+                    "error_m": float(fitted.error_m[i]),
+                    "number": number,
+                    "median": float(np.exp(fitted.logs[i, k])),
+                    "low": float(low[i, k]),
+                    "high": float(high[i, k]),
+                    "known": bool(fitted.known[i, k]),
+                }
+                for k, number in enumerate(NUMBERS)
+            ]
+    return rows
 
 
-def _card(calibrated: Calibrated) -> dict[str, Any]:
-    """What ``calibration.json`` says."""
-    return {
-        "schema_version": 1,
-        "source": calibrated.source,
-        "drivers": len(calibrated.drivers),
-        "seconds": round(sum(driver.drive.seconds for driver in calibrated.drivers), 1),
-        "better_law": str(calibrated.better),
-        **{f"law_told_{law}": calibrated.law_told(law) for law in Law},
-        "populations": {
-            str(law): {
-                "log_likelihood": float(fitted.evidence.sum()),
-                "counts": fitted.counts,
-                **{
-                    name: {
-                        "median": float(np.exp(fitted.mean[k])),
-                        "log_spread": float(fitted.spread[k]),
-                    }
-                    for k, name in enumerate(FIELDS[law])
-                },
-                "correlation": calibrated.population(law).correlation.round(6).tolist(),
-                "known": dict(
-                    zip(NUMBERS, map(float, fitted.summary().known.mean(axis=0)), strict=True)
-                ),
+def population_rows(calibrated: Calibrated) -> list[Row]:
+    """A row for each law and number: the population, and how well the law holds.
+
+    ``error_m`` is the median error of simulated places, and ``second_half_m`` that of the gaps of
+    second halves which the first halves foretell; None if nobody follows one leader for 10 s.
+    """
+    longest = [_longest_following(driver) for driver in calibrated.drivers]
+    halved = [stretch for stretch in longest if stretch is not None]
+    rows: list[Row] = []
+    for law, fitted in calibrated.laws.items():
+        population = calibrated.population(law)
+        later = float(np.median(second_half_errors(law, halved))) if halved else None
+        rows += [
+            {
+                "law": str(law),
+                "number": number,
+                "median": float(population.median[k]),
+                "log_spread": float(population.log_spread[k]),
+                "known": float(fitted.known[:, k].mean()),
+                "drivers": len(calibrated.drivers),
+                "error_m": float(np.median(fitted.error_m)),
+                "second_half_m": later,
             }
-            for law, fitted in calibrated.laws.items()
-        },
-        "profiles": quantile_rows([calibrated.population(law) for law in Law]),
-    }
+            for k, number in enumerate(NUMBERS)
+        ]
+    return rows
 
 
-if __name__ == "__main__":
-    show_notices()
-    with exit_on_user_error():
-        write_shipped(Path(sys.argv[1]))
+def _longest_following(driver: RecordedDriver) -> Stretch | None:
+    """A driver's longest stretch behind one leader, if it is long enough to be halved."""
+    behind = [one for one in driver.stretches if np.isfinite(one.leader[0])]
+    longest = max(behind, key=lambda one: one.seconds, default=None)
+    return longest if longest is not None and longest.seconds >= 2.0 * LEAST_HALF_S else None

@@ -128,18 +128,10 @@ METHODS: Final[Registry[Method]] = Registry(
         ),
         "graphrqi-relative": Method(
             "graphrqi-relative",
-            "trees and perceptron on smoothed motion and interaction relative to the scene",
+            "boosted trees on smoothed motion and interaction relative to the scene",
             RelativeObserver,
-            "averaged",
-            {
-                "trees": {"rounds": 300, "max_leaves": 15, "max_depth": 6, "feature_share": 0.15},
-                "network": {
-                    "hidden": (192, 96),
-                    "dropout": 0.3,
-                    "epochs": 14,
-                    "weight_decay": 1e-2,
-                },
-            },
+            "boosted",
+            {"rounds": 300, "max_leaves": 15, "max_depth": 6, "feature_share": 0.15},
         ),
         "graphrqi-plus": Method(
             "graphrqi-plus",

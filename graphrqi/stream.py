@@ -21,8 +21,7 @@ from sim.episode.window import Window
 from sim.frames import Frame, Tracks
 
 if TYPE_CHECKING:
-    from behaviors.populations import Population
-    from graphrqi.calibrate.live import DriverNumbers, LiveNumbers
+    pass
 
 MIN_SECONDS: Final = 1.0
 """Time after which a driver is classified; before it, velocity is hardly known."""
@@ -49,8 +48,6 @@ class BehaviorStream:
         min_seconds: time observed after which a driver is classified, s.
         window: which agents are of interest; None for everybody. The others cost nothing, and are
             nobody's neighbours.
-        numbers: infers drivers' car-following numbers along; None for none. Speeds, headings and
-            sizes are used then, too.
         is_scene: False if a check of the whole recording, which sees sizes, found no scene that can
             be believed (`graphrqi.scene_check.check_scene`): everybody is unknown then.
     """
@@ -60,11 +57,9 @@ class BehaviorStream:
         model: Model,
         min_seconds: float = MIN_SECONDS,
         window: Window | None = None,
-        numbers: LiveNumbers | None = None,
         is_scene: bool = True,
     ) -> None:
         self.model = model
-        self._numbers = numbers
         self.window = window
         self.min_seconds = min_seconds
         self._live = LiveAnswers(model, min_seconds)
@@ -105,8 +100,6 @@ class BehaviorStream:
         self._buffer.push(frame)
         self._live.update(frame.time_s, frame.ids, frame.xy, frame.driving)
         self._is_scene = self._monitor.update(frame) and self._believed
-        if self._numbers is not None:
-            self._numbers.update(frame)
         self._last, self._answered = frame, None
         if frame.time_s >= self._shifted_s + PRIOR_EVERY_S - 1e-6:
             ids, probability, _ = self._answers()
@@ -128,10 +121,6 @@ class BehaviorStream:
         if self._is_scene:
             return Posterior(ids, answer, domain)
         return Posterior(ids, answer, domain, np.ones(ids.size))
-
-    def numbers(self) -> DriverNumbers | None:
-        """What is known of the car-following numbers of the drivers present; None if not asked."""
-        return None if self._numbers is None else self._numbers.numbers()
 
     def __repr__(self) -> str:
         """The model, and the time and the agents of the last frame."""
@@ -156,7 +145,6 @@ class BehaviorStream:
 def load_stream(
     name_or_folder: str | Path = DEFAULT_MODEL,
     window: Window | None = None,
-    population: str | Population | None = None,
 ) -> BehaviorStream:
     """A stream over a trained model.
 
@@ -164,18 +152,11 @@ def load_stream(
         name_or_folder: a model that ships with the package, or a folder that ``graphrqi train``
             wrote.
         window: which agents are of interest; None for everybody.
-        population: of which drivers are drawn, to infer their car-following numbers along: a name
-            or a file; None not to.
 
     Returns:
         A fresh stream.
 
     Raises:
-        InputError: if there is no such model or population.
+        InputError: if there is no such model.
     """
-    numbers = None
-    if population is not None:
-        from graphrqi.calibrate.live import LiveNumbers
-
-        numbers = LiveNumbers(population)
-    return BehaviorStream(load_model(name_or_folder), window=window, numbers=numbers)
+    return BehaviorStream(load_model(name_or_folder), window=window)

@@ -16,7 +16,7 @@ import typer
 
 from experiments.cli.adapt import adapt
 from experiments.cli.bench import bench
-from experiments.cli.calibrate import calibrate, populations
+from experiments.cli.calibrate import calibrate
 from experiments.cli.classify import classify, evaluate
 from experiments.cli.drive import drive
 from experiments.cli.generate import generate, merge, size_of, upgrade
@@ -182,8 +182,6 @@ app.command(epilog="example: graphrqi classify data --out labels.parquet")(class
 app.command(epilog="example: graphrqi evaluate graphrqi-plus data --json scores.json")(evaluate)
 app.command(epilog="example: graphrqi calibrate recordings --out drivers")(calibrate)
 
-
-app.command(epilog="example: graphrqi populations")(populations)
 app.command(epilog="example: graphrqi adapt graphrqi-plus data --labels few.csv --out mine")(adapt)
 
 
@@ -292,14 +290,6 @@ def replay(
             autocompletion=names_of("predictor"),
         ),
     ] = None,
-    population: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME or FILE",
-            help="Infer drivers' car-following numbers, too, as drivers of this population.",
-            autocompletion=names_of("population"),
-        ),
-    ] = None,
     color: Annotated[
         str | None,
         typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),
@@ -324,7 +314,7 @@ def replay(
 
     options = ReplayOptions(
         episode=episode, labels=labels, predictions=predictions, format=format, net=net,
-        model=model, predictor=predictor, population=population, color=color, begin_s=begin_s,
+        model=model, predictor=predictor, color=color, begin_s=begin_s,
         end_s=end_s, video=video,
         picture=picture,
     )  # fmt: skip

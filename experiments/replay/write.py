@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from behaviors.errors import InputError, lookup
-from behaviors.populations import read_population
 from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
 from experiments.figure_files import check_figure_file
@@ -33,8 +32,6 @@ class ReplayOptions:
         model: a shipped model's name or a folder.
         predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
             or for the first in ``predictions``.
-        population: a population's name or file, to infer drivers' car-following numbers; None not
-            to.
         color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
         begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
             opens when the road has filled to half and there are beliefs, a film begins with the
@@ -51,7 +48,6 @@ class ReplayOptions:
     predictions: Path | None = None
     model: str = "graphrqi-plus"
     predictor: str | None = None
-    population: str | None = None
     color: str | None = None
     begin_s: float | None = None
     end_s: float | None = None
@@ -82,7 +78,6 @@ def write_replay(
         lookup({mode: mode for mode in MODES}, o.color, "color")
     if o.predictor is not None and o.predictor != "none":
         get_predictor(o.predictor)
-    population = None if o.population is None else read_population(o.population)
     wanted = [path for path in (out, o.video, o.picture) if path is not None]
     for path in wanted:
         if not path.parent.is_dir():
@@ -100,7 +95,7 @@ def write_replay(
             LOGGER.info("%s: showing %s, the first of %d episodes", source, entry.name, many)
         scene = gather(
             dataset, entry, model=o.model, labels=o.labels,
-            predictions=o.predictions, predictor=o.predictor, population=population, quiet=quiet,
+            predictions=o.predictions, predictor=o.predictor, quiet=quiet,
         )  # fmt: skip
     first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])
     if o.begin_s is not None and not min(first_s, 0.0) <= o.begin_s <= last_s:

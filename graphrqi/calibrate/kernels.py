@@ -1,8 +1,7 @@
-"""Compiled: a drive by a law behind a recorded leader, and the smoothing of measured motion."""
+"""Compiled: drives by a law of following behind a recorded leader."""
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -19,11 +18,13 @@ HARDEST_MPS2: Final = 10.0
 """No law brakes harder, m/s2 (tyres on a dry road)."""
 
 LEAST_GAP_M: Final = 0.2
-"""Gaps count as no smaller, m (our choice: measured ones may be negative)."""
+"""Gaps count as no smaller, m (measured ones may be negative)."""
+
+REACHES_S: Final = 1.0
+"""Time in which a driver reaches the safe speed of Krauss's law, s."""
 
 PRESSES_MPS2: Final = 1.0
-"""Who brakes harder by its law does not press forward beside it, m/s2 (our choice: hardly any
-foretold gap differs by it, but one of I-80's training pairs would collide under Krauss's law)."""
+"""A driver that brakes harder by its law does not accelerate beside it, m/s2."""
 
 FREE: Final = shared(idm_free_acceleration)
 DESIRED_GAP: Final = shared(idm_desired_gap)
@@ -32,127 +33,80 @@ SAFE_SPEED: Final = shared(krauss_safe_speed)
 
 
 @inner
-def accelerate(law: Any, n: Any, v: Any, u: Any, gap: Any, h: Any) -> Any:
-    """A law's acceleration, m/s2.
-
-    Args:
-        law: code of the law.
-        n: (D,) the driver's numbers.
-        v: speed, m/s.
-        u: the leader's speed, m/s.
-        gap: bumper to bumper, m; infinite without a leader.
-        h: step, s.
-    """
-    v0, headway, s0, a, b = n[0], n[1], n[2], n[3], n[4]
+def acceleration(law: Any, numbers: Any, v: Any, u: Any, gap: Any) -> Any:
+    """The acceleration, m/s2, at speed v behind a leader at speed u; an infinite gap is none."""
+    wanted, headway, least, a, b = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     if law == 0:
-        accel = FREE(v, v0, a)
+        accel = FREE(v, wanted, a)
         if gap < 1e6:
-            accel -= a * INTERACTION(max(gap, LEAST_GAP_M), DESIRED_GAP(v, u, s0, headway, a, b))
+            wish = DESIRED_GAP(v, u, least, headway, a, b)
+            accel -= a * INTERACTION(max(gap, LEAST_GAP_M), wish)
     else:
-        target = v0
+        target = wanted
         if gap < 1e6:
-            target = min(SAFE_SPEED(gap - s0, u, headway, b), v0)
-        accel = min((target - v) / math.sqrt(h * h + n[7] * n[7]), a)
+            target = min(SAFE_SPEED(gap - least, u, headway, b), wanted)
+        accel = min((target - v) / REACHES_S, a)
     return max(accel, -HARDEST_MPS2)
 
 
 @compiled
-def drive_on(law: Any, n: Any, drive: Any, h: Any, residual: Any, kept: Any) -> Any:
-    """Drive behind a recorded leader by a law, from where the driver was first seen.
+def drive(
+    law: Any, numbers: Any, place: Any, speed: Any, leader: Any, leader_speed: Any, step_s: Any,
+    beside: Any, kept: Any,
+) -> Any:  # fmt: skip
+    """Drivers that begin at one place and speed, each driven behind the same recorded leader.
 
     Args:
-        law: code of the law.
-        n: (D,) the driver's numbers.
-        drive: (5, T) as in `filter.tell`: one stretch.
-        h: time between rows, s.
-        residual: acceleration beside the law's at first, m/s2.
+        law: 0 for IDM, 1 for Krauss.
+        numbers: (M, 5) of the drivers.
+        place: where they begin, m.
+        speed: and how fast, m/s.
+        leader: (T,) rear of the leader, m; infinite without one.
+        leader_speed: (T,) m/s.
+        step_s: time between rows, s.
+        beside: (M,) acceleration beside the law's at first, m/s2.
         kept: which share of it is left after one row.
 
     Returns:
-        (T,) places, m.
+        (M, T) places, m.
     """
-    out = np.zeros(drive.shape[1])
-    x, v = drive[0, 0], drive[2, 0]
-    out[0] = x
-    for i in range(1, out.size):
-        u = drive[4, i - 1]
-        if law == 1 and i > 1:
-            u = 0.5 * (u + drive[4, i - 2])
-        accel = accelerate(law, n, v, u, drive[3, i - 1] - x, h)
-        if residual <= 0.0 or accel > -PRESSES_MPS2:
-            accel += residual
-        residual *= kept
-        faster = max(v + h * accel, 0.0)
-        x += 0.5 * h * (v + faster) if law == 0 else h * faster
-        v = faster
-        out[i] = x
+    out = np.empty((len(numbers), leader.size))
+    for m in range(len(numbers)):
+        x, v, more = place, speed, beside[m]
+        out[m, 0] = x
+        for i in range(1, leader.size):
+            accel = acceleration(law, numbers[m], v, leader_speed[i - 1], leader[i - 1] - x)
+            if more <= 0.0 or accel > -PRESSES_MPS2:
+                accel += more
+            more *= kept
+            faster = max(v + step_s * accel, 0.0)
+            x += 0.5 * step_s * (v + faster)
+            v = faster
+            out[m, i] = x
     return out
 
 
 @compiled
-def mean_residual(law: Any, n: Any, drive: Any, places: Any, h: Any) -> Any:
-    """By how much more than a law says somebody accelerates, on average.
+def mean_beside(
+    law: Any, numbers: Any, place: Any, speed: Any, leader: Any, leader_speed: Any, step_s: Any
+) -> Any:
+    """(M,) by how much more than its law says each driver accelerates on average, m/s2.
 
     Args:
-        law: code of the law.
-        n: (D,) the driver's numbers.
-        drive: (5, T) as in `filter.tell`: one stretch.
-        places: (T,) of the driver, m.
-        h: time between rows, s.
-
-    Returns:
-        The mean over the rows, m/s2.
+        law: 0 for IDM, 1 for Krauss.
+        numbers: (M, 5) of the drivers.
+        place: (T,) measured, m.
+        speed: (T,) measured, m/s.
+        leader: (T,) rear of the leader, m.
+        leader_speed: (T,) m/s.
+        step_s: time between rows, s.
     """
-    count = places.size - 1
-    total = (drive[2, count] - drive[2, 0]) / h
-    for i in range(count):
-        total -= accelerate(law, n, drive[2, i], drive[4, i], drive[3, i] - places[i], h)
-    return total / count
-
-
-@compiled
-def local_parabolas(time_s: Any, values: Any, at_s: Any, half_s: Any, out: Any) -> None:
-    """Fit a parabola to the values around each of some times, by least squares.
-
-    Args:
-        time_s: (n,) increasing, s.
-        values: (n,) measured then.
-        at_s: (k,) increasing, s.
-        half_s: values no farther than this from a time count, s; the nearest three do in any case.
-        out: (4, k) takes value, slope and second derivative at these times, and the standard
-            deviation of that value over that of the measurements.
-    """
-    n = time_s.size
-    first = 0
-    for k in range(at_s.size):
-        while first < n and time_s[first] < at_s[k] - half_s - 1e-9:
-            first += 1
-        begin, end = first, first
-        while end < n and time_s[end] <= at_s[k] + half_s + 1e-9:
-            end += 1
-        while end - begin < 3 and (begin > 0 or end < n):
-            before = at_s[k] - time_s[begin - 1] if begin > 0 else 1e9
-            after = time_s[end] - at_s[k] if end < n else 1e9
-            if before <= after:
-                begin -= 1
-            else:
-                end += 1
-        moments, sums = np.zeros((3, 3)), np.zeros(3)
-        base = values[begin]
-        for i in range(begin, end):
-            t = time_s[i] - at_s[k]
-            powers = (1.0, t, t * t)
-            for r in range(3):
-                sums[r] += powers[r] * (values[i] - base)
-                for c in range(3):
-                    moments[r, c] += powers[r] * powers[c]
-        if end - begin < 3:
-            out[0, k], out[1, k], out[2, k], out[3, k] = base, 0.0, 0.0, 1.0
-            if end - begin == 2:
-                slope = (values[end - 1] - base) / (time_s[end - 1] - time_s[begin])
-                out[0, k], out[1, k] = base + slope * (at_s[k] - time_s[begin]), slope
-            continue
-        inverse = np.linalg.inv(moments)
-        solved = inverse @ sums
-        out[0, k], out[1, k], out[2, k] = base + solved[0], solved[1], 2.0 * solved[2]
-        out[3, k] = math.sqrt(inverse[0, 0])
+    out = np.empty(len(numbers))
+    count = place.size - 1
+    for m in range(len(numbers)):
+        total = (speed[count] - speed[0]) / step_s
+        for i in range(count):
+            gap = leader[i] - place[i]
+            total -= acceleration(law, numbers[m], speed[i], leader_speed[i], gap)
+        out[m] = total / count
+    return out

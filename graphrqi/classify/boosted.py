@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
-from graphrqi.classify.ensembles.trees import QuickScorer, Trees
 from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
+from graphrqi.classify.trees import Trees
 
 PATIENCE: Final = 30
 """Growing stops after this many rounds without a smaller validation loss."""
@@ -30,7 +30,7 @@ class Boosted:
         rounds: largest number of trees per class; growing stops when the validation loss does
             not fall any more.
         learning_rate: factor of each tree's leaves.
-        max_leaves: of a tree.
+        max_leaves: of a tree, at most 32.
         max_depth: of a tree.
         min_leaf: fewest training samples in a leaf.
         ridge: penalty of squared leaf values.
@@ -58,7 +58,8 @@ class Boosted:
             "l2_regularization": ridge,
             "max_features": feature_share,
         }
-        self._keep(Trees.constant(np.zeros(1)))
+        none = np.zeros(1)
+        self._trees = Trees.single(none - 1, none, none, none, none)
         self._baseline = np.zeros(num_classes)
         self._temperature = 1.0
 
@@ -82,25 +83,19 @@ class Boosted:
         if held:  # up to the smallest loss; the first one is that of no trees
             rounds = rounds[: int(np.argmax(grown.validation_score_[1:])) + 1]
         self._temperature = 1.0
-        self._keep(
-            Trees.join(
-                [
-                    _converted(grower.nodes, code)
-                    for each in rounds
-                    for grower, code in zip(each, shown, strict=True)
-                ]
-            )
+        self._trees = Trees.join(
+            [
+                _converted(grower.nodes, code)
+                for each in rounds
+                for grower, code in zip(each, shown, strict=True)
+            ]
         )
         if validation is not None:
             found = self._untempered(validation[0])
             self._temperature = best_temperature(found, validation[1], self.trained)
 
-    def _keep(self, trees: Trees) -> None:
-        self._trees = trees
-        self._evaluator: Trees | QuickScorer = QuickScorer.of(trees) or trees
-
     def _untempered(self, features: FloatArray) -> FloatArray:
-        return softmax(self._evaluator.total(features, self._num_classes) + self._baseline)
+        return softmax(self._trees.total(features, self._num_classes) + self._baseline)
 
     @property
     def trained(self) -> NDArray[np.bool_]:
@@ -121,7 +116,7 @@ class Boosted:
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
-        self._keep(Trees.restored(arrays, num_features, self._num_classes))
+        self._trees = Trees.restored(arrays, num_features, self._num_classes)
         self._baseline = saved(arrays, "baseline", (self._num_classes,))
         self._temperature = saved_temperature(arrays)
 
@@ -134,6 +129,6 @@ def _converted(nodes: NDArray[Any], code: int) -> Trees:
         np.where(leaf, 0.0, nodes["num_threshold"]),
         nodes["left"].astype(np.int64),
         nodes["right"].astype(np.int64),
-        np.where(leaf, nodes["value"], 0.0)[:, None],
+        np.where(leaf, nodes["value"], 0.0),
         int(code),
     )

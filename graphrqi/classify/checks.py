@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
+from graphrqi.classify.contract import CodeArray, HeldOut
 
 LEAST_TEMPERATURE, LARGEST_TEMPERATURE = 1e-3, 1e3
 """Temperatures that a model may have (0.25 to 4 are tried in training; far smaller ones make
@@ -29,20 +29,6 @@ def of_trained_classes(validation: HeldOut, codes: CodeArray) -> HeldOut:
     if known.all() and known.size:
         return validation
     return (validation[0][known], validation[1][known]) if known.any() else None
-
-
-def showing_every_class(
-    held: HeldOut, training: tuple[FloatArray, CodeArray]
-) -> tuple[FloatArray, CodeArray]:
-    """Rows on which scores are mapped to probabilities: the held-out ones if they show every class.
-
-    A class without rows would get probability zero.
-
-    Args:
-        held: vectors and classes of other episodes.
-        training: vectors and classes of the training rows, used if a class is missing in ``held``.
-    """
-    return held if held is not None and np.isin(training[1], held[1]).all() else training
 
 
 def saved(

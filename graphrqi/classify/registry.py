@@ -16,15 +16,14 @@ CLASSIFIERS: Final[Registry[Callable[..., Classifier]]] = Registry(
     "classifier",
     "graphrqi.classifiers",
     {
-        "averaged": "graphrqi.classify.averaged:Averaged",
         "boosted": "graphrqi.classify.boosted:Boosted",
         "forest": "graphrqi.classify.forest:Forest",
-        "lasso": "graphrqi.classify.lasso:IndicatorLasso",
-        "logistic": "graphrqi.classify.logistic:Logistic",
-        "lstm": "graphrqi.classify.lstm:LstmClassifier",
-        "majority": "graphrqi.classify.majority:Majority",
-        "mlp": "graphrqi.classify.mlp:Mlp",
-        "svm": "graphrqi.classify.svm:SupportVectors",
+        "lasso": "graphrqi.classify.baselines:Lasso",
+        "logistic": "graphrqi.classify.baselines:Logistic",
+        "lstm": "graphrqi.classify.networks:LstmClassifier",
+        "majority": "graphrqi.classify.baselines:Majority",
+        "mlp": "graphrqi.classify.networks:Mlp",
+        "svm": "graphrqi.classify.baselines:SupportVectors",
     },
 )
 """Every classifier's class by name."""
@@ -47,7 +46,7 @@ def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
     return CLASSIFIERS[name](num_classes, **options)
 
 
-CHECKED_WHOLE: Final = ("averaged", "boosted", "forest")
+CHECKED_WHOLE: Final = ("boosted", "forest")
 """Classifiers that check all their arrays, so that no trial answer is needed: it would compile or
 load kernels."""
 

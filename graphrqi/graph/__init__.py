@@ -10,6 +10,6 @@ Examples:
 """
 
 from graphrqi.graph.sighting import Sighting
-from graphrqi.graph.traffic_graph import GraphChange, TrafficGraph, change_between
+from graphrqi.graph.traffic_graph import TrafficGraph
 
-__all__ = ["GraphChange", "Sighting", "TrafficGraph", "change_between"]
+__all__ = ["Sighting", "TrafficGraph"]

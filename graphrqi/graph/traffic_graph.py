@@ -8,7 +8,6 @@ L_t = blk(L_{t-1}, 1) + delta delta^T is no Laplacian, see docs/spectrum.md).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
@@ -16,15 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from behaviors.errors import InputError
-from graphrqi.graph.sighting import Sighting, as_array, checked_floats, checked_ids
+from graphrqi.graph.sighting import Sighting, checked_ids
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Kind: TypeAlias = Literal["accumulated", "instantaneous"]
-
-MAX_WEIGHT = 1e100
-"""Weights beyond this are refused: sums of their squares stay finite."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +31,11 @@ class ObservationRule:
         neighbors: nearest vehicles each vehicle is joined to (the union: one of the two chose).
         reset: observations after which an accumulated graph begins anew.
         kind: "accumulated" keeps every vehicle and edge since the reset, "instantaneous" none.
-        radius_m: if given, every vehicle within this distance is joined, and ``neighbors`` has
-            no effect, m.
-        scale_m: if given, an edge weighs exp(-distance / scale_m), else 1, m. An accumulated
-            edge keeps the weight it had when last seen.
     """
 
     neighbors: int = 4
     reset: int = 100
     kind: Kind = "accumulated"
-    radius_m: float | None = None
-    scale_m: float | None = None
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -53,43 +43,20 @@ class ObservationRule:
         Raises:
             InputError: naming the field.
         """
-        for name, lowest in (("neighbors", 1), ("reset", 1)):
+        for name in ("neighbors", "reset"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
                 raise InputError(f"{name}: found {value!r}, expected a whole number")
-            if value < lowest:
-                raise InputError(f"{name}: found {value}, expected at least {lowest}")
+            if value < 1:
+                raise InputError(f"{name}: found {value}, expected at least 1")
         if self.kind not in get_args(Kind):
             kinds = " or ".join(get_args(Kind))
             raise InputError(f"kind: found {self.kind!r}, expected {kinds}")
-        for name in ("radius_m", "scale_m"):
-            value = getattr(self, name)
-            if value is not None and not (
-                isinstance(value, (int, float, np.number)) and 0.0 < value < math.inf
-            ):
-                raise InputError(f"{name}: found {value!r}, expected a positive length in metres")
-
-
-@dataclass(frozen=True, eq=False)
-class GraphChange:
-    """What distinguishes a graph from an earlier one.
-
-    Attributes:
-        arrived: (a,) ids of the vehicles only the later graph has.
-        departed: (b,) ids of the vehicles only the earlier graph has.
-        edges: (m, 2) ids of the edges whose weight differs.
-        weights: (m,) later minus earlier weight, 0 standing for no edge.
-    """
-
-    arrived: NDArray[np.int64]
-    departed: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    weights: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrafficGraph:
-    """An undirected weighted graph of vehicles, as its Laplacian D - A.
+    """An undirected graph of vehicles, as its Laplacian D - A.
 
     Make one with `from_edges`, or with `empty` and then `observe`.
 
@@ -100,7 +67,6 @@ class TrafficGraph:
         values: (z,) its values.
         rule: how observations extend the graph; None for a graph made from edges.
         observations: observations since the last reset, this one included.
-        earlier: the graph before the last observation, itself without one.
 
     Examples:
         >>> graph = TrafficGraph.empty(neighbors=1).observe([3, 1, 2], [[0, 0], [1, 0], [9, 0]])
@@ -114,7 +80,6 @@ class TrafficGraph:
     values: NDArray[np.float64]
     rule: ObservationRule | None = None
     observations: int = 0
-    earlier: TrafficGraph | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -148,23 +113,19 @@ class TrafficGraph:
         return f"<table><caption>{self!r}</caption>{head}{lines}</table>"
 
     @classmethod
-    def from_edges(
-        cls, ids: ArrayLike, edges: ArrayLike, weights: ArrayLike | None = None
-    ) -> TrafficGraph:
+    def from_edges(cls, ids: ArrayLike, edges: ArrayLike) -> TrafficGraph:
         """Build a graph from a list of edges.
 
         Args:
             ids: (d,) different whole numbers, one per vehicle; the order of the rows.
-            edges: (m, 2) ids of the joined vehicles, undirected. An edge given several times, in
-                either direction, is one edge with the largest of its weights.
-            weights: (m,) from 0 to `MAX_WEIGHT`; 1 where not given. An edge of weight 0 is none.
+            edges: (m, 2) ids of the joined vehicles, undirected; repeated ones count once.
 
         Returns:
             The graph.
 
         Raises:
             InputError: for an id that is given twice, unknown or no whole number, an edge from
-                a vehicle to itself, a weight out of range, or a wrong shape.
+                a vehicle to itself, or a wrong shape.
         """
         row_ids = checked_ids(ids)
         d = row_ids.size
@@ -173,55 +134,28 @@ class TrafficGraph:
         twice = np.flatnonzero(ordered[1:] == ordered[:-1])
         if twice.size:
             raise InputError(f"ids: found {ordered[twice[0]]} twice, expected each vehicle once")
-        pairs = as_array(edges, "edges")
-        if pairs.size == 0:
-            pairs = np.empty((0, 2), np.int64)
-        if pairs.ndim != 2 or pairs.shape[1] != 2:
-            raise InputError(f"edges: found shape {pairs.shape}, expected (m, 2)")
-        pairs = checked_ids(pairs.ravel(), "edges").reshape(-1, 2)
-        m = len(pairs)
-        weight = np.ones(m) if weights is None else checked_floats(weights, "weights")
-        if weight.shape != (m,):
-            raise InputError(f"weights: found shape {weight.shape}, expected ({m},), one per edge")
-        wrong = np.flatnonzero(~((weight >= 0.0) & (weight <= MAX_WEIGHT)))
-        if wrong.size:
-            raise InputError(
-                f"weights: found {weight[wrong[0]]}, expected numbers from 0 to {MAX_WEIGHT:g}"
-            )
-        place = np.searchsorted(ordered, pairs) if d else np.zeros_like(pairs)
-        known = (place < d) if d else np.zeros(pairs.shape, bool)
-        known[known] = ordered[place[known]] == pairs[known]
+        shape = np.shape(edges)
+        if np.size(edges) and (len(shape) != 2 or shape[1] != 2):
+            raise InputError(f"edges: found shape {shape}, expected (m, 2)")
+        pairs = checked_ids(np.ravel(edges), "edges").reshape(-1, 2)
+        known = np.isin(pairs, row_ids)
         if not known.all():
             raise InputError(f"edges: found vehicle {pairs[~known][0]}, expected one of ids")
-        rows = order[place] if m else np.empty((0, 2), np.int64)
-        itself = np.flatnonzero(rows[:, 0] == rows[:, 1])
+        itself = np.flatnonzero(pairs[:, 0] == pairs[:, 1])
         if itself.size:
             raise InputError(
                 f"edges: found {pairs[itself[0], 0]} joined to itself, expected two vehicles"
             )
-        rows, weight = np.sort(rows, axis=1)[weight > 0.0], weight[weight > 0.0]
-        sort = np.lexsort((-weight, rows[:, 1], rows[:, 0]))
-        rows, weight = rows[sort], weight[sort]
-        first = np.ones(len(rows), bool)
-        first[1:] = (rows[1:] != rows[:-1]).any(axis=1)
-        rows, weight = rows[first], weight[first]
-        degree = np.zeros(d)
-        np.add.at(degree, rows.ravel(), np.repeat(weight, 2))
-        line = np.concatenate([rows[:, 0], rows[:, 1], np.arange(d)])
-        column = np.concatenate([rows[:, 1], rows[:, 0], np.arange(d)])
-        value = np.concatenate([-weight, -weight, degree])
-        sort = np.lexsort((column, line))
-        indptr = np.searchsorted(line[sort], np.arange(d + 1)).astype(np.int32)
-        return cls(row_ids, indptr, column[sort].astype(np.int32), value[sort])
+        rows = order[np.searchsorted(ordered, pairs)] if len(pairs) else pairs
+        both = np.concatenate([rows, rows[:, ::-1], np.arange(d)[:, None].repeat(2, axis=1)])
+        line, column = np.unique(both, axis=0).T
+        indptr = np.searchsorted(line, np.arange(d + 1)).astype(np.int32)
+        value = np.where(line == column, np.diff(indptr)[line] - 1.0, -1.0)
+        return cls(row_ids, indptr, column.astype(np.int32), value)
 
     @classmethod
     def empty(
-        cls,
-        neighbors: int = 4,
-        reset: int = 100,
-        kind: Kind = "accumulated",
-        radius_m: float | None = None,
-        scale_m: float | None = None,
+        cls, neighbors: int = 4, reset: int = 100, kind: Kind = "accumulated"
     ) -> TrafficGraph:
         """Return a graph without vehicles that knows how to grow, see `ObservationRule`.
 
@@ -229,8 +163,6 @@ class TrafficGraph:
             neighbors: nearest vehicles each vehicle is joined to.
             reset: observations after which an accumulated graph begins anew.
             kind: "accumulated" or "instantaneous".
-            radius_m: join all vehicles within this distance instead of the nearest, m.
-            scale_m: weigh edges by exp(-distance / scale_m), m.
 
         Returns:
             The graph.
@@ -238,13 +170,9 @@ class TrafficGraph:
         Raises:
             InputError: naming the argument that is out of range.
         """
-        return cls(
-            np.empty(0, np.int64),
-            np.zeros(1, np.int32),
-            np.empty(0, np.int32),
-            np.empty(0),
-            ObservationRule(neighbors, reset, kind, radius_m, scale_m),
-        )
+        rule = ObservationRule(neighbors, reset, kind)
+        none = np.empty(0, np.int32)
+        return cls(np.empty(0, np.int64), np.zeros(1, np.int32), none, np.empty(0), rule)
 
     def observe(self, ids: ArrayLike, xy: ArrayLike) -> TrafficGraph:
         """Return the next graph, after one look at all vehicles.
@@ -274,42 +202,27 @@ class TrafficGraph:
         Raises:
             InputError: if the graph was made from edges.
         """
-        from graphrqi.graph import cell_grid
+        from graphrqi.graph.kernels import join
 
         rule = self.rule
         if rule is None:
             raise InputError("graph: found one made from edges, expected TrafficGraph.empty(...)")
         keep = rule.kind == "accumulated" and 0 < self.observations < rule.reset
-        base = self if keep else _NOTHING
-        if rule.radius_m is None:
-            lists = seen.nearest(rule.neighbors)
-        else:
-            lists = seen.within(float(rule.radius_m))
         row_of, all_ids = np.arange(seen.ids.size), seen.ids
+        base = self if keep else TrafficGraph.empty()
         if keep and not np.array_equal(self.ids, seen.ids):
             row_of = self.rows_of(seen.ids)
             unseen = row_of < 0
             row_of[unseen] = np.arange(unseen.sum()) + self.ids.size
             all_ids = np.concatenate([self.ids, seen.ids[unseen]])
-        indptr, indices, values = cell_grid.join(
-            row_of,
-            all_ids.size,
-            seen.xy,
-            *lists,
-            -1.0 if rule.scale_m is None else float(rule.scale_m),
-            base.indptr,
-            base.indices,
-            base.values,
-        )
+        neighbors = seen.nearest(rule.neighbors)
+        indptr, indices, values = join(row_of, all_ids.size, neighbors, base.indptr, base.indices)
         if np.array_equal(all_ids, self.ids):
             all_ids = self.ids  # one array for a sequence of the same vehicles
         size = indptr[-1]
-        earlier = TrafficGraph(
-            self.ids, self.indptr, self.indices, self.values, rule, self.observations
-        )
         count = self.observations + 1 if keep else 1
         return TrafficGraph(
-            all_ids, indptr, indices[:size].copy(), values[:size].copy(), rule, count, earlier
+            all_ids, indptr, indices[:size].copy(), values[:size].copy(), rule, count
         )
 
     def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -331,7 +244,7 @@ class TrafficGraph:
 
     @property
     def adjacency(self) -> csr_array[Any, tuple[int, int]]:
-        """(d, d) symmetric edge weights A as a scipy CSR array, zero diagonal not stored."""
+        """(d, d) symmetric adjacency A as a scipy CSR array, zero diagonal not stored."""
         from scipy.sparse import csr_array
 
         d = self.ids.size
@@ -349,57 +262,11 @@ class TrafficGraph:
         return np.stack([self.ids[rows[once]], self.ids[self.indices[once]]], axis=1)
 
     @property
-    def weights(self) -> NDArray[np.float64]:
-        """(m,) weights of ``edges``."""
-        rows, _ = self._rows_and_off_diagonal()
-        return -self.values[rows < self.indices]
-
-    @property
     def degree(self) -> NDArray[np.float64]:
-        """(d,) summed edge weights of each vehicle, the diagonal of the Laplacian."""
+        """(d,) number of edges of each vehicle, the diagonal of the Laplacian."""
         _, off = self._rows_and_off_diagonal()
         return self.values[~off]
-
-    def change(self) -> GraphChange:
-        """What the last observation changed; everything, for a first graph."""
-        return change_between(_NOTHING if self.earlier is None else self.earlier, self)
 
     def _rows_and_off_diagonal(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         rows = np.repeat(np.arange(self.ids.size), np.diff(self.indptr))
         return rows, rows != self.indices
-
-
-def change_between(before: TrafficGraph, after: TrafficGraph) -> GraphChange:
-    """Compare two graphs by vehicle id.
-
-    Args:
-        before: the earlier graph.
-        after: the later graph; its rows may be in another order.
-
-    Returns:
-        Vehicles and edges in which they differ.
-
-    Examples:
-        >>> a = TrafficGraph.from_edges([1, 2, 3], [(1, 2)])
-        >>> change = change_between(a, TrafficGraph.from_edges([3, 2, 4], [(3, 2)]))
-        >>> change.arrived.tolist(), change.departed.tolist()
-        ([4], [1])
-        >>> change.edges.tolist(), change.weights.tolist()
-        ([[1, 2], [2, 3]], [-1.0, 1.0])
-    """
-    arrived = after.ids[~np.isin(after.ids, before.ids)]
-    departed = before.ids[~np.isin(before.ids, after.ids)]
-    edges = np.sort(np.concatenate([before.edges, after.edges]), axis=1)
-    signed = np.concatenate([-before.weights, after.weights])
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    edges, signed = edges[order], signed[order]
-    first = np.ones(len(edges), bool)
-    first[1:] = (edges[1:] != edges[:-1]).any(axis=1)
-    total = np.add.reduceat(signed, np.flatnonzero(first)) if len(edges) else signed
-    differs = total != 0.0
-    return GraphChange(arrived, departed, edges[first][differs], total[differs])
-
-
-_NOTHING = TrafficGraph(
-    np.empty(0, np.int64), np.zeros(1, np.int32), np.empty(0, np.int32), np.empty(0)
-)

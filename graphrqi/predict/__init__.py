@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -16,7 +15,6 @@ from behaviors.registry import Registry, own_function
 if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
     from graphrqi.predict.prediction import Prediction
-    from graphrqi.predict.rollout.driver_parameters import OwnNumbers
     from graphrqi.predict.scene.scene import Scene
     from sim.episode.window import Window
     from sim.frames import Tracks
@@ -49,10 +47,6 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
     },
 )
 """Every predictor by name."""
-
-
-TAKES_NUMBERS: Final = "car-following"
-"""The predictor that drives drivers by their own numbers, if they are given."""
 
 
 def get_predictor(name: str) -> Predictor:
@@ -120,7 +114,6 @@ def predict(
     predictor: str = "graphrqi-predict",
     weights: Path | None = None,
     window: Window | None = None,
-    numbers: OwnNumbers | None = None,
 ) -> Prediction:
     """Predict where every agent of a history will be.
 
@@ -135,14 +128,12 @@ def predict(
         weights: folder of ``graphrqi train-predictor`` whose network ``graphrqi-predict`` uses on
             recordings; None for the one that ships.
         window: which agents are predicted, and seen by each other; None for everybody.
-        numbers: drivers' own car-following numbers, as ``BehaviorStream.numbers`` gives them, for
-            "car-following", which then drives each of them by these; None not to.
 
     Returns:
         Futures of every agent present now, every 0.1 s up to the horizon.
 
     Raises:
-        InputError: if the predictor is unknown, takes no numbers or has no map that it needs, the
+        InputError: if the predictor is unknown or has no map that it needs, the
             horizon is too short, or the history empty or with numbers that are not finite where
             agents were seen.
     """
@@ -156,14 +147,6 @@ def predict(
 
     function = get_predictor(predictor)
     check_map(predictor, road)
-    if numbers is not None:
-        if predictor != TAKES_NUMBERS or road is None:
-            raise InputError(
-                f"numbers: found them for {predictor!r}, expected {TAKES_NUMBERS!r} on a known road"
-            )
-        from graphrqi.predict.rollout.following import by_own_numbers
-
-        function = partial(by_own_numbers, own=numbers)
     check_horizon(horizon_s)
     check_history(history)
     if window is not None:

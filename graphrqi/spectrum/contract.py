@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, get_args
 
 import numpy as np
@@ -60,13 +61,7 @@ class Solver(Protocol):
 
 
 def check_arguments(num_pairs: int, end: str, tol: float, previous: object = None) -> None:
-    """Refuse arguments no solver can serve.
-
-    Args:
-        num_pairs: pairs asked for.
-        end: end asked for.
-        tol: tolerance asked for.
-        previous: what to start from.
+    """Refuse arguments that no solver can serve; they are those of `Solver`.
 
     Raises:
         InputError: naming the argument.
@@ -94,6 +89,7 @@ class Pairs:
             and orthonormal.
         note: remark on this answer.
         carried: what the algorithm needs for its next step.
+        residuals: (k,) where the columns are known to be orthonormal and converged; else None.
     """
 
     values: Floats
@@ -101,6 +97,7 @@ class Pairs:
     complete: bool = False
     note: str = ""
     carried: object = None
+    residuals: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,26 +106,34 @@ class Problem:
 
     Attributes:
         graph: d vehicles.
-        num_pairs: k, how many pairs are wanted; so many exist.
+        asked: how many pairs are asked for, perhaps more than exist.
         end: "largest" or "smallest".
         previous: an earlier answer to start from, perhaps of other vehicles.
         tol: residual asked for, relative to ``scale``.
         nonzero: whether the null space is left out.
-        null: (d, c) orthonormal basis of what is left out; no columns if nothing is.
     """
 
     graph: TrafficGraph
-    num_pairs: int
+    asked: int
     end: End
     previous: Spectrum | None
     tol: float
     nonzero: bool
-    null: Floats
 
     @property
     def scale(self) -> float:
         """Size of the Laplacian: max(1, largest degree), at least half of lambda_max."""
         return laplacian_scale(self.graph)
+
+    @cached_property
+    def null(self) -> Floats:
+        """(d, c) orthonormal basis of what is left out; no columns if nothing is."""
+        return null_space(self.graph) if self.nonzero else np.zeros((self.graph.ids.size, 0))
+
+    @property
+    def num_pairs(self) -> int:
+        """How many pairs are wanted; so many exist."""
+        return int(min(self.asked, self.graph.ids.size - self.null.shape[1]))
 
     def starting_block(self) -> Floats:
         """(d, k) orthonormal columns outside ``null``: the earlier vectors, or noise."""
@@ -150,8 +155,8 @@ def eigensolver(
 ) -> Callable[[Callable[[Problem], Pairs]], Solver]:
     """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`.
 
-    The solver checks its arguments, works out the null space to leave out, measures residuals and
-    orthogonality of what the function finds, and says whether that is certified.
+    The solver checks its arguments, measures residuals and orthogonality of what the function
+    finds, and says whether that is certified.
 
     Args:
         dense_share: answer with a dense solution where no pair is left, or where this many times
@@ -171,15 +176,13 @@ def eigensolver(
             nonzero: bool = False,
         ) -> Spectrum:
             check_arguments(num_pairs, end, tol, previous)
-            d = graph.ids.size
-            null = null_space(graph) if nonzero else np.zeros((d, 0))
-            k = min(num_pairs, d - null.shape[1])
-            problem = Problem(graph, k, end, previous, tol, nonzero, null)
-            if dense_share is not None and (k < 1 or dense_share * k + null.shape[1] >= d):
-                pairs = problem.dense()
-            else:
-                pairs = find(problem)
-            return answer(graph, pairs, end, tol)
+            problem = Problem(graph, num_pairs, end, previous, tol, nonzero)
+            pairs = None
+            if dense_share is not None:
+                k = problem.num_pairs
+                if k < 1 or dense_share * k + problem.null.shape[1] >= graph.ids.size:
+                    pairs = problem.dense()
+            return answer(graph, find(problem) if pairs is None else pairs, end, tol)
 
         solve.__name__, solve.__qualname__ = find.__name__, find.__qualname__
         solve.__module__, solve.__doc__ = find.__module__, find.__doc__
@@ -189,7 +192,7 @@ def eigensolver(
 
 
 def answer(graph: TrafficGraph, pairs: Pairs, end: End, tol: float) -> Spectrum:
-    """Measure residuals and orthogonality and make a Spectrum of pairs.
+    """Measure residuals and orthogonality, where they are not known, and make a Spectrum of pairs.
 
     Args:
         graph: d vehicles.
@@ -200,19 +203,14 @@ def answer(graph: TrafficGraph, pairs: Pairs, end: End, tol: float) -> Spectrum:
     Returns:
         The answer, certified if converged, orthonormal and complete.
     """
-    values, vectors = pairs.values, pairs.vectors
-    residuals = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
-    gram = vectors.T @ vectors
-    orthonormal = bool(np.abs(gram - np.eye(values.size)).max(initial=0.0) <= 1e-10)
-    converged = bool(residuals.max(initial=0.0) <= tol * laplacian_scale(graph))
+    values, vectors, residuals = pairs.values, pairs.vectors, pairs.residuals
+    certified = pairs.complete
+    if residuals is None:
+        residuals = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
+        departure = np.abs(vectors.T @ vectors - np.eye(values.size))
+        orthonormal = bool(departure.max(initial=0.0) <= 1e-10)
+        converged = bool(residuals.max(initial=0.0) <= tol * laplacian_scale(graph))
+        certified = certified and orthonormal and converged
     return Spectrum(
-        graph.ids,
-        values,
-        vectors,
-        residuals,
-        pairs.complete and orthonormal and converged,
-        graph,
-        end,
-        pairs.note,
-        pairs.carried,
+        graph.ids, values, vectors, residuals, certified, graph, end, pairs.note, pairs.carried
     )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
 
 if TYPE_CHECKING:
@@ -88,14 +87,9 @@ class Spectrum:
 
         Returns:
             Rows indexed by vehicle id (``id``), columns by eigenvalue (``eigenvalue``).
-
-        Raises:
-            InputError: if pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise InputError("pandas: found none, expected it: pip install pandas") from error
+        import pandas as pd
+
         return pd.DataFrame(
             np.array(self.eigenvectors),
             index=pd.Index(np.array(self.ids), name="id"),

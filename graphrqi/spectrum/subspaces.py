@@ -48,9 +48,10 @@ def components(graph: TrafficGraph) -> NDArray[np.int32]:
     Returns:
         (d,) from 0, in the order of each component's first row.
     """
-    from graphrqi.graph import ordering
+    from scipy.sparse.csgraph import connected_components
 
-    return ordering.order_rows(graph.indptr, graph.indices)[1]
+    labels: NDArray[np.int32] = connected_components(graph.laplacian, directed=False)[1]
+    return labels
 
 
 def null_space(graph: TrafficGraph) -> Floats:

@@ -17,11 +17,9 @@ from PIL import Image
 from behaviors.colors import COLORS, UNKNOWN_COLOR, rgb
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from behaviors.populations import read_population
 from experiments.replay.beliefs import read_beliefs
 from experiments.replay.forecasts import read_forecasts
 from experiments.replay.graph_history import graph_history
-from experiments.replay.numbers import KnownNumbers
 from experiments.replay.packing import differences
 from experiments.replay.page import write_page
 from experiments.replay.pictures.painter import (
@@ -38,7 +36,6 @@ from experiments.replay.shown import shown_events, with_drawn_sizes
 from experiments.replay.write import ReplayOptions, write_replay
 from experiments.scoring.classification import LABELS
 from experiments.scoring.prediction_file import predictions_file, predictions_table
-from graphrqi.calibrate.live import LiveNumbers
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.predict.prediction import Prediction
@@ -434,33 +431,3 @@ def test_boxes_of_an_image_are_drawn_as_cars_that_do_not_touch():
     assert drawn.width[0] == pytest.approx(32.0 / 2.5)
     small = with_drawn_sizes(dataclasses.replace(tracks, length=np.full(3, 8.0)))
     assert small.length[0] == pytest.approx(4.0)
-
-
-def test_numbers_of_drivers_are_shown_where_their_driving_tells_them(scene, tmp_path):
-    ids = scene.tracks.ids
-    interval = np.full((ids.size, 3, 5, 3), np.nan, dtype=np.float32)
-    interval[0, 1:, 1] = [0.9, 1.25, 1.7]
-    told = KnownNumbers("people", ids, np.array([0.0, 5.0, 10.0]), interval)
-    assert told.rows(0) == [[5.0, [["time headway", "1.2 s (0.9 to 1.7)"]]]]
-    assert told.rows(1) == []
-    write_page(dataclasses.replace(scene, numbers=told), tmp_path / "page.html", "true")
-    page = (tmp_path / "page.html").read_text()
-    assert json.dumps(told.rows(0), separators=(",", ":")) in page
-
-
-def test_numbers_are_inferred_while_an_episode_passes(dataset):
-    opened = open_dataset(dataset)
-    entry = next(entry for entry in opened.manifest.episodes if entry.road)
-    people = read_population("us101")
-    told = gather(opened, entry, model="graphrqi-plus", predictor="none", population=people).numbers
-    tracks = opened.read(entry).tracks
-    live = LiveNumbers(people)
-    for frame in tracks.frames():
-        live.update(frame)
-        if frame.time_s >= told.time_s[-1] - 1e-6:
-            break
-    now = live.numbers()
-    rows = np.searchsorted(tracks.ids, now.ids)
-    np.testing.assert_array_equal(np.isfinite(told.interval[rows, -1, :, 1]), now.known)
-    assert told.population == "us101"
-    assert told.time_s[0] == tracks.time_s[0]

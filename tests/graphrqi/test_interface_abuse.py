@@ -105,17 +105,15 @@ def refused(call: Any, *given: Any) -> Any:
 
 
 @ABUSE
-@given(st.data(), st.integers(1, 5), st.sampled_from([None, "us101"]))
-def test_a_stream_answers_or_stays_as_it_was(
-    data: st.DataObject, n: int, population: str | None
-) -> None:
-    stream = load_stream(population=population)
+@given(st.data(), st.integers(1, 5))
+def test_a_stream_answers_or_stays_as_it_was(data: st.DataObject, n: int) -> None:
+    stream = load_stream()
     time_s = 0.0
     for _ in range(6):
         time_s += data.draw(st.sampled_from([0.1, 0.1, 0.2, 1.0, 1e-6, 70.0]))
         usual = Frame(**fields(time_s, n))
         keeps_contract(stream.update(usual), usual)
-        before, known = stream.posterior(), stream.numbers()
+        before = stream.posterior()
         bad = data.draw(broken_fields(time_s + 0.05, n))
         frame = refused(lambda given: Frame(**given), bad)
         answered = None if frame is None else refused(stream.update, frame)
@@ -124,8 +122,6 @@ def test_a_stream_answers_or_stays_as_it_was(
         else:
             keeps_contract(answered, frame)
             time_s = frame.time_s
-        numbers_now = stream.numbers()
-        assert (numbers_now is None) == (known is None)
         assert repr(stream)
 
 
@@ -172,7 +168,7 @@ def test_a_process_that_is_forked_after_compiling_answers_alike() -> None:
 
 @pytest.mark.parametrize("again", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
 def test_copies_of_a_stream_go_on_alike_and_apart(again: Any) -> None:
-    stream = load_stream(population="us101")
+    stream = load_stream()
     drive(stream, 15)
     other = again(stream)
     assert same(other.update(Frame(**fields(1.5, 4))), stream.update(Frame(**fields(1.5, 4))))

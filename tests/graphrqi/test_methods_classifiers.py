@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.classify import CLASSIFIERS, make_classifier, restore_classifier
-from graphrqi.classify.ensembles.trees import QuickScorer, Trees
 from graphrqi.classify.softmax import best_temperature, tempered
+from graphrqi.classify.trees import Trees
 
 SMALL: dict[str, dict[str, object]] = {
     "boosted": {"rounds": 20, "min_leaf": 5},
@@ -170,12 +170,6 @@ def test_boosted_and_forest_answer_as_those_who_grew_them():
     np.testing.assert_allclose(boosted.posterior(asked), grown.predict_proba(asked), atol=1e-6)
 
 
-def test_boosted_trees_are_no_deeper_than_asked():
-    boosted = make_classifier("boosted", 6, rounds=5, max_leaves=31, max_depth=3, min_leaf=2)
-    boosted.fit(*blobs(600, 15), None, seed=0)
-    assert 1 <= boosted.arrays()["depth"].max() <= 3
-
-
 def test_trees_are_grown_no_longer_than_they_help():
     rng = np.random.default_rng(16)
     features, held = rng.normal(size=(300, 4)), rng.normal(size=(100, 4))
@@ -196,24 +190,33 @@ def test_one_class_cannot_be_learned(name):
         make_classifier(name, 6).fit(*blobs(50, 14, (2,)), None, seed=0)
 
 
-@pytest.mark.parametrize("samples", [1, 16, 61, 1300])
-def test_quick_scorer_adds_up_to_the_same_bits(samples):
+def leaf_sums(arrays, points, sums):
+    """The same by walking each tree from its root."""
+    out = np.zeros((len(points), sums))
+    for row, point in zip(out, points.astype(np.float32), strict=True):
+        for node, column in zip(arrays["root"].tolist(), arrays["column"].tolist(), strict=True):
+            while arrays["child"][node] != node:
+                above = bool(point[arrays["feature"][node]] > arrays["threshold"][node])
+                node = int(arrays["child"][node]) + above
+            row[column] += np.float64(arrays["value"][node, 0])
+    return out
+
+
+@pytest.mark.parametrize("samples", [1, 16, 61, 130])
+def test_trees_add_up_the_leaves_that_a_walk_reaches(samples):
     classifier = make_classifier("boosted", 6, rounds=12, max_leaves=31, min_leaf=5)
     classifier.fit(*blobs(900, 1), None, seed=3)
     arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
-    trees = Trees.restored(arrays, 5, 6)
-    quick = QuickScorer.of(trees)
-    assert quick is not None
     points, _ = blobs(samples, 4)
     points[0, 1] = np.nan
     points[-1, 2] = np.inf
-    assert np.array_equal(quick.total(points, 6), trees.total(points, 6))
+    found = Trees.restored(arrays, 5, 6).total(points, 6)
+    assert np.array_equal(found, leaf_sums(arrays, points, 6))
 
 
-def test_quick_scorer_takes_trees_of_few_leaves_only():
-    classifier = make_classifier("boosted", 6, rounds=2, max_leaves=80, min_leaf=1)
-    classifier.fit(*blobs(900, 1), None, seed=3)
-    arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
-    trees = Trees.restored(arrays, 5, 6)
-    most = max(np.diff([*trees.root.tolist(), trees.feature.size])) // 2 + 1
-    assert (QuickScorer.of(trees) is None) == (most > 32)
+def test_trees_of_too_many_leaves_are_refused():
+    classifier = make_classifier("boosted", 6, rounds=1, max_leaves=80, min_leaf=1)
+    features = np.random.default_rng(0).normal(size=(900, 4))
+    classifier.fit(features, np.random.default_rng(1).integers(0, 6, 900), None, seed=3)
+    with pytest.raises(InputError, match="expected at most 32"):
+        classifier.posterior(features)

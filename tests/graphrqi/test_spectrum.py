@@ -43,11 +43,6 @@ SHAPES = {
     "pairs": TrafficGraph.from_edges(range(100), [(i, i + 1) for i in range(0, 100, 2)]),
     "isolated": TrafficGraph.from_edges(range(50), []),
     "path and isolated": TrafficGraph.from_edges(range(70), [(i, i + 1) for i in range(40)]),
-    "weak link": TrafficGraph.from_edges(
-        range(80),
-        [(i, i + 1) for i in range(79)],
-        [1.0 if i != 40 else 1e-9 for i in range(79)],
-    ),
 }
 
 
@@ -60,9 +55,9 @@ def errors_against_lapack(found: Spectrum, num_pairs: int, nonzero: bool) -> Any
     d = graph.ids.size
     row = {vehicle: i for i, vehicle in enumerate(graph.ids.tolist())}
     matrix = np.zeros((d, d))
-    for (a, b), weight in zip(graph.edges.tolist(), graph.weights, strict=True):
+    for a, b in graph.edges.tolist():
         ends = np.ix_([row[a], row[b]], [row[a], row[b]])
-        matrix[ends] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        matrix[ends] += np.array([[1.0, -1.0], [-1.0, 1.0]])
     values = np.linalg.eigvalsh(matrix) if d else np.zeros(0)
     scale = max(1.0, values.max(initial=0.0))
     zeros = connected_components(csr_array(matrix), directed=False)[0] if nonzero and d else 0
@@ -123,7 +118,7 @@ def test_sequences_stay_right(name: str, kind: str, end: End) -> None:
 
 @pytest.mark.parametrize("layout", ["road", "crossing"])
 @pytest.mark.parametrize("kind", ["instantaneous", "accumulated"])
-def test_graphs_large_enough_for_a_part_to_be_treated_first(layout: str, kind: str) -> None:
+def test_large_graphs_whose_vehicles_come_and_go(layout: str, kind: str) -> None:
     previous: Spectrum | None = None
     rng = np.random.default_rng(3)
     graph = TrafficGraph.empty(kind=cast(Any, kind))
@@ -136,16 +131,16 @@ def test_graphs_large_enough_for_a_part_to_be_treated_first(layout: str, kind: s
             assert errors_against_lapack(previous, 8, False).max() < 1e-8
 
 
-def test_two_thousand_hostile_graphs() -> None:
+def test_a_thousand_hostile_graphs() -> None:
     last: dict[str, Spectrum] = {}
     fallbacks = 0
-    for graph, k, end, nonzero, warm in hostile_graphs(2000, largest=400, seed=11):
+    for graph, k, end, nonzero, warm in hostile_graphs(1000, largest=400, seed=11):
         found = SOLVERS["graphrqi"](graph, k, end, last.get(end) if warm else None, 1e-8, nonzero)
         last[end] = found
         assert found.certified
         assert (errors_against_lapack(found, k, nonzero) < [1e-8, 1e-8, 1e-9]).all()
         fallbacks += found.note.startswith("fell back")
-    assert fallbacks <= 20
+    assert fallbacks <= 10
 
 
 @settings(max_examples=80, deadline=None)
@@ -155,19 +150,10 @@ def test_any_graph(data: st.DataObject) -> None:
     vertex = st.integers(0, max(d - 1, 0))
     drawn = data.draw(st.lists(st.tuples(vertex, vertex), max_size=3 * d)) if d else []
     edges = [(a, b) for a, b in drawn if a != b]
-    weights = data.draw(
-        st.one_of(
-            st.none(),
-            st.lists(st.sampled_from([1e-3, 0.5, 1.0, 2.0]), min_size=len(edges),
-                     max_size=len(edges)),
-        )
-    )  # fmt: skip
     k = data.draw(st.integers(1, 32))
     end: End = data.draw(st.sampled_from(ENDS))
     nonzero = data.draw(st.booleans())
-    found = SOLVERS["graphrqi"](
-        TrafficGraph.from_edges(range(d), edges, weights), k, end, nonzero=nonzero
-    )
+    found = SOLVERS["graphrqi"](TrafficGraph.from_edges(range(d), edges), k, end, nonzero=nonzero)
     assert found.certified
     assert errors_against_lapack(found, k, nonzero).max() < 1e-8
 
@@ -210,7 +196,7 @@ for end in ("largest", "smallest"):
                     previous = SOLVERS["graphrqi"](graph, k, end, previous, nonzero=nonzero)
                     assert previous.certified
 rng = np.random.default_rng(0)
-graph = TrafficGraph.empty(radius_m=12.0, scale_m=5.0)
+graph = TrafficGraph.empty(neighbors=3)
 for n in (0, 1, 2, 90, 40):
     xy = np.stack([500.0 * rng.random(n), 3.5 * rng.integers(0, 4, n)], axis=1)
     graph = graph.observe(rng.permutation(200)[:n], xy)
@@ -237,34 +223,26 @@ def test_the_previous_answer_may_be_of_other_vehicles() -> None:
 
 
 def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
-    from graphrqi.graph import cell_grid, ordering
-    from graphrqi.spectrum.certified import (
-        active_rows,
-        factorization,
-        rayleigh_ritz,
-        search,
-        shifts,
-        tracking,
-    )
+    from graphrqi.graph import kernels
+    from graphrqi.spectrum.certified import factorization, prepared, shifts, tracking
 
-    kernels = (active_rows, factorization, rayleigh_ritz, search, shifts, tracking)
     known = {
         (module, name): set(getattr(kernel, "signatures", ()))
-        for module in (cell_grid, ordering, *kernels)
+        for module in (kernels, factorization, prepared, shifts, tracking)
         for name, kernel in vars(module).items()
     }  # other tests give them what they like
     previous: Spectrum | None = None
     for name in ("eigh", "graphrqi", "arpack", "graphrqi"):
         for kind in ("instantaneous", "accumulated"):
             for graph in graph_sequence("road", kind, 64, 2):
-                again = TrafficGraph.from_edges(graph.ids, graph.edges, graph.weights)
+                again = TrafficGraph.from_edges(graph.ids, graph.edges)
                 for nonzero in (False, True):
                     previous = SOLVERS[name](graph, 4, "smallest", previous, nonzero=nonzero)
                     previous = SOLVERS[name](again, 4, "smallest", previous, nonzero=nonzero)
     for (module, name), before in known.items():
         kernel = vars(module)[name]
         assert len(set(getattr(kernel, "signatures", ())) - before) <= 1, name
-    assert len(tracking._track.signatures) == 1  # type: ignore[attr-defined]
+    assert len(tracking.track.signatures) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -313,23 +291,15 @@ def test_the_order_of_an_answer_does_not_matter_to_its_certificate(end: End) -> 
 
 def test_a_null_vector_over_all_components_is_known_for_one() -> None:
     """Spread over many, it is like none of their indicators; then its zero was counted twice."""
-    weights = 0.1 * np.arange(1, 31)
-    weights[7] = weights[6]
-    pairs = [(2 * i, 2 * i + 1) for i in range(30)]
-    graph = TrafficGraph.from_edges(range(60), pairs, weights)
+    paths = [[(i * 8 + j, i * 8 + j + 1) for j in range(i + 1)] for i in range(7)]
+    edges = [edge for path in paths for edge in path]
+    graph = TrafficGraph.from_edges(sorted({end for edge in edges for end in edge}), edges)
     full = full_spectrum(graph)
-    null = full.eigenvectors[:, :30].sum(axis=1) / np.sqrt(30)
-    values = np.concatenate([[0.0], full.eigenvalues[30:37]])
-    vectors = np.column_stack([null, full.eigenvectors[:, 30:37]])
-    missing = Spectrum(graph.ids, values, vectors, np.zeros(8), False, graph, "smallest")
+    null = full.eigenvectors[:, :7].sum(axis=1) / np.sqrt(7)
+    values = np.concatenate([[0.0], full.eigenvalues[7:13]])
+    vectors = np.column_stack([null, full.eigenvectors[:, 7:13]])
+    missing = Spectrum(graph.ids, values, vectors, np.zeros(7), False, graph, "smallest")
     assert not certify(missing).certified
-
-
-def test_only_the_null_space_itself_is_left_out() -> None:
-    graph = TrafficGraph.from_edges(range(4), [(0, 1), (1, 2), (2, 3)], [1.0, 1e-15, 1.0])
-    for name in ("eigh", "graphrqi", "graphrqi-exact", "graphrqi-paper"):
-        found = SOLVERS[name](graph, 1, "smallest", nonzero=True)
-        assert np.abs(null_space(graph).T @ found.eigenvectors).max() < 1e-12, name
 
 
 def test_the_truncated_decomposition_does_not_take_the_null_space_for_an_end() -> None:
@@ -378,7 +348,7 @@ def test_smallest_end_starts_with_the_component_indicators() -> None:
 
 def test_the_exact_update_is_the_dense_inverse() -> None:
     rng = np.random.default_rng(5)
-    values, weights = rng.random(30) * 9, np.array([1.0, -1.0, 0.3])
+    values, weights = rng.random(30) * 9, np.array([1.0, -1.0, 1.0])
     w = rng.normal(size=(30, 3))
     shifts, x = rng.random(4) * 9, rng.normal(size=(30, 4))
     found = exact._shifted_solves(values, w, weights, shifts, x, 9.0)
@@ -408,35 +378,27 @@ def test_the_printed_update_is_wrong_and_says_so() -> None:
     assert residuals[-1] > 0.1
 
 
-@pytest.mark.parametrize("part", [False, True], ids=["whole", "part"])
-def test_factorisation_counts_and_solves(part: bool) -> None:
-    from graphrqi.spectrum.certified import factorization as f
-    from graphrqi.spectrum.certified.analysis import analyse
+def test_factorisation_counts_and_solves() -> None:
+    from graphrqi.spectrum.certified.factorization import Factor, factor_and_solve, new_counts
+    from graphrqi.spectrum.certified.prepared import prepare
 
     rng = np.random.default_rng(6)
     for graph in graph_sequence("crossing", "accumulated", 70, 5, skip=10):
-        rows = rng.permutation(70)[:40].astype(np.int32)
-        analysis = analyse(graph, rows if part else None)
-        pattern = f.Pattern(*analysis.pattern)
-        d = analysis.order.size
-        matrix = graph.laplacian.toarray()[np.ix_(analysis.order, analysis.order)]
-        batch = np.zeros((5, 8))
-        batch[f.SHIFT] = rng.random(8) * 12.0
-        x = rng.normal(size=(d, 8))
+        prepared = prepare(graph)
+        order = prepared.order
+        matrix = graph.laplacian.toarray()[np.ix_(order, order)]
+        counts = new_counts()
+        counts.shift[0] = rng.random(8) * 12.0
+        x = rng.normal(size=(70, 8))
         solution = x.copy()
-        factor = np.empty((analysis.factor_entries, 8))
-        memory = f.FactorMemory(factor, np.empty((d, 8)), np.empty((d, 8)))
-        f.factor_and_solve(pattern, batch, 1e-15, True, 1, memory, solution)
+        factor = Factor(np.empty((prepared.entries.size, 8)), np.empty((70, 8)), np.empty((70, 8)))
+        factor_and_solve(prepared, counts, 1e-15, 1, factor, solution)
         values = np.linalg.eigvalsh(matrix)
-        for q, shift in enumerate(batch[f.SHIFT]):
-            assert batch[f.ABOVE, q] == (values > shift).sum()
-            residual = (matrix - shift * np.eye(d)) @ solution[:, q] - x[:, q]
-            size = np.linalg.norm(solution[:, q]) * batch[f.GROWTH, q]
+        for q, shift in enumerate(counts.shift[0]):
+            assert counts.above[0, q] == (values > shift).sum()
+            residual = (matrix - shift * np.eye(70)) @ solution[:, q] - x[:, q]
+            size = np.linalg.norm(solution[:, q]) * counts.growth[0, q]
             assert np.linalg.norm(residual) < 1e-12 * max(size, 1.0)
-        again, before = x.copy(), batch.copy()
-        f.factor_and_solve(pattern, batch, 1e-15, False, 1, memory, again)
-        assert np.allclose(again, solution, rtol=1e-10)
-        assert (batch == before).all()
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -444,13 +406,10 @@ def test_factorisation_counts_and_solves(part: bool) -> None:
     ("arguments", "message"),
     [
         ({"num_pairs": 0}, "num_pairs: found 0"),
-        ({"num_pairs": 2.5}, "num_pairs: found 2.5"),
         ({"end": "middle"}, "end: found 'middle'"),
         ({"tol": 0.0}, "tol: found 0.0"),
-        ({"tol": float("nan")}, "tol: found nan"),
-        ({"tol": "1"}, "tol: found '1'"),
     ],
-    ids=["no pairs", "half a pair", "no end", "no tolerance", "nan", "a word"],
+    ids=["no pairs", "no end", "no tolerance"],
 )
 def test_bad_arguments_are_refused(name: str, arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
@@ -471,22 +430,7 @@ def test_a_spectrum_shows_itself() -> None:
     found = SOLVERS["graphrqi"](graph, 20, "smallest")
     for part in ("20 pairs at the smallest end", "60 vehicles with ids 3 to 62", "certified"):
         assert part in repr(found)
-    long = replace(found, note="<b>" + 500 * "word ", certified=False)
-    assert len(repr(long)) < 400
-    assert "not certified" in repr(long)
-    assert long._repr_html_().count("<tr>") == 12  # a head, ten pairs, how many more
-    assert "<b>" not in long._repr_html_()
-    nothing = SOLVERS["eigh"](SHAPES["nothing"], 4)
-    assert repr(nothing) == "Spectrum(0 pairs at the largest end, 0 vehicles, certified)"
-    assert nothing._repr_html_().count("<tr>") == 1
-
-
-def test_a_spectrum_as_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = SOLVERS["eigh"](SHAPES["star"], 3)
+    assert found._repr_html_().count("<tr>") == 12  # a head, ten pairs, how many more
     table = found.to_pandas()
     np.testing.assert_array_equal(table.to_numpy(), found.eigenvectors)
     assert table.index.tolist() == found.ids.tolist()
-    assert table.columns.tolist() == found.eigenvalues.tolist()
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="pip install pandas"):
-        found.to_pandas()

@@ -132,13 +132,6 @@ function beliefOf(index, time) {
   return beliefAt(index, latest(arrays.beliefTime, time));
 }
 
-// What is known of a driver's numbers: pairs of a name and an interval in words.
-function numbersOf(index, time) {
-  let known = [];
-  for (const [since, told] of data.agents[index].numbers) if (since <= time + data.begin + 1e-6) known = told;
-  return known;
-}
-
 function mostLikely(belief) {
   return belief ? belief.indexOf(Math.max(...belief)) : -1;
 }

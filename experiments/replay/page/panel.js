@@ -172,7 +172,6 @@ function updateAgent() {
   if (code >= 0 && !told) rows.push(["predicted", swatch(data.unknown), `unknown; nearest to ${data.behaviors[code].name}, ${Math.round(100 * belief[code])}\u00a0%`]);
   else if (code >= 0) rows.push(["predicted", swatch(data.behaviors[code].color), `${data.behaviors[code].name}, ${Math.round(100 * belief[code])} %`]);
   else rows.push(["predicted", !place ? "not in sight" : data.kinds[agent.kind] === "pedestrian" ? "does not drive" : "not yet known"]);
-  for (const [name, said] of place ? numbersOf(index, player.time) : []) rows.push([name, said]);
   if (place) {
     rows.push(["speed", data.unit === "m" ? `${place.speed.toFixed(1)} m/s (${Math.round(3.6 * place.speed)} km/h)` : `${place.speed.toFixed(1)} ${data.unit}/s`]);
     const w = wOf(index, player.time);

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,49 +93,6 @@ def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
         ignores=np.zeros((n, 2), dtype=np.bool_),
         caution=np.zeros((n, 2)),
     )
-
-
-class OwnNumbers(Protocol):
-    """What is known of drivers' own numbers, such as `graphrqi.calibrate.live.DriverNumbers`.
-
-    Attributes:
-        ids: (m,) agent ids, ascending.
-        factor: (m, 5) each driver's numbers over the usual driver's, columns as
-            ``driver_table.DRIVER_FIELDS``; 1 where they are not known.
-    """
-
-    @property
-    def ids(self) -> NDArray[np.int64]:
-        """See the class."""
-        ...
-
-    @property
-    def factor(self) -> FloatArray:
-        """See the class."""
-        ...
-
-
-def with_own_numbers(
-    parameters: DriverParameters, ids: NDArray[np.int64], own: OwnNumbers
-) -> DriverParameters:
-    """The same, scaled by each driver's own numbers over the usual driver's.
-
-    Ratios are carried over because the numbers of one law predict badly in another. The wished
-    speed is not scaled: it is the one that the driver was seen driving.
-
-    Args:
-        parameters: of the scene's drivers.
-        ids: (n,) who they are.
-        own: what is known; drivers that are not in it keep their parameters.
-    """
-    row = np.searchsorted(own.ids, ids)
-    there = np.minimum(row, max(own.ids.size - 1, 0))
-    found = own.ids.size > 0
-    known = own.ids[there] == ids if found else np.zeros(ids.size, dtype=np.bool_)
-    factor = np.ones_like(parameters.following)
-    if found:
-        factor[known, 1:] = own.factor[there[known], 1:]
-    return dataclasses.replace(parameters, following=parameters.following * factor)
 
 
 def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:

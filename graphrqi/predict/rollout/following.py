@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,11 +11,9 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout.driver_parameters import (
     DriverParameters,
-    OwnNumbers,
     average_parameters,
     expected_parameters,
     with_caution,
-    with_own_numbers,
 )
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table
 from graphrqi.predict.rollout.rollout import positions, roll
@@ -70,24 +66,6 @@ def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Predicti
     """Everyone driven on along its most likely way."""
     routed = on_likely_paths(scene, drivers)
     return scene.predicted(positions(routed, roll(routed, drivers, decay_s)))
-
-
-def by_own_numbers(scene: Scene, posterior: Posterior, own: OwnNumbers) -> Prediction:
-    """As `car-following`, with parameters scaled by each driver's own numbers.
-
-    Args:
-        scene: the present.
-        posterior: beliefs about the behaviours; of those whose numbers are known, the average
-            driver's numbers are taken instead of the behaviour's.
-        own: drivers' own numbers.
-    """
-    table = default_table()
-    aware_of = expected_parameters(scene, posterior.worth(scene.ids), table)
-    blind_to = average_parameters(scene, table)
-    known = np.isin(scene.ids, own.ids[(own.factor != 1.0).any(axis=1)])
-    following = np.where(known[:, None], blind_to.following, aware_of.following)
-    drivers = dataclasses.replace(aware_of, following=following)
-    return _driven(scene, with_own_numbers(drivers, scene.ids, own), table.decay_s)
 
 
 def oracle(scene: Scene, posterior: Posterior) -> Prediction:

@@ -37,8 +37,8 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
         could matter leaves the answer uncertified, and so do vectors of which it cannot be told
         whether they are to hold the null space.
     """
-    from graphrqi.spectrum.certified import factorization
-    from graphrqi.spectrum.certified.analysis import analyse
+    from graphrqi.spectrum.certified.factorization import Factor, factor_and_solve, new_counts
+    from graphrqi.spectrum.certified.prepared import prepare
 
     graph = spectrum.graph
     values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
@@ -47,7 +47,7 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     if not measured.certified or k == 0:
         return measured
     scale = laplacian_scale(graph)
-    matrix = analyse(graph)
+    matrix = prepare(graph)
     if matrix.work > MAX_WORK:
         return replace(measured, certified=False)
     away = -1.0 if spectrum.end == "largest" else 1.0
@@ -55,19 +55,10 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     last = values.min() if spectrum.end == "largest" else values.max()
     delta = min(tol * scale, max(floor, 1e-2 * abs(last)))
     steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
-    batch = np.empty((5, 8))
-    batch[factorization.SHIFT] = last + away * steps
-    factor = np.empty((matrix.factor_entries, 8))
-    memory = factorization.FactorMemory(factor, np.empty((d, 8)), np.empty((d, 8)))
-    factorization.factor_and_solve(
-        factorization.Pattern(*matrix.pattern),
-        batch,
-        1e-15 * scale,
-        True,
-        0,
-        memory,
-        np.zeros((d, 8)),
-    )
+    counts = new_counts()
+    counts.shift[0] = last + away * steps
+    factor = Factor(np.empty((matrix.entries.size, 8)), np.empty((d, 8)), np.empty((d, 8)))
+    factor_and_solve(matrix, counts, 1e-15 * scale, 0, factor, np.zeros((d, 8)))
     zeros = 0
     if spectrum.end == "smallest":
         cosine = _null_space_cosine(graph, vectors)
@@ -75,7 +66,7 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
             return replace(measured, certified=False)
         zeros = matrix.components if cosine <= WITHOUT_NULL_SPACE else 0
     complete = False
-    for s, n, g in batch[: factorization.GROWTH + 1].T:
+    for s, n, g in zip(counts.shift[0], counts.above[0], counts.growth[0], strict=True):
         error = 4.0 * 2.2e-16 * g
         if (np.abs(values - s) <= error + measured.residuals).any():
             continue
@@ -91,15 +82,7 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
 
 
 def _null_space_cosine(graph: TrafficGraph, vectors: Floats) -> float:
-    """Cosine of the least angle between the null space and a span: 1 if they share a vector.
-
-    Args:
-        graph: d vehicles.
-        vectors: (d, k) orthonormal columns.
-
-    Returns:
-        The largest singular value of N^T V, N the indicators of the components.
-    """
+    """Cosine of the least angle between the null space and a span of orthonormal columns."""
     label = components(graph)
     along = np.stack([np.bincount(label, weights=column) for column in vectors.T])
     return float(np.linalg.norm(along / np.sqrt(np.bincount(label)), 2))

@@ -6,17 +6,9 @@ import math
 
 import numpy as np
 
-from graphrqi.spectrum.certified.factorization import Pattern
-from graphrqi.spectrum.certified.search import (
-    BATCH_RESIDUAL,
-    BATCH_RITZ,
-    FOUND,
-    STATUS,
-    Floats,
-    Ints,
-    Search,
-)
-from graphrqi.spectrum.certified.simd import less, load, more, plus, spread, store
+from graphrqi.spectrum.certified.eight import less, load, more, plus, spread, store
+from graphrqi.spectrum.certified.prepared import Prepared
+from graphrqi.spectrum.certified.search import FOUND, Floats, Ints, Search
 from sim.compiled import inner
 
 INDEPENDENT_SQUARED = 1e-6
@@ -27,22 +19,20 @@ CHUNK = 128
 
 
 @inner
-def rayleigh_ritz(pattern: Pattern, search: Search) -> None:
+def rayleigh_ritz(matrix: Prepared, search: Search) -> None:
     """Ritz pairs of M in the span of the eight columns, outside the span of the vectors found.
 
-    Args:
-        pattern: M.
-        search: ``x`` is overwritten by the Ritz vectors, ``batch`` by the Ritz values theta and the
-            norms of M x - theta x, ``source`` by the column that has the largest part in each.
-            Where the columns have a smaller span, a Ritz vector is 0 and its source -1.
+    ``search.x`` is overwritten by the Ritz vectors, ``theta`` by the Ritz values, ``norm`` by the
+    norms of M x - theta x, and ``source``. Where the columns have a smaller span, a Ritz vector is
+    0 and its source -1.
     """
-    pool, x, ax, batch, source = search.pool, search.x, search.ax, search.batch, search.source
-    d = pool.shape[1]
+    x, ax, source = search.x, search.ax, search.source
+    d = len(x)
     g, h = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
     w, norms = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
-    orthogonalise(pool, search.record, x, norms)
-    multiply(pattern.starts, pattern.rows, pattern.entries, pattern.diagonal, x, ax)
-    gram_matrices(d, x, ax, g, h)
+    orthogonalise(search, norms)
+    multiply(matrix, x, ax)
+    gram_matrices(x, ax, g, h)
     orthonormal_basis(g, h, w, norms, source)
     for a in range(8):
         for b in range(8):
@@ -53,17 +43,16 @@ def rayleigh_ritz(pattern: Pattern, search: Search) -> None:
     jacobi(g, w)
     turn = norms
     for c in range(8):
-        batch[BATCH_RITZ, c] = g[c, c]
+        search.theta[0, c] = g[c, c]
         for b in range(8):
             turn[b, c] = w[c, b]
             largest = source[c]
             if largest >= 0 and abs(w[c, b]) > abs(w[c, largest]):
                 source[c] = b
-    value = load(batch, BATCH_RITZ)
-    nothing = spread(0.0)
-    square = nothing
+    value = load(search.theta, 0)
+    square = spread(0.0)
     for j in range(d):
-        y = z = nothing
+        y = z = spread(0.0)
         for a in range(8):
             turned = load(turn, a)
             y = plus(y, x[j, a], turned)
@@ -71,24 +60,20 @@ def rayleigh_ritz(pattern: Pattern, search: Search) -> None:
         store(x, j, y)
         z = less(z, value, y)
         square = more(square, z, z)
-    store(batch, BATCH_RESIDUAL, square)
+    store(search.norm, 0, square)
     for c in range(8):
-        batch[BATCH_RESIDUAL, c] = math.sqrt(batch[BATCH_RESIDUAL, c])
+        search.norm[0, c] = math.sqrt(search.norm[0, c])
 
 
 @inner
-def orthogonalise(pool: Floats, record: Floats, x: Floats, norms: Floats) -> None:
+def orthogonalise(search: Search, norms: Floats) -> None:
     """Make the eight columns orthogonal to the vectors found (Gram-Schmidt, twice if need be).
 
-    Args:
-        pool: (n, d) vectors by row.
-        record: which of them are found.
-        x: (d, 8), overwritten.
-        norms: (2 or more, 8), overwritten by the squared norms before and after.
+    The first two rows of ``norms`` are overwritten by the squared norms before and after.
     """
+    pool, x = search.pool, search.x
     slots, d = pool.shape
-    nothing = spread(0.0)
-    square = nothing
+    square = spread(0.0)
     for j in range(d):
         y = load(x, j)
         square = more(square, y, y)
@@ -96,18 +81,18 @@ def orthogonalise(pool: Floats, record: Floats, x: Floats, norms: Floats) -> Non
     share = np.empty((slots, 8), np.float64)
     for _ in range(2):  # in chunks that stay in the cache
         for b in range(slots):
-            store(share, b, nothing)
+            store(share, b, spread(0.0))
         for start in range(0, d, CHUNK):
             for b in range(slots):
-                if record[STATUS, b] == FOUND:
+                if search.status[b] == FOUND:
                     part = load(share, b)
                     for j in range(start, min(start + CHUNK, d)):
                         part = plus(part, -pool[b, j], load(x, j))
                     store(share, b, part)
-        square = nothing
+        square = spread(0.0)
         for start in range(0, d, CHUNK):
             for b in range(slots):
-                if record[STATUS, b] == FOUND:
+                if search.status[b] == FOUND:
                     part = load(share, b)
                     for j in range(start, min(start + CHUNK, d)):
                         store(x, j, plus(load(x, j), pool[b, j], part))
@@ -123,39 +108,28 @@ def orthogonalise(pool: Floats, record: Floats, x: Floats, norms: Floats) -> Non
 
 
 @inner
-def multiply(
-    starts: Ints, rows: Ints, entries: Floats, diagonal: Floats, x: Floats, ax: Floats
-) -> None:
-    """Multiply M with eight columns: ``ax`` (d, 8) is overwritten by M x.
-
-    Args:
-        starts: (d + 1,) column starts of M's strict lower triangle.
-        rows: its rows.
-        entries: its values.
-        diagonal: (d,) of M.
-        x: (d, 8).
-        ax: (d, 8), overwritten.
-    """
+def multiply(matrix: Prepared, x: Floats, ax: Floats) -> None:
+    """Overwrite ``ax`` (d, 8) by M x."""
+    starts, rows, entries, diagonal = matrix.starts, matrix.rows, matrix.entries, matrix.diagonal
     d = diagonal.size
-    nothing = spread(0.0)
     for j in range(d):
-        store(ax, j, plus(nothing, diagonal[j], load(x, j)))
+        store(ax, j, plus(spread(0.0), diagonal[j], load(x, j)))
     for j in range(d):
-        y, sum_j = load(x, j), load(ax, j)
+        y, total = load(x, j), load(ax, j)
         for p in range(starts[j], starts[j + 1]):
             v, i = entries[p], rows[p]
-            sum_j = plus(sum_j, v, load(x, i))
+            total = plus(total, v, load(x, i))
             store(ax, i, plus(load(ax, i), v, y))
-        store(ax, j, sum_j)
+        store(ax, j, total)
 
 
 @inner
-def gram_matrices(d: int, x: Floats, ax: Floats, g: Floats, h: Floats) -> None:
-    """Overwrite ``g`` (8, 8) by x^T x and ``h`` (8, 8) by x^T M x, of their first d rows."""
-    nothing = spread(0.0)
+def gram_matrices(x: Floats, ax: Floats, g: Floats, h: Floats) -> None:
+    """Overwrite ``g`` (8, 8) by x^T x and ``h`` (8, 8) by x^T M x."""
+    d = len(x)
     for a in range(8):
-        store(g, a, nothing)
-        store(h, a, nothing)
+        store(g, a, spread(0.0))
+        store(h, a, spread(0.0))
     for start in range(0, d, CHUNK):
         for a in range(8):
             ga, ha = load(g, a), load(h, a)
@@ -171,17 +145,10 @@ def gram_matrices(d: int, x: Floats, ax: Floats, g: Floats, h: Floats) -> None:
 def orthonormal_basis(g: Floats, h: Floats, w: Floats, norms: Floats, source: Ints) -> None:
     """Elimination turns the identity into rows w with w g w^T = I, and h into w h.
 
-    Args:
-        g: (8, 8) the columns' Gram matrix; overwritten.
-        h: (8, 8) overwritten by w h.
-        w: (8, 8) overwritten.
-        norms: the columns' squared norms before and after `orthogonalise`.
-        source: (8,) overwritten by 0; -1 for a column with too little outside the span of the
-            others, whose row of w is 0.
+    A column with too little outside the span of the others gets a row 0 and the source -1.
     """
-    nothing = spread(0.0)
     for a in range(8):
-        store(w, a, nothing)
+        store(w, a, spread(0.0))
         w[a, a] = 1.0
     for a in range(8):
         s = g[a, a]
@@ -190,8 +157,8 @@ def orthonormal_basis(g: Floats, h: Floats, w: Floats, norms: Floats, source: In
         if kept and s > INDEPENDENT_SQUARED * norms[1, a]:
             r = 1.0 / math.sqrt(s)
         source[a] = 0 if r > 0.0 else -1
-        row_g, row_h = plus(nothing, r, load(g, a)), plus(nothing, r, load(h, a))
-        row_w = plus(nothing, r, load(w, a))
+        row_g, row_h = plus(spread(0.0), r, load(g, a)), plus(spread(0.0), r, load(h, a))
+        row_w = plus(spread(0.0), r, load(w, a))
         store(h, a, row_h)
         store(w, a, row_w)
         for b in range(a + 1, 8):
@@ -203,13 +170,7 @@ def orthonormal_basis(g: Floats, h: Floats, w: Floats, norms: Floats, source: In
 
 @inner
 def jacobi(h: Floats, w: Floats) -> None:
-    """Diagonalise a symmetric (8, 8) matrix by cyclic Jacobi rotations.
-
-    Args:
-        h: overwritten by its diagonal form.
-        w: (8, 8), whose rows are turned along.
-    """
-    nothing = spread(0.0)
+    """Diagonalise a symmetric h (8, 8) by cyclic Jacobi rotations; the rows of w turn along."""
     for _ in range(12):
         off = total = 0.0
         for a in range(8):
@@ -231,30 +192,26 @@ def jacobi(h: Floats, w: Floats) -> None:
                 for i in range(8):
                     u, v = h[i, a], h[i, b]
                     h[i, a], h[i, b] = c * u - s * v, s * u + c * v
-                y, z = load(h, a), load(h, b)
-                store(h, a, plus(plus(nothing, c, y), -s, z))
-                store(h, b, plus(plus(nothing, s, y), c, z))
-                y, z = load(w, a), load(w, b)
-                store(w, a, plus(plus(nothing, c, y), -s, z))
-                store(w, b, plus(plus(nothing, s, y), c, z))
+                turn_rows(h, a, b, c, s)
+                turn_rows(w, a, b, c, s)
 
 
 @inner
-def deflate_constants(
-    x: Floats, component: Ints, size: Floats, mean: Floats, norms: Floats
-) -> None:
+def turn_rows(m: Floats, a: int, b: int, c: float, s: float) -> None:
+    """Rotate rows a and b of (8, 8) numbers by the angle of cosine c and sine s."""
+    y, z = load(m, a), load(m, b)
+    store(m, a, plus(plus(spread(0.0), c, y), -s, z))
+    store(m, b, plus(plus(spread(0.0), s, y), c, z))
+
+
+@inner
+def deflate_constants(x: Floats, component: Ints, size: Floats) -> None:
     """Make the eight columns orthogonal to the indicators of the components, -L's null space.
 
-    Args:
-        x: (d, 8), overwritten; a column of which nothing is left becomes 0.
-        component: (d,) component of each place.
-        size: (c,) their sizes.
-        mean: (c, 8) memory.
-        norms: (2, 8) memory.
+    A column of which nothing is left becomes 0.
     """
+    mean, norms = np.zeros((size.size, 8), np.float64), np.empty((2, 8), np.float64)
     total = rest = spread(0.0)
-    for c in range(size.size):
-        store(mean, c, total)
     for j in range(component.size):
         y = load(x, j)
         total = more(total, y, y)

@@ -11,25 +11,22 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.spectrum.certified.simd import aligned
+from graphrqi.spectrum.certified.eight import new_rows
+from graphrqi.spectrum.certified.factorization import Counts
 from sim.compiled import inner
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
-
-GoalValues: TypeAlias = tuple[int, int, bool, float, float, float, float, int]
+Bools: TypeAlias = NDArray[np.bool_]
 
 MAX_COUNTS = 400
 """Shifts whose counts are kept."""
 SPARE = 24
 """Vectors kept beyond twice the wanted number: those of three factorisations."""
-
-# Rows of `record`: Ritz value, residual, the shift it came from, what it is, how often it was
-# tried in vain, whether it is in use in this round.
-RITZ, RESIDUAL, ORIGIN, STATUS, AGE, USED = 0, 1, 2, 3, 4, 5
-FREE, CANDIDATE, FOUND, NEW = 0.0, 1.0, 2.0, 3.0  # values of STATUS
-COUNT, IDLE = -1, -2  # values of `vector` where a shift has no vector
-BATCH_RITZ, BATCH_RESIDUAL = 3, 4  # rows of `batch` beyond those of `factorization`
+FREE, NEW, CANDIDATE, FOUND = 0, 1, 2, 3
+"""Status of a vector: none, to be filled with noise, not converged, converged."""
+COUNT, IDLE = -1, -2
+"""Instead of a vector: the shift only counts, or is not in use."""
 
 
 class Goal(NamedTuple):
@@ -62,26 +59,42 @@ class Search(NamedTuple):
 
     Attributes:
         pool: (n, d) vectors; those found are orthonormal.
-        record: (6, n) what is known of each: RITZ to USED.
-        batch: (5, 8) the eight: shift, count above it, largest pivot, Ritz value, residual.
-        vector: (8,) the vector in the pool of each of the eight, COUNT or IDLE.
+        ritz: (n,) the Ritz value of each.
+        residual: (n,) its residual.
+        origin: (n,) the shift that it came from.
+        status: (n,) `FREE` to `FOUND`.
+        age: (n,) how often it was tried in vain.
+        used: (n,) whether it is in use in this round.
+        counts: shifts of the eight, and what was counted.
+        vector: (8,) the vector in the pool of each of the eight, `COUNT` or `IDLE`.
+        theta: (1, 8) Ritz values of the eight.
+        norm: (1, 8) their residuals.
         source: (8,) of the eight, the column with the largest part in each Ritz vector; -1 if
             there is no Ritz vector.
         x: (d, 8) the eight as columns.
         ax: (d, 8) M times them, or memory of a factorisation.
-        shifts: (2, m) shifts that were counted, descending, and their uncertainties.
+        counted: (m,) shifts that were counted, descending.
+        doubt: (m,) their uncertainties.
         above: (m,) eigenvalues above each.
         reliable: (m,) the counts that no rounding error can have spoilt.
     """
 
     pool: Floats
-    record: Floats
-    batch: Floats
+    ritz: Floats
+    residual: Floats
+    origin: Floats
+    status: Ints
+    age: Ints
+    used: Bools
+    counts: Counts
     vector: Ints
+    theta: Floats
+    norm: Floats
     source: Ints
     x: Floats
     ax: Floats
-    shifts: Floats
+    counted: Floats
+    doubt: Floats
     above: Ints
     reliable: Ints
 
@@ -90,32 +103,31 @@ class Search(NamedTuple):
 def new_search(goal: Goal, d: int, ignored: int) -> Search:
     """Memory for d rows; two shifts are counted already: all eigenvalues are between low and high.
 
-    Args:
-        goal: what is searched for.
-        d: rows.
-        ignored: eigenvalues that do not count.
-
-    Returns:
-        The memory, without a vector.
+    ``ignored`` eigenvalues do not count.
     """
-    slots = 2 * goal.k + SPARE
-    record = np.empty((6, slots), np.float64)
-    for b in range(slots):
-        record[STATUS, b] = FREE
-        record[USED, b] = 0
-    shifts, above = np.empty((2, MAX_COUNTS), np.float64), np.empty(MAX_COUNTS, np.int32)
-    shifts[0, 0], shifts[1, 0], above[0] = goal.high, 0.0, 0
-    shifts[0, 1], shifts[1, 1], above[1] = goal.low, 0.0, d - ignored
+    n = 2 * goal.k + SPARE
+    counted, doubt = np.empty(MAX_COUNTS, np.float64), np.empty(MAX_COUNTS, np.float64)
+    above = np.empty(MAX_COUNTS, np.int32)
+    counted[0], doubt[0], above[0] = goal.high, 0.0, 0
+    counted[1], doubt[1], above[1] = goal.low, 0.0, d - ignored
+    eight = np.empty((5, 8), np.float64)
     return Search(
-        np.empty((slots, d), np.float64),
-        record,
-        np.empty((5, 8), np.float64),
+        np.empty((n, d), np.float64),
+        np.zeros(n, np.float64),
+        np.zeros(n, np.float64),
+        np.zeros(n, np.float64),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.bool_),
+        Counts(eight[0:1], eight[1:2], eight[2:3]),
         np.empty(8, np.int32),
+        eight[3:4],
+        eight[4:5],
         np.empty(8, np.int32),
-        # Aligned to cache lines it is a quarter quicker; one spare row lets the data start on one.
-        aligned(np.empty((d + 1, 8), np.float64)),
-        aligned(np.empty((d + 1, 8), np.float64)),
-        shifts,
+        new_rows(d),
+        new_rows(d),
+        counted,
+        doubt,
         above,
         np.empty(MAX_COUNTS, np.int32),
     )

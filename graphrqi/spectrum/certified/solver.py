@@ -4,15 +4,11 @@ Rayleigh-quotient iterations for the k wanted pairs that share their factorisati
 
 1. Reverse Cuthill-McKee order (kept from step to step while it serves), elimination tree, pattern
    (almost no fill on traffic graphs).
-2. Rayleigh-Ritz in the span of the earlier eigenvectors, carried over by vehicle id. In a large
-   graph the eigenvectors of the largest eigenvalues live around a few vehicles of high degree:
-   all of this is done first for the part of the matrix where they are, which gives vectors that
-   the whole matrix only has to confirm. What that part misses, steps 3 to 5 find.
+2. Rayleigh-Ritz in the span of the earlier eigenvectors, carried over by vehicle id.
 3. One kernel factorises L - s I at eight shifts s at once: the Rayleigh quotients of the
    unconverged vectors, and places where something has to be counted. Each factorisation is
    applied twice to its vector, and a Rayleigh-Ritz step in the span of the eight results, outside
-   the pairs found already, gives the next ones. Where by the gain so far the same factors will do
-   for all that is left, they are applied once more (twice, where the factor is dense) instead.
+   the pairs found already, gives the next ones.
 4. The number of negative pivots of each factorisation is the number of eigenvalues below its
    shift (Sylvester's law of inertia). These counts say in which interval an eigenvalue is
    missing; there a new vector is started, mostly noise on the vehicles whose edges changed,
@@ -34,6 +30,16 @@ more, are answered densely by component, which is faster there.
 References:
     Parlett (1998), The Symmetric Eigenvalue Problem, sections 3.3, 4.6-4.9, 11.
     Grimes, Lewis, Simon (1994), A shifted block Lanczos algorithm, SIMAX 15, 228-272.
+
+Examples:
+    >>> road = [(i, i + 1) for i in range(99)]
+    >>> first = solve(TrafficGraph.from_edges(range(100), road), 3)
+    >>> exact = 2 - 2 * np.cos(np.pi * np.arange(99, 96, -1) / 100)
+    >>> bool(abs(first.eigenvalues - exact).max() < 1e-12), first.certified
+    (True, True)
+    >>> closed = TrafficGraph.from_edges(range(100), [*road, (99, 0)])
+    >>> solve(closed, 3, previous=first).eigenvalues.round(6).tolist()
+    [4.0, 3.996053, 3.996053]
 """
 
 from __future__ import annotations
@@ -45,19 +51,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.certified import active_rows, analysis, tracking
+from graphrqi.spectrum import arpack
 from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
+from graphrqi.spectrum.certified.prepared import Prepared, prepare
 from graphrqi.spectrum.certified.search import Goal
-from graphrqi.spectrum.contract import Pairs, answer, check_arguments
+from graphrqi.spectrum.certified.tracking import track
+from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.full import pairs_by_component
-from graphrqi.spectrum.rivals import arpack
-from graphrqi.spectrum.spectrum import End, Floats, Spectrum
-from graphrqi.spectrum.subspaces import (
-    carry_rows,
-    dense_pairs,
-    null_space,
-    pick,
-)
+from graphrqi.spectrum.spectrum import Floats, Spectrum
+from graphrqi.spectrum.subspaces import carry_rows
 
 DENSE_BELOW = 32
 """Vehicles below which a dense solution is faster (measured)."""
@@ -69,8 +71,6 @@ MAX_SWEEPS_COLD = 150
 """Factorisations before falling back."""
 DENSE_UP_TO = 3000
 """Vehicles up to which the fallback is dense: 9e6 doubles."""
-ACTIVE_FROM = 600
-"""Vertices from which the part where the vectors are is treated first (measured)."""
 STALE = 1.15
 """Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
 EXTRA = 8
@@ -84,111 +84,70 @@ class Carried(NamedTuple):
         vectors: (d, m) all eigenvectors found, m >= k, without the null space.
         order: (d,) elimination order to use again, or None to find a new one.
         fill: entries of the factor to one of the matrix when that order was found.
-        product: (d,) the Laplacian times noise, see `analysis.Analysis`, infinite for a new row;
-            None if not known.
-        workspace: (r, 8) memory that a factor fitted into; its numbers mean nothing.
+        product: (d,) see `prepared.Prepared`, infinite for a new row; None if not known.
+        lower: (r, 8) memory that a factor fitted into: what is asked for anew at every step is
+            given back to the system, and its first use costs as much as the factorisation.
     """
 
     vectors: Floats
     order: NDArray[np.int32] | None = None
     fill: float = 0.0
     product: Floats | None = None
-    workspace: Floats | None = None
+    lower: Floats | None = None
 
 
-def solve(
-    graph: TrafficGraph,
-    num_pairs: int = 8,
-    end: End = "largest",
-    previous: Spectrum | None = None,
-    tol: float = 1e-8,
-    nonzero: bool = False,
-) -> Spectrum:
-    """Compute pairs at one end and certify that none was missed.
-
-    Args:
-        graph: d vehicles.
-        num_pairs: how many pairs, at most d are returned.
-        end: "largest" or "smallest".
-        previous: earlier answer to start from, of other vehicles too.
-        tol: residual asked for, relative to max(1, lambda_max).
-        nonzero: leave out the null space.
-
-    Returns:
-        The pairs, certified; ``note`` tells of a fallback.
-
-    Raises:
-        InputError: for an argument out of range.
-
-    Examples:
-        >>> road = [(i, i + 1) for i in range(99)]
-        >>> first = solve(TrafficGraph.from_edges(range(100), road), 3)
-        >>> exact = 2 - 2 * np.cos(np.pi * np.arange(99, 96, -1) / 100)
-        >>> bool(abs(first.eigenvalues - exact).max() < 1e-12), first.certified
-        (True, True)
-        >>> closed = TrafficGraph.from_edges(range(100), [*road, (99, 0)])
-        >>> solve(closed, 3, previous=first).eigenvalues.round(6).tolist()
-        [4.0, 3.996053, 3.996053]
-    """
-    check_arguments(num_pairs, end, tol, previous)
-    d = graph.ids.size
+@eigensolver()
+def solve(problem: Problem) -> Pairs:
+    """Track the pairs from the earlier answer, and certify that none was missed."""
+    d = problem.graph.ids.size
     if d < DENSE_BELOW:
-        values, vectors = dense_pairs(graph, null_space(graph) if nonzero else None)
-        chosen = pick(values, num_pairs, end)
-        kept = vectors[:, chosen]
-        return answer(graph, Pairs(values[chosen], kept, True, "", Carried(kept)), end, tol)
-    if DENSE_SHARE * num_pairs >= d:
-        return _dense(graph, num_pairs, end, tol, nonzero, "")
-    warm = previous if previous is not None and previous.end == end else None
-    found = _track(graph, num_pairs, end, warm, tol, nonzero)
-    if found is None and warm is not None:
-        again = _track(graph, num_pairs, end, None, tol, nonzero)
-        if again is not None:
-            found = replace(again, note="started again without the earlier vectors")
-    if found is None:
-        found = _fall_back(graph, num_pairs, end, tol, nonzero)
-    return found
+        pairs = problem.dense()
+        return replace(pairs, carried=Carried(pairs.vectors))
+    if DENSE_SHARE * problem.asked >= d:
+        return _dense(problem)
+    previous = problem.previous
+    if previous is not None and previous.end != problem.end:
+        previous = None
+    found = _track(problem, previous)
+    if found is None and previous is not None:
+        found = _track(problem, None)
+        if found is not None:
+            found = replace(found, note="started again without the earlier vectors")
+    return _fall_back(problem) if found is None else found
 
 
-def _track(
-    graph: TrafficGraph,
-    num_pairs: int,
-    end: End,
-    previous: Spectrum | None,
-    tol: float,
-    nonzero: bool,
-) -> Spectrum | None:
-    """Analyse a Laplacian, track its pairs, and put the answer together; None if given up."""
+def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
+    """The pairs by the tracker; None if it gives up."""
+    graph, tol = problem.graph, problem.tol
     d = graph.ids.size
     start = _start(graph, previous)
-    smallest = end == "smallest"
-    matrix = analysis.analyse(graph, start.order, -1.0 if smallest else 1.0, start.product)
-    zeros, k = 0, num_pairs
-    if smallest and not nonzero:
-        zeros = min(matrix.components, num_pairs)
-        k = num_pairs - zeros
-    elif smallest or nonzero:
+    smallest = problem.end == "smallest"
+    matrix = prepare(graph, -1.0 if smallest else 1.0, start.order, start.product)
+    zeros, k = 0, problem.asked
+    if smallest and not problem.nonzero:
+        zeros = min(matrix.components, k)
+        k -= zeros
+    elif smallest or problem.nonzero:
         k = min(k, d - matrix.components)
     if DENSE_SHARE * k >= d - matrix.components:
-        return _dense(graph, num_pairs, end, tol, nonzero, "")
+        return _dense(problem)
     if matrix.work > MAX_WORK:
         return None
+    null = _null_vectors(matrix, zeros) if zeros else np.empty((d, 0))
     if k == 0:
-        null, carried = null_space(graph)[:, :zeros], Carried(np.empty((d, 0)))
-        return answer(graph, Pairs(np.zeros(zeros), null, True, "", carried), end, tol)
-    fill = (matrix.factor_entries + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
+        return Pairs(np.zeros(zeros), null, True, "", Carried(np.empty((d, 0))))
+    entries = matrix.entries.size
+    fill = (entries + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
     first_fill = fill if start.order is None else start.fill
-    scale = matrix.scale
-    low, high = -1.0, 2.0 * scale + 1.0  # Gershgorin: at most twice the largest degree
+    low, high = -1.0, 2.0 * matrix.scale + 1.0  # Gershgorin: at most twice the largest degree
     if smallest:
         low, high = -high, 0.0
     sweeps = MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS
-    goal = Goal(int(k), EXTRA, smallest, scale, float(tol), low, high, sweeps)
-    vectors = start.vectors
-    workspace = analysis.workspace_for(matrix, start.workspace)
-    if not smallest and d >= ACTIVE_FROM and vectors.shape[1] >= k:
-        vectors = active_rows.track_active(graph, matrix, goal, vectors, workspace)
-    certified, pairs, found, departure = tracking.track(matrix, goal, vectors, workspace)
+    goal = Goal(int(k), EXTRA, smallest, matrix.scale, float(tol), low, high, sweeps)
+    lower = start.lower
+    if lower is None or len(lower) < entries:
+        lower = np.empty((entries + entries // 4 + 1, 8))
+    certified, pairs, found, departure = track(matrix, goal, start.vectors, lower)
     if not certified:
         return None
     values, residuals = pairs[0, :k].copy(), pairs[1, :k].copy()
@@ -198,18 +157,16 @@ def _track(
         # Newton's step to the nearest orthonormal block squares the departure
         found = 1.5 * found - 0.5 * found @ (found.T @ found)
         residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
-        if residuals.max() > tol * scale or departure > 1e-5:
+        if residuals.max() > tol * matrix.scale or departure > 1e-5:
             return None
+    vectors = found[:, :k].copy()
     if zeros:
-        null = null_space(graph)[:, :zeros]
         values = np.concatenate((np.zeros(zeros), values))
         residuals = np.concatenate((np.zeros(zeros), residuals))
-        vectors = np.concatenate((null, found[:, :k]), axis=1)
-    else:
-        vectors = found[:, :k].copy()
+        vectors = np.concatenate((null, vectors), axis=1)
     order = matrix.order if fill <= STALE * first_fill else None
-    carried = Carried(found, order, first_fill, matrix.product, workspace)
-    return Spectrum(graph.ids, values, vectors, residuals, True, graph, end, "", carried)
+    carried = Carried(found, order, first_fill, matrix.product, lower)
+    return Pairs(values, vectors, True, "", carried, residuals)
 
 
 def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
@@ -229,24 +186,34 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
     return found
 
 
-def _dense(
-    graph: TrafficGraph, num_pairs: int, end: End, tol: float, nonzero: bool, note: str
-) -> Spectrum:
-    values, vectors, null = pairs_by_component(graph)
-    if not nonzero:
+def _null_vectors(matrix: Prepared, count: int) -> Floats:
+    """(d, count) orthonormal indicators of components."""
+    size = np.bincount(matrix.label, minlength=1)
+    null = np.zeros((matrix.order.size, count))
+    mine = matrix.label < count
+    null[matrix.order[mine], matrix.label[mine]] = 1.0 / np.sqrt(size[matrix.label[mine]])
+    return null
+
+
+def _dense(problem: Problem, note: str = "") -> Pairs:
+    """The pairs by dense solutions of the components."""
+    values, vectors, null = pairs_by_component(problem.graph)
+    if not problem.nonzero:
         values = np.concatenate([np.zeros(null.shape[1]), values])
         vectors = np.hstack([null, vectors])
-    if end == "largest":
+    if problem.end == "largest":
         values, vectors = values[::-1], vectors[:, ::-1]
-    values, vectors = values[:num_pairs].copy(), vectors[:, :num_pairs].copy()
-    return answer(graph, Pairs(values, vectors, True, note, Carried(vectors)), end, tol)
+    values, vectors = values[: problem.asked].copy(), vectors[:, : problem.asked].copy()
+    return Pairs(values, vectors, True, note, Carried(vectors))
 
 
-def _fall_back(
-    graph: TrafficGraph, num_pairs: int, end: End, tol: float, nonzero: bool
-) -> Spectrum:
+def _fall_back(problem: Problem) -> Pairs:
+    """The pairs where the tracker gave up."""
+    graph = problem.graph
     if graph.ids.size <= DENSE_UP_TO:
-        return _dense(graph, num_pairs, end, tol, nonzero, "fell back on a dense solution")
-    found = arpack.solve(graph, num_pairs, end, None, tol, nonzero)
+        return _dense(problem, "fell back on a dense solution")
+    found = arpack.solve(graph, problem.asked, problem.end, None, problem.tol, problem.nonzero)
+    found = certify(found, problem.tol)
     carried = Carried(found.eigenvectors)
-    return certify(replace(found, note="fell back on ARPACK", carried=carried), tol)
+    note = "fell back on ARPACK"
+    return Pairs(found.eigenvalues, found.eigenvectors, found.certified, note, carried)

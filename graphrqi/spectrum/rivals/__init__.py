@@ -1,1 +1,1 @@
-"""The eigenvalue algorithms that the certified solver is compared with, one per file."""
+"""The eigenvalue algorithms of the paper's comparison, one per file."""

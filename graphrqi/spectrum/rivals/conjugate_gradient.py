@@ -57,14 +57,7 @@ def _solve_systems(
 ) -> Floats:
     """Solve L Y = X, or (shift I - L) Y = X where shift > 0, by conjugate gradients.
 
-    Args:
-        graph: d vehicles.
-        shift: 0, or above the spectrum.
-        right: (d, k) right-hand sides X.
-        outside: (d, c) null space to stay orthogonal to, or None.
-
-    Returns:
-        (d, k) the solutions, to 1e-10 or as near as the limit of products allows.
+    To 1e-10 or as near as the limit of products allows, orthogonal to the columns ``outside``.
     """
     laplacian = graph.laplacian
     inverse_diagonal = 1.0 / np.maximum(np.abs(shift - graph.degree), 1e-3)[:, None]

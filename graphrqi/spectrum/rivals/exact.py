@@ -1,19 +1,17 @@
 """The paper's algorithm made correct: every eigenpair updated by Rayleigh-quotient iterations.
 
-GraphRQI (Chandra et al. 2020) keeps all eigenpairs of the last graph and updates each by
-Rayleigh-quotient iteration, the shifted inverse being applied through the old eigenbasis by
-Sherman-Morrison. With w_e = e_i - e_j for every edge whose weight changed by s_e,
+With w_e = e_i - e_j for every edge that came (s_e = 1) or went (-1),
 
     L_t = blk(L_{t-1}, 0) + W S W^T,
 
 so in the old eigenbasis (padded with e_new at eigenvalue 0) the inverse of
 Lambda - mu I + W^ S W^^T is Woodbury's formula with one (p, p) system per pair.
 
-Differs from the paper: the update is a Laplacian, p edges at once; pairs that converge to one
-and the same vector are found by a pivoted orthogonalisation and made up for by a Rayleigh-Ritz
-step in the complement (deflation); the iteration stops on its residual.
+Differs from the paper: the update is a Laplacian, p edges at once; pairs that converge to one and
+the same vector are found by orthogonalisation and made up for by a Rayleigh-Ritz step in the
+complement (deflation); the iteration stops on its residual.
 
-Assumes that the vehicles of the earlier graph are all still there (else it restarts from a dense
+Assumes that the vehicles of the earlier graph are all still there (else it starts from a dense
 solution) and that few edges changed. Costs O(d p^2) for each of d pairs and O(d^3) for the
 back-transformation with d^2 memory: asymptotically no better than solving anew.
 
@@ -28,13 +26,11 @@ Examples:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.graph import change_between
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
+from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between
 from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import dense_pairs, pick, rayleigh_ritz
 
@@ -43,21 +39,7 @@ MAX_ITERATIONS = 8
 DEPENDENT = 0.1
 """A converged vector with less of it than this outside the span of the others is a duplicate."""
 RESTART_EDGES = 2.0
-"""Changed edges, in units of the square root of d, above which it solves anew: the update's d^2 p^2
-is then beyond any use."""
-
-
-@dataclass(frozen=True, eq=False)
-class AllPairs:
-    """What the update starts from.
-
-    Attributes:
-        values: (d,) all eigenvalues.
-        vectors: (d, d) all eigenvectors.
-    """
-
-    values: Floats
-    vectors: Floats
+"""Changed edges, in units of the square root of d, above which it solves anew."""
 
 
 @eigensolver()
@@ -76,115 +58,86 @@ def solve(problem: Problem) -> Pairs:
 def _updated(problem: Problem) -> tuple[tuple[Floats, Floats] | None, str]:
     """All pairs, updated from the earlier answer; None if that cannot be done, and a remark."""
     graph, previous = problem.graph, problem.previous
-    d = graph.ids.size
-    if previous is None or not isinstance(previous.carried, AllPairs):
-        return None, "solved anew: no earlier answer of this solver"
-    before = previous.graph
-    if not np.array_equal(graph.ids[: before.ids.size], before.ids):
-        return None, "solved anew: vehicles departed or changed their order"
-    change = change_between(before, graph)
-    if len(change.edges) > RESTART_EDGES * d**0.5:
+    old = all_pairs_before(previous, graph)
+    if old is None or previous is None:
+        return None, "solved anew: no earlier answer of this solver, or vehicles departed"
+    change = change_between(previous.graph, graph)
+    if len(change.edges) > RESTART_EDGES * graph.ids.size**0.5:
         return None, f"solved anew: {len(change.edges)} edges changed"
     goal = 0.1 * problem.tol * problem.scale
-    order = np.argsort(graph.ids)
-    ends = order[np.searchsorted(graph.ids[order], change.edges)]
-    values, vectors, finished = _update(previous.carried, d, ends, change.weights, goal)
+    values, vectors = update(old, graph.ids.size, change.rows(graph), change.signs, goal)
     drift = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
     if drift.max(initial=0.0) > 10.0 * goal:
         return None, "solved anew: rounding errors had built up"
-    note = f"{d - finished} of {d} pairs by Rayleigh-Ritz" if finished < d else ""
-    return (values, vectors), note
+    return (values, vectors), ""
 
 
-def _update(
-    old: AllPairs, d: int, ends: NDArray[np.int64], weights: Floats, goal: float
-) -> tuple[Floats, Floats, int]:
+def update(
+    old: AllPairs, d: int, ends: NDArray[np.int64], signs: Floats, goal: float
+) -> tuple[Floats, Floats]:
     """All eigenpairs after a change of p edges.
 
     Args:
         old: the c pairs before.
         d: vehicles now, the first c of them being the old ones.
         ends: (p, 2) rows joined by the changed edges.
-        weights: (p,) their change of weight, not 0.
+        signs: (p,) 1 for a new edge, -1 for one that is gone.
         goal: residual at which a pair has converged.
 
     Returns:
-        (d,) eigenvalues ascending, (d, d) eigenvectors, and how many converged to
-        different vectors by themselves.
+        (d,) eigenvalues ascending, (d, d) eigenvectors.
     """
     c = old.values.size
     spread = np.concatenate([old.values, np.zeros(d - c)])
     basis = np.eye(d)
     basis[:c, :c] = old.vectors
     w = basis[ends[:, 0]].T - basis[ends[:, 1]].T  # (d, p) W^ = U^T W
-    scale = max(1.0, float(np.abs(spread).max(initial=0.0)) + 2.0 * float(np.abs(weights).sum()))
+    scale = max(1.0, float(np.abs(spread).max(initial=0.0)) + 2.0 * signs.size)
     x = np.eye(d)  # column j is the iterate of pair j in the old eigenbasis
-    shift = spread + (w**2) @ weights
+    shift = spread + (w**2) @ signs
     norms = np.full(d, np.inf)
     active = np.arange(d)
     for _ in range(MAX_ITERATIONS):
-        y = _shifted_solves(spread, w, weights, shift[active], x[:, active], scale)
+        y = _shifted_solves(spread, w, signs, shift[active], x[:, active], scale)
         y /= np.linalg.norm(y, axis=0)
-        small = w.T @ y
-        applied = spread[:, None] * y + w @ (weights[:, None] * small)
+        applied = spread[:, None] * y + w @ (signs[:, None] * (w.T @ y))
         shift[active] = np.einsum("ij,ij->j", y, applied)
         norms[active] = np.linalg.norm(applied - y * shift[active], axis=0)
         x[:, active] = y
         active = active[norms[active] > goal]
         if not active.size:
             break
-    order = np.concatenate([np.flatnonzero(norms <= goal), np.flatnonzero(norms > goal)])
-    accepted = np.zeros((d, d))
-    m = 0
-    for j in order:  # Gram-Schmidt, twice; converged pairs first
-        if norms[j] > goal:
-            break
-        v = x[:, j] - accepted[:, :m] @ (accepted[:, :m].T @ x[:, j])
+    accepted = np.zeros((d, 0))
+    for j in np.flatnonzero(norms <= goal):  # Gram-Schmidt, twice
+        v = x[:, j] - accepted @ (accepted.T @ x[:, j])
         length = float(np.linalg.norm(v))
-        if length < DEPENDENT:
-            continue
-        v /= length
-        v -= accepted[:, :m] @ (accepted[:, :m].T @ v)
-        accepted[:, m] = v / np.linalg.norm(v)
-        m += 1
-    everything = np.diag(spread) + (w * weights) @ w.T
-    frame, _ = np.linalg.qr(accepted[:, :m], mode="complete")
-    frame[:, :m] = accepted[:, :m]
-    inside = frame.T @ everything @ frame
+        if length >= DEPENDENT:
+            v /= length
+            v -= accepted @ (accepted.T @ v)
+            accepted = np.column_stack([accepted, v / np.linalg.norm(v)])
+    m = accepted.shape[1]
+    everything = np.diag(spread) + (w * signs) @ w.T
+    frame, _ = np.linalg.qr(accepted, mode="complete")
+    frame[:, :m] = accepted
     if m < d:  # what no iteration reached: Rayleigh-Ritz in the orthogonal complement
-        _, turn = np.linalg.eigh(inside[m:, m:])
-        frame[:, m:] = frame[:, m:] @ turn
+        rest = frame[:, m:]
+        frame[:, m:] = rest @ np.linalg.eigh(rest.T @ everything @ rest)[1]
     final = np.einsum("ij,ij->j", frame, everything @ frame)
     order = np.argsort(final, kind="stable")
-    return final[order], (basis @ frame)[:, order], m
+    return final[order], (basis @ frame)[:, order]
 
 
 def _shifted_solves(
-    spread: Floats, w: Floats, weights: Floats, shifts: Floats, x: Floats, scale: float
+    spread: Floats, w: Floats, signs: Floats, shifts: Floats, x: Floats, scale: float
 ) -> Floats:
-    """(Lambda - mu_j I + W S W^T)^-1 x_j for every pair j, by Woodbury's formula.
-
-    Args:
-        spread: (d,) Lambda.
-        w: (d, p).
-        weights: (p,) diagonal of S.
-        shifts: (m,) mu.
-        x: (d, m) right-hand sides.
-        scale: size of the matrix; a shift within rounding of a pole is moved off it.
-
-    Returns:
-        (d, m) solutions.
-    """
+    """(Lambda - mu_j I + W S W^T)^-1 x_j for every pair j, by Woodbury's formula."""
     gap = spread[:, None] - shifts
-    floor = 1e-15 * scale
+    floor = 1e-15 * scale  # a shift within rounding of a pole is moved off it
     gap = np.where(np.abs(gap) < floor, np.where(gap < 0.0, -floor, floor), gap)
-    solved = x / gap
-    core = np.diag(1.0 / weights)
-    out = solved
+    out = x / gap
     for j in range(shifts.size):
         scaled = w / gap[:, j : j + 1]
-        system = core + w.T @ scaled
-        right = w.T @ solved[:, j]
+        system, right = np.diag(1.0 / signs) + w.T @ scaled, w.T @ out[:, j]
         try:
             step = np.linalg.solve(system, right)
         except np.linalg.LinAlgError:  # the shift is an eigenvalue to the last bit

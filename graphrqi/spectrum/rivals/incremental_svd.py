@@ -37,18 +37,7 @@ def solve(problem: Problem) -> Pairs:
 def fold_in(
     values: Floats, vectors: Floats, w: Floats, weights: Floats, rank: int
 ) -> tuple[Floats, Floats]:
-    """Rank-r approximation of U diag(values) U^T + W diag(S) W^T (Brand's eqs. 2-4).
-
-    Args:
-        values: (q,).
-        vectors: (d, q), orthonormal up to rows that were dropped.
-        w: (d, p).
-        weights: (p,).
-        rank: columns to keep.
-
-    Returns:
-        (r,) values and (d, r) orthonormal vectors.
-    """
+    """Rank-r approximation of U diag(values) U^T + W diag(S) W^T (Brand's eqs. 2-4)."""
     basis, corner = np.linalg.qr(np.hstack([vectors, w]))
     core = (corner * np.concatenate([values, weights])) @ corner.T
     inner, turn = np.linalg.eigh(0.5 * (core + core.T))

@@ -2,7 +2,8 @@
 
 Both keep the k largest pairs of a matrix M: the Laplacian itself at the largest end, s I - L at
 the smallest, where s bounds the spectrum (and the null space, if it is to be left out, is taken
-away from the k kept, so one more column per component is tracked).
+away from the k kept, so one more column per component is tracked). Where vehicles departed, or the
+spectrum outgrew the old bound, they start from a dense solution.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graphrqi.graph import TrafficGraph, change_between
+from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem
+from graphrqi.spectrum.rivals.changes import change_between
 from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import carry_rows, dense_pairs, pick, rayleigh_ritz
 
@@ -58,9 +60,8 @@ def carried_over(problem: Problem) -> tuple[Tracked, Floats, Floats] | None:
         problem: the graph, and the earlier answer.
 
     Returns:
-        None if a restart is needed (no earlier answer of this method and end, too few columns,
-        or a spectrum above the old bound). Else the approximation, (d, p) columns W and (p,)
-        weights S such that M is the old M (bordered by zeros) + W diag(S) W^T.
+        None if a restart is needed. Else the approximation, (d, p) columns W and (p,) weights S
+        such that M is the old M (bordered by zeros) + W diag(S) W^T.
     """
     graph, previous = problem.graph, problem.previous
     old = None if previous is None else previous.carried
@@ -68,27 +69,16 @@ def carried_over(problem: Problem) -> tuple[Tracked, Floats, Floats] | None:
         return None
     if old.values.size < rank_needed(problem) or (old.bound and old.bound < 2.0 * problem.scale):
         return None
-    vectors = carry_rows(previous, graph, old.vectors)
+    if not np.isin(previous.ids, graph.ids).all():
+        return None
     change = change_between(previous.graph, graph)
-    staying = np.isin(change.edges, graph.ids).all(axis=1)
-    order = np.argsort(graph.ids)
-    ends = order[np.searchsorted(graph.ids[order], change.edges[staying])]
-    weights = change.weights[staying]
-    w = np.zeros((graph.ids.size, len(ends)))
-    w[ends[:, 0], np.arange(len(ends))] = 1.0
-    w[ends[:, 1], np.arange(len(ends))] = -1.0
-    lost = np.zeros(graph.ids.size)  # an edge to a departed vehicle leaves its end's degree
-    for (a, b), weight in zip(change.edges[~staying], change.weights[~staying], strict=True):
-        for vehicle in (a, b):
-            lost[graph.ids == vehicle] += weight
-    hit = np.flatnonzero(lost)
-    sign = -1.0 if old.bound else 1.0
-    columns, sizes = [w, np.eye(graph.ids.size)[:, hit]], [sign * weights, sign * lost[hit]]
-    if old.bound and change.arrived.size:
-        columns.append(np.eye(graph.ids.size)[:, np.isin(graph.ids, change.arrived)])
-        sizes.append(np.full(change.arrived.size, old.bound))
-    tracked = replace(old, vectors=vectors)
-    return tracked, np.hstack(columns), np.concatenate(sizes)
+    unit = np.eye(graph.ids.size)
+    first, last = change.rows(graph).T
+    arrived = ~np.isin(graph.ids, previous.ids) if old.bound else np.zeros(graph.ids.size, bool)
+    w = np.hstack([unit[:, first] - unit[:, last], unit[:, arrived]])
+    signs = -change.signs if old.bound else change.signs
+    weights = np.concatenate([signs, np.full(int(arrived.sum()), old.bound)])
+    return replace(old, vectors=carry_rows(previous, graph, old.vectors)), w, weights
 
 
 def report(problem: Problem, tracked: Tracked, note: str) -> Pairs:

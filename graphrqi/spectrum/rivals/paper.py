@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphrqi.graph import TrafficGraph, change_between
+from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.rivals.exact import AllPairs
+from graphrqi.spectrum.full import full_spectrum
+from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between
 from graphrqi.spectrum.spectrum import Floats
-from graphrqi.spectrum.subspaces import dense_pairs, null_space
 
 MAX_ITERATIONS = 5
 """Rayleigh-quotient iterations per pair and update (none is printed)."""
@@ -41,71 +41,39 @@ def solve(problem: Problem) -> Pairs:
     are as there are components.
     """
     graph, previous = problem.graph, problem.previous
-    pairs = None
-    if previous is not None and isinstance(previous.carried, AllPairs):
-        before = previous.graph
-        if np.array_equal(graph.ids[: before.ids.size], before.ids):
-            pairs = _follow(previous.carried, before, graph)
-    if pairs is None:
-        null = null_space(graph)
-        values, vectors = dense_pairs(graph, null)
-        values = np.concatenate([np.zeros(null.shape[1]), values])
-        vectors = np.hstack([null, vectors])
-        order = np.arange(values.size)
+    old = all_pairs_before(previous, graph)
+    if old is None or previous is None:
+        full = full_spectrum(graph)
+        pairs, note = AllPairs(full.eigenvalues, full.eigenvectors), "solved anew"
     else:
-        values, vectors = pairs
-        order = np.argsort(values, kind="stable")
-    order = order[problem.null.shape[1] :]
-    fresh = pairs is None
-    return Pairs(
-        *problem.chosen(values[order], vectors[:, order]),
-        complete=fresh,
-        note="solved anew" if fresh else "",
-        carried=AllPairs(values, vectors),
-    )
+        pairs, note = _follow(old, previous.graph, graph), ""
+    order = np.argsort(pairs.values, kind="stable")[problem.null.shape[1] :]
+    chosen = problem.chosen(pairs.values[order], pairs.vectors[:, order])
+    return Pairs(*chosen, complete=note != "", note=note, carried=pairs)
 
 
-def _follow(pairs: AllPairs, before: TrafficGraph, graph: TrafficGraph) -> tuple[Floats, Floats]:
-    """Apply the printed update once for every vehicle that gained edges.
-
-    Args:
-        pairs: all pairs of the earlier graph, as this algorithm has them.
-        before: the earlier graph, whose rows come first in ``graph``.
-        graph: the later graph.
-
-    Returns:
-        (d,) values and (d, d) unit vectors.
-    """
+def _follow(pairs: AllPairs, before: TrafficGraph, graph: TrafficGraph) -> AllPairs:
+    """Apply the printed update once for every vehicle that gained edges."""
     values, vectors = pairs.values, pairs.vectors
     change = change_between(before, graph)
-    order = np.argsort(graph.ids)
-    ends = order[np.searchsorted(graph.ids[order], change.edges[change.weights > 0.0])]
-    first, last = np.sort(ends, axis=1).T
-    grown = set(range(before.ids.size, graph.ids.size))
+    first, last = np.sort(change.rows(graph)[change.signs > 0.0], axis=1).T
+    grown = range(before.ids.size, graph.ids.size)
     for vertex in sorted({*last.tolist(), *grown}):
-        d = values.size
         if vertex in grown:
-            d += 1
             values = np.append(values, 1.0)
-            border = np.eye(d)
-            border[: d - 1, : d - 1] = vectors
+            border = np.eye(values.size)
+            border[:-1, :-1] = vectors
             vectors = border
-        delta = np.zeros(d)
+        delta = np.zeros(values.size)
         delta[first[last == vertex]] = 1.0
         values, vectors = _rank_one(values, vectors, delta)
-    return values, vectors
+    return AllPairs(values, vectors)
 
 
 def _rank_one(values: Floats, vectors: Floats, delta: Floats) -> tuple[Floats, Floats]:
     """Rayleigh-quotient iterations for every pair of U Lambda U^T + delta delta^T.
 
-    Args:
-        values: (d,) Lambda.
-        vectors: (d, d) U, taken for orthonormal as the paper does.
-        delta: (d,).
-
-    Returns:
-        (d,) Rayleigh quotients and (d, d) unit vectors; nothing keeps these different.
+    U is taken for orthonormal as the paper does; nothing keeps the new vectors different.
     """
     r = vectors.T @ delta
     x = np.eye(values.size)

@@ -44,17 +44,7 @@ def solve(problem: Problem) -> Pairs:
 
 
 def perturb(values: Floats, vectors: Floats, w: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """First-order change of eigenpairs inside their own span.
-
-    Args:
-        values: (r,).
-        vectors: (d, r).
-        w: (d, p).
-        weights: (p,) the change is W diag(S) W^T.
-
-    Returns:
-        (r,) values + diag(U^T dM U) and (d, r) vectors, made orthonormal.
-    """
+    """First-order change of eigenpairs inside their own span, by W diag(S) W^T."""
     small = w.T @ vectors
     change = small.T @ (weights[:, None] * small)
     gap = values[None, :] - values[:, None]
@@ -65,14 +55,9 @@ def perturb(values: Floats, vectors: Floats, w: Floats, weights: Floats) -> tupl
 
 
 def drifted(graph: TrafficGraph, tracked: Tracked) -> bool:
-    """Whether the loss exceeds the least possible by more than the margin (the paper's theorem 1).
+    """Whether the loss exceeds the least possible by more than the margin (theorem 1).
 
-    Args:
-        graph: d vehicles.
-        tracked: the approximation to judge.
-
-    Returns:
-        True if a restart is called for; always, where vehicles came or went since the last.
+    Always, where vehicles came or went since the last restart.
     """
     if not np.array_equal(tracked.base.ids, graph.ids):
         return True
@@ -87,5 +72,6 @@ def drifted(graph: TrafficGraph, tracked: Tracked) -> bool:
 
 
 def _matrix(graph: TrafficGraph, bound: float) -> Floats:
+    """The matrix that is tracked."""
     laplacian: Floats = graph.laplacian.toarray()
     return bound * np.eye(graph.ids.size) - laplacian if bound else laplacian

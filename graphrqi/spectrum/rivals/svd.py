@@ -2,7 +2,7 @@
 
 A Laplacian is symmetric and positive semidefinite, so its singular values are its eigenvalues
 and its left singular vectors eigenvectors. Costs O(d^3), a few times
-`graphrqi.spectrum.rivals.eigh`, for it does not use the symmetry; fails nowhere.
+`graphrqi.spectrum.eigh`, for it does not use the symmetry; fails nowhere.
 
 References:
     Anderson et al. (1999), LAPACK Users' Guide, xGESDD.

@@ -1,1 +1,0 @@
-"""Ensembles of decision trees as plain arrays, and the kernel that evaluates them."""

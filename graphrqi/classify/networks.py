@@ -1,0 +1,202 @@
+"""The paper's networks, in PyTorch: a multi-layer perceptron, and long short-term memory.
+
+Both standardise their inputs and are trained in one way. The loss is the paper's squared error on
+one-hot labels (of the softmax, so that the outputs are probabilities: the Brier score) or
+cross-entropy. With validation data, training keeps the weights of the best epoch and divides the
+logits by the temperature that fits best.
+
+References:
+    Hochreiter, Schmidhuber (1997), Long short-term memory, Neural Computation 9, 1735.
+    Guo, Pleiss, Sun, Weinberger (2017), On calibration of modern neural networks, ICML.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from behaviors.errors import InputError
+from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
+from graphrqi.classify.softmax import best_temperature, tempered
+from graphrqi.classify.standardisation import Standardisation
+from graphrqi.portable_torch import adamw, one_thread
+
+Loss = Literal["squared-error", "cross-entropy"]
+
+
+class Mlp:
+    """Fully connected layers with ReLU and dropout.
+
+    Args:
+        num_classes: C.
+        hidden: widths of the hidden layers.
+        loss: the loss that is minimised.
+        epochs: passes over the training data.
+        dropout: share of hidden units silenced while training.
+        learning_rate: peak of a one-cycle schedule (Smith 2018) for AdamW.
+        weight_decay: AdamW's.
+        batch: samples per step.
+    """
+
+    def __init__(
+        self,
+        num_classes: int,
+        hidden: tuple[int, ...] = (128, 64),
+        loss: Loss = "cross-entropy",
+        epochs: int = 20,
+        dropout: float = 0.2,
+        learning_rate: float = 3e-3,
+        weight_decay: float = 1e-3,
+        batch: int = 512,
+    ) -> None:
+        if loss not in ("squared-error", "cross-entropy"):
+            raise InputError(f"loss: found {loss!r}, expected squared-error or cross-entropy")
+        self._num_classes = num_classes
+        self._hidden = tuple(hidden)
+        self._loss: Loss = loss
+        self._epochs, self._batch = epochs, batch
+        self._dropout, self._weight_decay = dropout, weight_decay
+        self._learning_rate = learning_rate
+        self._inputs = Standardisation(np.zeros(0), np.ones(0))
+        self._network: nn.Module = nn.Sequential()
+        self._temperature = 1.0
+
+    def _made(self, inputs: int) -> nn.Module:
+        """A network that has not been trained."""
+        layers: list[nn.Module] = []
+        for width in self._hidden:
+            layers += [nn.Linear(inputs, width), nn.ReLU(), nn.Dropout(self._dropout)]
+            inputs = width
+        return nn.Sequential(*layers, nn.Linear(inputs, self._num_classes))
+
+    def _tensor(self, features: FloatArray) -> Tensor:
+        return torch.from_numpy(self._inputs.apply(features).astype(np.float32))
+
+    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
+        """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
+        validation = of_trained_classes(validation, codes)
+        self._inputs = Standardisation.of(features)
+        with torch.random.fork_rng(devices=[]), one_thread():
+            torch.manual_seed(seed)
+            self._network = self._trained(features, codes, validation)
+        self._temperature = 1.0
+        if validation is not None:
+            every = np.ones(self._num_classes, dtype=np.bool_)
+            found = self.posterior(validation[0])
+            self._temperature = best_temperature(found, validation[1], every)
+
+    def _objective(self, logits: Tensor, y: Tensor) -> Tensor:
+        if self._loss == "cross-entropy":
+            return nn.functional.cross_entropy(logits, y)
+        one_hot = nn.functional.one_hot(y, self._num_classes).float()
+        return ((logits.softmax(dim=1) - one_hot) ** 2).sum(dim=1).mean()
+
+    def _trained(self, features: FloatArray, codes: CodeArray, held: HeldOut) -> nn.Module:
+        """A network after all epochs, with the weights of the best one."""
+        x, y = self._tensor(features), torch.from_numpy(codes.astype(np.int64))
+        network = self._made(x.shape[1])
+        optimizer = adamw(network.parameters(), self._learning_rate, self._weight_decay)
+        steps = max(1, -(-len(x) // self._batch))
+        schedule = torch.optim.lr_scheduler.OneCycleLR(
+            optimizer, self._learning_rate, total_steps=self._epochs * steps
+        )
+        best, best_loss = None, float("inf")
+        for _ in range(self._epochs):
+            network.train()
+            order = torch.randperm(len(x))
+            for first in range(0, len(x), self._batch):
+                rows = order[first : first + self._batch]
+                optimizer.zero_grad()
+                self._objective(network(x[rows]), y[rows]).backward()  # type: ignore[no-untyped-call]
+                optimizer.step()
+                schedule.step()
+            if held is not None:
+                network.eval()
+                with torch.inference_mode():
+                    truth = torch.from_numpy(held[1].astype(np.int64))
+                    loss = float(self._objective(network(self._tensor(held[0])), truth))
+                if loss < best_loss:
+                    best_loss = loss
+                    best = {k: v.clone() for k, v in network.state_dict().items()}
+        if best is not None:
+            network.load_state_dict(best)
+        return network.eval()
+
+    @torch.inference_mode()
+    def posterior(self, features: FloatArray) -> FloatArray:
+        """(n, C) probabilities."""
+        with one_thread():
+            logits = self._network(self._tensor(features)).double()
+        probability = np.asarray(logits.softmax(dim=1).numpy(), dtype=np.float64)
+        every = np.ones(self._num_classes, dtype=np.bool_)
+        return tempered(probability, self._temperature, every)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Weights, the standardisation and the temperature."""
+        weights = {f"network.{k}": v.numpy() for k, v in self._network.state_dict().items()}
+        return {**self._inputs.arrays(), **weights, "temperature": np.array([self._temperature])}
+
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
+        """See `graphrqi.classify.contract.Classifier.restore`."""
+        self._inputs = Standardisation.restored(arrays, num_features)
+        self._temperature = saved_temperature(arrays)
+        self._network = self._made(num_features)
+        self._network.load_state_dict(
+            {
+                name.removeprefix("network."): torch.from_numpy(saved(arrays, name).copy())
+                for name in arrays
+                if name.startswith("network.")
+            }
+        )
+        self._network.eval()
+
+
+class LstmClassifier(Mlp):
+    """Long short-term memory over the entries of a feature vector, the paper's ablation.
+
+    The vector is read as a sequence of one entry a step: a row of eigenvectors is read from the
+    largest eigenvalue down. The last hidden state goes through a linear layer.
+
+    Args:
+        num_classes: C.
+        hidden: width of the memory.
+        epochs: passes over the training data.
+        learning_rate: peak of a one-cycle schedule for AdamW.
+        batch: samples per step.
+    """
+
+    def __init__(
+        self,
+        num_classes: int,
+        hidden: int = 32,
+        epochs: int = 10,
+        learning_rate: float = 3e-3,
+        batch: int = 512,
+    ) -> None:
+        super().__init__(
+            num_classes, (hidden,), epochs=epochs, learning_rate=learning_rate, batch=batch
+        )
+        self._network = self._made(0)
+
+    def _made(self, inputs: int) -> nn.Module:
+        return _Memory(self._hidden[0], self._num_classes)
+
+
+class _Memory(nn.Module):
+    """A recurrent layer and a linear one."""
+
+    def __init__(self, hidden: int, num_classes: int) -> None:
+        super().__init__()
+        self.memory = nn.LSTM(1, hidden, batch_first=True)
+        self.head = nn.Linear(hidden, num_classes)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(n, C) logits of vectors (n, F)."""
+        _, (last, _) = self.memory(x[..., None])
+        out: Tensor = self.head(last[0])
+        return out

@@ -1,0 +1,55 @@
+"""The compiled evaluation of decision trees, for many samples at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.compiled import in_place
+
+WIDTH = 64
+"""Samples that are processed together. The loops over them are of this constant length, so that the
+compiler makes vector instructions of them."""
+
+ALL = np.uint32(0xFFFFFFFF)
+
+
+@in_place()
+def sum_of_leaves(
+    features: NDArray[np.float32],
+    first: NDArray[np.int64],
+    feature: NDArray[np.int64],
+    threshold: NDArray[np.float32],
+    keep: NDArray[np.uint32],
+    leaf: NDArray[np.float64],
+    column: NDArray[np.int64],
+    reachable: NDArray[np.uint32],
+    out: NDArray[np.float64],
+) -> None:
+    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees`.
+
+    Args:
+        features: (K * F, 64) of K batches of 64 samples, feature by feature.
+        first: (B + 1,) first inner node of each tree, and the number of inner nodes.
+        feature: (I,) feature compared at an inner node.
+        threshold: (I,) the comparison is true for a larger feature.
+        keep: (I,) mask of the leaves that then remain reachable.
+        leaf: (B, 32) values of the leaves, by the hash of their bit (a de Bruijn sequence).
+        column: (B,) index of the sum that the tree adds to.
+        reachable: (64,) overwritten.
+        out: (K, C, 64) receives the sums; must be zero before.
+    """
+    width = len(features) // max(len(out), 1)
+    for k in range(len(out)):
+        for b in range(column.size):
+            for j in range(WIDTH):
+                reachable[j] = ALL
+            for i in range(first[b], first[b + 1]):
+                values = features[k * width + feature[i]]
+                limit, kept = threshold[i], keep[i]
+                for j in range(WIDTH):
+                    reachable[j] &= kept if values[j] > limit else ALL
+            leaves, total = leaf[b], out[k, column[b]]
+            for j in range(WIDTH):
+                lowest = reachable[j] & np.uint32(-np.int64(reachable[j]))
+                total[j] += leaves[np.uint32(lowest * np.uint32(0x077CB531)) >> np.uint32(27)]
