@@ -135,8 +135,8 @@ def survey(path: Path) -> Survey:
 def _unreachable(graph: EdgeGraph) -> list[str]:
     """Edges that no way from an entry leads to, and edges from which no way leads out."""
     backward: dict[str, list[str]] = {edge: [] for edge in graph.lanes}
-    for edge, ways in graph.onward.items():
-        for then in ways:
+    for edge, onward in graph.onward.items():
+        for then in onward:
             backward[then].append(edge)
     found = []
     for begin, ways, text in (
