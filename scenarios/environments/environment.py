@@ -204,7 +204,7 @@ class TrafficEnv(EgoEnv):
 
     def default_config(self) -> dict[str, Any]:
         """The value of every key that is not given."""
-        return {**TrafficConfig().values(), **self._defaults}
+        return {**dict(TrafficConfig()), **self._defaults}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Take changes to the configuration.

@@ -101,9 +101,6 @@ def test_a_scenario_shows_its_demand_its_duration_and_its_road(scenario):
     )
     assert "200 s in steps of 0.1 s, road straight_road with" in text
     assert len(repr(dataclasses.replace(scenario, name="x" * 500))) < 400
-    table = straight_road(mix="timid=.25,reckless=.75")._repr_html_()
-    assert "<td>behaviours</td><td>timid 25%, reckless 75%</td>" in table
-    assert "<td>vehicles per hour</td><td>2100</td>" in table
 
 
 @pytest.mark.parametrize(
