@@ -11,7 +11,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from behaviors.errors import InputError, lookup
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
-D = TypeVar("D")
 
 
 class Registry(Mapping[str, T], Generic[T]):
@@ -82,13 +81,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Whether there is an entry of that name; nothing is imported."""
         return name in self._entries or name in self._plugins()
 
-    @overload
-    def get(self, name: str, /) -> T | None: ...
-
-    @overload
-    def get(self, name: str, /, default: T | D) -> T | D: ...
-
-    def get(self, name: str, /, default: object = None) -> object:
+    def get(self, name: str, default: Any = None) -> Any:
         """The entry of that name, or the default if there is none."""
         return self[name] if name in self else default  # noqa: SIM401  it would call itself
 
@@ -134,14 +127,14 @@ class Registry(Mapping[str, T], Generic[T]):
         return found
 
     def _load(self, name: str, plugin: EntryPoint | None, entry: object) -> T:
+        """The entry itself, imported if need be."""
         if plugin is not None:
             try:
                 entry = plugin.load()
             except Exception as error:  # a plugin's code may fail in any way
-                reason = " ".join(f"{type(error).__name__}: {error}".split())
                 raise InputError(
                     f"{self._what} {name!r}: found a plugin that does not load, "
-                    f"{_distribution(plugin)} ({plugin.value}): {reason}"
+                    f"{_distribution(plugin)} ({plugin.value}): {_reason(error)}"
                 ) from error
         elif isinstance(entry, str):
             entry = loaded(entry)
@@ -182,21 +175,22 @@ def own_function(what: str, source: str) -> Callable[..., Any]:
     try:
         found = getattr(importlib.import_module(module), function)
     except Exception as error:  # the user's code may fail in any way
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        wanted = "'module:function' that exists"
         raise InputError(
-            f"{what}: found {source!r}, expected 'module:function' that exists ({reason})"
+            f"{what}: found {source!r}, expected {wanted} ({_reason(error)})"
         ) from error
     if not callable(found):
         raise InputError(f"{what}: found {source!r}, expected it to name a function")
     return cast(Callable[..., Any], found)
 
 
+def _reason(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 def _distribution(plugin: EntryPoint) -> str:
-    return (
-        "an unknown distribution"
-        if plugin.dist is None
-        else f"{plugin.dist.name} {plugin.dist.version}"
-    )
+    made = plugin.dist
+    return "an unknown distribution" if made is None else f"{made.name} {made.version}"
 
 
 @lru_cache(maxsize=1)

@@ -22,7 +22,7 @@ from sim.scenario import MAX_PER_HOUR, AgentSpec, RouteFlow, Scenario, sample_ag
 ROUTE_EDGES: Final = 30
 """Edges of a route, where the city does not end before (4.5 km, ten minutes)."""
 
-MOST_ROUTES: Final = 2000
+MOST_CITY_ROUTES: Final = 2000
 """Different routes at most; vehicles share them (enough to fill every street)."""
 
 JUNCTION_FLOWS: Final[Mapping[str, float]] = {"light": 30.0, "medium": 60.0, "dense": 90.0}
@@ -30,7 +30,7 @@ JUNCTION_FLOWS: Final[Mapping[str, float]] = {"light": 30.0, "medium": 60.0, "de
 10 and 15 vehicles to a junction; with 15 queues begin to last for several cycles)."""
 
 JUNCTION_ROUTES: Final = 20
-"""Different routes of `city` per junction, at most `MOST_ROUTES` (every street is the first of
+"""Different routes of `city` per junction, at most `MOST_CITY_ROUTES` (every street is the first of
 one)."""
 
 _PER_HOUR: Final = 0.8 * MAX_PER_HOUR
@@ -67,7 +67,7 @@ def city(
     junctions = blocks**2
     per_hour = parse_flow(flow, {name: each * junctions for name, each in JUNCTION_FLOWS.items()})
     road = read_road(grid_net(blocks), f"grid_{blocks}")
-    routes = random_routes(road, min(JUNCTION_ROUTES * junctions, MOST_ROUTES), 0)
+    routes = random_routes(road, min(JUNCTION_ROUTES * junctions, MOST_CITY_ROUTES), 0)
     flows = tuple(RouteFlow(route, per_hour / len(routes)) for route in routes)
     return Scenario("city", road, flows, **parse_population(population))
 
@@ -95,7 +95,7 @@ def city_scenario(blocks: int, vehicles: int, seed: int, duration_s: float = 60.
     if vehicles < 1:
         raise InputError(f"vehicles: found {vehicles}, expected at least 1")
     road = read_road(grid_net(blocks), f"grid_{blocks}")
-    routes = random_routes(road, min(vehicles, MOST_ROUTES), seed)
+    routes = random_routes(road, min(vehicles, MOST_CITY_ROUTES), seed)
     flows = tuple(RouteFlow(route, _PER_HOUR / len(routes)) for route in routes)
     return Scenario("city", road, flows, duration_s=duration_s)
 

@@ -20,14 +20,14 @@ TURNS: Final[dict[int, float]] = {1: 0.2, 2: 0.6, 3: 0.2}
 """Share of vehicles by how many places clockwise from their own arm they leave: left, straight,
 right."""
 
-PEDESTRIANS_PER_H: Final = 240.0
+INTERSECTION_PEDESTRIANS_PER_H: Final = 240.0
 """Pedestrians per hour over all arms."""
 
 
 def four_way_intersection(
     *,
     flow: str | float = "medium",
-    pedestrians_per_h: float = PEDESTRIANS_PER_H,
+    pedestrians_per_h: float = INTERSECTION_PEDESTRIANS_PER_H,
     control: str = "traffic_light",
     lanes: int | None = None,
     arm_m: float = ARM_M,

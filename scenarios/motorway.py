@@ -9,7 +9,11 @@ from scenarios.demand import PopulationOptions, make_scenario, parse_flow
 from scenarios.networks.motorway_and_roundabout import MOTORWAY_LIMIT_MPS, MotorwayGeometry
 from sim.scenario import RouteFlow, Scenario
 
-FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 500.0, "medium": 1000.0, "dense": 1500.0}
+MOTORWAY_FLOWS_PER_LANE: Final[dict[str, float]] = {
+    "light": 500.0,
+    "medium": 1000.0,
+    "dense": 1500.0,
+}
 """Vehicles per hour and lane of each named flow (free, interacting, three quarters of the
 capacity)."""
 
@@ -47,7 +51,7 @@ def motorway(
         ('before', 'between', 'off')
     """
     geometry = MotorwayGeometry(lanes, ramps, length_m, limit_mps)
-    levels = {name: lanes * value for name, value in FLOWS_PER_LANE.items()}
+    levels = {name: lanes * value for name, value in MOTORWAY_FLOWS_PER_LANE.items()}
     vehicles = parse_flow(flow, levels)
     share = RAMP_SHARE if ramps else 0.0
     shares = {

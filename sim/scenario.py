@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 
-from behaviors.display import counted, html_table
+from behaviors.display import counted
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
 from behaviors.populations import Population, drivers_of
@@ -195,25 +195,6 @@ class Scenario:
             f", {self.duration_s:g} s in steps of {self.step_s:g} s, "
             f"road {self.road.name:.60} with {counted(len(self.road.lanes), 'lane')})"
         )
-
-    def _repr_html_(self) -> str:
-        """The demand as a table, for notebooks."""
-
-        def listed(shares: Mapping[Any, float]) -> str:
-            return ", ".join(f"{name} {share:.0%}" for name, share in shares.items() if share)
-
-        rows = [
-            ("road", f"{self.road.name}, {counted(len(self.road.lanes), 'lane')}"),
-            ("vehicles per hour", f"{self.per_hour(walking=False):g}"),
-            ("pedestrians per hour", f"{self.per_hour(walking=True):g}"),
-            ("pedestrians who jaywalk", f"{self.jaywalk_share:.0%}"),
-            ("kinds of vehicle", listed(self.kinds)),
-            ("behaviours", listed(self.mix)),
-            ("spread within a behaviour", f"{self.spread:g}"),
-            ("population", "none" if self.population is None else self.population.name),
-            ("duration", f"{self.duration_s:g} s in steps of {self.step_s:g} s"),
-        ]
-        return html_table(f"Scenario {self.name}", ("", ""), rows)
 
 
 DIMENSIONS_M: Final[dict[AgentKind, tuple[float, float, float]]] = {

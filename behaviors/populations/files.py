@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from behaviors.errors import InputError, lookup
 from behaviors.populations.population import Population, population_of
-from behaviors.toml_text import read_toml
 
-FOLDER: Final = Path(__file__).with_name("shipped")
+SHIPPED_FOLDER: Final = Path(__file__).with_name("shipped")
 
 MOST_BYTES: Final = 1_000_000
 """Larger files are refused (our choice: a population is some thousand bytes)."""
 
-POPULATIONS: Final[dict[str, Path]] = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
+POPULATIONS: Final = {path.stem: path for path in sorted(SHIPPED_FOLDER.glob("*.toml"))}
 """The files that ship, by name."""
 
 
@@ -52,7 +52,7 @@ def read_population(source: str | Path | Mapping[str, Any] | Population) -> Popu
             data = file.read(MOST_BYTES + 1)
         if len(data) > MOST_BYTES:
             raise InputError(f"found more than {MOST_BYTES} bytes, expected a population")
-        return population_of(read_toml(data.decode("utf-8")))
+        return population_of(tomllib.loads(data.decode("utf-8")))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected a population's file") from None
     except InputError as error:

@@ -91,27 +91,21 @@ class Population:
         for name, shape in (("median", (5,)), ("log_spread", (5,)), ("correlation", (5, 5))):
             array = np.array(getattr(self, name), dtype=np.float64)
             if array.shape != shape or not np.isfinite(array).all():
-                raise InputError(
-                    f"population {self.name}: {name}: found shape {array.shape}, expected "
-                    f"{shape} of finite numbers"
-                )
+                raise self._error(name, f"shape {array.shape}", f"{shape} of finite numbers")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         if not (self.median > 0).all():
-            raise InputError(f"population {self.name}: median: found {self.median.min():g}, "
-                             "expected numbers > 0")  # fmt: skip
+            raise self._error("median", f"{self.median.min():g}", "numbers > 0")
         if not ((self.log_spread >= 0) & (self.log_spread <= MOST_SPREAD)).all():
-            raise InputError(
-                f"population {self.name}: log_spread: found {self.log_spread.max():g}, expected 0 "
-                f"to {MOST_SPREAD:g}"
-            )
+            raise self._error("log_spread", f"{self.log_spread.max():g}", f"0 to {MOST_SPREAD:g}")
         symmetric = np.allclose(self.correlation, self.correlation.T, atol=1e-6)
         ones = np.allclose(np.diag(self.correlation), 1.0, atol=1e-6)
         if not symmetric or not ones or np.linalg.eigvalsh(self.correlation)[0] < -1e-6:
-            raise InputError(
-                f"population {self.name}: correlation: found no correlation matrix, expected a "
-                "symmetric one with ones on its diagonal and no negative eigenvalue"
-            )
+            wanted = "a symmetric one with ones on its diagonal and no negative eigenvalue"
+            raise self._error("correlation", "no correlation matrix", wanted)
+
+    def _error(self, name: str, found: str, expected: str) -> InputError:
+        return InputError(f"population {self.name}: {name}: found {found}, expected {expected}")
 
     def quantile(self, name: str, value: float) -> float:
         """At which quantile of the population a number lies, 0 to 1."""
@@ -218,7 +212,7 @@ def _check_keys(prefix: str, table: Mapping[str, Any], known: tuple[str, ...]) -
     for key in table:
         if key not in known:
             raise InputError(
-                f"{prefix}{key!s:.60}: found an unknown key, expected {_listed(known)}"
+                f"{prefix}{key!s:.60}: found an unknown key, expected {', '.join(known)}"
             )
 
 
@@ -236,7 +230,7 @@ def _number(numbers: Mapping[str, Any], name: str) -> tuple[float, float, list[f
     where = f"numbers.{name}"
     told = numbers.get(name)
     if not isinstance(told, Mapping):
-        raise InputError(f"{where}: found none, expected a table with {_listed(_NUMBER_KEYS)}")
+        raise InputError(f"{where}: found none, expected a table with {', '.join(_NUMBER_KEYS)}")
     _check_keys(f"{where}.", told, _NUMBER_KEYS)
     median, spread = (
         float(f"{_finite(f'{where}.{key}', told.get(key)):.6g}") for key in _NUMBER_KEYS[:2]
@@ -254,10 +248,6 @@ def _finite(where: str, value: object) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e9:
         raise InputError(f"{where}: found {value!r:.60}, expected a number")
     return float(value)
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return ", ".join(names)
 
 
 def _plain(text: str) -> str:

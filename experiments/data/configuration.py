@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from behaviors.errors import InputError
 from behaviors.populations import read_population
-from behaviors.toml_text import read_toml
 from scenarios import get_scenario
 from scenarios.own.file import is_path
 from sim.engines import get_engine
@@ -98,7 +98,7 @@ def _read_toml(path: Path | None) -> dict[str, object]:
     if path is None:
         return {}
     try:
-        return read_toml(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
         raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
 

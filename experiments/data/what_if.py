@@ -33,7 +33,7 @@ from sim.store.places import Folder
 from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest
 from sim.store.sealing import entries_in, write_manifest
 from sim.store.writing import episode_id, made_with, write_episode
-from sim.sumo.branches import LAWS, Trunk, check_platform
+from sim.sumo.branches import ENGINE_LAWS, Trunk, check_platform
 from sim.sumo.control.acting import Action
 
 NAMED_DRIVERS: Final = 12
@@ -78,8 +78,10 @@ class WhatIf(BaseModel):
         """
         check_platform()
         self.episode.check()
-        if self.episode.engine not in LAWS:
-            raise InputError(f"engine: found {self.episode.engine!r}, expected {' or '.join(LAWS)}")
+        if self.episode.engine not in ENGINE_LAWS:
+            raise InputError(
+                f"engine: found {self.episode.engine!r}, expected {' or '.join(ENGINE_LAWS)}"
+            )
         if not self.changes:
             raise InputError("changes: found none, expected --behavior or --action at least once")
         if len(set(self.changes)) != len(self.changes):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     PlainValidator,
@@ -17,35 +16,11 @@ from pydantic import (
     model_validator,
 )
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
 from behaviors.populations import read_population
 from behaviors.profiles import DEFAULT_SPREAD
 from sim.highway.ego import check_action
 from sim.invalid_fields import first_wrong_field
-
-OBSERVATIONS: Final[dict[str, str]] = {
-    "kinematics": "positions and motion",
-    "behavior": "the same and every driver's true behaviour",
-    "posterior": "the same and the classifier's probabilities of every driver's behaviour",
-    "graph": "the same and the traffic graph",
-}
-"""The observation options and what each of them contains."""
-
-
-GOALS: Final[dict[str, str]] = {
-    "straight": "the arm opposite", "left": "the arm on the left", "right": "the arm on the right"
-}  # fmt: skip
-"""Where the ego vehicle may go at an intersection."""
-
-
-def member_of(names: Mapping[str, str], what: str) -> BeforeValidator:
-    """A validator that accepts the keys of ``names`` and otherwise suggests the nearest one."""
-
-    def check(value: object) -> str:
-        lookup(names, str(value), what)
-        return str(value)
-
-    return BeforeValidator(check)
 
 
 def makes_one(classifier: Callable[..., Any]) -> bool:
@@ -74,8 +49,9 @@ class TrafficConfig(BaseModel):
         extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
     )
 
-    observation: Annotated[str, member_of(OBSERVATIONS, "observation")] = "kinematics"
-    """What is observed: "kinematics", "behavior", "posterior" or "graph"; see Observation."""
+    observation: Literal["kinematics", "behavior", "posterior", "graph"] = "kinematics"
+    """What is observed: positions and motion; with them every driver's true behaviour, or the
+    classifier's probabilities of it, or the traffic graph."""
 
     observed: int = Field(default=15, ge=1, le=10_000)
     """How many other agents are observed at most."""
@@ -136,9 +112,8 @@ class TrafficConfig(BaseModel):
     ``stream.update`` does. A function without arguments makes one for each episode, or an object
     with such a method ``update``: ``graphrqi.stream.load_stream``."""
 
-    goal: Annotated[str, member_of(GOALS, "goal")] | None = None
-    """Where the ego vehicle is to go at an intersection: "straight", "left" or "right"; None for
-    straight on, and elsewhere."""
+    goal: Literal["straight", "left", "right"] | None = None
+    """Where the ego vehicle is to go at an intersection; None for straight on, and elsewhere."""
 
     screen_width: int = Field(default=600, ge=1, le=16_384)
     """Width of images, pixels."""
@@ -180,10 +155,6 @@ class TrafficConfig(BaseModel):
             )
         return self
 
-    def values(self) -> dict[str, Any]:
-        """The configuration by key, the values as they were given."""
-        return {name: getattr(self, name) for name in type(self).model_fields}
-
 
 def read_config(given: Mapping[str, Any]) -> TrafficConfig:
     """Check a configuration.
@@ -194,13 +165,10 @@ def read_config(given: Mapping[str, Any]) -> TrafficConfig:
     Raises:
         InputError: if a key is unknown or a value is not usable; the message names it.
     """
-    for key in given:
-        lookup(TrafficConfig.model_fields, str(key), "configuration key")
     try:
-        return TrafficConfig(**given)
+        return TrafficConfig.model_validate(dict(given))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        cause = first.get("ctx", {}).get("error")
+        cause = error.errors(include_url=False)[0].get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             raise cause from None
-        raise InputError(first_wrong_field(error)) from None
+        raise InputError(first_wrong_field(error, TrafficConfig.model_fields)) from None

@@ -73,7 +73,7 @@ ENTRY_ROOM_M: Final = 12.0
 """Room in front and behind that the ego vehicle needs to be set on the road, m (room to brake from
 walking pace)."""
 
-LONGEST_WAIT_S: Final = 60.0
+LONGEST_ENTRY_WAIT_S: Final = 60.0
 """The ego vehicle waits this long for room; then the vehicles in its place are removed."""
 
 Stretches = tuple[tuple[str, str], ...]
@@ -204,7 +204,7 @@ class TrafficEnv(EgoEnv):
 
     def default_config(self) -> dict[str, Any]:
         """The value of every key that is not given."""
-        return {**TrafficConfig().values(), **self._defaults}
+        return {**dict(TrafficConfig()), **self._defaults}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Take changes to the configuration.
@@ -233,7 +233,7 @@ class TrafficEnv(EgoEnv):
             options = {n: v for n, v in options.items() if v != getattr(usual, n)}
         if checked.routes is not None:
             options["routes"] = checked.routes
-        duration_s = checked.duration_s + checked.warmup_s + LONGEST_WAIT_S
+        duration_s = checked.duration_s + checked.warmup_s + LONGEST_ENTRY_WAIT_S
         return get_scenario(reference)(**options, duration_s=duration_s)
 
     def _own_route(self) -> Stretches:
@@ -308,7 +308,7 @@ class TrafficEnv(EgoEnv):
         self.demand = Demand(self.road, agents, seed)
         for _ in range(round(self.config["warmup_s"] / self.dt)):
             self.advance()
-        for _ in range(round(LONGEST_WAIT_S / self.dt)):
+        for _ in range(round(LONGEST_ENTRY_WAIT_S / self.dt)):
             self.road.locate()
             lane, room, speed = self._roomiest(lanes)
             if room > ENTRY_ROOM_M:

@@ -48,7 +48,7 @@ def observation_space(option: str, observed: int) -> spaces.Dict:
     """The space of an observation option.
 
     Args:
-        option: a key of `OBSERVATIONS`.
+        option: ``observation`` of `TrafficConfig`.
         observed: how many other agents are observed at most.
     """
     more = len(BEHAVIORS) if option in ("behavior", "posterior") else 0
@@ -102,16 +102,10 @@ def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[
 
 
 def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray, float, float]:
-    """The stop line and the crossing ahead.
+    """The stop line and the crossing ahead of a front bumper, which is at ``front`` m on its lane.
 
-    Args:
-        road: the road.
-        ego: the ego vehicle.
-        front: where on its lane its front bumper is, m.
-
-    Returns:
-        Distance to the stop line, m; (3,) whether its signal is red, yellow, green; distance to the
-        next crossing, m; whether a pedestrian is on it or at its kerb.
+    Returns distance to the stop line, m; (3,) whether its signal is red, yellow, green; distance to
+    the next crossing, m; whether a pedestrian is on it or at its kerb.
     """
     network, lane = road.network_info, ego.lane_index
     info = network.info[lane]

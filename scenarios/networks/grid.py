@@ -14,7 +14,7 @@ SHIPPED_BLOCKS: Final = 3
 MOST_BLOCKS: Final = 100
 """Largest grid: some 280,000 lanes (netgenerate takes ten seconds for it)."""
 
-OPTIONS: Final = (
+GRID_OPTIONS: Final = (
     "--grid.length", "150", "--grid.attach-length", "150", "--default.lanenumber", "2",
     "--default-junction-type", "traffic_light", "--tls.default-type", "static",
     "--no-turnarounds", "true", "--offset.disable-normalization", "true",
@@ -47,6 +47,6 @@ def grid_net(blocks: int) -> Path:
         program = find_program("netgenerate")
         folder.mkdir(parents=True, exist_ok=True)
         run_program(
-            [program, "--grid", "--grid.number", str(blocks), *OPTIONS], folder, folder / NET
+            [program, "--grid", "--grid.number", str(blocks), *GRID_OPTIONS], folder, folder / NET
         )
     return folder / NET

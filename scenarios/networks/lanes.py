@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
@@ -44,26 +46,6 @@ SAMPLE_M: Final = 1.0
 MEET_M: Final = 1.0
 """Ends of edges this near to each other meet in one node, m (netconvert refuses nodes that
 coincide)."""
-
-
-class _Meetings:
-    """The ends of edges that meet in one node: sets of (edge, whether it is the edge's end)."""
-
-    def __init__(self) -> None:
-        self._leader: dict[tuple[str, bool], tuple[str, bool]] = {}
-
-    def of(self, end: tuple[str, bool]) -> tuple[str, bool]:
-        """The first of the ends that an end meets."""
-        self._leader.setdefault(end, end)
-        while self._leader[end] != end:
-            self._leader[end] = self._leader[self._leader[end]]
-            end = self._leader[end]
-        return end
-
-    def join(self, one: tuple[str, bool], other: tuple[str, bool]) -> None:
-        """Let two ends meet."""
-        first, second = sorted((self.of(one), self.of(other)))
-        self._leader[second] = first
 
 
 def plain_files(road: Road) -> dict[str, str]:
@@ -183,31 +165,32 @@ def _nodes(
     edges: dict[str, list[Lane]], links: list[_Link]
 ) -> tuple[dict[tuple[str, bool], str], list[str]]:
     """The node of each end of an edge, and the nodes' elements."""
-    meetings = _Meetings()
-    for begin, _, end, _, _ in links:
-        if begin != end:
-            meetings.join((begin, True), (end, False))
     points = {
         (edge, end): np.mean([lane.centerline[-1 if end else 0] for lane in lanes], axis=0)
         for edge, lanes in edges.items()
         for end in (False, True)
     }
+    number = {end: i for i, end in enumerate(points)}
+    meet = [(number[one, True], number[then, False]) for one, _, then, _, _ in links if one != then]
     cells: dict[tuple[int, int], tuple[str, bool]] = {}
     for place, (x, y) in points.items():
         other = cells.setdefault((math.floor(x / MEET_M), math.floor(y / MEET_M)), place)
         if other[0] != place[0]:
-            meetings.join(other, place)
-    members: dict[tuple[str, bool], list[tuple[str, bool]]] = {}
-    for place in points:
-        members.setdefault(meetings.of(place), []).append(place)
-    lit = {meetings.of((begin, True)) for begin, _, _, _, signal in links if signal}
+            meet.append((number[other], number[place]))
+    begin, end = np.array(meet, dtype=np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(begin.size), (begin, end)), shape=(len(number), len(number)))
+    _, group = connected_components(graph, directed=False)
+    lit = {group[number[one, True]] for one, _, _, _, signal in links if signal}
+    members: dict[int, list[tuple[str, bool]]] = {}
+    for place, i in number.items():
+        members.setdefault(group[i], []).append(place)
     of_end: dict[tuple[str, bool], str] = {}
     rows = []
-    for number, (leader, ends) in enumerate(members.items()):
-        x, y = np.mean([points[end] for end in ends], axis=0)
-        kind = "traffic_light" if leader in lit else "priority"
-        rows.append(f'    <node id="n{number}" x="{x:.2f}" y="{y:.2f}" type="{kind}"/>')
-        of_end |= dict.fromkeys(ends, f"n{number}")
+    for node, (which, ends) in enumerate(members.items()):
+        x, y = np.mean([points[place] for place in ends], axis=0)
+        kind = "traffic_light" if which in lit else "priority"
+        rows.append(f'    <node id="n{node}" x="{x:.2f}" y="{y:.2f}" type="{kind}"/>')
+        of_end |= dict.fromkeys(ends, f"n{node}")
     return of_end, rows
 
 

@@ -8,6 +8,7 @@ explains them.
 from __future__ import annotations
 
 import functools
+import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -16,7 +17,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from behaviors.errors import InputError
 from behaviors.populations import read_population
-from behaviors.toml_text import read_toml
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.road import own_road
@@ -206,7 +206,7 @@ def read_scenario_file(path: Path) -> ScenarioFile:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        return ScenarioFile.model_validate(read_toml(text))
+        return ScenarioFile.model_validate(tomllib.loads(text))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected a scenario's file") from None
     except ValidationError as error:

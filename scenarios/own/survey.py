@@ -18,10 +18,10 @@ from sim.road import MapKnowledge, Road
 from sim.road.files import read_road_file
 from sim.road.net import read_road
 
-MARGIN_M: Final = 10.0
+WHITE_M: Final = 10.0
 """White round a picture, m."""
 
-COLORS: Final[dict[str, str]] = {
+PICTURE_COLORS: Final[dict[str, str]] = {
     "lane": "#5b6470", "path": "#a9b1bb", "walk": "#d9d4c7", "crossing": "#e8c468",
     "source": "#2f7d4f", "sink": "#2c5f9e",
 }  # fmt: skip
@@ -86,18 +86,20 @@ class Survey:
         """The road as an SVG: lanes, crossings, entries green, exits blue."""
         sources, sinks = set(self.graph.sources), set(self.graph.sinks)
         x0, y0, x1, y1 = self.road.bounds
-        wide, high = x1 - x0 + 2 * MARGIN_M, y1 - y0 + 2 * MARGIN_M
+        wide, high = x1 - x0 + 2 * WHITE_M, y1 - y0 + 2 * WHITE_M
         lines = []
         for lane in sorted(self.road.lanes, key=lambda one: not one.internal):
             what = "walk" if lane.walking else "path" if lane.internal else "lane"
             if not lane.walking and lane.edge in sources | sinks:
                 what = "source" if lane.edge in sources else "sink"
-            lines.append(_line(lane.centerline, 0.85 * lane.width_m, COLORS[what]))
-        lines += [_line(c.centerline, c.width_m, COLORS["crossing"]) for c in self.road.crossings]
+            lines.append(_line(lane.centerline, 0.85 * lane.width_m, PICTURE_COLORS[what]))
+        lines += [
+            _line(c.centerline, c.width_m, PICTURE_COLORS["crossing"]) for c in self.road.crossings
+        ]
         return "\n".join(
             [
-                f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x0 - MARGIN_M:.1f} '
-                f'{-y1 - MARGIN_M:.1f} {wide:.1f} {high:.1f}" width="1000" '
+                f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x0 - WHITE_M:.1f} '
+                f'{-y1 - WHITE_M:.1f} {wide:.1f} {high:.1f}" width="1000" '
                 f'height="{max(1000 * high / wide, 80):.0f}" style="background: white">',
                 f"<title>{html.escape(self.name)}</title>",
                 *lines,
@@ -133,8 +135,8 @@ def survey(path: Path) -> Survey:
 def _unreachable(graph: EdgeGraph) -> list[str]:
     """Edges that no way from an entry leads to, and edges from which no way leads out."""
     backward: dict[str, list[str]] = {edge: [] for edge in graph.lanes}
-    for edge, ways in graph.onward.items():
-        for then in ways:
+    for edge, onward in graph.onward.items():
+        for then in onward:
             backward[then].append(edge)
     found = []
     for begin, ways, text in (

@@ -80,36 +80,30 @@ class FrameBuffer:
         self._end, self._count = self._end + 1, min(self._count + 1, self._steps)
 
     def _check(self, frame: Frame) -> None:
-        if not abs(frame.time_s) <= MAX_TIME_S:
-            raise InputError(
-                f"frame.time_s: found {frame.time_s}, expected seconds up to {MAX_TIME_S:g}"
-            )
-        if self._last is not None:
-            if frame.time_s <= self._last.time_s:
-                raise InputError(
-                    f"frame.time_s: found {frame.time_s}, expected later than {self._last.time_s}"
-                )
-            if frame.signals.size != self._last.signals.size:
-                raise InputError(
-                    f"frame.signals: found {frame.signals.size}, "
-                    f"expected {self._last.signals.size} as before"
-                )
-        if not (frame.ids[1:] > frame.ids[:-1]).all():
-            raise InputError(
-                "frame.ids: found ids that do not ascend, expected each once, in order"
-            )
-        if not ((frame.kind >= 0) & (frame.kind < len(KINDS))).all():
-            raise InputError(f"frame.kind: found other codes than 0 to {len(KINDS) - 1}")
-        if not ((frame.signals >= 0) & (frame.signals < len(SIGNALS))).all():
-            raise InputError(f"frame.signals: found other codes than 0 to {len(SIGNALS) - 1}")
+        """Refuse what tracks cannot hold."""
+        last, kinds, lights = self._last, len(KINDS), len(SIGNALS)
+        time_s, ids, signals = frame.time_s, frame.ids, frame.signals
+        if not abs(time_s) <= MAX_TIME_S:
+            raise InputError(f"frame.time_s: found {time_s}, expected seconds up to {MAX_TIME_S:g}")
+        if last is not None and time_s <= last.time_s:
+            raise InputError(f"frame.time_s: found {time_s}, expected later than {last.time_s}")
+        if last is not None and signals.size != last.signals.size:
+            before = f"expected {last.signals.size} as before"
+            raise InputError(f"frame.signals: found {signals.size}, {before}")
+        if not (ids[1:] > ids[:-1]).all():
+            raise InputError("frame.ids: found ids that do not ascend, expected each once")
+        if not ((frame.kind >= 0) & (frame.kind < kinds)).all():
+            raise InputError(f"frame.kind: found other codes than 0 to {kinds - 1}")
+        if not ((signals >= 0) & (signals < lights)).all():
+            raise InputError(f"frame.signals: found other codes than 0 to {lights - 1}")
         finite = np.isfinite(frame.xy).all(axis=1)
         if not finite.all():
-            agent = frame.ids[int(finite.argmin())]
+            agent = ids[int(finite.argmin())]
             raise InputError(f"frame.xy: found no finite place of agent {agent}, expected metres")
         for name in ("heading", "speed", "length", "width"):
-            values = getattr(frame, name)
-            if not np.fmax.reduce(np.abs(values), initial=0.0) <= MAX_MAGNITUDE:
-                agent = frame.ids[int(np.argmax(np.abs(values) > MAX_MAGNITUDE))]
+            values = np.abs(getattr(frame, name))
+            if not np.fmax.reduce(values, initial=0.0) <= MAX_MAGNITUDE:
+                agent = ids[int(np.argmax(values > MAX_MAGNITUDE))]
                 raise InputError(
                     f"frame.{name}: found agent {agent} beyond {MAX_MAGNITUDE:g}, expected less"
                 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -67,11 +68,12 @@ def collisions(
             at = _column(steps, event.time_s)
             flags.setdefault(pair, np.zeros(steps.time_s.size, dtype=bool))[at] = True
     for contact in touches:
-        pair = (int(steps.ids[contact.agents[0]]), int(steps.ids[contact.agents[1]]))
-        if pair not in flags and PEDESTRIAN in steps.kind[list(contact.agents)]:
+        one, two = contact.agents
+        pair = (int(steps.ids[one]), int(steps.ids[two]))
+        if pair not in flags and PEDESTRIAN in (steps.kind[one], steps.kind[two]):
             continue
-        flags.setdefault(pair, np.zeros(steps.time_s.size, dtype=bool))
-        flags[pair][contact.begin : contact.end] = True
+        touch = flags.setdefault(pair, np.zeros(steps.time_s.size, dtype=bool))
+        touch[contact.begin : contact.end] = True
     found = []
     for pair, touch in flags.items():
         columns = np.flatnonzero(touch)
@@ -85,182 +87,170 @@ def _column(steps: TrajectoryRows, time_s: float) -> int:
     return min(int(np.searchsorted(steps.time_s, time_s - 1e-6)), steps.time_s.size - 1)
 
 
+class _Party:
+    """One of the two parties of a collision, at the column in which they first touch."""
+
+    def __init__(
+        self, steps: TrajectoryRows, road: Road, observed: Observables, id: int, column: int
+    ) -> None:
+        self.id, self.index = id, int(np.searchsorted(steps.ids, id))
+        self.row = steps.row_index.row(self.index, column)  # -1 where it was not seen
+        self.is_pedestrian = bool(steps.kind[self.index] == PEDESTRIAN)
+        self._steps, self._road, self._observed, self._column = steps, road, observed, column
+
+    def until_now(self, values: FloatArray, empty: float = np.nan) -> FloatArray:
+        """(column + 1, ...) its values at each time, ``empty`` where it was not seen."""
+        return self._steps.row_index.over(values, self.index, 0, self._column + 1, empty)
+
+    @cached_property
+    def speed(self) -> FloatArray:
+        """(column + 1,) its speed at each time, m/s."""
+        return self.until_now(self._steps.speed)
+
+    @property
+    def stands(self) -> bool:
+        """Whether it stands."""
+        return bool(self.speed[-1] < ROLLING_MPS)
+
+    @cached_property
+    def connection(self) -> int:
+        """The connection that it drives at a junction; -1 if no part of it is inside."""
+        inside = self.row >= 0 and self._observed.stop_distance[self.row] < 0
+        soon = round(RECENT_S / self._steps.step_s) if inside else 0
+        rows = self._steps.row_index.rows(self.index, self._column, self._column + soon + 1)
+        links = self._road.connection_of_lane[self._observed.lane[rows]]
+        at = np.flatnonzero(links >= 0)
+        return int(links[at[0]]) if at.size else -1
+
+    @property
+    def entered(self) -> int:
+        """The column in which its front entered the junction that it is in."""
+        outside = np.flatnonzero(self.until_now(self._observed.stop_distance, np.inf) >= 0)
+        return int(outside[-1]) + 1 if outside.size else 0
+
+    @property
+    def between_lanes(self) -> bool:
+        """Whether its outline reaches over the marking of the lane that it is on."""
+        row, observed = self.row, self._observed
+        lane = int(observed.lane[row]) if row >= 0 else -1
+        if lane < 0 or self._road.lanes[lane].internal:
+            return False
+        length, width = self._steps.length[self.index], self._steps.width[self.index]
+        if observed.s[row] < length / 2 + TURNED_M:
+            return False
+        half = (width + length * abs(float(np.sin(observed.lane_heading[row])))) / 2
+        reach = abs(float(observed.offset[row])) + float(half)
+        return reach > self._road.lanes[lane].width_m / 2 + BETWEEN_LANES_M
+
+    def could_have_stopped(self, other: _Party) -> bool:
+        """Whether it ran into the other, which had stood there long enough to be braked for."""
+        if self._column == 0 or not self.speed[-2] > other.speed[-2]:
+            return False
+        away = (xy := other.until_now(self._steps.xy)) - xy[-1]
+        stood = np.isfinite(self.speed) & (np.hypot(away[:, 0], away[:, 1]) < STOOD_M)
+        before = np.flatnonzero(~stood)
+        reaction = round(REACTION_S / self._steps.step_s)
+        braked = (int(before[-1]) + 1 if before.size else 0) + reaction
+        if braked >= self._column:
+            return False
+        left_m = float(self.speed[braked:-1].sum()) * self._steps.step_s
+        return could_stop(float(self.speed[braked]), left_m)
+
+
 @dataclass(frozen=True, slots=True)
-class Crash:
-    """A collision and what is needed to find its cause.
+class Crashes:
+    """Finds the causes of an episode's collisions.
 
     Attributes:
         steps: the episode or recording.
         road: where it happened.
         observed: its observables.
-        event: the collision, whose parties stand in any order.
+        events: what was found before, in any order.
+        cuts: the cut-ins of the episode.
+        forbidden: (m,) where pedestrians walk though they may not.
     """
 
     steps: TrajectoryRows
     road: Road
     observed: Observables
-    event: Event
+    events: Sequence[Event]
+    cuts: Sequence[ShownTrait]
+    forbidden: BoolArray
 
-    @property
-    def pair(self) -> tuple[int, int]:
-        """Ids of the two parties."""
-        assert self.event.other is not None
-        return self.event.agent, self.event.other
+    def cause(self, pair: tuple[int, int], time_s: float) -> Event:
+        """A collision with its cause: the first of the following that applies.
 
-    @property
-    def column(self) -> int:
-        """The column in which they first touch."""
-        return _column(self.steps, self.event.time_s)
+        A party ran a red light or a stop sign and has not left the junction; drove the wrong way;
+        walked where pedestrians may not, or into a standing vehicle; did not yield to a pedestrian;
+        cut in just before; or what `_between_vehicles` finds.
 
-    def index(self, agent: int) -> int:
-        """Index of an agent, from its id."""
-        return int(np.searchsorted(self.steps.ids, agent))
+        Args:
+            pair: ids of the parties, in any order.
+            time_s: when they first touch, s.
 
-    def row(self, agent: int) -> int:
-        """Row of an agent at the time of the collision; -1 where it was not seen."""
-        return self.steps.row_index.row(self.index(agent), self.column)
+        Returns:
+            The collision; ``agent`` caused it, ``rule`` says why.
+        """
+        column = _column(self.steps, time_s)
+        parties = [_Party(self.steps, self.road, self.observed, id, column) for id in pair]
+        party, rule = self._cause(parties, time_s, column)
+        other = pair[0] if party.id == pair[1] else pair[1]
+        return Event(EventKind.COLLISION, time_s, party.id, other, rule)
 
-    def speeds(self, agent: int, begin: int, end: int) -> FloatArray:
-        """(end - begin,) speeds of an agent, m/s, NaN where it was not seen."""
-        return self.steps.row_index.over(self.steps.speed, self.index(agent), begin, end, np.nan)
+    def _cause(self, parties: list[_Party], time_s: float, column: int) -> tuple[_Party, str]:
+        """The party that caused a collision, and why."""
+        of = {party.id: party for party in parties}
+        for kind, rule, recent_s in (
+            (EventKind.RED_RUN, "ran a red light", RECENT_S),
+            (EventKind.STOP_ROLLED, "rolled over a stop line", RECENT_S),
+            (EventKind.WRONG_WAY, "drove the wrong way", 2 * RECENT_S),
+        ):
+            for event in reversed(self.events):
+                if event.kind is kind and event.agent in of and event.time_s <= time_s + 0.5:
+                    party = of[event.agent]
+                    if party.connection >= 0 or time_s - event.time_s <= recent_s:
+                        return party, rule
+        for party, other in (parties, parties[::-1]):
+            if party.is_pedestrian:
+                rows = self.steps.row_index.rows(party.index, column - 1, column + 1)
+                if self.forbidden[rows].any():
+                    return party, "walked where or when one may not"
+                if (other.speed[-1 - round(1.0 / self.steps.step_s) :] < ROLLING_MPS).all():
+                    return party, "walked into a vehicle that stood"
+                return other, "did not yield to a pedestrian"
+        for cut in reversed(self.cuts):
+            cutter, victim = int(self.steps.ids[cut.agent]), int(self.steps.ids[cut.other])
+            if {cutter, victim} == of.keys() and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
+                return of[cutter], f"cut in {cut.value:.2f} s before the other"
+        return self._between_vehicles(*parties)
 
-    def caused_by(self, agent: int, rule: str) -> Event:
-        """The collision with its cause."""
-        other = self.pair[0] if agent == self.pair[1] else self.pair[1]
-        return Event(EventKind.COLLISION, self.event.time_s, agent, other, rule)
+    def _between_vehicles(self, one: _Party, two: _Party) -> tuple[_Party, str]:
+        """The cause that lies in how two vehicles stand to each other.
 
-    def connection(self, agent: int) -> int | None:
-        """The connection that a vehicle drives at a junction; None if no part of it is inside."""
-        row, column = self.row(agent), self.column
-        inside = row >= 0 and self.observed.stop_distance[row] < 0
-        soon = round(RECENT_S / self.steps.step_s) if inside else 0
-        rows = self.steps.row_index.rows(self.index(agent), column, column + soon + 1)
-        links = self.road.connection_of_lane[self.observed.lane[rows]]
-        at = np.flatnonzero(links >= 0)
-        return int(links[at[0]]) if at.size else None
-
-    def entered(self, agent: int) -> int:
-        """The column in which a vehicle's front entered the junction that the vehicle is in."""
-        distance = self.observed.stop_distance
-        row_index = self.steps.row_index
-        inside = row_index.over(distance, self.index(agent), 0, self.column + 1, np.inf) < 0
-        outside = np.flatnonzero(~inside)
-        return int(outside[-1]) + 1 if outside.size else 0
-
-    def between_lanes(self, agent: int) -> bool:
-        """Whether a vehicle's outline reaches over the marking of the lane that it is on."""
-        row = self.row(agent)
-        lane = int(self.observed.lane[row]) if row >= 0 else -1
-        if lane < 0 or self.road.lanes[lane].internal:
-            return False
-        index = self.index(agent)
-        length, width = self.steps.length[index], self.steps.width[index]
-        if self.observed.s[row] < length / 2 + TURNED_M:
-            return False
-        half = (width + length * abs(float(np.sin(self.observed.lane_heading[row])))) / 2
-        reach = abs(float(self.observed.offset[row])) + float(half)
-        return reach > self.road.lanes[lane].width_m / 2 + BETWEEN_LANES_M
-
-    def could_have_stopped(self, agent: int, other: int) -> bool:
-        """Whether an agent ran into another that had stood there long enough to be braked for."""
-        column = self.column
-        speed = self.speeds(agent, 0, column + 1)
-        if column == 0 or not speed[-2] > self.speeds(other, column - 1, column)[0]:
-            return False
-        row_index = self.steps.row_index
-        xy = row_index.over(self.steps.xy, self.index(other), 0, column + 1, np.nan)
-        away = xy - xy[-1]
-        there = np.isfinite(speed) & (np.hypot(away[:, 0], away[:, 1]) < STOOD_M)
-        before = np.flatnonzero(~there)
-        reaction = round(REACTION_S / self.steps.step_s)
-        braked = (int(before[-1]) + 1 if before.size else 0) + reaction
-        if braked >= column:
-            return False
-        left_m = float(speed[braked:column].sum()) * self.steps.step_s
-        return could_stop(float(speed[braked]), left_m)
-
-
-def cause(
-    crash: Crash, events: Sequence[Event], cuts: Sequence[ShownTrait], forbidden: BoolArray
-) -> Event:
-    """The collision with its cause.
-
-    The first of these that applies: a party ran a red light or a stop sign and has not left the
-    junction; drove the wrong way; walked where pedestrians may not, or into a standing vehicle; did
-    not yield to a pedestrian; cut in just before. Then the causes that lie in how two vehicles
-    stand to each other (`_between_vehicles`).
-
-    Args:
-        crash: the collision.
-        events: what was found before, in any order.
-        cuts: the cut-ins of the episode.
-        forbidden: (m,) where pedestrians walk though they may not.
-
-    Returns:
-        The collision; ``agent`` caused it, ``rule`` says why.
-    """
-    pair, time_s, steps = crash.pair, crash.event.time_s, crash.steps
-    for kind, rule, recent_s in (
-        (EventKind.RED_RUN, "ran a red light", RECENT_S),
-        (EventKind.STOP_ROLLED, "rolled over a stop line", RECENT_S),
-        (EventKind.WRONG_WAY, "drove the wrong way", 2 * RECENT_S),
-    ):
-        for event in reversed(events):
-            if event.kind is not kind or event.agent not in pair or event.time_s > time_s + 0.5:
-                continue
-            if crash.connection(event.agent) is not None or time_s - event.time_s <= recent_s:
-                return crash.caused_by(event.agent, rule)
-    column = crash.column
-    for agent, other in (pair, pair[::-1]):
-        index = crash.index(agent)
-        if steps.kind[index] == PEDESTRIAN:
-            if forbidden[steps.row_index.rows(index, column - 1, column + 1)].any():
-                return crash.caused_by(agent, "walked where or when one may not")
-            second = max(column - round(1.0 / steps.step_s), 0), column + 1
-            if (crash.speeds(other, *second) < ROLLING_MPS).all():
-                return crash.caused_by(agent, "walked into a vehicle that stood")
-            return crash.caused_by(other, "did not yield to a pedestrian")
-    for cut in reversed(cuts):
-        cutter, victim = int(steps.ids[cut.agent]), int(steps.ids[cut.other])
-        if {cutter, victim} == set(pair) and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
-            return crash.caused_by(cutter, f"cut in {cut.value:.2f} s before the other")
-    return _between_vehicles(crash)
-
-
-def _between_vehicles(crash: Crash) -> Event:
-    """The cause that lies in how two vehicles stand to each other.
-
-    The first of these that applies: a party entered a junction that the other was still clearing
-    (where signals never let both go, or each yields to the other); was between lanes (who changes
-    lanes answers for it: German road traffic act, section 7(5)); ran into a standing vehicle though
-    there was room to stop; took the other's priority; ran into a standing vehicle. Otherwise the
-    follower caused it.
-    """
-    pair, column, steps = crash.pair, crash.column, crash.steps
-    links = {agent: crash.connection(agent) for agent in pair}
-    one, two = (links[agent] for agent in pair)
-    if one is not None and two is not None and one != two and crash.road.first_come(one, two):
-        entered = [crash.entered(agent) for agent in pair]
-        later = pair[int(entered[1] > entered[0])]
-        return crash.caused_by(later, "entered a junction not yet clear")
-    outside = [crash.between_lanes(agent) for agent in pair]
-    if outside[0] != outside[1]:
-        return crash.caused_by(pair[int(outside[1])], "was between lanes")
-    for agent, other in (pair, pair[::-1]):
-        if crash.could_have_stopped(agent, other):
-            return crash.caused_by(agent, "ran into somebody who stood")
-    for agent, other in (pair, pair[::-1]):
-        mine, theirs = links[agent], links[other]
-        if mine is None or theirs is None or mine == theirs:
-            continue
-        if theirs in crash.road.connections[mine].yields_to:
-            return crash.caused_by(agent, "took another's priority")
-    standing = [crash.speeds(agent, column, column + 1)[0] < ROLLING_MPS for agent in pair]
-    if standing[0] != standing[1]:
-        return crash.caused_by(pair[int(standing[0])], "ran into somebody who stood")
-    a, b = (crash.row(agent) for agent in pair)
-    behind = False  # as it is where one of the two was not seen
-    if a >= 0 and b >= 0:
-        facing = np.array([np.cos(steps.heading[a]), np.sin(steps.heading[a])])
-        behind = float((steps.xy[b] - steps.xy[a]) @ facing) < 0
-    return crash.caused_by(pair[int(behind)], "followed too closely")
+        The first of these that applies: a party entered a junction that the other was still
+        clearing (where signals never let both go, or each yields to the other); was between lanes
+        (German road traffic act, section 7(5)); ran into a standing vehicle though there was room
+        to stop; took the other's priority; ran into a standing vehicle. Otherwise the follower
+        caused it.
+        """
+        ways = one.connection, two.connection
+        meet = min(ways) >= 0 and ways[0] != ways[1]
+        if meet and self.road.first_come(*ways):
+            later = two if two.entered > one.entered else one
+            return later, "entered a junction not yet clear"
+        if one.between_lanes != two.between_lanes:
+            return (two if two.between_lanes else one), "was between lanes"
+        for party, other in ((one, two), (two, one)):
+            if party.could_have_stopped(other):
+                return party, "ran into somebody who stood"
+        for party, other in ((one, two), (two, one)):
+            if meet and other.connection in self.road.connections[party.connection].yields_to:
+                return party, "took another's priority"
+        if one.stands != two.stands:
+            return (two if one.stands else one), "ran into somebody who stood"
+        is_behind = False  # as it is where one of the two was not seen
+        if one.row >= 0 and two.row >= 0:
+            heading, xy = self.steps.heading[one.row], self.steps.xy
+            facing = np.array([np.cos(heading), np.sin(heading)])
+            is_behind = float((xy[two.row] - xy[one.row]) @ facing) < 0
+        return (two if is_behind else one), "followed too closely"

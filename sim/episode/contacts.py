@@ -6,17 +6,13 @@ An outline is a rectangle of an agent's length and width about its centre, turne
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from sim.episode.rows import BLOCK_ROWS, TrajectoryRows
 from sim.frames import PEDESTRIAN, IntArray
 from sim.geometry import GRAZE_M, Outlines, separation
-
-KEY_ERROR_M: Final = 0.01
-"""Pairs are looked for this much farther than circles reach, m: places along x and times are sorted
-as one number, which is rounded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,45 +69,20 @@ def contacts(steps: TrajectoryRows) -> tuple[Contact, ...]:
 
 def _touching(steps: TrajectoryRows, rows: IntArray) -> tuple[IntArray, IntArray]:
     """(k,) rows of both of each pair among these rows whose outlines overlap at one time."""
-    first, second = _near(steps, rows)
+    step = steps.row_index.step[rows]
+    far_m = float(np.hypot(steps.length, steps.width).max(initial=0.0))
+    apart = 2.0 * far_m * (step - step[:1])  # rows of different times are too far apart to meet
+    at = np.column_stack([steps.xy[rows], apart])
+    tree = cKDTree(at, balanced_tree=False, compact_nodes=False)
+    first, second = rows[np.sort(tree.query_pairs(far_m, output_type="ndarray"), axis=1)].T
+    walking = (steps.kind == PEDESTRIAN)[steps.row_index.agent]
+    some = ~(walking[first] & walking[second])
+    first, second = first[some], second[some]
     touch = separation(_outlines(steps, first), _outlines(steps, second)) < -GRAZE_M
     return first[touch], second[touch]
 
 
-def _near(steps: TrajectoryRows, rows: IntArray) -> tuple[IntArray, IntArray]:
-    """(k,) rows of both of a pair, wherever the circles about their outlines meet.
-
-    Rows are sorted along x within bands that are as high as the widest two circles reach, one time
-    after the other. So each row is compared with those near it in its own band and in the next,
-    however large the crowd and the map are.
-    """
-    if not rows.size:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    agent, step = steps.row_index.agent[rows], steps.row_index.step[rows]
-    x, y = steps.xy[rows].T
-    walking = (steps.kind == PEDESTRIAN)[agent]
-    reach = 0.5 * np.hypot(steps.length, steps.width)[agent]
-    far = 2.0 * float(reach.max()) + KEY_ERROR_M
-    band = np.floor((y - y.min()) / far).astype(np.int64)
-    bands = int(band.max()) + 2  # one stays empty between one time and the next
-    span = float(np.ptp(x)) + 2.0 * far + 1.0  # bands never meet
-    key = x - x.min() + span * (band + bands * (step - step[0]))
-    order = np.argsort(key)
-    key = key[order]
-    found = []
-    for first, last in ((None, key + far), (key + span - far, key + span + far)):
-        begin = np.arange(1, key.size + 1) if first is None else np.searchsorted(key, first, "left")
-        count = np.searchsorted(key, last, "right") - begin
-        one = np.repeat(np.arange(key.size), count)
-        other = np.arange(one.size) - np.repeat(np.cumsum(count) - count, count) + begin[one]
-        a, b = order[one], order[other]
-        near = np.hypot(x[a] - x[b], y[a] - y[b]) < reach[a] + reach[b]
-        near &= ~(walking[a] & walking[b])
-        found.append((rows[a[near]], rows[b[near]]))
-    a, b = (np.concatenate(part) for part in zip(*found, strict=True))
-    return np.minimum(a, b), np.maximum(a, b)
-
-
 def _outlines(steps: TrajectoryRows, rows: IntArray) -> Outlines:
+    """The outlines of agents in some rows."""
     agent = steps.row_index.agent[rows]
     return Outlines.of(steps.xy[rows], steps.heading[rows], steps.length[agent], steps.width[agent])

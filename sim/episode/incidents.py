@@ -14,7 +14,7 @@ import numpy as np
 from behaviors.detector_inputs import DetectorInputs
 from behaviors.row_index import RowIndex
 from behaviors.traits import cutting_in
-from sim.episode.collisions import Crash, cause, collisions
+from sim.episode.collisions import Crashes, collisions
 from sim.episode.contacts import contacts
 from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import Observables, observe
@@ -68,10 +68,10 @@ def incidents(
     collided = collisions(steps, () if recorded else contacts(steps))
     if collided:
         inputs = detector_inputs(steps, road, observed) if inputs is None else inputs
-        cuts, forbidden = cutting_in(inputs), inputs.off_crossing | inputs.on_red
+        forbidden = inputs.off_crossing | inputs.on_red
+        crashes = Crashes(steps, road, observed, found, cutting_in(inputs), forbidden)
     for pair, columns in collided:
-        first = Event(EventKind.COLLISION, float(steps.time_s[columns[0]]), *pair)
-        collision = cause(Crash(steps, road, observed, first), found, cuts, forbidden)
+        collision = crashes.cause(pair, float(steps.time_s[columns[0]]))
         found.append(collision)
         found += [
             dataclasses.replace(collision, kind=EventKind.CONTACT, time_s=float(time_s))

@@ -194,19 +194,9 @@ def _observe(
     by_time: IntArray,
     begins: IntArray,
 ) -> Observables:
-    """What is seen in m rows.
+    """What is seen in m rows of T instants.
 
-    Args:
-        road: where it happens.
-        xy: (m, 2) m.
-        heading: (m,) rad.
-        speed: (m,) m/s.
-        length: (m,) m.
-        walking: (m,) whether the row is a pedestrian's.
-        signals: (S, T) codes.
-        instant: (m,) index of the row's time.
-        by_time: (m,) the rows in order of time.
-        begins: (T + 1,) where in ``by_time`` those of each time begin, and m.
+    ``signals`` is (S, T); the rows of each instant begin in ``by_time`` at ``begins`` (T + 1,).
     """
     graph = LaneGraph.of(road)
     m = speed.size

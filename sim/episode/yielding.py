@@ -122,13 +122,7 @@ def _near(crossing: Crossing, xy: FloatArray, beyond_m: float) -> IntArray:
 
 
 def _walks(steps: TrajectoryRows, crossing: Crossing, walkers: IntArray) -> list[Walk]:
-    """Every walk over a crossing that was not begun on red.
-
-    Args:
-        steps: the episode.
-        crossing: the crossing.
-        walkers: (k,) rows of pedestrians.
-    """
+    """Every walk over a crossing that was not begun on red; ``walkers`` are pedestrians' rows."""
     row_index = steps.row_index
     u = np.full(steps.speed.size, np.nan)
     u[walkers], across, total = along(crossing.centerline, steps.xy[walkers])
@@ -165,16 +159,8 @@ def _verdict(
     could have stopped then. And only the pedestrian held the vehicle: no red light, no leader, no
     vehicle on a connection that crosses or joins its own.
 
-    Returns the kind of event and the pedestrian's id; None without an encounter.
-
-    Args:
-        steps: the episode.
-        road: where it happened.
-        observed: its observables.
-        walks: the walks over the crossing.
-        row: in which the vehicle's front comes to the crossing.
-        path: where it drives, as a distance along the crossing, m.
-        links: (m,) `Road.connection_of_lane` of each row's lane.
+    Returns the kind of event and the pedestrian's id; None without an encounter. The vehicle's
+    front comes to the crossing in ``row``, at ``path`` m along it.
     """
     row_index, step_s = steps.row_index, steps.step_s
     agent, entry = int(row_index.agent[row]), int(row_index.step[row])
@@ -237,13 +223,8 @@ def _others_cross(
 ) -> bool:
     """Whether another vehicle was on a connection that crosses or joins this vehicle's.
 
-    Args:
-        steps: the episode.
-        road: where it happened.
-        links: (m,) as in `_verdict`.
-        since: row of the vehicle from which on others count.
-        entry: row in which it enters the crossing.
-        until: last column in which others count.
+    Others count from row ``since`` of the vehicle, which enters in row ``entry``, to column
+    ``until``.
     """
     row_index = steps.row_index
     agent, begin = int(row_index.agent[entry]), int(row_index.step[since])

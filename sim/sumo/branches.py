@@ -17,12 +17,10 @@ import signal
 import socket
 import subprocess
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, NoReturn, Self
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
@@ -30,12 +28,13 @@ from sim.frames import Frame
 from sim.scenario import AgentSpec, CarFollowing, Scenario, with_behavior
 from sim.sumo.control.acting import Action, Command
 from sim.sumo.control.controls import NAMED
-from sim.sumo.engine import run_changeable
+from sim.sumo.engine import run_with
+from sim.sumo.settings import SumoSettings
 
 FRAMES_A_MESSAGE: Final = 20
 """Frames are sent in groups: each message costs some 50 microseconds (measured)."""
 
-LAWS: Final[dict[str, CarFollowing]] = {"sumo": "Krauss", "sumo-idm": "IDM"}
+ENGINE_LAWS: Final[dict[str, CarFollowing]] = {"sumo": "Krauss", "sumo-idm": "IDM"}
 """The engines whose episodes can be branched, and the law by which their drivers follow."""
 
 _MEMORY: Final = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "PYTHONMALLOC": "malloc"}
@@ -45,25 +44,20 @@ _PR_SET_PDEATHSIG: Final = 1
 """Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
 
 
-class _Closing(contextlib.AbstractContextManager["_Closing"], ABC):
+class _Closing:
     """Something that a ``with`` block closes at its end."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """End it."""
 
     def __enter__(self) -> Self:
         """Use it in a ``with`` block."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close it."""
         self.close()
+
+    def close(self) -> None:
+        """End it."""
+        raise NotImplementedError
 
 
 class Branch(_Closing):
@@ -105,8 +99,8 @@ class Trunk(_Closing):
         self, scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str = "sumo"
     ) -> None:
         check_platform()
-        if engine not in LAWS:
-            raise InputError(f"engine: found {engine!r}, expected {' or '.join(LAWS)}")
+        if engine not in ENGINE_LAWS:
+            raise InputError(f"engine: found {engine!r}, expected {' or '.join(ENGINE_LAWS)}")
         here, there = socket.socketpair()
         with there:
             self._process = subprocess.Popen(
@@ -122,7 +116,7 @@ class Trunk(_Closing):
             for agent in self._drivers.values()
             for behavior in BEHAVIORS
         )
-        self._connection.send((scenario, tuple(agents), seed, LAWS[engine], others))
+        self._connection.send((scenario, tuple(agents), seed, ENGINE_LAWS[engine], others))
 
     def advance(self, until_s: float) -> tuple[Frame, ...]:
         """Drive the trunk on.
@@ -136,7 +130,7 @@ class Trunk(_Closing):
         Raises:
             InputError: if the simulation failed.
         """
-        self._connection.send(("advance", until_s, None))
+        self._connection.send((until_s, None, False))
         return tuple(_received(self._connection, "trunk"))
 
     def branch(
@@ -170,7 +164,7 @@ class Trunk(_Closing):
             )
         here, there = socket.socketpair()
         with there:
-            self._connection.send(("branch", until_s, changed))
+            self._connection.send((until_s, changed, True))
             send_handle(self._connection, there.fileno(), self.process_id)
         return Branch(Connection(here.detach()))
 
@@ -235,21 +229,13 @@ def _received(connection: Connection, whose: str) -> Iterator[Frame]:
             yield Frame(**fields)
 
 
-def _fields(frame: Frame) -> dict[str, Any]:
-    """What a frame is made of: the receiver builds it anew, checked and read-only."""
-    return {name: getattr(frame, name) for name in frame.__dataclass_fields__}
-
-
 def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> bool:
-    """Send frames up to a time, then an empty message.
-
-    Returns:
-        Whether the simulation can go on; if it failed, the reason was sent as a text instead.
-    """
+    """Send frames up to a time, then an empty message; False after the reason of a failure."""
     group: list[dict[str, Any]] = []
     try:
         for frame in frames:
-            group.append(_fields(frame))
+            # the receiver builds a frame anew, checked and read-only
+            group.append({name: getattr(frame, name) for name in frame.__dataclass_fields__})
             last = frame.time_s >= until_s - 1e-9
             if last or len(group) == FRAMES_A_MESSAGE:
                 connection.send(group)
@@ -269,47 +255,41 @@ def _serve(connection: Connection) -> None:
     """Run an episode as the other end of the connection asks for it."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system clears up ended branches
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this
-    episode = connection.recv()
+    scenario, agents, seed, law, alternatives = connection.recv()
     frames: Generator[Frame, AgentSpec | Command | None] | None = None
     with contextlib.suppress(EOFError, OSError):
         while True:
-            order, until_s, changed = connection.recv()
+            until_s, to, is_branch = connection.recv()
             if frames is None:
                 try:
-                    frames = run_changeable(*episode)
+                    frames = run_with(scenario, agents, seed, SumoSettings(law), alternatives)
                 except InputError as error:
                     connection.send(str(error))
-                    break
-            if order == "advance":
+                    return
+            if not is_branch:
                 if not _send(connection, frames, until_s):
-                    break
+                    return
                 continue
-            handle = recv_handle(connection)
-            trunk = os.getpid()
+            handle, trunk = recv_handle(connection), os.getpid()
             if os.fork() == 0:
-                out = Connection(handle)
-                _be_branch(trunk, connection, out, _changed(frames, changed), until_s)
+                _be_branch(trunk, connection, Connection(handle), _changed(frames, to), until_s)
             os.close(handle)
 
 
 def _changed(
-    frames: Generator[Frame, AgentSpec | Command | None], change: AgentSpec | Command | None
+    frames: Generator[Frame, AgentSpec | Command | None], to: AgentSpec | Command | None
 ) -> Iterator[Frame]:
     """The frames after a driver has changed."""
-    if change is not None:
+    if to is not None:
         with contextlib.suppress(StopIteration):
-            yield frames.send(change)
+            yield frames.send(to)
     yield from frames
 
 
 def _be_branch(
     trunk: int, control: Connection, out: Connection, frames: Iterator[Frame], until_s: float
-) -> None:
-    """What the copied process does; it never returns, so that nothing of the trunk is cleaned up.
-
-    Raises:
-        SystemExit: never; the process ends without running any of Python's exit code.
-    """
+) -> NoReturn:
+    """What the copied process does; it ends without any of Python's exit code."""
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() == trunk:  # else the trunk ended before the line above

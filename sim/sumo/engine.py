@@ -16,17 +16,17 @@ from typing import Any, Final, cast
 
 from behaviors.errors import InputError
 from sim.frames import Frame
-from sim.scenario import AgentSpec, CarFollowing, Scenario, check_agents
+from sim.scenario import AgentSpec, Scenario, check_agents
 from sim.store.atomic import temporary_folder
 from sim.sumo.control.acting import Command
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
 from sim.sumo.frame_reader import FrameReader
-from sim.sumo.settings import HOME, SumoSettings
+from sim.sumo.settings import DEFAULT_SETTINGS, SumoSettings
 from sim.sumo.simulation import SIMULATION, SumoError, sumo_reason
 from sim.sumo.vehicle_types import route_file
 
-OPTIONS: Final[tuple[str, ...]] = (
+SUMO_OPTIONS: Final[tuple[str, ...]] = (
     "--thread-rngs", "64",
     "--collision.action", "warn",
     "--collision.mingap-factor", "0",
@@ -60,7 +60,7 @@ def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[
             in this process.
         InputError: if the net is missing or the agents or the seed are not usable.
     """
-    return run_with(scenario, agents, seed, HOME)
+    return run_with(scenario, agents, seed, DEFAULT_SETTINGS)
 
 
 def run_idm(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
@@ -73,8 +73,12 @@ def run_idm(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Itera
 
 
 def run_with(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, settings: SumoSettings
-) -> Iterator[Frame]:
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    seed: int,
+    settings: SumoSettings,
+    alternatives: Sequence[AgentSpec] = (),
+) -> Generator[Frame, AgentSpec | Command | None]:
     """Drive a scenario in SUMO with another law, lane discipline or step than `run` has.
 
     Args:
@@ -82,50 +86,21 @@ def run_with(
         agents: as in `run`.
         seed: as in `run`.
         settings: what is the same for all vehicles.
+        alternatives: drivers as they may become. One of them sent to the generator replaces the
+            driver of the same id before the next step, and a `Command` makes its driver act.
 
     Yields:
         Frames as in `run`.
 
     Raises:
         SumoError: as in `run`.
-        InputError: as in `run`.
-    """
-    _check(scenario, agents, seed)
-    ordered = tuple(sorted(agents, key=lambda a: a.id))
-    return cast("Iterator[Frame]", _steps(scenario, ordered, seed, settings, steer=True, read=True))
-
-
-def run_changeable(
-    scenario: Scenario,
-    agents: Sequence[AgentSpec],
-    seed: int,
-    law: CarFollowing,
-    alternatives: Sequence[AgentSpec],
-) -> Generator[Frame, AgentSpec | Command | None]:
-    """Drive a scenario as `run` does, with drivers whose behaviour can be changed on the way.
-
-    Args:
-        scenario: as in `run`.
-        agents: as in `run`.
-        seed: as in `run`.
-        law: the car-following law of all drivers.
-        alternatives: drivers as they may become; one of them sent to the generator replaces the
-            driver of the same id before the next step, and a `Command` makes its driver act.
-            Without either the frames are those of `run`.
-
-    Yields:
-        Frames as in `run`.
-
-    Raises:
         InputError: as in `run`, and if a driver that is to change cannot.
     """
     _check(scenario, agents, seed)
-    ordered = tuple(sorted(agents, key=lambda a: a.id))
-    steps = _steps(
-        scenario, ordered, seed, SumoSettings(law=law), steer=True, read=True,
-        alternatives=alternatives,
-    )  # fmt: skip
-    return cast("Generator[Frame, AgentSpec | Command | None]", steps)
+    return cast(
+        "Generator[Frame, AgentSpec | Command | None]",
+        _steps(scenario, agents, seed, settings, alternatives, steer=True, read=True),
+    )
 
 
 def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
@@ -172,7 +147,7 @@ def _start(
         "--step-length", f"{step_ms / 1000:.3f}",
         "--lanechange.duration", f"{settings.lane_change_s:g}",
         "--log", str(log),
-        *OPTIONS,
+        *SUMO_OPTIONS,
     ]  # fmt: skip
     return SIMULATION.start(arguments, log), log
 
@@ -198,22 +173,22 @@ def step_bare(
         SumoError: as in `run`.
     """
     _check(scenario, agents, seed)
-    ordered = tuple(sorted(agents, key=lambda a: a.id))
-    for _ in _steps(scenario, ordered, seed, HOME, steer=steer, read=read):
+    for _ in _steps(scenario, agents, seed, DEFAULT_SETTINGS, (), steer=steer, read=read):
         pass
 
 
 def _steps(
     scenario: Scenario,
-    agents: tuple[AgentSpec, ...],
+    agents: Sequence[AgentSpec],
     seed: int,
     settings: SumoSettings,
+    alternatives: Sequence[AgentSpec],
     *,
     steer: bool,
     read: bool,
-    alternatives: Sequence[AgentSpec] = (),
 ) -> Generator[Frame | None, AgentSpec | Command | None]:
     """Frames, or None for each where none is read; what is sent to it changes a driver at once."""
+    agents = sorted(agents, key=lambda a: a.id)
     substeps, step_ms = _substeps(scenario.step_s, settings.longest_step_s)
     with temporary_folder("sumo") as scratch:
         sumo, log = _start(scenario, agents, seed, step_ms, scratch, settings, alternatives)

@@ -47,18 +47,10 @@ def turning_areas(road: Road) -> tuple[FloatArray, Cells]:
 
 @dataclass(frozen=True, slots=True)
 class _Present:
-    """The agents on the road, and what stays the same until the next arrival or departure.
+    """What stays the same until an agent comes or goes: the n agents on the road.
 
-    Attributes:
-        vehicles: names of the vehicles, in SUMO's order.
-        persons: names of the pedestrians, in SUMO's order.
-        order: (n,) indices into vehicles followed by persons, in ascending order of row.
-        rows: (n,) rows of the agents, ascending.
-        angle: SUMO's angle of each vehicle that has just departed; 0 for the other vehicles.
-        ids: (n,) as in a frame.
-        length: (n,) as in a frame.
-        width: (n,) as in a frame.
-        kind: (n,) as in a frame.
+    Names are in SUMO's order, vehicles before persons; ``order`` sorts them by their ``rows``.
+    ``angle`` is SUMO's of each vehicle that has just departed, and 0 of the others.
     """
 
     vehicles: Sequence[str]

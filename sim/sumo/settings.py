@@ -37,6 +37,7 @@ limit that the profiles were made for."""
 
 
 def _as_it_is(profile: Profile) -> dict[str, float]:
+    """Nothing differs."""
     return {}
 
 
@@ -53,12 +54,8 @@ def _wiedemann_74(profile: Profile) -> dict[str, float]:
 
 def _wiedemann_99(profile: Profile) -> dict[str, float]:
     """``cc1`` is the time headway, ``cc8`` the acceleration from standstill."""
-    return {
-        "cc1": profile.time_headway_s,
-        "cc2": 4.0,
-        "cc8": profile.max_accel_mps2,
-        "cc9": 0.6 * profile.max_accel_mps2,
-    }
+    accel = profile.max_accel_mps2
+    return {"cc1": profile.time_headway_s, "cc2": 4.0, "cc8": accel, "cc9": 0.6 * accel}
 
 
 def _stretched(profile: Profile) -> dict[str, float]:
@@ -142,5 +139,5 @@ class SumoSettings:
             raise InputError(f"longest_step_s: found {self.longest_step_s}, expected 0.001 to 1")
 
 
-HOME: Final = SumoSettings()
+DEFAULT_SETTINGS: Final = SumoSettings()
 """The settings of the engine ``sumo``."""

@@ -1,8 +1,7 @@
 """SUMO's route file of an episode: one vehicle type per driver.
 
 All drivers of a run have the same car-following model and SUMO's LC2013 lane-change model with the
-same imperfection (`SumoSettings`); they differ in what their `Profile` says. SUMO accepts
-misspelled attributes silently, so attributes are checked against `ATTRIBUTES`.
+same imperfection (`SumoSettings`); they differ in what their `Profile` says.
 
 References:
     Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08.
@@ -21,7 +20,7 @@ from behaviors.errors import InputError
 from behaviors.profiles import Profile
 from sim.frames import AgentKind
 from sim.scenario import KIND_LIMITS, WALK_START_M, AgentSpec
-from sim.sumo.settings import HOME, SumoSettings, law_attributes
+from sim.sumo.settings import DEFAULT_SETTINGS, SumoSettings, law_attributes
 
 VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
     AgentKind.CAR: "passenger",
@@ -32,19 +31,6 @@ VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
     AgentKind.PEDESTRIAN: "pedestrian",
 }
 """SUMO's class of each kind."""
-
-ATTRIBUTES: Final[frozenset[str]] = frozenset(
-    {
-        "id", "vClass", "length", "width", "maxSpeed", "desiredMaxSpeed", "carFollowModel",
-        "laneChangeModel", "speedFactor", "speedDev", "tau", "minGap", "accel", "decel",
-        "emergencyDecel", "sigma", "startupDelay", "impatience", "lcStrategic", "lcCooperative",
-        "lcSpeedGain", "lcSpeedGainRemainTime", "lcKeepRight", "lcAssertive", "lcOpposite",
-        "lcMaxSpeedLatStanding",
-        "jmTimegapMinor", "jmCrossingGap", "jmDriveAfterYellowTime", "jmDriveAfterRedTime",
-        "security", "estimation", "cc1", "cc2", "cc8", "cc9",
-    }
-)  # fmt: skip
-"""Every vType attribute that may be written (SUMO 1.28's names)."""
 
 
 def driver_attributes(profile: Profile) -> dict[str, str]:
@@ -74,7 +60,7 @@ def alternative_name(agent: AgentSpec) -> str:
 
 
 def vehicle_type(
-    agent: AgentSpec, settings: SumoSettings = HOME, name: str | None = None
+    agent: AgentSpec, settings: SumoSettings = DEFAULT_SETTINGS, name: str | None = None
 ) -> dict[str, str]:
     """All vType attributes of one agent, with the settings of the run.
 
@@ -91,14 +77,14 @@ def vehicle_type(
         walking = {"maxSpeed": _number(agent.speed_mps), "speedFactor": "1", "speedDev": "0"}
         if agent.jaywalks:
             walking["jmDriveAfterRedTime"] = "1000"
-        return _checked(common | walking)
+        return common | walking
     if agent.profile is None:
         raise InputError(f"agent {agent.id}: found no profile, expected one for a {agent.kind}")
     limits = KIND_LIMITS[agent.kind]
     cruise = (
         {} if math.isinf(limits.cruise_mps) else {"desiredMaxSpeed": _number(limits.cruise_mps)}
     )
-    return _checked(
+    return (
         common
         | cruise
         | {
@@ -121,7 +107,7 @@ def vehicle_type(
 def route_file(
     agents: Sequence[AgentSpec],
     jaywalking: Mapping[int, float] | None = None,
-    settings: SumoSettings = HOME,
+    settings: SumoSettings = DEFAULT_SETTINGS,
     alternatives: Sequence[AgentSpec] = (),
 ) -> Iterator[str]:
     """The lines of a SUMO route file, in order of departure.
@@ -162,13 +148,6 @@ def route_file(
 
 def _number(value: float) -> str:
     return f"{value:.6g}"
-
-
-def _checked(attributes: dict[str, str]) -> dict[str, str]:
-    unknown = attributes.keys() - ATTRIBUTES
-    if unknown:
-        raise InputError(f"vType: found attribute {min(unknown)!r}, expected one that SUMO knows")
-    return attributes
 
 
 def _attributes(values: dict[str, str]) -> str:

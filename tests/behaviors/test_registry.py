@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.registry import Registry, own_function
+from behaviors.registry import Registry
 
 ROOTS = {"square": "math:sqrt", "cube": "math:cbrt"}
 
@@ -46,12 +44,6 @@ def test_a_plugin_is_found_by_name_and_loaded_when_asked_for(folder: Path) -> No
     assert "lazy_fourth" not in sys.modules
     assert registry["fourth"](16.0) == 2.0  # type: ignore[operator]
     assert "lazy_fourth" in sys.modules
-
-
-def test_the_nearest_name_may_be_a_plugins(folder: Path) -> None:
-    install(folder, "near_fourth", "fourth = near_fourth:root")
-    with pytest.raises(InputError, match=r"unknown root 'forth': did you mean 'fourth'\?"):
-        _ = roots()["forth"]
 
 
 def test_a_name_that_is_built_in_is_refused(folder: Path) -> None:
@@ -99,11 +91,6 @@ def test_an_entry_can_be_tried_out() -> None:
     assert list(registry) == ["cube"]
 
 
-def test_what_was_imported_can_be_made_into_an_entry() -> None:
-    registry = Registry("root", "graphrqi.roots", ROOTS, made=lambda name, root: (name, root(64.0)))
-    assert registry["cube"] == ("cube", 4.0)
-
-
 def test_the_names_of_all_registries_load_nothing_heavy() -> None:
     heavy = "libsumo", "highway_env", "torch", "sklearn", "matplotlib", "pyarrow"
     script = (
@@ -115,25 +102,3 @@ def test_the_names_of_all_registries_load_nothing_heavy() -> None:
     )
     root = str(Path(__file__).resolve().parents[2])
     subprocess.run([sys.executable, "-c", script], check=True, cwd=root)
-
-
-def test_get_returns_a_default_as_a_dict_does() -> None:
-    roots = Registry("root", "graphrqi.roots", {"square": "math:sqrt"})
-    assert roots.get("square") is math.sqrt
-    assert roots.get("cubic") is None
-    assert roots.get("cubic", math.cbrt) is math.cbrt
-    with pytest.raises(InputError, match="unknown root 'cubic'"):
-        roots["cubic"]
-
-
-def test_the_working_folder_stands_in_for_no_installed_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
-    for name in ("antigravity", "root_of_this_test"):
-        (tmp_path / f"{name}.py").write_text("def third(x):\n    return x / 3\n")
-    assert own_function("root", "root_of_this_test:third")(6.0) == 2.0
-    found = importlib.util.find_spec("antigravity")
-    assert found is not None
-    assert found.origin != str(tmp_path / "antigravity.py")

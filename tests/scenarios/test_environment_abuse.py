@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import os
 import pickle
-import signal
 from typing import Any
 
 import gymnasium
@@ -118,19 +116,3 @@ def test_copies_of_an_environment_go_on_alike(again: Any) -> None:
     other = again(environment)
     for action in (0, 1, 2):
         assert alike([environment.step(action)], [other.step(action)])
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-@pytest.mark.filterwarnings("ignore:This process")
-def test_an_environment_drives_in_a_process_that_is_forked() -> None:
-    environment = make()
-    wanted = run(environment)
-    child = os.fork()
-    if child == 0:  # no exception may leave this branch
-        code = 1
-        try:
-            signal.alarm(LONGEST_S)
-            code = 0 if alike(run(environment), wanted) and alike(run(make()), wanted) else 2
-        finally:
-            os._exit(code)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

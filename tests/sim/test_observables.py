@@ -190,20 +190,6 @@ def test_lanes_are_searched_backward_too():
     ] == [(0, 40.0), (1, 50.0), (-1, np.inf)]
 
 
-def test_nobody_is_seen_on_an_empty_road(junction):
-    seen = observe(frame(np.empty((0, 2)), []), junction)
-    assert seen.gap.shape == (0,)
-
-
-def test_along_bent_line():
-    u, left, total = along(
-        np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]), np.array([[4.0, 1.0], [9.0, 7.0]])
-    )
-    assert u == pytest.approx([4.0, 17.0])
-    assert left == pytest.approx([1.0, 1.0])
-    assert total == pytest.approx(20.0)
-
-
 def test_along_equals_the_least_distance_to_any_piece():
     rng = np.random.default_rng(5)
     line = np.cumsum(rng.uniform(0.5, 9.0, (6, 2)) * rng.choice([-1.0, 1.0], (6, 2)), axis=0)

@@ -36,14 +36,6 @@ def test_agents_come_in_order_with_ids_from_zero(scenario):
     assert all(0 < a.depart_s < 200.0 for a in agents)
 
 
-def test_pedestrians_have_no_behaviour_and_drivers_have_a_profile(scenario):
-    for agent in sample_agents(scenario, 1):
-        walks = agent.kind is AgentKind.PEDESTRIAN
-        assert (agent.behavior is None) is walks
-        assert (agent.profile is None) is walks
-        assert (agent.speed_mps > 0) is walks
-
-
 def test_one_stream_does_not_change_another(scenario):
     fewer = dataclasses.replace(
         scenario,
@@ -102,11 +94,6 @@ def test_what_cannot_be_is_refused_by_name(scenario, field, value):
         dataclasses.replace(scenario, **{field: value})
 
 
-def test_negative_seed_is_refused(scenario):
-    with pytest.raises(InputError, match="seed: found -1"):
-        sample_agents(scenario, -1)
-
-
 def test_a_scenario_shows_its_demand_its_duration_and_its_road(scenario):
     text = repr(scenario)
     assert text.startswith(
@@ -114,9 +101,6 @@ def test_a_scenario_shows_its_demand_its_duration_and_its_road(scenario):
     )
     assert "200 s in steps of 0.1 s, road straight_road with" in text
     assert len(repr(dataclasses.replace(scenario, name="x" * 500))) < 400
-    table = straight_road(mix="timid=.25,reckless=.75")._repr_html_()
-    assert "<td>behaviours</td><td>timid 25%, reckless 75%</td>" in table
-    assert "<td>vehicles per hour</td><td>2100</td>" in table
 
 
 @pytest.mark.parametrize(

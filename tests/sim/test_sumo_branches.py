@@ -18,7 +18,7 @@ from behaviors.labels import Behavior
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.frames import Frame
-from sim.scenario import sample_agents, with_behavior
+from sim.scenario import sample_agents
 from sim.sumo.branches import Trunk
 from sim.sumo.control.acting import Action
 
@@ -130,17 +130,6 @@ def test_one_driver_changes_and_the_others_are_not_drawn_anew() -> None:
     far = away_m > 60.0  # who is nearer may react at once
     assert far.sum() > 5
     assert np.array_equal(first.xy[far], unchanged.xy[far])
-
-
-def test_with_another_behavior_the_vehicle_stays() -> None:
-    _, agents = scenario_and_agents("straight_road")
-    driver = next(agent for agent in agents if agent.profile is not None)
-    for behavior in Behavior:
-        other = with_behavior(driver, behavior)
-        assert other == with_behavior(driver, behavior)
-        assert other.behavior is behavior
-        kept = ("id", "kind", "route", "depart_s", "length_m", "width_m", "seed")
-        assert all(getattr(other, name) == getattr(driver, name) for name in kept)
 
 
 def test_only_drivers_on_the_road_change() -> None:

@@ -112,7 +112,7 @@ class Controls:
         sumo.vehicle_setType(name, alternative_name(agent))
         sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn anew
         sumo.vehicle_setSpeed(name, -1.0)
-        sumo.vehicle_setSpeedMode(name, obedience.ORDINARY)
+        sumo.vehicle_setSpeedMode(name, obedience.ORDINARY_SPEED_MODE)
         sumo.vehicle_setLaneChangeMode(name, lane_change_mode.ORDINARY)
 
     @property

@@ -13,22 +13,22 @@ from sim.frames import AgentKind, FloatArray
 from sim.road import Lane, Road
 from sim.scenario import AgentSpec
 
-MARGIN_S: Final = 1.5
+GAP_MARGIN_S: Final = 1.5
 """Shortest time between a pedestrian leaving a lane and a vehicle reaching it, s."""
 
-SIGHT_M: Final = 150.0
+SEEN_M: Final = 150.0
 """Pedestrians consider vehicles up to this distance, m."""
 
-PATIENCE_S: Final = 60.0
+KERB_PATIENCE_S: Final = 60.0
 """A pedestrian that finds no gap for this long walks on along the sidewalk, s."""
 
 BEYOND_M: Final = 0.8
 """The walk ends this far beyond the carriageway, on the other sidewalk, m."""
 
-MARGIN_M: Final = 40.0
+JUNCTION_MARGIN_M: Final = 40.0
 """No jaywalking nearer to a junction or crossing, m."""
 
-FASTEST: Final = 1.5
+FASTEST_WALK: Final = 1.5
 """An upper bound of walking speeds, in free speeds, for the earliest time at which a pedestrian can
 be at the chosen place."""
 
@@ -111,18 +111,18 @@ class Jaywalking:
         along = float((place - line[0]) @ direction)
         if along < walker.at_m:
             walker.next_check_s = time_s + (walker.at_m - along) / (
-                FASTEST * walker.agent.speed_mps
+                FASTEST_WALK * walker.agent.speed_mps
             )
             return False
         aim = _other_side(self._road, lane, place, direction)
-        if aim is None or abs(along - walker.at_m) > MARGIN_M:
+        if aim is None or abs(along - walker.at_m) > JUNCTION_MARGIN_M:
             walker.done = True
             return False
         walker.begin, walker.aim = (float(place[0]), float(place[1])), aim
         return True
 
     def _wait(self, name: str, walker: _Jaywalker, time_s: float, vehicles: Sequence[str]) -> None:
-        if time_s - walker.waiting_since_s > PATIENCE_S:
+        if time_s - walker.waiting_since_s > KERB_PATIENCE_S:
             walker.done = True
             return
         if self._gap(walker, vehicles):
@@ -137,7 +137,7 @@ class Jaywalking:
         (x, y), (ax, ay) = walker.begin, walker.aim
         width = math.hypot(ax - x, ay - y)
         over = ((ax - x) / width, (ay - y) / width)
-        far = SIGHT_M**2 + (width + 2.0) ** 2
+        far = SEEN_M**2 + (width + 2.0) ** 2
         for name in vehicles:
             vx, vy = sumo.vehicle_getPosition(name)
             dx, dy = x - vx, y - vy
@@ -145,7 +145,7 @@ class Jaywalking:
                 continue
             angle = math.radians(sumo.vehicle_getAngle(name))
             ahead = dx * math.sin(angle) + dy * math.cos(angle)
-            if ahead < -20.0 or ahead > SIGHT_M:
+            if ahead < -20.0 or ahead > SEEN_M:
                 continue
             aside = -(dx * over[0] + dy * over[1])
             if not -2.0 < aside < width + 2.0:
@@ -156,7 +156,7 @@ class Jaywalking:
             if ahead < 0:  # beside or past the pedestrian: wait for its rear
                 if -ahead < 12.0 + 2.0 and enters_s < 2.0:
                     return False
-            elif ahead / speed < leaves_s + MARGIN_S:
+            elif ahead / speed < leaves_s + GAP_MARGIN_S:
                 return False
         return True
 
@@ -220,10 +220,10 @@ def _places(road: Road, sidewalk: Lane) -> FloatArray:
     ]
     begin, end = sidewalk.centerline[0], sidewalk.centerline[-1]
     length_m = sidewalk.length_m
-    along = np.arange(MARGIN_M, length_m - MARGIN_M, 5.0)
+    along = np.arange(JUNCTION_MARGIN_M, length_m - JUNCTION_MARGIN_M, 5.0)
     points: FloatArray = begin + (end - begin) * along[:, None] / length_m
     away = points[:, None] - np.reshape(entries, (-1, 2))
-    seen = np.hypot(away[..., 0], away[..., 1]) >= SIGHT_M
+    seen = np.hypot(away[..., 0], away[..., 1]) >= SEEN_M
     return np.asarray(along[seen.all(axis=1)])
 
 
@@ -241,7 +241,7 @@ def _other_side(
         if abs(float(line @ direction)) < 0.99:
             continue
         along = float((place - begin) @ line)
-        if not MARGIN_M / 2 < along < lane.length_m - MARGIN_M / 2:
+        if not JUNCTION_MARGIN_M / 2 < along < lane.length_m - JUNCTION_MARGIN_M / 2:
             continue
         aside = float((begin - place) @ over)
         if 0.0 < aside < 40.0:

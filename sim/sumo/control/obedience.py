@@ -18,10 +18,10 @@ from sim.scenario import AgentSpec
 from sim.sumo.control.approaches import Approach, approaches
 from sim.sumo.control.drivers import Controller, RouteDriver
 
-ORDINARY: Final = 31
+ORDINARY_SPEED_MODE: Final = 31
 """SUMO's default speed mode: safe speed, limits of the vehicle, right of way, red lights."""
 
-IGNORE_RED: Final = ORDINARY & ~16
+IGNORE_RED: Final = ORDINARY_SPEED_MODE & ~16
 """Ignores red lights, but not vehicles that are already in the way."""
 
 DECIDES_M: Final = 45.0
@@ -37,7 +37,7 @@ class _RuleBreaker(RouteDriver):
     runs_red: bool = False
     rolls: bool = False
     refuses: bool = False
-    mode: int = ORDINARY
+    mode: int = ORDINARY_SPEED_MODE
     near: bool = False
     decided: set[str] = field(default_factory=set)
 
@@ -76,7 +76,7 @@ class Obedience(Controller[_RuleBreaker]):
             if edge and edge != driver.edge:
                 self._enter(driver, edge)
             ahead = self._approaches.get((driver.edge, driver.following.get(driver.edge, "")))
-            mode = ORDINARY
+            mode = ORDINARY_SPEED_MODE
             if not driver.near:
                 away_m = 0.0
                 if lane is not None:
@@ -111,7 +111,7 @@ class Obedience(Controller[_RuleBreaker]):
                 driver.decided.add(crossing)
                 if driver.rng.random() >= profile.yield_probability:
                     driver.refuses = True
-        mode = ORDINARY
+        mode = ORDINARY_SPEED_MODE
         if driver.runs_red and ahead.signal:
             mode &= IGNORE_RED
         if driver.refuses or (driver.rolls and ahead.stop):

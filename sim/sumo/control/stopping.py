@@ -27,7 +27,7 @@ FREE_AHEAD_M: Final = 50.0
 IN_LANE_M: Final = 0.1
 """A driver farther from the middle of its lane is changing lanes and does not stop, m."""
 
-SLOWEST_MPS: Final = 3.0
+SLOWEST_STOP_MPS: Final = 3.0
 """Drivers slower than this do not slow down, m/s."""
 
 
@@ -78,7 +78,7 @@ class Stopping(Controller[_StoppingDriver]):
         """Whether there is nothing ahead that would provoke slowing down."""
         sumo = self._sumo
         lane = self._lanes.get(sumo.vehicle_getLaneID(name))
-        if lane is None or sumo.vehicle_getSpeed(name) < SLOWEST_MPS:
+        if lane is None or sumo.vehicle_getSpeed(name) < SLOWEST_STOP_MPS:
             return False
         if lane.length_m - sumo.vehicle_getLanePosition(name) < FREE_AHEAD_M:
             return False

@@ -30,7 +30,7 @@ RETURN_M, RETURN_S = 100.0, 7.0
 """The driver returns to its own side if an oncoming vehicle is nearer than this, m, or is met
 sooner than this, s."""
 
-LONGEST_S: Final = 20.0
+LONGEST_PASS_S: Final = 20.0
 """The driver returns to its own side after this time, s."""
 
 LEADER_M: Final = 40.0
@@ -170,7 +170,7 @@ class WrongWay(Controller[_OvertakingDriver]):
         if not driver.returning:
             distance, meeting = self._oncoming(name, driver, vehicles)
             passed = driver.overtaking not in vehicles or self._behind(name, driver.overtaking)
-            late = time_s - driver.since_s > LONGEST_S
+            late = time_s - driver.since_s > LONGEST_PASS_S
             if passed or late or distance < RETURN_M or meeting < RETURN_S:
                 driver.returning = True
                 sumo.vehicle_setLaneChangeMode(name, ORDINARY)
