@@ -13,7 +13,7 @@ from behaviors.errors import InputError
 from sim.frames import AgentKind
 from sim.highway import driving
 from sim.highway.lanes import LaneIndex
-from sim.highway.state import RoadState
+from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import Footway, Walker, find_footway
 from sim.scenario import AgentSpec, CarFollowing
@@ -41,7 +41,7 @@ class Demand:
 
     def __init__(
         self,
-        road: RoadState,
+        road: TrafficRoad,
         agents: Sequence[AgentSpec],
         seed: int,
         law: CarFollowing = "IDM",
@@ -68,7 +68,7 @@ class Demand:
             way = self._stretches[agent.route]
             self._queues.setdefault((way[0], *way[1:2]), deque()).append(agent)
 
-    def copied(self, road: RoadState) -> Demand:
+    def copied(self, road: TrafficRoad) -> Demand:
         """The agents still to come, to a copy of the road."""
         made = copy.copy(self)
         made.road, made._walking = road, self._walking.copy()
@@ -105,7 +105,7 @@ class Demand:
         driver = driving.driver_parameters(agent.profile, agent.kind)
         best: tuple[float, float, LaneIndex] | None = None
         for lane in network.lanes_towards(way[0], then):
-            gap, ahead = self._room(lane, agent.length_m)
+            gap, ahead = road.room_at_entry(lane, agent.length_m)
             limit = float(network.lanes[lane].speed_limit)
             wanted = min(driver[driving.SPEED_FACTOR] * limit, driver[driving.TOP_SPEED])
             speed = wanted
@@ -137,19 +137,3 @@ class Demand:
             lane_index=lane,
             stretches=way,
         )
-
-    def _room(self, lane: LaneIndex, length: float) -> tuple[float, float]:
-        """Bumper gap to the first vehicle on a lane or changing to it, m, and its speed, m/s."""
-        geometry = self.road.network_info.lanes[lane]
-        nearest, speed = math.inf, 0.0
-        for vehicle in self.road.vehicles:
-            s, lateral = geometry.local_coordinates(vehicle.position)
-            beside = abs(lateral) > geometry.width / 2 + 1.0
-            comes = getattr(vehicle, "target_lane_index", None) == lane
-            if (beside and not comes) or s > geometry.length:
-                continue
-            gap = s - length - vehicle.LENGTH / 2
-            if gap < nearest:
-                nearest = gap
-                speed = vehicle.speed * math.cos(vehicle.heading - geometry.heading_at(s))
-        return nearest, max(speed, 0.0)

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from behaviors.colors import COLORS, rgb
 from behaviors.labels import Behavior
 from sim.frames import Signal
-from sim.highway.lanes import LaneIndex, corners
-from sim.highway.network import HighwayNetwork, is_wrong_side
-from sim.highway.state import RoadState
+from sim.highway.lanes import LaneIndex, corners, is_wrong_side
+from sim.highway.network import HighwayNetwork
+from sim.highway.traffic import TrafficRoad
 from sim.road.shapes import DASH_M, band, hull, zebra_bars
 
 FloatArray = NDArray[np.float64]
@@ -68,7 +68,7 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
     """highway-env's viewer with a drawing of our roads.
 
     Args:
-        env: the environment, with a `RoadState` as its ``road``.
+        env: the environment, with a `TrafficRoad` as its ``road``.
         network: what to draw.
     """
 
@@ -229,7 +229,9 @@ def draw_road(surface: WorldSurface, shapes: _Shapes) -> None:
         pygame.draw.polygon(surface, PAINT, _pixels(surface, polygon))
 
 
-def draw_traffic(surface: WorldSurface, road: RoadState, shapes: _Shapes, ego: Any | None) -> None:
+def draw_traffic(
+    surface: WorldSurface, road: TrafficRoad, shapes: _Shapes, ego: Any | None
+) -> None:
     """Draw stop lines in the colour of their signal, pedestrians and vehicles."""
     states = list(SIGNAL_COLORS)
     for line, group in shapes.stops:
