@@ -121,14 +121,6 @@ def test_same_seed_same_episode_and_another_one_otherwise(name):
     assert not all(np.array_equal(a["agents"], b["agents"]) for a, b in pairs)
 
 
-def test_compiled_drivers_make_the_same_episode():
-    name, config = "graphrqi/FourWayIntersection-v0", {"warmup_s": 15.0, "flow": "dense"}
-    first, rewards = drive(make(name, compiled=False, **config), 3, steps=15)
-    again, same_rewards = drive(make(name, compiled=True, **config), 3, steps=15)
-    assert_same(first, again)
-    assert rewards == same_rewards
-
-
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_same_seed_same_episode_in_a_vector(mode):
     name = "graphrqi/StraightRoad-v0"
