@@ -15,8 +15,8 @@ import numpy as np
 from sim.compiled import in_place
 from sim.frames import EventKind, Signal
 from sim.highway.draws import YIELDS, chance
-from sim.highway.driving import COMFORT_DECEL, EMERGENCY_DECEL, can_stop
-from sim.highway.junctions import ENTERED_M, EVENT_KINDS, RANGE_M
+from sim.highway.driving import COMFORT_DECEL, EMERGENCY_DECEL, attention_m, can_stop
+from sim.highway.junctions import ENTERED_M, EVENT_KINDS
 from sim.highway.scene import Scene, record
 from sim.highway.vehicle import MOST_MET
 from sim.highway.walkers import SETBACK_M
@@ -127,7 +127,11 @@ def _look_at_strips(i: int, lane: int, begin: float, scene: Scene) -> None:
                 _record_encounter(i, crossing, scene)
             continue
         w = scene.crossing_head[crossing]
-        if near > RANGE_M or w < 0 or scene.now[0].arrivals >= scene.arrivals.size:
+        if (
+            near > attention_m(me.parameters, me.speed)
+            or w < 0
+            or scene.now[0].arrivals >= scene.arrivals.size
+        ):
             continue
         arrival = scene.arrivals[scene.now[0].arrivals]
         arrival.vehicle, arrival.crossing, arrival.near, arrival.far = i, crossing, near, far

@@ -26,6 +26,7 @@ from sim.highway.driving import (
     COMFORT_DECEL,
     FOLLOWS_KRAUSS,
     LEAST_CHANGE_GAP_M,
+    RANGE_M,
     SPEED_FACTOR,
     TOP_SPEED,
     Follower,
@@ -41,7 +42,6 @@ from sim.highway.driving import (
     start_up,
     steer,
 )
-from sim.highway.junctions import RANGE_M
 from sim.highway.scene import Beside, Scene, along_lane, beside, path_to
 from sim.highway.tables import curvature_at, heading_at, project
 

@@ -8,10 +8,10 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from behaviors.driver_models import krauss_safe_speed
+from behaviors.driver_models import braking_speed, krauss_safe_speed
 from behaviors.errors import InputError
-from sim.frames import AgentKind
-from sim.highway import driving
+from sim.frames import AgentKind, FloatArray
+from sim.highway import driving, junctions
 from sim.highway.lanes import LaneIndex
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
@@ -108,13 +108,13 @@ class Demand:
             gap, ahead = road.room_at_entry(lane, agent.length_m)
             limit = float(network.lanes[lane].speed_limit)
             wanted = min(driver[driving.SPEED_FACTOR] * limit, driver[driving.TOP_SPEED])
-            speed = wanted
+            speed = min(wanted, self._speed_to_slow_down(lane, then, agent.length_m, driver))
             if gap < math.inf:
                 headway = driver[driving.TIME_HEADWAY]
                 room = gap - driver[driving.MIN_GAP]
                 if driving.idm(driver, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
                     safe = krauss_safe_speed(room, ahead, headway, ENTRY_BRAKING_MPS2)
-                    speed = min(wanted, max(ahead, safe))
+                    speed = min(speed, max(ahead, safe))
                 if room < headway * speed:
                     continue
             if best is None or gap > best[0]:
@@ -137,3 +137,21 @@ class Demand:
             lane_index=lane,
             stretches=way,
         )
+
+    def _speed_to_slow_down(
+        self, lane: LaneIndex, then: tuple[str, str] | None, length: float, driver: FloatArray
+    ) -> float:
+        """The speed from which a driver can slow down for the end of the lane that it enters, m/s.
+
+        It can stop there for a light, a sign or others with priority, and take the bend.
+        """
+        network = self.road.network_info
+        path = None if then is None else network.onward.get((lane, then))
+        if path is None:
+            return math.inf
+        info, factor = network.info[path], float(driver[driving.SPEED_FACTOR])
+        waits = info.signal >= 0 or info.must_yield or info.must_stop
+        bend = min(factor, junctions.BEND_FACTOR) * float(network.lanes[path].speed_limit)
+        left = max(float(network.lanes[lane].length) - length, 0.0)
+        braking = junctions.BEND_BRAKING * float(driver[driving.COMFORT_DECEL])
+        return braking_speed(left, 0.0 if waits else bend, braking)

@@ -74,6 +74,15 @@ BRAKING_RESERVE: Final = 2.0
 """A driver brakes harder than comfortably only as far as the distance left demands, times this (IDM
 alone brakes to a standstill whenever someone cuts in)."""
 
+RANGE_M: Final = 80.0
+"""Drivers attend to junctions and crossings within this distance (6 s at 14 m/s)."""
+
+RANGE_S: Final = 4.0
+"""They do so at least this long before they come there, s (from 20 m/s on, farther away)."""
+
+RESERVE: Final = 1.25
+"""They do so at least within their comfortable braking distance times this."""
+
 STANDING_MPS: Final = 0.2
 """A slower vehicle counts as standing, m/s."""
 
@@ -435,6 +444,13 @@ def steer(
 def desired_speed(driver: FloatArray, limit: float, cap: float) -> float:
     """The speed wanted on a free road, m/s."""
     return float(min(min(driver[SPEED_FACTOR] * limit, driver[TOP_SPEED]), cap))
+
+
+@in_place(inner=True)
+def attention_m(driver: FloatArray, speed: float) -> float:
+    """How far ahead a driver attends to junctions and crossings, m."""
+    braking = RESERVE * speed * speed / (2.0 * driver[COMFORT_DECEL])
+    return float(max(RANGE_M, RANGE_S * speed, braking))
 
 
 @in_place(inner=True)

@@ -27,6 +27,7 @@ from sim.highway.driving import (
     SPEED_FACTOR,
     STANDING_MPS,
     STARTUP_DELAY,
+    attention_m,
     can_stop,
     desired_speed,
 )
@@ -42,9 +43,6 @@ RED_RUN, STOP_ROLLED = (
     EVENT_KINDS.index(EventKind.RED_RUN),
     EVENT_KINDS.index(EventKind.STOP_ROLLED),
 )
-
-RANGE_M: Final = 80.0
-"""Drivers attend to junctions and crossings within this distance (6 s at 14 m/s)."""
 
 ENTERED_M: Final = 0.5
 """A vehicle whose front is this far over the stop line has entered the junction."""
@@ -206,7 +204,7 @@ def obey_lines(scene: Scene) -> None:
             not me.profiled
             or me.path < 0
             or scene.net.lanes[me.lane].wrong
-            or not -ENTERED_M < me.to_line < RANGE_M
+            or not -ENTERED_M < me.to_line < attention_m(me.parameters, me.speed)
         ):
             continue
         if scene.net.lanes[me.path].signal >= 0:
@@ -249,7 +247,7 @@ def obey_junctions(scene: Scene) -> None:
     n = scene.vehicles.size
     for i in range(n):  # who is on its way over each junction path
         me = scene.vehicles[i]
-        if me.path >= 0 and me.to_line < RANGE_M:
+        if me.path >= 0 and me.to_line < attention_m(me.parameters, me.speed):
             scene.lane_link[i], scene.lane_head[me.path] = scene.lane_head[me.path], i
         if me.last_path >= 0 and me.last_path != me.path:
             last = me.last_path
@@ -270,7 +268,8 @@ def _obey_junction(i: int, scene: Scene) -> None:
     net, me = scene.net, scene.vehicles[i]
     lane, to_line, driver = net.lanes[me.lane], me.to_line, me.parameters
     factor = min(driver[SPEED_FACTOR], BEND_FACTOR)
-    gap, cap, near, changes = me.stop_gap, np.inf, to_line < RANGE_M, True
+    near = to_line < attention_m(driver, me.speed)
+    gap, cap, changes = me.stop_gap, np.inf, True
     if lane.connector:
         cap, changes = factor * lane.limit, False
     elif net.has_paths or me.then >= 0:

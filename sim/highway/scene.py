@@ -196,13 +196,19 @@ def locate(scene: Scene) -> bool:
             lane = net.lanes[k]
             s, lateral, piece = project(me.x, me.y, k, net)
             facing = cos * net.pieces[piece].dx + sin * net.pieces[piece].dy
+            half = min(me.length, LONGEST_M) / 2
             if (
                 abs(lateral) > lane.margin
                 or (facing if lane.connector else abs(facing)) <= ALIGNED
                 or s < -lane.behind
-                or s > lane.length + min(me.length, LONGEST_M) / 2
+                or s > lane.length + half
             ):
-                continue
+                if not lane.connector or lane.entry != net.lanes[me.lane].entry:
+                    continue
+                rear, lateral, _ = project(me.x - half * cos, me.y - half * sin, k, net)
+                if abs(lateral) > lane.margin or not 0.0 <= rear <= lane.length:
+                    continue
+                s = rear + half  # it turns off, with its rear still in the way
             if found < room:
                 one = scene.unsorted[found]
                 one.row, one.s, one.along = i, s, me.speed * facing
