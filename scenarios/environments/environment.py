@@ -40,8 +40,7 @@ from sim.highway.ego import (
 )
 from sim.highway.engine import network_of, read_frame
 from sim.highway.lanes import LaneIndex
-from sim.highway.state import agent_of
-from sim.highway.traffic import TrafficRoad
+from sim.highway.traffic import TrafficRoad, agent_of
 from sim.highway.vehicle import ProfileVehicle
 from sim.scenario import AgentSpec, Scenario, sample_agents
 

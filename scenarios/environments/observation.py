@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from sim.frames import FloatArray, Signal
 from sim.highway.ego import Observation
-from sim.highway.state import agent_of
-from sim.highway.traffic import TrafficRoad
+from sim.highway.traffic import TrafficRoad, agent_of
 from sim.highway.walkers import Walker
 
 RANGE_M: Final = 100.0

@@ -25,6 +25,12 @@ SAMPLE_M: Final = 0.5
 CONFLICT_M: Final = 2.2
 """Junction paths nearer than this conflict (a car's width and 0.4 m)."""
 
+HALF_CAR_M: Final = 2.3
+"""Half a car's length: in a bend its corners swing out by this squared over twice the radius, m."""
+
+WIDEST_M: Final = 3.0
+"""Paths farther apart than this do not conflict, however far cars swing out (side by side)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
@@ -63,7 +69,7 @@ def find_conflicts(
         for lane in paths.values()
     ]
     xy = [places_along(lane, s) for lane, s in zip(paths.values(), at, strict=True)]
-    boxes = boxes_of(xy, CONFLICT_M / 2)
+    boxes = boxes_of(xy, WIDEST_M / 2)
     pairs = near_pairs(boxes, boxes, CELL_M)
     numbers: dict[LaneIndex, int] = {}
     begin = np.array([numbers.setdefault(begins[key], len(numbers)) for key in keys], np.int64)
@@ -71,7 +77,12 @@ def find_conflicts(
     first = np.cumsum([0, *(len(line) for line in xy)], dtype=np.int64)
     ends = np.full((len(pairs), 2), -1, np.int64)
     if len(pairs):
-        _first_and_last_close(np.concatenate(xy), first, pairs, ends)
+        swing = np.concatenate([_swing(line) for line in xy])
+        _first_and_last_close(np.concatenate(xy), 0.0 * swing, first, pairs, ends)
+        apart = ends[:, 0] < 0  # unless a car swings out
+        wider = np.full((int(apart.sum()), 2), -1, np.int64)
+        _first_and_last_close(np.concatenate(xy), swing, first, pairs[apart], wider)
+        ends[apart] = wider
     meet = ends[:, 0] >= 0
     spans = {(one, other): span for (one, other), span in
              zip(pairs[meet].tolist(), ends[meet].tolist(), strict=True)}  # fmt: skip
@@ -90,12 +101,23 @@ def find_conflicts(
     return found
 
 
+def _swing(xy: FloatArray) -> FloatArray:
+    """How far a car swings out of a path at each of its points (n, 2), (n,) m."""
+    step = np.diff(xy, axis=0)
+    turn = np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))))
+    per_m = np.concatenate([[0.0], turn / np.maximum(np.hypot(*step[1:].T), 1e-9), [0.0]])
+    return HALF_CAR_M**2 * per_m / 2.0
+
+
 @in_place()
-def _first_and_last_close(xy: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray) -> None:
+def _first_and_last_close(
+    xy: FloatArray, swing: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray
+) -> None:
     """Find the first and the last point of each path that is too close to another path.
 
     Args:
         xy: (S, 2) points of all paths, m.
+        swing: (S,) how far cars swing out there, m.
         first: (P + 1,) where each path's begin.
         pairs: (n, 2) the path and the other one.
         ends: (n, 2) receives them, counted along the path; stays as it is where there are none.
@@ -106,7 +128,7 @@ def _first_and_last_close(xy: FloatArray, first: IntArray, pairs: IntArray, ends
             near = False
             for q in range(first[other], first[other + 1]):
                 dx, dy = xy[p, 0] - xy[q, 0], xy[p, 1] - xy[q, 1]
-                if math.sqrt(dx * dx + dy * dy) < CONFLICT_M:
+                if math.sqrt(dx * dx + dy * dy) < min(CONFLICT_M + swing[p] + swing[q], WIDEST_M):
                     near = True
                     break
             if near:

@@ -8,12 +8,12 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from behaviors.driver_models import krauss_safe_speed
+from behaviors.driver_models import braking_speed, krauss_safe_speed
 from behaviors.errors import InputError
-from sim.frames import AgentKind
-from sim.highway import driving
+from sim.frames import AgentKind, FloatArray
+from sim.highway import driving, junctions
 from sim.highway.lanes import LaneIndex
-from sim.highway.state import RoadState
+from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import Footway, Walker, find_footway
 from sim.scenario import AgentSpec, CarFollowing
@@ -41,7 +41,7 @@ class Demand:
 
     def __init__(
         self,
-        road: RoadState,
+        road: TrafficRoad,
         agents: Sequence[AgentSpec],
         seed: int,
         law: CarFollowing = "IDM",
@@ -68,7 +68,7 @@ class Demand:
             way = self._stretches[agent.route]
             self._queues.setdefault((way[0], *way[1:2]), deque()).append(agent)
 
-    def copied(self, road: RoadState) -> Demand:
+    def copied(self, road: TrafficRoad) -> Demand:
         """The agents still to come, to a copy of the road."""
         made = copy.copy(self)
         made.road, made._walking = road, self._walking.copy()
@@ -105,16 +105,16 @@ class Demand:
         driver = driving.driver_parameters(agent.profile, agent.kind)
         best: tuple[float, float, LaneIndex] | None = None
         for lane in network.lanes_towards(way[0], then):
-            gap, ahead = self._room(lane, agent.length_m)
+            gap, ahead = road.room_at_entry(lane, agent.length_m)
             limit = float(network.lanes[lane].speed_limit)
             wanted = min(driver[driving.SPEED_FACTOR] * limit, driver[driving.TOP_SPEED])
-            speed = wanted
+            speed = min(wanted, self._speed_to_slow_down(lane, then, agent.length_m, driver))
             if gap < math.inf:
                 headway = driver[driving.TIME_HEADWAY]
                 room = gap - driver[driving.MIN_GAP]
                 if driving.idm(driver, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
                     safe = krauss_safe_speed(room, ahead, headway, ENTRY_BRAKING_MPS2)
-                    speed = min(wanted, max(ahead, safe))
+                    speed = min(speed, max(ahead, safe))
                 if room < headway * speed:
                     continue
             if best is None or gap > best[0]:
@@ -138,18 +138,20 @@ class Demand:
             stretches=way,
         )
 
-    def _room(self, lane: LaneIndex, length: float) -> tuple[float, float]:
-        """Bumper gap to the first vehicle on a lane or changing to it, m, and its speed, m/s."""
-        geometry = self.road.network_info.lanes[lane]
-        nearest, speed = math.inf, 0.0
-        for vehicle in self.road.vehicles:
-            s, lateral = geometry.local_coordinates(vehicle.position)
-            beside = abs(lateral) > geometry.width / 2 + 1.0
-            comes = getattr(vehicle, "target_lane_index", None) == lane
-            if (beside and not comes) or s > geometry.length:
-                continue
-            gap = s - length - vehicle.LENGTH / 2
-            if gap < nearest:
-                nearest = gap
-                speed = vehicle.speed * math.cos(vehicle.heading - geometry.heading_at(s))
-        return nearest, max(speed, 0.0)
+    def _speed_to_slow_down(
+        self, lane: LaneIndex, then: tuple[str, str] | None, length: float, driver: FloatArray
+    ) -> float:
+        """The speed from which a driver can slow down for the end of the lane that it enters, m/s.
+
+        It can stop there for a light, a sign or others with priority, and take the bend.
+        """
+        network = self.road.network_info
+        path = None if then is None else network.onward.get((lane, then))
+        if path is None:
+            return math.inf
+        info, factor = network.info[path], float(driver[driving.SPEED_FACTOR])
+        waits = info.signal >= 0 or info.must_yield or info.must_stop
+        bend = min(factor, junctions.BEND_FACTOR) * float(network.lanes[path].speed_limit)
+        left = max(float(network.lanes[lane].length) - length, 0.0)
+        braking = junctions.BEND_BRAKING * float(driver[driving.COMFORT_DECEL])
+        return braking_speed(left, 0.0 if waits else bend, braking)

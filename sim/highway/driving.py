@@ -1,9 +1,7 @@
 """How a driver of the highway engine accelerates, changes lanes and steers.
 
-The same compiled functions serve vehicle objects one at a time (`sim.highway.vehicle`) and the
-loops over all drivers (`sim.highway.kernels`). The laws themselves are those of
-`behaviors.driver_models`. A driver's parameters are one row, made by `driver_parameters` and laid
-out by the indices below.
+The laws themselves are those of `behaviors.driver_models`. A driver's parameters are one row, made
+by `driver_parameters` and laid out by the indices below.
 
 References:
     Polack et al. (2017), IEEE IV: the kinematic bicycle that highway-env steers.
@@ -40,6 +38,9 @@ STARTUP_DELAY: Final = 11
 TOP_SPEED: Final = 12
 FOLLOWS_KRAUSS: Final = 13
 
+PARAMETERS: Final = 14
+"""How many numbers a row has."""
+
 _free_acceleration = shared(driver_models.idm_free_acceleration)
 _desired_gap = shared(driver_models.idm_desired_gap)
 _interaction = shared(driver_models.idm_interaction)
@@ -72,6 +73,15 @@ STOP_MARGIN_M: Final = 1.0
 BRAKING_RESERVE: Final = 2.0
 """A driver brakes harder than comfortably only as far as the distance left demands, times this (IDM
 alone brakes to a standstill whenever someone cuts in)."""
+
+RANGE_M: Final = 80.0
+"""Drivers attend to junctions and crossings within this distance (6 s at 14 m/s)."""
+
+RANGE_S: Final = 4.0
+"""They do so at least this long before they come there, s (from 20 m/s on, farther away)."""
+
+RESERVE: Final = 1.25
+"""They do so at least within their comfortable braking distance times this."""
 
 STANDING_MPS: Final = 0.2
 """A slower vehicle counts as standing, m/s."""
@@ -165,6 +175,20 @@ def driver_parameters(profile: Profile, kind: AgentKind, law: CarFollowing = "ID
     return row
 
 
+DEFAULT_PARAMETERS: Final = driver_parameters(
+    Profile(
+        speed_factor=1.0, time_headway_s=1.5, min_gap_m=2.0, max_accel_mps2=3.0,
+        comfort_decel_mps2=5.0, politeness=0.0, lane_change_gain=1.0,
+        lane_change_patience_s=0.0, lane_change_assertiveness=1.0, gap_acceptance_s=1.0,
+        crossing_gap_s=10.0, yield_probability=1.0, red_run_probability=0.0,
+        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=0.0,
+        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
+    ),
+    AgentKind.CAR,
+)  # fmt: skip
+"""The driver parameters that others assume of a vehicle without a profile: highway-env's own."""
+
+
 @in_place()
 def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float) -> float:
     """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
@@ -206,6 +230,7 @@ def krauss(
     return float(min(driver[MAX_ACCEL], (goal - speed) / KRAUSS_STEP_S))
 
 
+@in_place()
 def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
     """The acceleration that a driver with Krauss's law loses at random, m/s2 (as in SUMO).
 
@@ -214,7 +239,7 @@ def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
         speed: m/s; dawdling never makes it negative.
         chance: drawn uniformly from 0 to 1.
     """
-    return IMPERFECTION * chance * min(float(driver[MAX_ACCEL]), speed / KRAUSS_STEP_S)
+    return float(IMPERFECTION * chance * min(driver[MAX_ACCEL], speed / KRAUSS_STEP_S))
 
 
 @in_place()
@@ -413,3 +438,22 @@ def steer(
     bend = curvature + HEADING_GAIN_PER_S * off / nonzero
     angle = math.atan(2.0 * math.tan(math.asin(min(max(half * bend, -1.0), 1.0))))
     return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)
+
+
+@in_place(inner=True)
+def desired_speed(driver: FloatArray, limit: float, cap: float) -> float:
+    """The speed wanted on a free road, m/s."""
+    return float(min(min(driver[SPEED_FACTOR] * limit, driver[TOP_SPEED]), cap))
+
+
+@in_place(inner=True)
+def attention_m(driver: FloatArray, speed: float) -> float:
+    """How far ahead a driver attends to junctions and crossings, m."""
+    braking = RESERVE * speed * speed / (2.0 * driver[COMFORT_DECEL])
+    return float(max(RANGE_M, RANGE_S * speed, braking))
+
+
+@in_place(inner=True)
+def can_stop(speed: float, distance: float, decel: float) -> bool:
+    """Whether braking with ``decel``, m/s2, ends within a distance, m."""
+    return speed * speed <= 2.0 * decel * max(distance, 0.05)

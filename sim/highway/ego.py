@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
 from sim.frames import AgentKind
-from sim.highway.lane_places import STRETCH_MARGIN_M
 from sim.highway.lanes import LaneIndex
-from sim.highway.state import RoadState
+from sim.highway.tables import STRETCH_MARGIN_M
 from sim.highway.traffic import TrafficRoad
 from sim.highway.viewer import TrafficViewer
 
@@ -257,7 +256,7 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
     return action
 
 
-def distance_left_m(road: RoadState, ego: Vehicle) -> float:
+def distance_left_m(road: TrafficRoad, ego: Vehicle) -> float:
     """Distance along the lanes from the ego vehicle's front to the end of its route, m."""
     network, lane = road.network_info, ego.lane_index
     s, _ = ego.lane.local_coordinates(ego.position)
@@ -274,7 +273,7 @@ def distance_left_m(road: RoadState, ego: Vehicle) -> float:
     return float(left)
 
 
-def is_on_route(road: RoadState, ego: Vehicle) -> bool:
+def is_on_route(road: TrafficRoad, ego: Vehicle) -> bool:
     """Whether the ego vehicle is on a stretch of its route or on a path between two of them.
 
     The paths of a junction that begin on one lane overlap at their start, so a vehicle counts as on
@@ -291,13 +290,13 @@ def is_on_route(road: RoadState, ego: Vehicle) -> bool:
     )
 
 
-def is_off_road(road: RoadState, ego: Vehicle) -> bool:
+def is_off_road(road: TrafficRoad, ego: Vehicle) -> bool:
     """Whether the ego vehicle is beside its lane, or past an end of the road."""
     s, lateral = ego.lane.local_coordinates(ego.position)
     return bool(abs(lateral) > ego.lane.width_at(s) / 2 + 1.0 or _is_past_an_end(road, ego, s))
 
 
-def _is_past_an_end(road: RoadState, ego: Vehicle, s: float) -> bool:
+def _is_past_an_end(road: TrafficRoad, ego: Vehicle, s: float) -> bool:
     """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
     network, lane = road.network_info, ego.lane_index
     if network.info[lane].connector or (lane[:2] == ego.stretches[-1] and s > 0.0):

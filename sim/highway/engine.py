@@ -11,13 +11,10 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-import numpy as np
-
 from behaviors.errors import InputError
 from sim.frames import Event, Frame
 from sim.highway.demand import Demand
 from sim.highway.network import HighwayNetwork, build_network
-from sim.highway.state import RoadState, agent_of
 from sim.highway.traffic import TrafficRoad
 from sim.road import Road
 from sim.scenario import AgentSpec, CarFollowing, Scenario
@@ -84,31 +81,11 @@ def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[F
         yield read_frame(road)
 
 
-def read_frame(road: RoadState, events: tuple[Event, ...] | None = None) -> Frame:
-    """Everybody on the road now; highway-env has y to the right of x, frames have it to the left.
+def read_frame(road: TrafficRoad, events: tuple[Event, ...] | None = None) -> Frame:
+    """Everybody on the road now.
 
     Args:
         road: to read.
         events: what happened; by default the events since they were last taken.
     """
-    everyone = sorted([*road.vehicles, *road.walkers], key=agent_of)
-    n = len(everyone)
-    xy = np.array([one.position for one in everyone], dtype=np.float64).reshape(n, 2)
-    heading = -np.array([one.heading for one in everyone], dtype=np.float64)
-    return Frame(
-        time_s=road.time_s,
-        ids=np.array([agent_of(one) for one in everyone], dtype=np.int64),
-        xy=xy * np.array([1.0, -1.0]),
-        heading=math.pi - np.mod(math.pi - heading, 2 * math.pi),
-        speed=np.array([one.speed for one in everyone], dtype=np.float64),
-        length=np.array([one.LENGTH for one in everyone], dtype=np.float64),
-        width=np.array([one.WIDTH for one in everyone], dtype=np.float64),
-        kind=np.array([_kind_code(one) for one in everyone], dtype=np.int8),
-        signals=road.signals.copy(),
-        events=road.take_events() if events is None else events,
-    )
-
-
-def _kind_code(one: object) -> int:
-    kind = getattr(one, "kind", None)
-    return 0 if kind is None else int(kind.code)
+    return road.frame(road.take_events() if events is None else events)

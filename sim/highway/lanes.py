@@ -31,6 +31,11 @@ BLEND_M: Final = 2.0
 wheelbase)."""
 
 
+def is_wrong_side(lane: LaneIndex) -> bool:
+    """Whether a lane runs over one of the opposite direction; see `HighwayNetwork.wrong_side`."""
+    return lane[0].startswith("~")
+
+
 class PolylineLane(AbstractLane):  # type: ignore[misc]
     """A lane of constant width along a line of points.
 

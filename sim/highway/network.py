@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.highway.conflicts import Conflict, find_conflicts
-from sim.highway.lane_places import LaneLines, lane_lines
 from sim.highway.lanes import LaneIndex, NearLanesNetwork, corners, make_lane
+from sim.highway.tables import LaneTables
 from sim.road import Connection, Lane, Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import LaneGraph
@@ -38,11 +38,6 @@ OPPOSITE_M: Final = 1.2
 
 CELL_M: Final = 50.0
 """Width of the cells in which opposite lanes are looked for, m (half a block)."""
-
-
-def is_wrong_side(lane: LaneIndex) -> bool:
-    """Whether a lane runs over one of the opposite direction; see `HighwayNetwork.wrong_side`."""
-    return lane[0].startswith("~")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +106,9 @@ class HighwayNetwork:
     edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = field(default_factory=dict)
 
     @cached_property
-    def lines(self) -> LaneLines:
-        """The centre lines of ``lanes``, in that order."""
-        return lane_lines(list(self.lanes.values()), [self.info[i].connector for i in self.lanes])
+    def tables(self) -> LaneTables:
+        """The lanes as arrays, in that order."""
+        return LaneTables(self)
 
     @cached_property
     def ways_of_lane(self) -> dict[LaneIndex, tuple[tuple[str, str], ...]]:

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from behaviors.colors import COLORS, rgb
 from behaviors.labels import Behavior
 from sim.frames import Signal
-from sim.highway.lanes import LaneIndex, corners
-from sim.highway.network import HighwayNetwork, is_wrong_side
-from sim.highway.state import RoadState
-from sim.road.shapes import DASH_M, band, hull, zebra_bars
+from sim.highway.network import HighwayNetwork
+from sim.highway.traffic import TrafficRoad
+from sim.road.shapes import RoadShapes, road_shapes
 
 FloatArray = NDArray[np.float64]
 Color = tuple[int, int, int]
@@ -39,6 +38,9 @@ SIGNAL_COLORS: Final[dict[Signal, Color]] = {
     Signal.GREEN: (60, 205, 90),
     Signal.OFF: (245, 245, 245),
 }
+
+FLIP: Final = np.array([1.0, -1.0])
+"""From a road's axes to highway-env's."""
 
 GROUND: Final[Color] = (196, 208, 186)
 PAVING: Final[Color] = (178, 176, 172)
@@ -68,7 +70,7 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
     """highway-env's viewer with a drawing of our roads.
 
     Args:
-        env: the environment, with a `RoadState` as its ``road``.
+        env: the environment, with a `TrafficRoad` as its ``road``.
         network: what to draw.
     """
 
@@ -76,7 +78,7 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
         with _runtime_folder():
             super().__init__(env)
         self.network = network
-        self._shapes = _shapes(network)
+        self._shapes = road_shapes(network.road)
 
     def window_position(self) -> FloatArray:
         """Where the view is centred, m."""
@@ -96,8 +98,8 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
             return
         surface = self.sim_surface
         surface.move_display_window_to(self.window_position())
-        draw_road(surface, self._shapes)
-        draw_traffic(surface, self.env.road, self._shapes, self.env.vehicle)
+        _draw_road(surface, self._shapes, self.env.road.signals)
+        _draw_traffic(surface, self.env.road, self.env.vehicle)
         self._legend(surface)
         if not self.offscreen:
             self.screen.blit(surface, (0, 0))
@@ -124,119 +126,34 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
         surface.blit(clock, (surface.get_width() - 70, y))
 
 
-class _Shapes:
-    """Everything about a road that does not move, as points in highway-env's axes, m."""
-
-    def __init__(self) -> None:
-        self.paving: list[FloatArray] = []
-        self.asphalt: list[FloatArray] = []
-        self.dashes: list[tuple[FloatArray, FloatArray]] = []
-        self.edges: list[tuple[FloatArray, Color]] = []
-        self.bars: list[FloatArray] = []
-        self.stops: list[tuple[FloatArray, int]] = []
-
-
-def _beside(line: FloatArray, right: float) -> FloatArray:
-    outline = band(line, 2.0 * abs(right))
-    half = len(line)
-    return outline[half:][::-1] if right > 0 else outline[:half]
-
-
-def _junctions(network: HighwayNetwork) -> list[list[LaneIndex]]:
-    """Junction paths that begin or end together, group by group."""
-    group: dict[str, int] = {}
-    members: dict[int, list[LaneIndex]] = {}
-    for number, path in enumerate(network.exit_of):
-        kept = {group[node] for node in path[:2] if node in group}
-        new = min(kept, default=number)
-        for old in kept - {new}:
-            members[new] += members.pop(old)
-            group.update({node: new for node, g in group.items() if g == old})
-        members.setdefault(new, []).append(path)
-        group[path[0]] = group[path[1]] = new
-    return list(members.values())
-
-
-def _shapes(network: HighwayNetwork) -> _Shapes:
-    shapes = _Shapes()
-    flip = np.array([1.0, -1.0])
-    for lane in network.road.lanes:
-        if lane.walking and not lane.internal:
-            shapes.paving.append(band(lane.centerline * flip, lane.width_m))
-    for paths in _junctions(network):
-        bands = [
-            band(corners([network.lanes[path]])[0], network.lanes[path].width + 4.0)
-            for path in paths
-        ]
-        shapes.paving.append(hull(np.concatenate(bands)))
-        bands = [
-            band(corners([network.lanes[path]])[0], network.lanes[path].width) for path in paths
-        ]
-        shapes.asphalt.append(hull(np.concatenate(bands)))
-    for index, lane in network.lanes.items():
-        if is_wrong_side(index) or network.info[index].connector:
-            continue
-        line = corners([lane])[0]
-        shapes.asphalt.append(band(line, lane.width))
-        many = len(network.net.graph[index[0]][index[1]])
-        if index[2] == 0:
-            facing = MIDDLE if index in network.wrong_side else PAINT
-            shapes.edges.append((_beside(line, -lane.width / 2), facing))
-        if index[2] == many - 1:
-            shapes.edges.append((_beside(line, lane.width / 2), PAINT))
-        else:
-            begin = np.arange(0.0, lane.length, sum(DASH_M))
-            end = np.minimum(begin + DASH_M[0], lane.length)
-            shapes.dashes += [
-                (lane.position(a, lane.width / 2), lane.position(b, lane.width / 2))
-                for a, b in zip(begin, end, strict=True)
-            ]
-        groups = {
-            network.info[path].signal
-            for (begin_lane, _), path in network.onward.items()
-            if begin_lane == index
-        }
-        if groups:
-            ends = [lane.position(lane.length - 0.3, side * lane.width / 2) for side in (-1, 1)]
-            shapes.stops.append((np.array(ends), max(groups)))
-        for strip in network.info[index].strips:
-            ends = [lane.position(strip.near_s - 1.0, side * lane.width / 2) for side in (-1, 1)]
-            shapes.stops.append((np.array(ends), -1))
-    for crossing in network.road.crossings:
-        shapes.bars += zebra_bars(crossing.centerline * flip, crossing.width_m)
-    return shapes
-
-
 def _pixels(surface: WorldSurface, points: FloatArray) -> list[tuple[float, float]]:
+    """The pixels of points in highway-env's axes."""
     moved = (points - surface.origin) * surface.scaling
     return [(float(x), float(y)) for x, y in moved]
 
 
-def draw_road(surface: WorldSurface, shapes: _Shapes) -> None:
-    """Draw what does not move."""
+def _draw_road(surface: WorldSurface, shapes: RoadShapes, signals: NDArray[np.int8]) -> None:
+    """Draw what does not move; stop lines have the colour of their signal."""
     surface.fill(GROUND)
-    for polygon in shapes.paving:
-        pygame.draw.polygon(surface, PAVING, _pixels(surface, polygon))
-    for polygon in shapes.asphalt:
-        pygame.draw.polygon(surface, ASPHALT, _pixels(surface, polygon))
+    for color, polygons in ((PAVING, shapes.paving), (ASPHALT, shapes.asphalt)):
+        for polygon in polygons:
+            if len(polygon) > 2:  # a junction of edges that touch has no surface
+                pygame.draw.polygon(surface, color, _pixels(surface, polygon * FLIP))
     thin = max(1, round(0.15 * surface.scaling))
-    for line, color in shapes.edges:
-        pygame.draw.lines(surface, color, False, _pixels(surface, line), thin)
-    for a, b in shapes.dashes:
-        begin, end = _pixels(surface, np.stack([a, b]))
-        pygame.draw.line(surface, PAINT, begin, end, thin)
-    for polygon in shapes.bars:
-        pygame.draw.polygon(surface, PAINT, _pixels(surface, polygon))
+    for color, lines in ((PAINT, (*shapes.edges, *shapes.dashes)), (MIDDLE, shapes.middles)):
+        for line in lines:
+            pygame.draw.lines(surface, color, False, _pixels(surface, line * FLIP), thin)
+    for bar in shapes.bars:
+        pygame.draw.polygon(surface, PAINT, _pixels(surface, bar * FLIP))
+    states, thick = list(SIGNAL_COLORS), max(2, round(0.6 * surface.scaling))
+    for stop in shapes.stops:
+        state = states[int(signals[stop.signal])] if stop.signal >= 0 else Signal.OFF
+        begin, end = _pixels(surface, stop.line * FLIP)
+        pygame.draw.line(surface, SIGNAL_COLORS[state], begin, end, thick)
 
 
-def draw_traffic(surface: WorldSurface, road: RoadState, shapes: _Shapes, ego: Any | None) -> None:
-    """Draw stop lines in the colour of their signal, pedestrians and vehicles."""
-    states = list(SIGNAL_COLORS)
-    for line, group in shapes.stops:
-        state = states[int(road.signals[group])] if group >= 0 else Signal.OFF
-        begin, end = _pixels(surface, line)
-        color = SIGNAL_COLORS[state]
-        pygame.draw.line(surface, color, begin, end, max(2, round(0.6 * surface.scaling)))
+def _draw_traffic(surface: WorldSurface, road: TrafficRoad, ego: Any | None) -> None:
+    """Draw pedestrians and vehicles."""
     for walker in road.walkers:
         (place,) = _pixels(surface, walker.position[None])
         pygame.draw.circle(surface, PERSON, place, max(3, round(0.35 * surface.scaling)))

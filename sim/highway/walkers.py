@@ -1,7 +1,7 @@
 """Pedestrians of the highway engine: their ways on foot, and where they are on them.
 
 They keep to the sidewalks of their route and cross where the road has crossings. When they wait and
-when they walk is decided by `sim.highway.rules.crossings`.
+when they walk is decided by `sim.highway.crossings`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import functools
 import heapq
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from highway_env.vehicle.objects import Landmark
@@ -20,6 +21,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.frames import AgentKind
+from sim.highway.tables import Records, listed, record_type
+from sim.highway.vehicle import column, move_to, position_of
 from sim.road import Road
 from sim.scenario import WALK_START_M, AgentSpec
 
@@ -53,11 +56,6 @@ class Crossover:
     end_s: float
     forward: bool
 
-    def along(self, u: float) -> float:
-        """Distance from its beginning of a place given along the crossing's line, m."""
-        u = u + SETBACK_M
-        return u if self.forward else (self.end_s - self.begin_s) - u
-
 
 @dataclass(frozen=True)
 class Footway:
@@ -79,7 +77,7 @@ class Footway:
         return float(self.at[-1])
 
     @functools.cached_property
-    def _pieces(self) -> list[tuple[float, float, float, float, float]]:
+    def pieces(self) -> list[tuple[float, float, float, float, float]]:
         """The beginning of each piece, m, its direction, and its heading, rad."""
         found = []
         for begin, end in itertools.pairwise(self.points):
@@ -95,7 +93,7 @@ class Footway:
     def place(self, s: float, aside: float) -> tuple[FloatArray, float]:
         """Position, m, and heading, rad, at a distance along the way."""
         i = min(max(bisect.bisect_right(self._begins, s) - 1, 0), len(self._begins) - 2)
-        x, y, ahead, beside, heading = self._pieces[i]
+        x, y, ahead, beside, heading = self.pieces[i]
         along = s - self._begins[i]
         xy = (x + ahead * along + aside * -beside, y + beside * along + aside * ahead)
         return np.array(xy), heading
@@ -232,8 +230,53 @@ def _crosses(a: FloatArray, b: FloatArray, roads: list[FloatArray]) -> bool:
     return False
 
 
+WALKER: Final = record_type(
+    agent="i8", length="f8", width="f8", x="f8", y="f8", heading="f8", speed="f8",
+    way="i8", s="f8", aside="f8", free_speed="f8", crossed="i8", stood_s="f8",
+    crashed="?", struck_at="f8", leaves="i8", link="i8",
+)  # fmt: skip
+"""A pedestrian; lengths in m, times in s, highway-env's axes.
+
+``way``: number of its footway; ``s`` and ``aside``: its place on it; ``crossed``: how many of its
+crossings it has passed; ``stood_s``: for how long it has stood; ``leaves``: why it goes; ``link``:
+the next one at the same crossing.
+"""
+
+FOOTWAY: Final = record_type(
+    length="f8", step="i8", step_end="i8", crossover="i8", crossover_end="i8"
+)
+"""A way on foot, with its straight pieces, `STEP`, and its crossings, `CROSSOVER`."""
+
+STEP: Final = record_type(x="f8", y="f8", dx="f8", dy="f8", heading="f8", begin="f8")
+CROSSOVER: Final = record_type(crossing="i8", begin_s="f8", end_s="f8", forward="?")
+
+
+class Footways(NamedTuple):
+    """The ways on foot that pedestrians of a road take, as arrays named after their types."""
+
+    ways: Records
+    steps: Records
+    crossovers: Records
+
+
+def footways_of(footways: Sequence[Footway]) -> Footways:
+    """Ways on foot as arrays."""
+    ways = np.zeros(len(footways), FOOTWAY)
+    ways["length"] = [way.length for way in footways]
+    steps = [
+        [(*piece, at) for piece, at in zip(way.pieces, way.at.tolist(), strict=False)]
+        for way in footways
+    ]
+    crossovers = [
+        [(c.crossing, c.begin_s, c.end_s, c.forward) for c in way.crossovers] for way in footways
+    ]
+    return Footways(
+        ways, listed(ways, "step", steps, STEP), listed(ways, "crossover", crossovers, CROSSOVER)
+    )
+
+
 class Walker(Landmark):  # type: ignore[misc]
-    """One pedestrian: an object of highway-env that moves by itself.
+    """One pedestrian: a view of its row, as an object of highway-env.
 
     Args:
         agent: the pedestrian.
@@ -242,43 +285,42 @@ class Walker(Landmark):  # type: ignore[misc]
     """
 
     kind = AgentKind.PEDESTRIAN
+    position = property(position_of, move_to)
+    heading = column("heading", float)
+    speed = column("speed", float)
+    LENGTH = column("length", float)
+    WIDTH = column("width", float)
+    agent = column("agent", int)
+    s = column("s", float)
+    stood_s = column("stood_s", float)
+    crashed = column("crashed", bool)
+    struck_at = column("struck_at", float)
+    free_speed = column("free_speed", float)
+
+    road = lane_index = lane = impact = None
+    collidable = False
+    solid = check_collisions = hit = False
 
     def __init__(self, agent: AgentSpec, footway: Footway, rng_seed: tuple[int, ...]) -> None:
+        self.table, self.row, self.footway = np.zeros(1, WALKER), 0, footway
         self.LENGTH, self.WIDTH = agent.length_m, agent.width_m
         aside = float(np.random.default_rng(rng_seed).uniform(-OFFSET_M, OFFSET_M))
-        position, heading = footway.place(0.0, aside)
-        super().__init__(None, position, heading, 0.0)
-        self.agent = agent.id
-        self.footway = footway
-        self.s = 0.0
-        self.aside = aside
-        self.free_speed = agent.speed_mps
-        self.crossed = 0
-        self.struck_at = math.inf
-        self.stood_s = 0.0
+        self.position, self.heading = footway.place(0.0, aside)
+        self.table["aside"] = aside
+        self.agent, self.free_speed, self.struck_at = agent.id, agent.speed_mps, math.inf
 
     @property
-    def arrived(self) -> bool:
-        """Whether it is at the end of its way."""
-        return self.s >= self.footway.length - 1e-6
+    def diagonal(self) -> float:
+        """From corner to corner, m."""
+        return math.hypot(self.LENGTH, self.WIDTH)
 
     @property
     def crossover(self) -> Crossover | None:
         """The crossing it is on or comes to next."""
-        ways = self.footway.crossovers
-        return ways[self.crossed] if self.crossed < len(ways) else None
+        ways, crossed = self.footway.crossovers, int(self.table["crossed"][self.row])
+        return ways[crossed] if crossed < len(ways) else None
 
     def to_walk(self) -> float:
         """How far to the kerb of the next crossing, m; negative on it, infinite without one."""
         way = self.crossover
         return math.inf if way is None else way.begin_s - self.s
-
-    def step(self, dt: float, *, walks: bool) -> None:
-        """Walk on or wait for ``dt`` seconds."""
-        way = self.crossover
-        self.speed = self.free_speed if walks else 0.0
-        self.stood_s = 0.0 if self.speed > 0.0 else self.stood_s + dt
-        self.s = min(self.s + self.speed * dt, self.footway.length)
-        if way is not None and self.s >= way.end_s:
-            self.crossed += 1
-        self.position, self.heading = self.footway.place(self.s, self.aside)

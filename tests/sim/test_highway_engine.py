@@ -16,9 +16,8 @@ from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Frame, Tracks
 from sim.highway.demand import Demand
 from sim.highway.engine import network_of, read_frame, run
-from sim.highway.rules.crossings import may_walk
-from sim.highway.state import Arrival
-from sim.highway.traffic import CLEAR_AFTER_S, TrafficRoad
+from sim.highway.motion import CLEAR_AFTER_S
+from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import Walker, find_footway
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
@@ -105,7 +104,7 @@ def test_stops_behind_what_stands_in_the_way(behavior):
     road = TrafficRoad(straight_network())
     for lane in range(3):
         block = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, behavior, 10 + lane)
-        block.schedule.stop_at, block.schedule.stop_until = math.inf, math.inf
+        block.stop_at, block.stop_until = math.inf, math.inf
     own = put(road, ("east_in<", "east_out>", 1), 20.0, 14.0, behavior, 1)
     for _ in range(400):
         road.act()
@@ -124,7 +123,7 @@ def test_a_driver_who_stops_for_no_reason_does_and_goes_on():
 
 
 def test_nobody_drives_backwards_and_the_road_clears():
-    scenario = SCENARIOS["straight_road"](duration_s=140.0, flow=600)
+    scenario = SCENARIOS["straight_road"](duration_s=200.0, flow=600)
     agents = [a for a in sample_agents(scenario, 2) if a.depart_s < 20.0]
     seen = Tracks.from_frames(run(scenario, agents, 0))
     assert np.nanmin(seen.speed) >= 0.0
@@ -250,7 +249,7 @@ def test_who_is_inside_after_its_green_goes_before_those_who_stand_at_the_line(l
     road.signals[network.info[across].signal] = SIGNALS.index("green")
     road.signals[network.info[turn].signal] = SIGNALS.index(light)
     road.act()
-    assert (inside.commands.stop_gap == math.inf) is (light == "red")
+    assert (inside.stop_gap == math.inf) is (light == "red")
 
 
 def meet_pedestrian(behavior: Behavior, seed: int = 0) -> Tracks:
@@ -282,18 +281,13 @@ def test_pedestrians_do_not_mind_who_comes_behind_one_that_waits(waits):
     footway = find_footway(road.network_info.road, ("west_in", "east_in"))
     person = Walker(walker(9, ("west_in", "east_in")), footway, (9,))
     person.s = footway.crossovers[0].begin_s - 0.1
+    road.walkers.append(person)
     lane = ("east_in<", "east_out>", 1)
     if waits:
-        put(road, lane, 394.0, 0.0, Behavior.CAREFUL)
+        put(road, lane, 394.0, 0.0, Behavior.RECKLESS).standing_since = -5.0
     put(road, lane, 350.0, 13.0, Behavior.RECKLESS, 1)
-    road.arrivals = {
-        (0, 1): [
-            Arrival(398.0 - front, 402.0 - front, each, frozenset(), False, stood)
-            for each in road.vehicles
-            for front, stood in [(float(each.position[0]) + 2.3, 0.0 if each.speed else 5.0)]
-        ]
-    }
-    person.step(0.1, walks=may_walk(road, person, 0.1))
+    road.act()
+    road.step(0.1)
     assert (person.speed > 0.0) is waits
 
 
@@ -342,7 +336,7 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
 def test_a_collision_is_noted_with_its_cause_and_cleared():
     road = TrafficRoad(straight_network())
     standing = put(road, ("east_in<", "east_out>", 1), 100.0, 0.0, Behavior.CAREFUL, 1)
-    standing.schedule.stop_at, standing.schedule.stop_until = math.inf, math.inf
+    standing.stop_at, standing.stop_until = math.inf, math.inf
     moving = put(road, ("east_in<", "east_out>", 1), 90.0, 14.0, Behavior.THREATENING, 2)
     for _ in range(10):
         road.act()

@@ -13,8 +13,8 @@ from behaviors import PROFILES, Behavior, InputError
 from scenarios import SCENARIOS
 from sim.highway.conflicts import CONFLICT_M, SAMPLE_M
 from sim.highway.engine import network_of
-from sim.highway.lane_places import ALIGNED, distances_along, find_on_lanes, lane_lines
 from sim.highway.lanes import PolylineLane
+from sim.highway.scene import ALIGNED
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import find_footway
@@ -115,43 +115,34 @@ def test_lights_show_what_their_plan_says_at_every_time(step_s):
 
 @pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "motorway_ramps", "city"])
 def test_who_is_on_a_lane_is_what_a_search_of_all_lanes_finds(name):
-    made, rng = network(name), np.random.default_rng(0)
-    lanes = list(made.lanes.values())
-    connector = [made.info[key].connector for key in made.lanes]
-    lines, n = lane_lines(lanes, connector), 150
-    near = [lanes[i] for i in rng.integers(len(lanes), size=n)]
-    s = [rng.uniform(-50.0, lane.length + 15.0) for lane in near]
-    aside = rng.uniform(-4.0, 4.0, n)
-    xy = np.array([lane.position(*at) for lane, *at in zip(near, s, aside, strict=True)])
-    heading = np.array([lane.heading_at(max(at, 0.0)) for lane, at in zip(near, s, strict=True)])
-    length = rng.uniform(3.0, 20.0, n)
-    found = find_on_lanes(xy, heading, np.full(n, 10.0), length, lines)
-    on = {
-        (int(row), k)
-        for k in range(len(lanes))
-        for row in found.row[found.first[k] : found.first[k + 1]]
-    }
-    expected = set()
-    for k in range(len(lanes)):
-        begin, end = lines.first[k], lines.last[k]
-        along = distances_along(xy, np.full(n, k), lines)
-        for row in range(n):
-            piece = begin + int(
-                np.searchsorted(lines.begin[begin + 1 : end + 1], along[row], side="left")
-            )
-            foot = lines.start[piece] + (along[row] - lines.begin[piece]) * lines.direction[piece]
-            facing = lines.direction[piece] @ (np.cos(heading[row]), np.sin(heading[row]))
+    made, rng, n = network(name), np.random.default_rng(0), 150
+    road, keys = TrafficRoad(made), list(made.lanes)
+    for number in rng.integers(len(keys), size=n).tolist():
+        lane = made.lanes[keys[number]]
+        s, aside = rng.uniform(-50.0, lane.length + 15.0), rng.uniform(-4.0, 4.0)
+        vehicle = ProfileVehicle(
+            road, lane.position(s, aside), lane.heading_at(max(s, 0.0)), 10.0,
+            driver=Driver(PROFILES[Behavior.CAREFUL]), length=rng.uniform(3.0, 20.0),
+            lane_index=keys[number],
+        )  # fmt: skip
+        road.vehicles.append(vehicle)
+    road.locate()
+    lanes, on, expected = made.tables.net.lanes, set(), set()
+    for k, (key, lane) in enumerate(made.lanes.items()):
+        along, rows, _ = road.on_lane(key)
+        assert along == sorted(along)
+        on |= {(row, k) for row in rows}
+        for row, vehicle in enumerate(road.vehicles):
+            s, aside = lane.local_coordinates(vehicle.position)
+            facing = np.cos(vehicle.heading - lane.heading_at(s))
             if (
-                np.hypot(*(xy[row] - foot)) <= lines.margin[k]
-                and (facing if connector[k] else abs(facing)) > ALIGNED
-                and -lines.behind[k] <= along[row] <= lanes[k].length + length[row] / 2
+                abs(aside) <= lanes[k].margin
+                and (facing if lanes[k].connector else abs(facing)) > ALIGNED
+                and -lanes[k].behind <= s <= lane.length + vehicle.LENGTH / 2
             ):
                 expected.add((row, k))
-    corner = {pair for pair in on ^ expected if not connector[pair[1]]}
     assert len(expected) > n
-    assert len(on ^ expected) <= 0.02 * len(expected), corner  # a foot at a corner has two pieces
-    for k in range(len(lanes)):
-        assert (np.diff(found.s[found.first[k] : found.first[k + 1]]) >= 0.0).all()
+    assert len(on ^ expected) <= 0.02 * len(expected)  # headings turn smoothly, pieces do not
 
 
 def test_lanes_keep_their_order_over_the_junction():

@@ -1,0 +1,319 @@
+"""Pedestrian crossings: drivers that let pedestrians cross, and pedestrians that wait or walk.
+
+At a signal pedestrians wait for green. At a zebra they step out when every vehicle that comes near
+is far enough away, stands, or is going to let them cross. On the way they stop before a lane on
+which a vehicle comes that does not. Whether a driver yields is drawn once per encounter.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from sim.compiled import in_place
+from sim.frames import EventKind, Signal
+from sim.highway.draws import YIELDS, chance
+from sim.highway.driving import COMFORT_DECEL, EMERGENCY_DECEL, attention_m, can_stop
+from sim.highway.junctions import ENTERED_M, EVENT_KINDS
+from sim.highway.scene import Scene, record
+from sim.highway.vehicle import MOST_MET
+from sim.highway.walkers import SETBACK_M
+
+GREEN, OFF = Signal.GREEN.code, Signal.OFF.code
+YIELDED, NOT_YIELDED = (
+    EVENT_KINDS.index(EventKind.YIELDED), EVENT_KINDS.index(EventKind.NOT_YIELDED)
+)  # fmt: skip
+
+KERB_SOON_S: Final = 4.0
+"""Drivers that demand at least this gap see that a pedestrian this near the kerb wants to cross."""
+
+MET_S: Final = 3.0
+"""A driver that would pass less than this before a pedestrian has met that pedestrian, and an event
+records whether it yielded (encounters do not depend on the gap that drivers demand)."""
+
+MET_KERB_S: Final = 2.0
+"""A driver has met only pedestrians on the crossing or this near its kerb."""
+
+STALLED_S: Final = 4.0
+"""A pedestrian who has stood this long on the crossing, out of a vehicle's way, waits for the
+vehicles (without it each would wait for the other in a full junction)."""
+
+DANGER_S: Final = 1.0
+"""All drivers brake for a pedestrian who steps onto their lane within this time, s."""
+
+STRIP_M: Final = 0.1
+"""The strip of a lane that vehicles and pedestrians keep clear of each other ends this far inside
+the lane's edges, m: a pedestrian can stand between two lanes."""
+
+WALKED_M: Final = 1.1
+"""Half the width of the middle of a crossing on which pedestrians walk, m (`walkers.OFFSET_M`, half
+a pedestrian and a little)."""
+
+SPARE_S: Final = 0.7
+"""Time to spare that a pedestrian wants before a vehicle comes, s."""
+
+STOOD_S: Final = 0.8
+"""Pedestrians assume that a vehicle waits that has stood this long before a crossing, s."""
+
+KERB_M: Final = 0.4
+"""Pedestrians decide this near the kerb whether to step out, m (half a stride)."""
+
+
+# Drivers -------------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def note_walkers(scene: Scene) -> None:
+    """List the pedestrians on each crossing and those who reach its kerb soon."""
+    scene.spot_head[:] = -1
+    scene.crossing_head[:] = -1
+    for w in range(scene.walkers.size):
+        person = scene.walkers[w]
+        at = _crossover(w, scene)
+        if at < 0 or person.crashed:
+            continue
+        way = scene.footways.crossovers[at]
+        beyond = person.s - way.begin_s
+        if beyond > 0.0 or -beyond <= KERB_SOON_S * person.free_speed:
+            head = scene.crossing_head
+            person.link, head[way.crossing] = head[way.crossing], w
+
+
+@in_place(inner=True)
+def _crossover(w: int, scene: Scene) -> int:
+    """The crossing of its way that a pedestrian is on or comes to next; -1 for none."""
+    way, crossed = scene.footways.ways[scene.walkers[w].way], scene.walkers[w].crossed
+    at = way.crossover + crossed
+    return int(at) if at < way.crossover_end else -1
+
+
+@in_place(inner=True)
+def _along(u: float, at: int, scene: Scene) -> float:
+    """How far from its beginning a place is that is given along a crossing's line, m."""
+    way = scene.footways.crossovers[at]
+    u = u + SETBACK_M
+    return float(u if way.forward else (way.end_s - way.begin_s) - u)
+
+
+@in_place(inner=True)
+def obey_crossings(scene: Scene) -> None:
+    """Note who stops before which crossing and who comes to it, and record who was let across."""
+    scene.now[0].arrivals = 0
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        first = scene.now[0].arrivals
+        _look_at_strips(i, me.lane, -(me.s + me.length / 2), scene)
+        if me.path >= 0 and me.path != me.lane:
+            _look_at_strips(i, me.path, me.to_line, scene)
+        for a in range(first, scene.now[0].arrivals):
+            for b in range(first, scene.now[0].arrivals):
+                one, other = scene.arrivals[a], scene.arrivals[b]
+                if other.yields and other.crossing == one.crossing:
+                    one.yields = True
+
+
+@in_place(inner=True)
+def _look_at_strips(i: int, lane: int, begin: float, scene: Scene) -> None:
+    """Look at the crossings of a lane that begins so far ahead of a vehicle's front bumper."""
+    net, me = scene.net, scene.vehicles[i]
+    obeys = me.profiled and not net.lanes[me.lane].wrong
+    for z in range(net.lanes[lane].strip, net.lanes[lane].strip_end):
+        strip = net.strips[z]
+        near, far, crossing = strip.near + begin, strip.far + begin, strip.crossing
+        if far + me.length < 0.0:
+            if obeys:
+                _record_encounter(i, crossing, scene)
+            continue
+        w = scene.crossing_head[crossing]
+        if (
+            near > attention_m(me.parameters, me.speed)
+            or w < 0
+            or scene.now[0].arrivals >= scene.arrivals.size
+        ):
+            continue
+        arrival = scene.arrivals[scene.now[0].arrivals]
+        arrival.vehicle, arrival.crossing, arrival.near, arrival.far = i, crossing, near, far
+        arrival.yields, arrival.stood_s = False, me.stood_s
+        arrival.link, scene.spot_head[strip.spot] = (
+            scene.spot_head[strip.spot], scene.now[0].arrivals
+        )  # fmt: skip
+        scene.now[0].arrivals += 1
+        while w >= 0 and obeys and near >= -ENTERED_M:
+            if _yields_to(i, w, strip, near, far, scene):
+                me.stop_gap = min(me.stop_gap, near)
+                arrival.yields = True
+            w = scene.walkers[w].link
+
+
+@in_place(inner=True)
+def _record_encounter(i: int, crossing: int, scene: Scene) -> None:
+    """Record whether a driver that has passed a crossing yielded to those it met there."""
+    me = scene.vehicles[i]
+    for slot in range(MOST_MET):
+        if me.met[slot] == crossing:
+            if me.met_near[slot]:
+                record(YIELDED if me.yielded[slot] else NOT_YIELDED, me.agent, scene)
+            me.met[slot], me.met_near[slot], me.yielded[slot] = -1, 0, 0
+
+
+@in_place(inner=True)
+def _note_met(i: int, crossing: int, near: bool, yields: bool, scene: Scene) -> None:
+    """Remember that a driver yields to pedestrians at a crossing, or meets them there."""
+    me, at = scene.vehicles[i], -1
+    for slot in range(MOST_MET):
+        if me.met[slot] == crossing or (me.met[slot] < 0 and at < 0):
+            at = slot
+    if at >= 0:
+        me.met[at] = crossing
+        if near:
+            me.met_near[at] = 1
+        if yields:
+            me.yielded[at] = 1
+
+
+@in_place(inner=True)
+def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene) -> bool:
+    """Whether a driver stops for a pedestrian at a crossing that is ``near`` to ``far`` m ahead."""
+    me, person, crossing = scene.vehicles[i], scene.walkers[w], scene.net.crossings[strip.crossing]
+    at = _crossover(w, scene)
+    half = scene.net.lanes[me.lane].width / 2 - STRIP_M
+    beyond, pace, speed = (
+        person.s - scene.footways.crossovers[at].begin_s,
+        person.free_speed,
+        me.speed,
+    )
+    on = beyond > 0.0
+    lit = crossing.signal >= 0 and scene.signals[crossing.signal] != OFF
+    walk = not lit or scene.signals[crossing.signal] == GREEN
+    comes_s, clears_s = near / max(speed, 2.0), (far + me.length) / max(speed, 2.0)
+    along = _along(strip.u, at, scene)
+    enters_s, leaves_s = (along - half - beyond) / pace, (along + half - beyond) / pace
+    if leaves_s < 0.0:
+        return False
+    if on and (enters_s <= 0.0 or (person.speed > 0.0 and enters_s < DANGER_S)):
+        hard = me.parameters[EMERGENCY_DECEL]
+        return can_stop(speed, near, hard) and leaves_s > comes_s - DANGER_S
+    if on and person.stood_s > STALLED_S:
+        return False
+    if not ((crossing.priority or lit) and (on or walk)):
+        return False
+    gentle = max(1.2 * me.parameters[COMFORT_DECEL], 3.0)
+    if leaves_s < comes_s - DANGER_S or not can_stop(speed, near, gentle):
+        return False
+    met = enters_s < clears_s + MET_S and -beyond < MET_KERB_S * pace
+    gap_s = me.crossing_gap_s
+    heeds = -beyond <= gap_s * pace and enters_s < clears_s + gap_s
+    yields = heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability
+    if met or yields:
+        _note_met(i, strip.crossing, met, yields, scene)
+    return bool(yields)
+
+
+# Pedestrians ---------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def walk(dt: float, scene: Scene) -> None:
+    """Let every pedestrian walk on or wait for ``dt`` seconds, as `_may_walk` says."""
+    for w in range(scene.walkers.size):
+        person = scene.walkers[w]
+        at = _crossover(w, scene)
+        person.speed = person.free_speed if _may_walk(w, at, dt, scene) else 0.0
+        person.stood_s = 0.0 if person.speed > 0.0 else person.stood_s + dt
+        way = scene.footways.ways[person.way]
+        person.s = min(person.s + person.speed * dt, way.length)
+        if at >= 0 and person.s >= scene.footways.crossovers[at].end_s:
+            person.crossed += 1
+        g = way.step
+        while g + 1 < way.step_end and scene.footways.steps[g + 1].begin <= person.s:
+            g += 1
+        step = scene.footways.steps[g]
+        along = person.s - step.begin
+        person.x = step.x + step.dx * along + person.aside * -step.dy
+        person.y = step.y + step.dy * along + person.aside * step.dx
+        person.heading = step.heading
+
+
+@in_place(inner=True)
+def _may_walk(w: int, at: int, dt: float, scene: Scene) -> bool:
+    """Whether a pedestrian walks on in a step of ``dt`` s, or waits."""
+    person = scene.walkers[w]
+    if person.crashed:
+        return False
+    if at < 0:
+        return True
+    way, stride = scene.footways.crossovers[at], person.free_speed * dt
+    crossing = scene.net.crossings[way.crossing]
+    begins = person.s < way.begin_s
+    if begins and way.begin_s - person.s > max(KERB_M, stride):
+        return True
+    lit = crossing.signal >= 0 and scene.signals[crossing.signal] != OFF
+    if begins and lit and scene.signals[crossing.signal] != GREEN:
+        return False
+    nearest = np.inf
+    if begins and lit:  # the first lane only
+        for spot in range(crossing.spot, crossing.spot_end):
+            nearest = min(nearest, _middle(spot, at, scene) - _half(spot, scene))
+    for spot in range(crossing.spot, crossing.spot_end):
+        strip_begin = _middle(spot, at, scene) - _half(spot, scene)
+        if not begins and not person.s <= strip_begin < person.s + stride:
+            continue
+        if strip_begin <= nearest and not _is_safe(w, spot, at, scene):
+            return False
+    return True
+
+
+@in_place(inner=True)
+def _middle(spot: int, at: int, scene: Scene) -> float:
+    """The middle of a lane that a way crosses, m along the way."""
+    return float(scene.footways.crossovers[at].begin_s + _along(scene.net.spots[spot].u, at, scene))
+
+
+@in_place(inner=True)
+def _half(spot: int, scene: Scene) -> float:
+    """Half the width of a lane's strip of a crossing, m."""
+    return float(scene.net.spots[spot].half - STRIP_M)
+
+
+@in_place(inner=True)
+def _is_safe(w: int, spot: int, at: int, scene: Scene) -> bool:
+    """Whether a pedestrian can cross a lane before any vehicle reaches it.
+
+    A vehicle that waits before the crossing holds those behind it back.
+    """
+    person, middle, half = scene.walkers[w], _middle(spot, at, scene), _half(spot, scene)
+    enter_s = max((middle - half) - person.s, 0.0) / person.free_speed
+    leave_s = ((middle + half) - person.s) / person.free_speed
+    looked = -1
+    last_near, last = -np.inf, -1
+    while looked < scene.arrivals.size:  # in order of their distance, then of their number
+        looked += 1
+        nearest, found = np.inf, -1
+        a = scene.spot_head[spot]
+        while a >= 0:
+            near = scene.arrivals[a].near
+            beyond = near > last_near or (near == last_near and a > last)
+            if beyond and (near < nearest or (near == nearest and a < found)):
+                nearest, found = near, a
+            a = scene.arrivals[a].link
+        if found < 0:
+            return True
+        last_near, last = nearest, found
+        arrival = scene.arrivals[found]
+        vehicle = scene.vehicles[arrival.vehicle]
+        speed, middle_m = vehicle.speed, (arrival.far - arrival.near) / 2
+        near, far = arrival.near + middle_m - WALKED_M, arrival.far - middle_m + WALKED_M
+        clear_s = (far + vehicle.length) / max(speed, 0.5)
+        if clear_s < 0.0 or (speed > 0.5 and clear_s < enter_s - 0.2):
+            continue  # past it before the pedestrian comes
+        if near <= 0.1:
+            return False
+        yields = arrival.yields or vehicle.held
+        if (yields and speed * speed <= 2.0 * 5.0 * near) or arrival.stood_s > STOOD_S:
+            return True
+        comes_s = near / speed if speed >= 2.0 else -speed + math.sqrt(speed * speed + 2.0 * near)
+        if comes_s <= leave_s + SPARE_S:
+            return False
+    return True

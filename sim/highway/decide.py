@@ -1,0 +1,378 @@
+"""The drivers' decisions: the lane to head for, the acceleration and the steering angle.
+
+A driver on a lane that does not lead to its goal gets over or takes another route. It changes
+towards the nearest lane that does lead there, into any gap that makes nobody brake harder than it
+may, and the harder the nearer the end of its lane is.
+
+A driver whose time for it has come overtakes on the wrong side: behind a slow leader it pulls out
+onto the nearest lane of the opposite direction if no oncoming vehicle is within sight. It goes back
+as soon as there is room on its own side, or if a vehicle comes towards it.
+
+References:
+    Mandatory lane changes: Kesting, Treiber, Helbing (2007), Transportation Research Record 1999.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from sim.compiled import in_place
+from sim.highway import crossings, junctions
+from sim.highway.draws import CUTS_IN, DAWDLES, STOP_LASTS, STOPS, WRONG_WAY, chance, wait_s
+from sim.highway.driving import (
+    CHANGE_GAP,
+    COMFORT_DECEL,
+    FOLLOWS_KRAUSS,
+    LEAST_CHANGE_GAP_M,
+    RANGE_M,
+    SPEED_FACTOR,
+    TOP_SPEED,
+    Follower,
+    Leader,
+    approach,
+    bounded,
+    change_incentive,
+    dawdling,
+    desired_speed,
+    follow,
+    idm,
+    may_cut_in,
+    start_up,
+    steer,
+)
+from sim.highway.scene import Beside, Scene, along_lane, beside, path_to
+from sim.highway.tables import curvature_at, heading_at, project
+
+STOP_LASTS_S: Final = (3.0, 6.0)
+"""Least and longest duration of an unprovoked stop, s."""
+
+GIVE_UP_S: Final = 20.0
+"""A driver that finds nobody to cut in front of for this long waits for its next time, s."""
+
+CHANGE_LEAST_SPEED_MPS: Final = 1.0
+"""Slower vehicles do not change lanes, m/s (as in highway-env)."""
+
+CHANGE_DELAY_S: Final = 1.0
+"""Drivers weigh the lanes beside this often, s (highway-env's)."""
+
+GENTLE_MPS2: Final = 2.0
+"""Braking that a driver far from its lane's end imposes on others and itself at most, m/s2
+(highway-env's bound for ordinary changes)."""
+
+URGENT_MPS2: Final = 4.5
+"""The same at the end of its lane (hard, and held by any tyre)."""
+
+GIVES_UP_S: Final = 4.0
+"""A driver that has stood this long at the end of a wrong lane takes another route, s."""
+
+AT_END_M: Final = 12.0
+"""Drivers take another route only this near to the end of their lane, m."""
+
+STANDING_ROOM_M: Final = 6.0
+"""A standing vehicle needs this much room before its lane's end to get over, m."""
+
+PASSING_S: Final = 5.0
+"""Drivers expect overtaking to take this long, s."""
+
+BACK_S: Final = 3.0
+"""A driver on the wrong side goes back if it would meet a vehicle within this time, s."""
+
+SLOW_LEADER_M: Final = 25.0
+"""Drivers overtake only leaders nearer than this, m."""
+
+BACK_ROOM_M: Final = 4.0
+"""Least gap in front and behind to go back into, m."""
+
+JUNCTION_M: Final = 60.0
+"""Drivers do not begin to overtake this near the end of the road, m."""
+
+
+@in_place()
+def act(scene: Scene) -> int:
+    """Work out what the rules demand of every driver, and decide for all unless somebody is astray.
+
+    Args:
+        scene: after `sim.highway.scene.locate`.
+
+    Returns:
+        How many drivers need another route; `decide` has to be called once they have it.
+    """
+    scene.now[0].astray = 0
+    junctions.look_ahead(scene)
+    junctions.obey_lines(scene)
+    crossings.note_walkers(scene)
+    crossings.obey_crossings(scene)
+    junctions.obey_junctions(scene)
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        me.astray = False
+        if not me.profiled:
+            continue
+        if scene.net.has_wrong and (me.wrong_way or me.clock >= me.wrong_way_at):
+            me.forced = _wrong_way_lane(i, scene)
+        if me.path < 0 and me.then >= 0 and me.forced < 0:
+            me.forced = _lane_to_get_over_to(i, scene)
+    if scene.now[0].astray == 0:
+        decide(scene)
+    return int(scene.now[0].astray)
+
+
+@in_place()
+def decide(scene: Scene) -> None:
+    """Decide for every driver, after `act` said what the rules demand."""
+    _count_changes(scene)
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        if me.profiled and not me.crashed:
+            _choose_lane(i, scene)
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        if me.profiled and me.target != me.lane:
+            scene.lane_head[me.target] = -1
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        if not me.profiled:
+            continue
+        if me.crashed:
+            me.steering, me.accel = 0.0, -me.parameters[COMFORT_DECEL]
+            continue
+        _accelerate(i, scene)
+        s, lateral, _ = project(me.x, me.y, me.wanted, scene.net)
+        heading, bend = heading_at(s, me.wanted, scene.net), curvature_at(s, me.wanted, scene.net)
+        me.steering = steer(lateral, heading, bend, me.heading, me.speed, me.length)
+
+
+# Choosing a lane -------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def _count_changes(scene: Scene) -> None:
+    """List those who are changing to each lane."""
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        if me.profiled and me.target != me.lane:
+            scene.lane_link[i], scene.lane_head[me.target] = scene.lane_head[me.target], i
+
+
+@in_place(inner=True)
+def _choose_lane(i: int, scene: Scene) -> None:
+    me = scene.vehicles[i]
+    me.wanted = me.lane
+    if me.forced >= 0:
+        me.wanted = me.forced
+    elif me.lane != me.target:
+        if me.wrong_way or scene.net.lanes[me.target].wrong or not _is_behind_a_change(i, scene):
+            me.wanted = me.target
+    elif me.timer > CHANGE_DELAY_S:
+        me.timer = 0.0
+        if me.changes and me.speed >= CHANGE_LEAST_SPEED_MPS:
+            _weigh_lanes(i, scene)
+
+
+@in_place(inner=True)
+def _is_behind_a_change(i: int, scene: Scene) -> bool:
+    """Whether a vehicle just ahead changes to the same lane."""
+    me = scene.vehicles[i]
+    here = along_lane(i, me.lane, scene)
+    j = scene.lane_head[me.target]
+    while j >= 0:
+        other = scene.vehicles[j]
+        if j != i:
+            ahead = along_lane(j, me.lane, scene) - here
+            gap = ahead - (me.length + other.length) / 2
+            if ahead > 0.0 and gap < me.parameters[CHANGE_GAP] + me.speed * 0.5:
+                return True
+        j = scene.lane_link[j]
+    return False
+
+
+@in_place(inner=True)
+def _follower(i: int, found: Beside, limit: float, scene: Scene) -> Follower:
+    me = scene.vehicles[i]
+    driver = scene.vehicles[max(found.rear, 0)].parameters  # nobody's are read without a follower
+    desired = min(driver[SPEED_FACTOR] * limit, driver[TOP_SPEED])
+    front_gap = found.rear_gap + me.length + found.front_gap
+    return Follower(driver, found.rear_speed, desired, found.rear_gap, front_gap)
+
+
+@in_place(inner=True)
+def _weigh_lanes(i: int, scene: Scene) -> None:
+    """Choose between the present lane and those beside it."""
+    net, me = scene.net, scene.vehicles[i]
+    driver, speed, limit = me.parameters, me.speed, net.lanes[me.lane].limit
+    if me.clock > me.cut_in_at + GIVE_UP_S:
+        _schedule_cut_in(me)
+    cutting_in = me.clock >= me.cut_in_at
+    desired = desired_speed(driver, limit, me.speed_cap)
+    here = beside(i, me.lane, scene)
+    leader, follower = Leader(here.front_gap, here.front_speed), _follower(i, here, limit, scene)
+    most = 0.0
+    for side in (net.lanes[me.lane].left, net.lanes[me.lane].right):
+        if side < 0 or (me.then >= 0 and path_to(side, me.then, net) < 0):
+            continue
+        there = beside(i, side, scene)
+        if cutting_in and may_cut_in(
+            driver, speed, there.front_gap, there.front_speed, there.rear_gap, there.rear_speed
+        ):
+            me.wanted = side
+            _schedule_cut_in(me)
+            return
+        new_leader = Leader(there.front_gap, there.front_speed)
+        new_follower = _follower(i, there, limit, scene)
+        gain = change_incentive(driver, speed, desired, leader, new_leader, follower, new_follower)
+        if gain > most:
+            me.wanted, most = side, gain
+
+
+@in_place(inner=True)
+def _schedule_cut_in(me: Any) -> None:
+    """Draw when a driver next begins to look for a vehicle to cut in front of."""
+    me.cut_in_at = me.clock + wait_s(me.key, CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
+    me.cut_ins += 1
+
+
+# Wrong lanes -----------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def _lane_to_get_over_to(i: int, scene: Scene) -> int:
+    """The lane beside its own that a driver on a wrong lane changes to now, or -1.
+
+    A driver that stands at the end of its lane goes on where the lane leads, and needs another
+    route from there; one whose lane leads nowhere waits for a gap.
+    """
+    net, me = scene.net, scene.vehicles[i]
+    lane = net.lanes[me.lane]
+    if lane.connector or lane.wrong or me.crashed:
+        return -1
+    side = _towards(me.lane, me.then, scene)
+    leads_on = lane.way < lane.way_end
+    stands = leads_on and me.to_line < AT_END_M and me.stood_s > GIVES_UP_S
+    if side < 0 or (stands and beside(i, me.lane, scene).front_gap > me.to_line):
+        me.target = me.wanted = me.lane
+        me.astray = True
+        scene.now[0].astray += 1
+        return -1
+    if me.target != me.lane:
+        return -1  # it is getting over
+    if me.speed < CHANGE_LEAST_SPEED_MPS and leads_on and me.to_line < STANDING_ROOM_M:
+        return -1
+    return side if _fits(i, side, scene) else -1
+
+
+@in_place(inner=True)
+def _towards(lane: int, then: int, scene: Scene) -> int:
+    """The lane beside another one towards the nearest that leads to a stretch; or -1."""
+    lanes = scene.net.lanes
+    left, right = lanes[lane].left, lanes[lane].right
+    while left >= 0 or right >= 0:
+        if left >= 0:
+            if path_to(left, then, scene.net) >= 0:
+                return int(lanes[lane].left)
+            left = lanes[left].left
+        if right >= 0:
+            if path_to(right, then, scene.net) >= 0:
+                return int(lanes[lane].right)
+            right = lanes[right].right
+    return -1
+
+
+@in_place(inner=True)
+def _fits(i: int, side: int, scene: Scene) -> bool:
+    """Whether a lane has a gap for which nobody has to brake too hard, whatever law it follows."""
+    me, there = scene.vehicles[i], beside(i, side, scene)
+    if there.front_gap < LEAST_CHANGE_GAP_M or there.rear_gap < LEAST_CHANGE_GAP_M:
+        return False
+    urgency = 1.0 - min(max(me.to_line, 0.0) / RANGE_M, 1.0)
+    most = GENTLE_MPS2 + urgency * (URGENT_MPS2 - GENTLE_MPS2)
+    driver, gap, closing = me.parameters, there.front_gap, me.speed - there.front_speed
+    desired = desired_speed(driver, scene.net.lanes[me.lane].limit, me.speed_cap)
+    own = bounded(driver, idm(driver, me.speed, desired, gap, there.front_speed), gap, closing)
+    if own < -most or there.rear < 0:
+        return bool(own >= -most)
+    rear, speed, gap = scene.vehicles[there.rear].parameters, there.rear_speed, there.rear_gap
+    wanted = idm(rear, speed, max(speed, 1.0), gap, me.speed)
+    return bool(bounded(rear, wanted, gap, speed - me.speed) >= -most)
+
+
+# The wrong side --------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def _wrong_way_lane(i: int, scene: Scene) -> int:
+    """The lane to head for, of a driver that is on the wrong side or about to be; or -1."""
+    net, me = scene.net, scene.vehicles[i]
+    if me.crashed:
+        return -1
+    lane = net.lanes[me.lane]
+    if lane.wrong:
+        return _lane_to_go_back(i, scene)
+    if net.lanes[me.target].wrong:
+        return int(me.target)
+    if lane.opposite < 0 or me.clock < me.wrong_way_at:
+        return -1
+    here = beside(i, me.lane, scene)
+    desired = desired_speed(me.parameters, lane.limit, me.speed_cap)
+    slow = here.front_gap < SLOW_LEADER_M and here.front_speed < 0.8 * desired
+    left = lane.length - me.s
+    if not slow or left < JUNCTION_M or me.speed < 2.0 or not me.changes:
+        return -1
+    oncoming = beside(i, lane.opposite, scene)
+    needed = PASSING_S * (desired + net.lanes[lane.opposite].limit)
+    if oncoming.front_gap < min(needed, left) or oncoming.rear_gap < BACK_ROOM_M:
+        return -1
+    wait = wait_s(me.key, WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
+    me.wrong_way_at, me.wrong_ways = me.clock + wait, me.wrong_ways + 1
+    return int(lane.opposite)
+
+
+@in_place(inner=True)
+def _lane_to_go_back(i: int, scene: Scene) -> int:
+    """The own side's lane if it is time to go back and there is room, or else the present one."""
+    me = scene.vehicles[i]
+    lane = scene.net.lanes[me.lane]
+    here, there = beside(i, me.lane, scene), beside(i, lane.own, scene)
+    room = there.front_gap > BACK_ROOM_M and there.rear_gap > BACK_ROOM_M
+    soon = here.front_gap < BACK_S * max(me.speed - here.front_speed, 1.0)
+    ends = lane.length - me.s < JUNCTION_M
+    past = there.front_gap > SLOW_LEADER_M
+    return int(lane.own if room and (past or soon or ends) else me.lane)
+
+
+# Speed -----------------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def _accelerate(i: int, scene: Scene) -> None:
+    me = scene.vehicles[i]
+    driver, speed = me.parameters, me.speed
+    desired = desired_speed(driver, scene.net.lanes[me.lane].limit, me.speed_cap)
+    here = beside(i, me.lane, scene)
+    accel = follow(driver, speed, desired, here.front_gap, here.front_speed)
+    if me.wanted != me.lane:
+        there = beside(i, me.wanted, scene)
+        accel = min(accel, follow(driver, speed, desired, there.front_gap, there.front_speed))
+    if me.stop_gap < np.inf:
+        accel = min(accel, approach(driver, speed, me.stop_gap))
+    if _stops_for_no_reason(me):
+        accel = min(accel, -driver[COMFORT_DECEL])
+    accel, me.go_at = start_up(driver, speed, accel, me.clock, me.go_at)
+    if driver[FOLLOWS_KRAUSS]:
+        accel -= dawdling(driver, speed, chance(me.key, DAWDLES, me.dawdled))
+        me.dawdled += 1
+    me.accel = accel
+
+
+@in_place(inner=True)
+def _stops_for_no_reason(me: Any) -> bool:
+    """Whether a driver stops for no reason now; schedules such stops."""
+    if me.clock >= me.stop_at:
+        least, most = STOP_LASTS_S
+        me.stop_until = me.clock + (
+            least + (most - least) * chance(me.key, STOP_LASTS, me.stops - 1)
+        )
+        me.stop_at = me.stop_until + wait_s(me.key, STOPS, me.stops, me.stop_rate_per_min)
+        me.stops += 1
+    return bool(me.clock < me.stop_until)

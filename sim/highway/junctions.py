@@ -1,0 +1,416 @@
+"""Junctions: bends, stop lines, and waiting for vehicles on crossing paths.
+
+A driver waits by signals, priority and the gap that it demands; whether it obeys a red light or a
+stop sign is drawn once per encounter.
+
+References:
+    Gap acceptance: Raff, Hart (1950), see `behaviors.driver_models.gap_accepted`.
+    Dilemma zone at yellow: Gazis, Herman, Maradudin (1960), Operations Research 8, 112.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from behaviors import driver_models
+from sim.compiled import in_place, shared
+from sim.frames import EventKind, Signal
+from sim.highway.draws import ROLLS, RUNS_RED, chance
+from sim.highway.driving import (
+    COMFORT_DECEL,
+    EMERGENCY_DECEL,
+    MAX_ACCEL,
+    MIN_GAP,
+    SPEED_FACTOR,
+    STANDING_MPS,
+    STARTUP_DELAY,
+    attention_m,
+    can_stop,
+    desired_speed,
+)
+from sim.highway.scene import Scene, along_lane, beside, next_stretch, path_to, record
+
+_gap_accepted = shared(driver_models.gap_accepted)
+_braking_speed = shared(driver_models.braking_speed)
+
+RED, YELLOW = Signal.RED.code, Signal.YELLOW.code
+EVENT_KINDS: Final = tuple(EventKind)
+"""Events by their codes."""
+RED_RUN, STOP_ROLLED = (
+    EVENT_KINDS.index(EventKind.RED_RUN),
+    EVENT_KINDS.index(EventKind.STOP_ROLLED),
+)
+
+ENTERED_M: Final = 0.5
+"""A vehicle whose front is this far over the stop line has entered the junction."""
+
+BEND_FACTOR: Final = 1.2
+"""Largest factor by which a driver exceeds the limit of a junction path (these limits follow from
+lateral acceleration)."""
+
+BEND_BRAKING: Final = 0.7
+"""Share of the comfortable braking that drivers use ahead of a bend."""
+
+NO_CHANGE_M: Final = (15.0, 20.0)
+"""Drivers do not change lanes this soon after and before a junction, m."""
+
+LINE_M: Final = 3.0
+"""A driver on the wrong side stops this far before a junction, m."""
+
+STOPPED_M: Final = 3.0
+"""A vehicle that stood this near the line has stopped at it."""
+
+CLEARANCE_S: Final = 0.3
+"""Time that has to pass between two vehicles at a conflict."""
+
+CONFLICT_MARGIN_M: Final = 0.7
+"""Distance that drivers keep to another's path when they wait inside a junction."""
+
+FOE_ACCEL_MPS2: Final = 2.0
+"""Acceleration that drivers expect of others."""
+
+INSISTED_BRAKING_MPS2: Final = 4.5
+"""Braking that the most insistent driver imposes on others with priority, m/s2."""
+
+AT_LINE_M: Final = 5.0
+"""Drivers wait at the line for a conflict that begins this soon after it."""
+
+WAITING_S: Final = 1.0
+"""A vehicle that has stood this long inside a junction, or before it without priority, is assumed
+to wait."""
+
+PATIENCE_S: Final = 20.0
+"""After standing this long, drivers ignore others that stand too (after SUMO's ignored junction
+blockers)."""
+
+BLOCKED_MPS: Final = 2.0
+"""A leader slower than this may come to a stand in the way."""
+
+
+class Passage(NamedTuple):
+    """How a driver is going to pass a conflict.
+
+    Attributes:
+        agent: its id.
+        to_line: front bumper to the beginning of its path, m.
+        rank: right-of-way rank: 0 with priority, 1 without, 2 after running a red light.
+        entered: whether it is inside the junction.
+        after_green: whether it is inside on a path whose light has turned red.
+        stood_s: for how long it has stood, s.
+        enter_s: when it reaches the conflict, s from now.
+        leave_s: when it has left it, s.
+        gap_acceptance_s: see `behaviors.profiles.Profile`.
+        insistence: likewise.
+    """
+
+    agent: int
+    to_line: float
+    rank: int
+    entered: bool
+    after_green: bool
+    stood_s: float
+    enter_s: float
+    leave_s: float
+    gap_acceptance_s: float
+    insistence: float
+
+
+class Foe(NamedTuple):
+    """A vehicle on its way over the other path of a conflict.
+
+    Attributes:
+        agent: its id.
+        to_line: front bumper to the beginning of its path, m.
+        begin: to the conflict, m.
+        end: until its rear has left the conflict, m.
+        rank: right-of-way rank.
+        entered: whether it is inside the junction.
+        held: whether a light or a sign made it stop at the line a step ago.
+        speed: m/s.
+        stood_s: for how long it has stood, s.
+    """
+
+    agent: int
+    to_line: float
+    begin: float
+    end: float
+    rank: int
+    entered: bool
+    held: bool
+    speed: float
+    stood_s: float
+
+
+# Where everybody is on its way ----------------------------------------------------------------
+
+
+@in_place(inner=True)
+def look_ahead(scene: Scene) -> None:
+    """Find where each vehicle is on its way, and record who has just broken a rule at a line."""
+    lanes, now_s = scene.net.lanes, scene.now[0].time_s
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        lane = lanes[me.lane]
+        me.s = along_lane(i, me.lane, scene)
+        front = me.s + me.length / 2
+        me.then = next_stretch(i, me.lane, scene)
+        time_s = me.clock if me.profiled else now_s
+        me.stood_s = 0.0 if me.standing_since == np.inf else time_s - me.standing_since
+        if lane.connector:
+            me.last_path = me.path = me.lane
+            me.to_line = -front
+        else:
+            me.path = path_to(me.lane, me.then, scene.net) if me.then >= 0 else -1
+            me.to_line = lane.length - front
+        if me.last_path >= 0 and me.last_path != me.path and me.s - me.length / 2 >= 0.0:
+            me.last_path, me.ran_red = -1, False
+        if me.path >= 0 and me.path == me.path_before and me.line_before > 0.0 >= me.to_line:
+            if _shows(me.path, RED, scene):
+                me.ran_red = True
+                record(RED_RUN, me.agent, scene)
+            if lanes[me.path].must_stop and me.stood_at != me.path:
+                record(STOP_ROLLED, me.agent, scene)
+        me.path_before, me.line_before = me.path, me.to_line
+        me.was_held, me.held, me.stop_gap, me.forced = me.held, False, np.inf, -1
+
+
+@in_place(inner=True)
+def _shows(path: int, state: int, scene: Scene) -> bool:
+    """Whether the light of a path shows a state."""
+    group = scene.net.lanes[path].signal
+    return bool(group >= 0 and scene.signals[group] == state)
+
+
+@in_place(inner=True)
+def _may_go_on(i: int, scene: Scene) -> bool:
+    """Whether a driver's lane leads where it wants to go, or it is getting over already."""
+    me = scene.vehicles[i]
+    lane = scene.net.lanes[me.lane]
+    return bool(me.path >= 0 or me.then < 0 or (me.target != me.lane and lane.way == lane.way_end))
+
+
+# Lines ----------------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def obey_lines(scene: Scene) -> None:
+    """Note which drivers stop at the line for a light or a sign."""
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        if (
+            not me.profiled
+            or me.path < 0
+            or scene.net.lanes[me.lane].wrong
+            or not -ENTERED_M < me.to_line < attention_m(me.parameters, me.speed)
+        ):
+            continue
+        if scene.net.lanes[me.path].signal >= 0:
+            me.held = _stops_at_light(i, scene)
+        if scene.net.lanes[me.path].must_stop and not me.held:
+            me.held = _stops_at_sign(i, scene)
+
+
+@in_place(inner=True)
+def _stops_at_light(i: int, scene: Scene) -> bool:
+    me = scene.vehicles[i]
+    if _shows(me.path, RED, scene):
+        first = beside(i, me.lane, scene).front_gap > me.to_line
+        if first and chance(me.key, RUNS_RED, me.path) < me.red_run_probability:
+            return False
+        return can_stop(me.speed, me.to_line, me.parameters[EMERGENCY_DECEL])
+    if _shows(me.path, YELLOW, scene):
+        group = scene.net.lanes[me.path].signal
+        if scene.now[0].time_s - scene.signal_since[group] < me.yellow_run_s:
+            return False
+        return can_stop(me.speed, me.to_line, me.parameters[COMFORT_DECEL])
+    return False
+
+
+@in_place(inner=True)
+def _stops_at_sign(i: int, scene: Scene) -> bool:
+    me = scene.vehicles[i]
+    if me.to_line < STOPPED_M and me.speed < STANDING_MPS:
+        me.stood_at = me.path
+    rolls = chance(me.key, ROLLS, me.path) < me.stop_roll_probability
+    return not rolls and me.stood_at != me.path
+
+
+# Conflicts ------------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def obey_junctions(scene: Scene) -> None:
+    """Fill in what junctions demand of every driver, after lights, signs and crossings did."""
+    n = scene.vehicles.size
+    for i in range(n):  # who is on its way over each junction path
+        me = scene.vehicles[i]
+        if me.path >= 0 and me.to_line < attention_m(me.parameters, me.speed):
+            scene.lane_link[i], scene.lane_head[me.path] = scene.lane_head[me.path], i
+        if me.last_path >= 0 and me.last_path != me.path:
+            last = me.last_path
+            scene.lane_link[n + i], scene.lane_head[last] = scene.lane_head[last], n + i
+    for i in range(n):
+        if scene.vehicles[i].profiled:
+            _obey_junction(i, scene)
+    for i in range(n):
+        me = scene.vehicles[i]
+        if me.path >= 0:
+            scene.lane_head[me.path] = -1
+        if me.last_path >= 0:
+            scene.lane_head[me.last_path] = -1
+
+
+@in_place(inner=True)
+def _obey_junction(i: int, scene: Scene) -> None:
+    net, me = scene.net, scene.vehicles[i]
+    lane, to_line, driver = net.lanes[me.lane], me.to_line, me.parameters
+    factor = min(driver[SPEED_FACTOR], BEND_FACTOR)
+    near = to_line < attention_m(driver, me.speed)
+    gap, cap, changes = me.stop_gap, np.inf, True
+    if lane.connector:
+        cap, changes = factor * lane.limit, False
+    elif net.has_paths or me.then >= 0:
+        changes = me.s > NO_CHANGE_M[0] and (me.then < 0 or to_line > NO_CHANGE_M[1])
+        if near and not lane.wrong and not _may_go_on(i, scene):
+            gap, me.held, changes = min(gap, to_line), True, True
+    me.changes = changes
+    if lane.wrong:
+        me.stop_gap = to_line - LINE_M if near else np.inf
+        me.speed_cap = cap
+        return
+    if me.path >= 0 and near:
+        if not lane.connector:
+            bend, braking = factor * net.lanes[me.path].limit, BEND_BRAKING * driver[COMFORT_DECEL]
+            cap = _braking_speed(max(to_line, 0.0), bend, braking)
+        if me.held or (to_line > -ENTERED_M and _exit_blocked(i, scene)):
+            gap = min(gap, to_line)
+        if not me.held:
+            gap = _conflicts_gap(i, gap, scene)
+        if not net.lanes[me.path].must_yield and -ENTERED_M < to_line < gap < np.inf:
+            gap = to_line  # a driver with priority does not stop inside
+    me.stop_gap, me.speed_cap = gap, cap
+
+
+@in_place(inner=True)
+def _exit_blocked(i: int, scene: Scene) -> bool:
+    """Whether a driver would have to stop inside the junction, behind a standing leader."""
+    me = scene.vehicles[i]
+    lead = beside(i, me.lane, scene)
+    if lead.front < 0 or lead.front_speed > BLOCKED_MPS or lead.front_gap < me.to_line:
+        return False
+    inside = scene.net.lanes[me.path].length
+    needed = me.to_line + inside + me.length + me.parameters[MIN_GAP]
+    return bool(lead.front_gap < needed)
+
+
+@in_place(inner=True)
+def _rank(i: int, path: int, entered: bool, scene: Scene) -> int:
+    if scene.vehicles[i].ran_red or (_shows(path, RED, scene) and not entered):
+        return 2
+    return 1 if scene.net.lanes[path].must_yield else 0
+
+
+@in_place(inner=True)
+def _conflicts_gap(i: int, gap: float, scene: Scene) -> float:
+    """The nearest place at which a driver waits for others, or ``gap`` if that is nearer, m."""
+    net, n, me = scene.net, scene.vehicles.size, scene.vehicles[i]
+    path, to_line, speed, driver = me.path, me.to_line, me.speed, me.parameters
+    entered = to_line < -ENTERED_M
+    rank = _rank(i, path, entered, scene)
+    after_green = entered and me.lane == path and _shows(path, RED, scene)
+    top = desired_speed(driver, net.lanes[me.lane].limit, me.speed_cap)
+    delay = driver[STARTUP_DELAY] if speed < STANDING_MPS else 0.0
+    for c in range(net.lanes[path].conflict, net.lanes[path].conflict_end):
+        conflict = net.conflicts[c]
+        entry = scene.lane_head[conflict.other]
+        begin, end = to_line + conflict.begin, to_line + conflict.end + me.length
+        if entry < 0 or begin <= 0.0 or end < 0.0:
+            continue  # nobody comes, or it is in the conflict or past it already
+        own = Passage(
+            me.agent, to_line, rank, entered, after_green, me.stood_s,
+            delay + reach_s(speed, begin, driver[MAX_ACCEL], top),
+            delay + reach_s(speed, end, driver[MAX_ACCEL], top),
+            me.gap_acceptance_s, me.insistence,
+        )  # fmt: skip
+        while entry >= 0:
+            j = entry % n
+            other = scene.vehicles[j]
+            foe_line, held = other.to_line, other.was_held
+            if entry >= n:  # on its way out of the junction
+                front = other.s + other.length / 2
+                foe_line, held = -(net.lanes[conflict.other].length + front), False
+            entry = scene.lane_link[entry]
+            if j == i:
+                continue
+            foe_entered = foe_line < -ENTERED_M
+            foe = Foe(
+                other.agent, foe_line, foe_line + conflict.other_begin,
+                foe_line + conflict.other_end + other.length,
+                _rank(j, conflict.other, foe_entered, scene), foe_entered, held,
+                max(other.speed, 0.0), other.stood_s,
+            )  # fmt: skip
+            if not must_wait(own, foe):
+                continue
+            at_line = not entered and (conflict.begin < AT_LINE_M or rank == 2)
+            stop = to_line if at_line else begin - CONFLICT_MARGIN_M
+            if can_stop(speed, stop, driver[EMERGENCY_DECEL]):
+                gap = min(gap, stop)
+    return gap
+
+
+@in_place()
+def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
+    """Time to cover a distance while speeding up to a top speed, s."""
+    if distance <= 0.0:
+        return 0.0
+    top = max(top, speed, 0.5)
+    gaining = (top * top - speed * speed) / (2.0 * accel)
+    if distance <= gaining:
+        return (-speed + math.sqrt(speed * speed + 2.0 * accel * distance)) / accel
+    return (top - speed) / accel + (distance - gaining) / top
+
+
+@in_place()
+def must_wait(own: Passage, foe: Foe) -> bool:
+    """Whether a driver has to wait for another one before a conflict."""
+    if foe.end < 0.0:
+        return False
+    speed = foe.speed
+    if foe.begin <= 0.0:  # it is in the conflict
+        if own.stood_s > 2.0 * PATIENCE_S and foe.stood_s > PATIENCE_S:
+            return False
+        return own.enter_s < foe.end / max(speed, 0.5) + CLEARANCE_S
+    if foe.held:
+        return False
+    if own.stood_s > PATIENCE_S and foe.stood_s > 1.0:
+        return False
+    if foe.stood_s > WAITING_S and (foe.entered or foe.rank >= own.rank or own.after_green):
+        return False  # it waits itself, for this vehicle or for another
+    foe_enters_s = reach_s(speed, foe.begin, FOE_ACCEL_MPS2, max(speed, 8.0))
+    foe_leaves_s = foe.end / max(speed, 2.0)
+    if _goes_first(own, foe):
+        if not foe.entered or speed < STANDING_MPS:
+            return False
+        return foe_enters_s < own.enter_s and own.enter_s < foe_leaves_s + CLEARANCE_S
+    critical_s = own.gap_acceptance_s
+    if _gap_accepted(own.enter_s, own.leave_s, foe_enters_s, foe_leaves_s, critical_s, CLEARANCE_S):
+        return False
+    braking = speed * speed / (2.0 * foe.begin)
+    insists = own.insistence * INSISTED_BRAKING_MPS2
+    lets_in = insists > 0.0 and braking <= insists and speed > 1.0
+    return not (lets_in and own.leave_s < foe_leaves_s)
+
+
+@in_place(inner=True)
+def _goes_first(own: Passage, foe: Foe) -> bool:
+    """Whether a driver has the right of way over another one: by rank, place, then number."""
+    if own.rank != foe.rank:
+        return own.rank < foe.rank
+    if own.entered != foe.entered:
+        return own.entered
+    if abs(own.to_line - foe.to_line) > 0.5:
+        return own.to_line < foe.to_line
+    return own.agent < foe.agent

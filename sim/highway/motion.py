@@ -1,0 +1,240 @@
+"""Motion: how vehicles and pedestrians move in a step, who touches whom, and who goes.
+
+References:
+    Polack et al. (2017), IEEE IV: the kinematic bicycle, as in highway-env.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from sim.compiled import in_place
+from sim.frames import EventKind
+from sim.highway.crossings import walk
+from sim.highway.driving import STANDING_MPS
+from sim.highway.junctions import EVENT_KINDS
+from sim.highway.scene import Scene, next_stretch, onward, record
+from sim.highway.tables import project
+
+WRONG_WAY = EVENT_KINDS.index(EventKind.WRONG_WAY)
+
+TOP_SPEED_MPS: Final = 40.0
+"""Vehicles slow down to this speed (highway-env's MAX_SPEED)."""
+
+CLEAR_AFTER_S: Final = 8.0
+"""Crashed vehicles and struck pedestrians stay on the road this long (traffic behind sees them and
+queues, and pile-ups clear)."""
+
+STUCK_S: Final = 5.0
+"""A vehicle that stands on the wrong side for this long is taken off the road (facing oncoming
+traffic, it would stand there for ever)."""
+
+STAYS: Final = 0
+ARRIVED: Final = 1
+CLEARED: Final = 2
+STUCK: Final = 3
+
+
+@in_place()
+def move(dt: float, scene: Scene) -> bool:
+    """Move everybody for ``dt`` seconds and find who touches whom.
+
+    Returns:
+        Whether somebody may have to go; see `leave`.
+    """
+    somebody = False
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        if me.profiled:
+            _drive(me, dt)
+            _update_lane(i, scene)
+        me.at_end = me.profiled and _is_at_end(me, scene)
+        lane = scene.net.lanes[me.lane]
+        somebody = somebody or me.at_end or me.crashed or me.wrong_way or lane.wrong
+    walk(dt, scene)
+    for w in range(scene.walkers.size):
+        somebody = somebody or scene.walkers[w].crashed or _has_arrived(w, scene)
+    scene.now[0].time_s += dt
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        if not me.profiled:
+            _note_standing(me, scene.now[0].time_s)
+    _find_touching(scene)
+    return bool(somebody)
+
+
+@in_place(inner=True)
+def _drive(me: Any, dt: float) -> None:
+    """Move one vehicle by the kinematic bicycle."""
+    steering, accel, speed = me.steering, me.accel, me.speed
+    if me.crashed:
+        steering, accel = 0.0, -speed
+    if speed > TOP_SPEED_MPS:
+        accel = min(accel, TOP_SPEED_MPS - speed)
+    slip = math.atan(0.5 * math.tan(steering))
+    course = me.heading + slip
+    me.x += speed * math.cos(course) * dt
+    me.y += speed * math.sin(course) * dt
+    me.heading += speed * math.sin(slip) / (me.length / 2) * dt
+    me.speed = max(speed + accel * dt, 0.0)
+    me.timer += dt
+    me.clock += dt
+    me.target = me.wanted
+    _note_standing(me, me.clock)
+
+
+@in_place(inner=True)
+def _note_standing(me: Any, time_s: float) -> None:
+    """Note since when a vehicle has stood."""
+    if abs(me.speed) > STANDING_MPS:
+        me.standing_since = np.inf
+    elif me.standing_since == np.inf:
+        me.standing_since = time_s
+
+
+@in_place(inner=True)
+def _update_lane(i: int, scene: Scene) -> None:
+    """Put a vehicle on the nearer of its lane and its target, or on the next at its lane's end."""
+    net, me = scene.net, scene.vehicles[i]
+    s, aside, _ = project(me.x, me.y, me.lane, net)
+    if me.target != me.lane:
+        then_s, then_aside, _ = project(me.x, me.y, me.target, net)
+        if abs(then_aside) < abs(aside):
+            me.lane, me.changed_at, s = me.target, me.clock, then_s
+    if s > net.lanes[me.lane].length:
+        then = onward(i, me.lane, scene)
+        if then >= 0:
+            me.lane = me.target = me.wanted = then
+
+
+@in_place(inner=True)
+def _is_at_end(me: Any, scene: Scene) -> bool:
+    """Whether a vehicle's front is at the end of a lane outside of junctions."""
+    lane = scene.net.lanes[me.lane]
+    s = project(me.x, me.y, me.lane, scene.net)[0]
+    return bool(not lane.connector and s + me.length / 2 >= lane.length)
+
+
+@in_place(inner=True)
+def _has_arrived(w: int, scene: Scene) -> bool:
+    person = scene.walkers[w]
+    return bool(person.s >= scene.footways.ways[person.way].length - 1e-6)
+
+
+@in_place()
+def leave(scene: Scene) -> bool:
+    """Note why each one goes, if it does, and who has come onto the wrong side.
+
+    Returns:
+        Whether somebody goes.
+    """
+    somebody, now_s = False, scene.now[0].time_s
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
+        me.leaves = STAYS
+        if not me.profiled:
+            continue
+        wrong = scene.net.lanes[me.lane].wrong
+        if wrong and not me.wrong_way:
+            record(WRONG_WAY, me.agent, scene)
+        me.wrong_way = wrong
+        if wrong and me.standing_since < np.inf and me.clock - me.standing_since > STUCK_S:
+            me.leaves = STUCK
+        elif now_s - me.crashed_at > CLEAR_AFTER_S:
+            me.leaves = CLEARED
+        elif me.at_end and next_stretch(i, me.lane, scene) < 0:
+            me.leaves = ARRIVED
+        somebody = somebody or me.leaves != STAYS
+    for w in range(scene.walkers.size):
+        person = scene.walkers[w]
+        person.leaves = STAYS
+        if now_s - person.struck_at > CLEAR_AFTER_S:
+            person.leaves = CLEARED
+        elif _has_arrived(w, scene):
+            person.leaves = ARRIVED
+        somebody = somebody or person.leaves != STAYS
+    return bool(somebody)
+
+
+# Who touches whom ------------------------------------------------------------------------------
+
+
+@in_place(inner=True)
+def _one(i: int, scene: Scene) -> tuple[float, float, float, float, float]:
+    """Place, heading, length and width of a vehicle, or of a pedestrian counted after them."""
+    n = scene.vehicles.size
+    if i < n:
+        me = scene.vehicles[i]
+        return me.x, me.y, me.heading, me.length, me.width
+    person = scene.walkers[i - n]
+    return person.x, person.y, person.heading, person.length, person.width
+
+
+@in_place(inner=True)
+def _cell(x: float, y: float, scene: Scene) -> tuple[int, int]:
+    """Column and row of the cell of a place; places outside belong to the nearest cell."""
+    cells = scene.net.cells
+    column = min(max((x - cells.x0) / cells.size, 0.0), cells.columns - 1.0)
+    row = min(max((y - cells.y0) / cells.size, 0.0), cells.rows - 1.0)
+    return int(column), int(row)
+
+
+@in_place(inner=True)
+def _find_touching(scene: Scene) -> None:
+    """List every two vehicles, and every vehicle and pedestrian, whose outlines overlap."""
+    cells, n = scene.net.cells, scene.vehicles.size
+    many = n + scene.walkers.size
+    scene.now[0].pairs = 0
+    for i in range(many):
+        x, y, _, _, _ = _one(i, scene)
+        column, row = _cell(x, y, scene)
+        cell = row * cells.columns + column
+        scene.cell_link[i], scene.cell_head[cell] = scene.cell_head[cell], i
+    for i in range(n):
+        column, row = _cell(scene.vehicles[i].x, scene.vehicles[i].y, scene)
+        for r in range(max(row - 1, 0), min(row + 2, cells.rows)):
+            for c in range(max(column - 1, 0), min(column + 2, cells.columns)):
+                j = scene.cell_head[r * cells.columns + c]
+                while j >= 0:
+                    if j > i and _overlap(i, j, scene):
+                        _add_pair(i, j, scene)
+                    j = scene.cell_link[j]
+    for i in range(many):
+        x, y, _, _, _ = _one(i, scene)
+        column, row = _cell(x, y, scene)
+        scene.cell_head[row * cells.columns + column] = -1
+
+
+@in_place(inner=True)
+def _add_pair(i: int, j: int, scene: Scene) -> None:
+    """Add a pair to those of the same vehicle, in order of the other one."""
+    at = scene.now[0].pairs
+    if at >= scene.pairs.size:
+        return
+    while at > 0 and scene.pairs[at - 1].one == i and scene.pairs[at - 1].other > j:
+        scene.pairs[at].one, scene.pairs[at].other = i, scene.pairs[at - 1].other
+        at -= 1
+    scene.pairs[at].one, scene.pairs[at].other = i, j
+    scene.now[0].pairs += 1
+
+
+@in_place(inner=True)
+def _overlap(i: int, j: int, scene: Scene) -> bool:
+    """Whether the outlines of two overlap: no axis of either rectangle separates them."""
+    ax, ay, a_heading, a_length, a_width = _one(i, scene)
+    bx, by, b_heading, b_length, b_width = _one(j, scene)
+    dx, dy = ax - bx, ay - by
+    reach = (math.sqrt(a_length**2 + a_width**2) + math.sqrt(b_length**2 + b_width**2)) / 2
+    if not dx * dx + dy * dy <= reach * reach:
+        return False
+    a_cos, a_sin = math.cos(a_heading), math.sin(a_heading)
+    b_cos, b_sin = math.cos(b_heading), math.sin(b_heading)
+    for x, y in ((a_cos, a_sin), (-a_sin, a_cos), (b_cos, b_sin), (-b_sin, b_cos)):
+        half = abs(a_cos * x + a_sin * y) * a_length + abs(-a_sin * x + a_cos * y) * a_width
+        half += abs(b_cos * x + b_sin * y) * b_length + abs(-b_sin * x + b_cos * y) * b_width
+        if abs(dx * x + dy * y) >= half / 2:
+            return False
+    return True
