@@ -18,20 +18,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from behaviors.errors import InputError
-from behaviors.populations import NUMBERS, POPULATIONS, read_population
+from behaviors.populations import NUMBERS, POPULATIONS
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
 from experiments.report.calibration import calibration_page
 from experiments.scoring.calibration import (
     Calibrated,
     calibrate_recordings,
-    label_of,
     quantile_rows,
 )
 from graphrqi.calibrate.laws import FIELDS, Law
-from sim.store.atomic import whole_file, write_whole
-from sim.store.lock import LOCK, new_folder, same_again
+from sim.files import new_folder, whole_file, write_whole
 
 SCHEMA: Final = pa.schema(
     [
@@ -50,13 +47,6 @@ SCHEMA: Final = pa.schema(
 )
 """Columns of ``drivers.parquet``: mean and 90 % interval of a number, and whether the data tell it;
 ``law_probability`` is that of the row's law, both laws being as likely beforehand."""
-
-
-FILES: Final = frozenset(
-    {"drivers.parquet", "population.toml", "calibration.json", "report.html"}
-    | {f"population_{law}.toml" for law in Law}
-)
-"""What is written into the folder."""
 
 
 def driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
@@ -89,12 +79,9 @@ def write_calibration(
 ) -> Calibrated:
     """Calibrate and write everything into a new folder.
 
-    Where ``out`` already holds the same it stays as it is: so a command that was stopped at its
-    very end can be run again.
-
     Args:
         source: a dataset, a recording or a folder of recordings.
-        out: folder: new, empty, or with the same calibration.
+        out: folder, new or empty.
         format: as in `calibrate_recordings`.
         net: as in `calibrate_recordings`.
         quiet: whether to show no progress.
@@ -103,8 +90,7 @@ def write_calibration(
         InputError: if there is nothing to calibrate or ``out`` holds anything else.
         OSError: if something cannot be written.
     """
-    again = _calibrated_before(source, out)
-    with same_again(out, "calibration") if again else new_folder(out, FILES) as folder:
+    with new_folder(out) as folder:
         calibrated = calibrate_recordings(source, format, net, quiet)
         table = pa.Table.from_pylist(driver_rows(calibrated), schema=SCHEMA)
         with whole_file(folder / "drivers.parquet") as partial:
@@ -145,16 +131,6 @@ def write_shipped(source: Path, out: Path = POPULATIONS[SHIPPED], quiet: bool = 
     found = calibrated.population(Law.IDM)
     told = SHIPPED_SOURCE.format(drivers=found.drivers)
     write_whole(out, dataclasses.replace(found, name=SHIPPED, source=told).to_toml().encode())
-
-
-def _calibrated_before(source: Path, out: Path) -> bool:
-    """Whether a folder holds a whole calibration of something of this name."""
-    if (out / LOCK).exists() or not all((out / name).is_file() for name in FILES):
-        return False
-    try:
-        return read_population(out / "population.toml").name == label_of(source)
-    except InputError:
-        return False
 
 
 def _card(calibrated: Calibrated) -> dict[str, Any]:

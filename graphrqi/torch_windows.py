@@ -21,8 +21,8 @@ from torch.utils.data import IterableDataset, get_worker_info
 
 from behaviors.errors import InputError
 from sim.frames import Tracks
+from sim.store.catalogue import rows_where
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.entries import rows_where
 from sim.store.schema import Split
 
 Window = dict[str, Any]

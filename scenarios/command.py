@@ -205,10 +205,8 @@ def _run(
         for _ in frames:
             pass
         return summary
-    from sim.store.lock import new_folder, same_again
     from sim.store.schema import EpisodeMeta
-    from sim.store.sealing import write_manifest
-    from sim.store.writing import episode_id, made_with, write_episode
+    from sim.store.writing import made_with, new_dataset
 
     defaults = entry.options
     chosen = {
@@ -228,22 +226,6 @@ def _run(
         options=chosen,
         made_with=made_with(options.engine),
     )
-    out = options.out
-    again = _holds(out, episode_id(meta, agents, scenario.road.source))
-    with same_again(out, "dataset") if again else new_folder(out) as folder:
-        made = write_episode(folder, meta, frames, agents, scenario.road.source)
-        write_manifest(folder, {"scenario": scenario.name, **chosen}, [made])
-    if again:
-        sys.stderr.write(f"{printable(str(out))}: it was there already; nothing was written\n")
+    with new_dataset(options.out, {"scenario": scenario.name, **chosen}) as dataset:
+        dataset.write_episode(meta, frames, agents, scenario.road.source)
     return summary
-
-
-def _holds(out: Path, identity: str) -> bool:
-    """Whether a folder is a whole dataset of one episode alone."""
-    from sim.store.dataset import finished_dataset
-
-    found = finished_dataset(out)
-    try:
-        return found is not None and [entry.id for entry in found.episodes()] == [identity]
-    except InputError:  # a broken one is no empty folder, which is said elsewhere
-        return False

@@ -14,13 +14,14 @@ from typing import Final
 import numpy as np
 
 from experiments.benches.contract import Bench, option
-from experiments.data.configuration import GenerateConfig
-from experiments.data.episode import Task, make_episode
-from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel, processors
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
+from experiments.generate.episode import Task
 from experiments.rows import Cell, Row, tidy_row
+from sim.files import place_of
 from sim.scenario import sample_agents
-from sim.store.schema import EpisodeEntry
+from sim.store.writing import EpisodeWriter
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 
@@ -76,20 +77,22 @@ def _cost(scenario_name: str, index: int, duration_s: float, blocks: int | None)
     task = Task(_config(index + 1, duration_s, (scenario_name,), blocks), scenario_name, index)
     scenario = task.config.scenario(scenario_name)
     agents = sample_agents(scenario, task.seed)
-    entries: list[EpisodeEntry] = []
+    sizes: list[int] = []
+    steps: list[int] = []
 
     def part(steer: bool, read: bool) -> Callable[[], object]:
         return lambda: step_bare(scenario, agents, task.seed, steer=steer, read=read)
 
     def whole() -> None:
         with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
-            entries.append(make_episode(Path(scratch), task))
+            with EpisodeWriter(place_of(scratch), {}) as out:
+                steps.append(task.write(out).agent_steps)
+            sizes.append(sum(file.size for file in out.files.values()))
 
     calls = [part(False, False), part(True, False), part(False, True), part(True, True), whole]
     rounds = np.array([[_cpu_s(call) for call in calls] for _ in range(2)])
     bare, steered, read, both, everything = rounds.min(axis=0).tolist()
-    size = sum(file.size for file in entries[0].files.values())
-    return _Cost(bare, steered, read, both, everything, entries[0].agent_steps, size)
+    return _Cost(bare, steered, read, both, everything, steps[0], sizes[0])
 
 
 def _frames(
@@ -131,9 +134,8 @@ def _memory_growth(episodes: int, duration_s: float) -> float:
     begin_mb = 0.0
     with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
         for i in range(episodes):
-            make_episode(
-                Path(scratch), Task(_config(episodes, duration_s), SCENARIOS[i % 2], i // 2)
-            )
+            with EpisodeWriter(place_of(scratch), {}) as out:
+                Task(_config(episodes, duration_s), SCENARIOS[i % 2], i // 2).write(out)
             if i == episodes // 5:
                 begin_mb = _peak_mb()
     return _peak_mb() - begin_mb

@@ -49,10 +49,10 @@ from graphrqi.classify import make_classifier
 from graphrqi.features.observer import Observer
 from graphrqi.features.unit_free import standardised, unit_free_features
 from graphrqi.methods import METHODS
+from sim.files import write_whole
 from sim.formats import traf, traf_sheets
 from sim.formats.common.recording import CAR_LENGTH_M
 from sim.frames import Tracks
-from sim.store.atomic import write_whole
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

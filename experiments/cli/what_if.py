@@ -71,9 +71,9 @@ def what_if(
     from behaviors.errors import lookup
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
-    from experiments.data.configuration import read_config
     from experiments.data.what_if import WhatIf, make_what_if
     from experiments.figure_files import check_figure_file
+    from experiments.generate.configuration import read_config
     from experiments.replay.pictures.paths import write_paths
     from experiments.scoring.what_if import outcomes
     from sim.store.dataset import open_dataset
@@ -117,8 +117,8 @@ def blame(
 ) -> None:
     """Say whose careful driving would have prevented each collision and near miss (Linux only)."""
     from experiments.console.tables import show_table
-    from experiments.data.configuration import read_config
-    from experiments.data.episode import Task
+    from experiments.generate.configuration import read_config
+    from experiments.generate.episode import Task
     from experiments.scoring.blame import judge, verdict_rows
     from sim.scenario import sample_agents
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -223,7 +224,8 @@ def cause(
     for cut in reversed(cuts):
         cutter, victim = int(steps.ids[cut.agent]), int(steps.ids[cut.other])
         if {cutter, victim} == set(pair) and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
-            return crash.caused_by(cutter, f"cut in {cut.value:.2f} s before the other")
+            collision = crash.caused_by(cutter, "cut in")
+            return dataclasses.replace(collision, cut_in_headway_s=float(cut.value))
     return _between_vehicles(crash)
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from behaviors.labels import Behavior
 from experiments.benches.blame import rows_of
-from experiments.data.configuration import GenerateConfig
-from experiments.data.episode import Task
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.episode import Task
 from experiments.scoring.blame import Verdict, agreements, judge, verdict_rows
 from scenarios import SCENARIOS
 from sim.engines import get_engine

@@ -31,7 +31,6 @@ from experiments.benches.classification.robustness import (
 )
 from experiments.benches.classification.rows import difference_rows, score_rows
 from experiments.benches.classification.speed import speed_rows
-from experiments.data.configuration import GenerateConfig
 from experiments.data.disturbances import (
     DISTURBANCES,
     cut_tracks,
@@ -39,8 +38,9 @@ from experiments.data.disturbances import (
     identity_switches,
     position_noise,
 )
-from experiments.data.generate import generate
 from experiments.data.windows import places_of
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.scoring.metrics import auc_within, calibration_error, confusion, reliability
 from graphrqi.methods import METHODS
 from graphrqi.model_files import load_model

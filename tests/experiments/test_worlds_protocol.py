@@ -10,9 +10,9 @@ from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.noise import disturbances
 from experiments.benches.classification.streams import answer_rows, look
 from experiments.benches.classification.worlds import AXES, NOISES_M, Learned, worlds_rows
-from experiments.data.generate import generate
-from experiments.data.worlds.episode import WorldsConfig
-from experiments.data.worlds.world import draw_world
+from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
+from experiments.generate.dataset import generate
+from experiments.generate.worlds.world import draw_world
 from graphrqi.posterior import Posterior
 from graphrqi.samples import Samples
 from sim.frames import Tracks
@@ -22,7 +22,8 @@ from sim.store.dataset import Dataset, open_dataset
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("worlds") / "data"
-    generate(WorldsConfig(worlds=5, seed=8, duration_s=15.0), folder, jobs=1, quiet=True)
+    config = GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=5, seed=8, duration_s=15.0)
+    generate(config, folder, jobs=1, quiet=True)
     return open_dataset(folder)
 
 

@@ -15,8 +15,7 @@ from graphrqi.torch_windows import TorchWindows, WindowOptions, windows_of
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta, split_of
-from sim.store.sealing import write_manifest
-from sim.store.writing import write_recording
+from sim.store.writing import new_dataset
 
 STEPS = 101
 
@@ -48,15 +47,10 @@ def tracks(first: int) -> Tracks:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("windows") / "data"
-    entries = [
-        write_recording(
-            folder,
-            EpisodeMeta(scenario="line", engine="ngsim", index=i, split=split_of(i)),
-            tracks(10 * i),
-        )
-        for i in range(6)
-    ]
-    write_manifest(folder, {}, entries)
+    with new_dataset(folder, {}) as out:
+        for i in range(6):
+            meta = EpisodeMeta(scenario="line", engine="ngsim", index=i, split=split_of(i))
+            out.write_recording(meta, tracks(10 * i))
     return folder
 
 

@@ -35,10 +35,9 @@ from experiments.benches.classification.worlds import AXES, learn, worlds_rows
 from experiments.benches.classification.zero_shot import zero_shot_rows
 from experiments.benches.contract import Bench, option
 from experiments.benches.real_data import DATA_VARIABLE
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
-from experiments.data.worlds.episode import WorldsConfig
 from experiments.figure_files import write_figure
+from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS, Model
@@ -76,7 +75,7 @@ class Settings:
         engine: the same for drivers of another law and of the other engine, scored and learned.
         fresh: the same for the data on which the shipped model is scored.
         many: the same for the leak probe, whose interval needs episodes; None for the base.
-        worlds: options of `WorldsConfig` for worlds that are left out in turn.
+        worlds: options of `GenerateConfig` for worlds that are left out in turn.
         sensed: the same as ``base`` for usual traffic that is seen by worse sensors.
         recordings: most recordings of a place, and most videos; None for all.
         axes: by what worlds are left out; keys of ``AXES``.
@@ -107,7 +106,7 @@ class Settings:
     many: Mapping[str, Any] | None = field(
         default_factory=lambda: {"episodes": 40, "duration_s": 150.0}
     )
-    worlds: Mapping[str, Any] = field(default_factory=lambda: {"worlds": 600})
+    worlds: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 600})
     sensed: Mapping[str, Any] = field(default_factory=lambda: {"episodes": 4, "duration_s": 120.0})
     recordings: int | None = option(
         None,
@@ -167,7 +166,8 @@ class Datasets:
     def worlds(self) -> Dataset:
         """Random worlds, other ones than any model that ships was trained on."""
         where = self._folder / "worlds"
-        generate(WorldsConfig(seed=18, **self.settings.worlds), where, self.settings.jobs, True)
+        config = GenerateConfig(scenarios=(RANDOM_WORLD,), seed=18, **self.settings.worlds)
+        generate(config, where, self.settings.jobs, True)
         return open_dataset(where)
 
     @cached_property
@@ -368,7 +368,7 @@ BENCH: Final = Bench(
         engine={"episodes": 3, "duration_s": 30.0},
         fresh={"episodes": 1, "duration_s": 30.0},
         many=None,
-        worlds={"worlds": 5, "duration_s": 20.0},
+        worlds={"episodes": 5, "duration_s": 20.0},
         sensed={"episodes": 1, "duration_s": 15.0},
         recordings=1,
         axes=("noise",),

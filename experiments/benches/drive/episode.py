@@ -33,6 +33,7 @@ from scenarios.environments.roads import (
 from scenarios.environments.straight_road import StraightRoadEnv
 from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
+from sim.files import write_whole
 from sim.frames import EventKind, FloatArray, Frame, Tracks
 from sim.highway.demand import Demand
 from sim.highway.ego import Observation, distance_left_m, is_off_road
@@ -40,7 +41,6 @@ from sim.highway.engine import read_frame
 from sim.highway.lanes import LaneIndex
 from sim.highway.traffic import TrafficRoad
 from sim.scenario import AgentSpec
-from sim.store.atomic import write_whole
 
 FORWARD_MPS2: Final = (-4.05, 2.40)
 """Comfortable braking and acceleration, m/s2 (nuPlan's bounds, from human drivers: Karnchanachari

@@ -179,7 +179,7 @@ def _answered(path: Path) -> Any:
 def document_samples() -> dict[str, Sample]:
     """A valid input of each family."""
     from behaviors.populations.files import POPULATIONS, read_population
-    from experiments.data.configuration import read_cluster, read_config
+    from experiments.generate.configuration import read_cluster, read_config
     from experiments.replay.beliefs import read_beliefs
     from experiments.replay.forecasts import read_forecasts
     from experiments.report.source import read_source

@@ -11,7 +11,7 @@ from typing import Final
 from experiments.benches.hostile.trial import FAILURES
 from experiments.benches.hostile.worker import Trial
 from experiments.benches.progress import read_progress
-from sim.store.atomic import write_whole
+from sim.files import write_whole
 
 EVERY_S: Final = 30.0
 """How often the file is written, s (after a kill, inputs of this time are tried again)."""
