@@ -71,11 +71,11 @@ def what_if(
     from behaviors.errors import lookup
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
-    from experiments.data.what_if import WhatIf, make_what_if
     from experiments.figure_files import check_figure_file
     from experiments.generate.configuration import read_config
     from experiments.replay.pictures.paths import write_paths
     from experiments.scoring.what_if import outcomes
+    from experiments.what_if import WhatIf, make_what_if
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 

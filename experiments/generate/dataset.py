@@ -32,7 +32,7 @@ from sim.files import PARTIAL_PREFIX, Place, place_of
 from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
 from sim.store.dataset import open_dataset
 from sim.store.schema import TABLES, EpisodeEntry, FileEntry, Manifest, block_of, split_of
-from sim.store.shards import ShardName, read_shard
+from sim.store.shards import Shard, ShardName, metadata_of, opened
 from sim.store.writing import EpisodeWriter, checksum, made_with
 
 _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
@@ -207,7 +207,7 @@ class _Run:
                 raise InputError(f"{self._place.url}: found {what} in it, expected a new folder")
         missing = []
         for task in tasks:
-            shard = read_shard(self._place, task.name, listed)
+            shard = _read_shard(self._place, task.name, listed)
             if shard is not None and shard.configuration != self._configuration:
                 raise InputError(
                     f"{self._place.url}: found unfinished episodes of another configuration in "
@@ -274,6 +274,23 @@ class _Run:
                 f"{self._place.url}: holds {old} episodes per scenario, found {config.episodes} "
                 "asked for, expected at least as many; choose another folder"
             )
+
+
+def _read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Shard | None:
+    """A shard of an earlier run; None if a file of it is missing, broken, or of another size."""
+    own = name.file("agents")
+    if own not in listed:
+        return None
+    try:
+        with opened(place, own) as parquet:
+            shard = metadata_of(place.path / own, parquet.metadata, Shard)
+            rows = parquet.metadata.num_rows
+        agents = FileEntry(sha256=place.checksum(own), size=listed[own], rows=rows)
+    except (InputError, FileNotFoundError):
+        return None
+    if any(listed.get(file) != entry.size for file, entry in shard.files.items()):
+        return None
+    return shard.model_copy(update={"files": {**shard.files, own: agents}})
 
 
 def _shown(configuration: Mapping[str, Any], name: str) -> str:

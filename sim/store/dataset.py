@@ -200,18 +200,17 @@ class Dataset:
 
     def __repr__(self) -> str:
         """Counts of episodes by split, of scenarios, agents and agent-steps, and the size."""
-        splits = Counter[str]()
-        for row in self.totals.to_pylist():
-            splits[row["split"]] += row["episodes"]
-        agents, steps = (sum(self.totals.column(n).to_pylist()) for n in ("agents", "agent_steps"))
-        files = list(self.header.files.values())
+        splits = Counter(self.catalogue.column("split").to_pylist())
+        agents, steps = (
+            pc.sum(self.totals[name]).as_py() or 0 for name in ("agents", "agent_steps")
+        )
         by_split = ", ".join(f"{splits[name]} {name}" for name in sorted(splits))
+        size = sum(file.size for file in self.header.files.values()) / 1e6
         return (
             f"Dataset({self._place.url:.120}: {counted(len(self), 'episode')}"
             + (f" ({by_split})" if by_split else "")
             + f" of {counted(len(self.scenarios), 'scenario')}, "
-            f"{counted(agents, 'agent')}, {counted(steps, 'agent-step')}, "
-            f"{sum(file.size for file in files) / 1e6:.1f} MB)"
+            f"{counted(agents, 'agent')}, {counted(steps, 'agent-step')}, {size:.1f} MB)"
         )
 
     def _repr_html_(self) -> str:

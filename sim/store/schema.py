@@ -10,15 +10,6 @@
                                     a shard: those of the scenario's episodes FIRST to LAST that are
                                     of this split, a row group for each
 
-TABLE is one of
-
-      steps       one row per agent and time step
-      agents      one row per agent
-      frames      one row per time step
-      signals     one row per change of a traffic light
-      events      one row per event
-      traits      one row per shown trait
-
 Every row says in ``episode`` to which episode it belongs. A shard's table of agents is put there
 last and says, in its metadata, which episodes the shard holds and what its other files are; so a
 run that was stopped goes on with the shards that are there.
@@ -34,7 +25,7 @@ from elsewhere are stored as float64, exactly.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, get_args
 
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
@@ -65,15 +56,9 @@ MAX_STEPS: Final = 5 * 10**7
 """Most agent-steps that one episode may have, and signal groups times times (they take some 2 GB of
 memory)."""
 
-SMALLEST_BLOCK: Final = 5
-"""Episodes of the first blocks of a scenario (one round of `split_of`)."""
-
-LARGEST_BLOCK: Final = 640
-"""Episodes of the last blocks of a very long scenario (their shards of training have 20 to 100
-MB, and one worker takes up to an hour for them)."""
-
-BLOCKS_OF_A_SIZE: Final = 32
-"""Number of blocks of each larger size."""
+SMALLEST_BLOCK, LARGEST_BLOCK, BLOCKS_OF_A_SIZE = 5, 640, 32
+"""Episodes of the first blocks of a scenario (one round of `split_of`) and of the last ones of a
+very long one (an hour's work), and how many blocks there are of each size between."""
 
 Split = Literal["train", "validation", "test"]
 
@@ -122,7 +107,12 @@ def block_of(index: int) -> tuple[int, int]:
     return first, first + size - 1
 
 
-_OF_EPISODE: Final = pa.field("episode", pa.string(), nullable=False)
+def _column(name: str, kind: pa.DataType) -> pa.Field:
+    """A column that has a value in every row."""
+    return pa.field(name, kind, nullable=False)
+
+
+_OF_EPISODE: Final = _column("episode", pa.string())
 
 
 def steps_schema(exact: bool) -> pa.Schema:
@@ -139,13 +129,13 @@ def steps_schema(exact: bool) -> pa.Schema:
     return pa.schema(
         [
             _OF_EPISODE,
-            pa.field("agent", pa.int64(), nullable=False),
-            pa.field("step", pa.int32(), nullable=False),
-            pa.field("time_s", pa.float64(), nullable=False),
-            pa.field("x_m", number, nullable=False),
-            pa.field("y_m", number, nullable=False),
-            pa.field("heading_rad", number, nullable=False),
-            pa.field("speed_mps", number, nullable=False),
+            _column("agent", pa.int64()),
+            _column("step", pa.int32()),
+            _column("time_s", pa.float64()),
+            _column("x_m", number),
+            _column("y_m", number),
+            _column("heading_rad", number),
+            _column("speed_mps", number),
             pa.field("lane", pa.string()),  # id of the road's lane; null: on none
             pa.field("lane_s_m", number),  # distance along the lane
             pa.field("acceleration_mps2", number),  # change of speed since the step before
@@ -158,18 +148,18 @@ def steps_schema(exact: bool) -> pa.Schema:
 AGENTS: Final = pa.schema(
     [
         _OF_EPISODE,
-        pa.field("agent", pa.int64(), nullable=False),
-        pa.field("name", pa.string(), nullable=False),  # the source's own id
-        pa.field("kind", pa.string(), nullable=False),  # car bus truck motorcycle bicycle ...
+        _column("agent", pa.int64()),
+        _column("name", pa.string()),  # the source's own id
+        _column("kind", pa.string()),  # car bus truck motorcycle bicycle ...
         pa.field("behavior", pa.string()),  # null: not known, or does not drive
         pa.field("style", pa.string()),  # aggressive, conservative; null: not known
-        pa.field("length_m", pa.float64(), nullable=False),
-        pa.field("width_m", pa.float64(), nullable=False),
-        pa.field("depart_s", pa.float64(), nullable=False),  # when it is due to enter
+        _column("length_m", pa.float64()),
+        _column("width_m", pa.float64()),
+        _column("depart_s", pa.float64()),  # when it is due to enter
         pa.field("route", pa.list_(pa.field("element", pa.string())), nullable=False),  # edges
-        pa.field("walking_speed_mps", pa.float64(), nullable=False),  # 0 for those that drive
-        pa.field("seed", pa.int64(), nullable=False),  # of the agent's own chance decisions
-        pa.field("jaywalks", pa.bool_(), nullable=False),  # crosses anywhere and on red
+        _column("walking_speed_mps", pa.float64()),  # 0 for those that drive
+        _column("seed", pa.int64()),  # of the agent's own chance decisions
+        _column("jaywalks", pa.bool_()),  # crosses anywhere and on red
         *(pa.field(name, pa.float64()) for name in PROFILE_FIELDS),  # null: no profile
     ]
 )
@@ -178,8 +168,8 @@ AGENTS: Final = pa.schema(
 FRAMES: Final = pa.schema(
     [
         _OF_EPISODE,
-        pa.field("step", pa.int32(), nullable=False),
-        pa.field("time_s", pa.float64(), nullable=False),
+        _column("step", pa.int32()),
+        _column("time_s", pa.float64()),
     ]
 )
 """Columns of ``frames``: one row per time step."""
@@ -187,10 +177,10 @@ FRAMES: Final = pa.schema(
 SIGNALS_TABLE: Final = pa.schema(
     [
         _OF_EPISODE,
-        pa.field("step", pa.int32(), nullable=False),
-        pa.field("time_s", pa.float64(), nullable=False),
-        pa.field("group", pa.int16(), nullable=False),  # signal group of the road
-        pa.field("state", pa.string(), nullable=False),  # red yellow green off
+        _column("step", pa.int32()),
+        _column("time_s", pa.float64()),
+        _column("group", pa.int16()),  # signal group of the road
+        _column("state", pa.string()),  # red yellow green off
     ]
 )
 """Columns of ``signals``: the state of every group at step 0, then every change."""
@@ -198,11 +188,11 @@ SIGNALS_TABLE: Final = pa.schema(
 EVENTS: Final = pa.schema(
     [
         _OF_EPISODE,
-        pa.field("time_s", pa.float64(), nullable=False),
-        pa.field("kind", pa.string(), nullable=False),
-        pa.field("agent", pa.int64(), nullable=False),  # whose event it is
+        _column("time_s", pa.float64()),
+        _column("kind", pa.string()),
+        _column("agent", pa.int64()),  # whose event it is
         pa.field("other", pa.int64()),  # the second party
-        pa.field("rule", pa.string(), nullable=False),  # the rule, or the cause
+        _column("rule", pa.string()),  # the rule, or the cause
         pa.field("end_s", pa.float64()),  # collision: when the two last touch
         pa.field("time_to_collision_s", pa.float64()),  # near miss: the least one
         pa.field("distance_m", pa.float64()),  # wrong way: how far
@@ -215,11 +205,11 @@ do not belong to an event are null."""
 TRAITS_TABLE: Final = pa.schema(
     [
         _OF_EPISODE,
-        pa.field("agent", pa.int64(), nullable=False),  # the agent that showed it
-        pa.field("trait", pa.string(), nullable=False),  # a row of the paper's trait table
-        pa.field("begin_s", pa.float64(), nullable=False),
-        pa.field("end_s", pa.float64(), nullable=False),
-        pa.field("value", pa.float64(), nullable=False),  # the detector's number
+        _column("agent", pa.int64()),  # the agent that showed it
+        _column("trait", pa.string()),  # a row of the paper's trait table
+        _column("begin_s", pa.float64()),
+        _column("end_s", pa.float64()),
+        _column("value", pa.float64()),  # the detector's number
         pa.field("other", pa.int64()),  # the second party
     ]
 )
@@ -228,14 +218,7 @@ gives meaning and unit of the value. Empty for recordings."""
 
 TableName = Literal["steps", "agents", "frames", "signals", "events", "traits"]
 
-TABLES: Final[tuple[TableName, ...]] = (
-    "steps",
-    "agents",
-    "frames",
-    "signals",
-    "events",
-    "traits",
-)
+TABLES: Final[tuple[TableName, ...]] = get_args(TableName)
 """Names of the tables, each a folder of a dataset."""
 
 
@@ -250,9 +233,8 @@ def table_schema(table: TableName, exact: bool = False) -> pa.Schema:
         >>> table_schema("frames").names
         ['episode', 'step', 'time_s']
     """
-    if table == "steps":
-        return steps_schema(exact)
     return {
+        "steps": steps_schema(exact),
         "agents": AGENTS,
         "frames": FRAMES,
         "signals": SIGNALS_TABLE,
@@ -263,24 +245,24 @@ def table_schema(table: TableName, exact: bool = False) -> pa.Schema:
 
 CATALOGUE: Final = pa.schema(
     [
-        pa.field("id", pa.string(), nullable=False),
-        pa.field("scenario", pa.string(), nullable=False),
-        pa.field("engine", pa.string(), nullable=False),
-        pa.field("split", pa.string(), nullable=False),
-        pa.field("index", pa.int64(), nullable=False),
-        pa.field("seed", pa.uint64(), nullable=False),
+        _column("id", pa.string()),
+        _column("scenario", pa.string()),
+        _column("engine", pa.string()),
+        _column("split", pa.string()),
+        _column("index", pa.int64()),
+        _column("seed", pa.uint64()),
         pa.field("recording", pa.string()),  # the recording's own name; null: simulated
         pa.field("flow", pa.string()),  # option of that name, in words; null: not given
         pa.field("mix", pa.string()),  # option of that name as JSON with sorted keys; null: none
-        pa.field("frames", pa.int64(), nullable=False),
-        pa.field("agents", pa.int64(), nullable=False),  # that were seen
-        pa.field("agent_steps", pa.int64(), nullable=False),
-        *(pa.field(name, pa.int32(), nullable=False) for name in (*BEHAVIORS, *KINDS)),  # drawn
+        _column("frames", pa.int64()),
+        _column("agents", pa.int64()),  # that were seen
+        _column("agent_steps", pa.int64()),
+        *(_column(name, pa.int32()) for name in (*BEHAVIORS, *KINDS)),  # drawn
         pa.field("road", pa.string()),  # checksum; null: not known
-        pa.field("exact", pa.bool_(), nullable=False),  # float64 as it came, not rounded float32
-        pa.field("shard", pa.string(), nullable=False),  # name of its shard, without ending
-        pa.field("options", pa.string(), nullable=False),  # JSON
-        pa.field("made_with", pa.string(), nullable=False),  # JSON
+        _column("exact", pa.bool_()),  # float64 as it came, not rounded float32
+        _column("shard", pa.string()),  # name of its shard, without ending
+        _column("options", pa.string()),  # JSON
+        _column("made_with", pa.string()),  # JSON
     ]
 )
 """Columns of ``episodes.parquet``, the catalogue: one row per episode, by scenario, engine, index
@@ -360,14 +342,16 @@ class EpisodeEntry(EpisodeMeta):
     @property
     def recording(self) -> str | None:
         """Name of the recording that it was read from; None for a simulated episode."""
-        recording = self.options.get("recording")
-        return recording if isinstance(recording, str) else None
+        return self._option("recording")
 
     @property
     def file(self) -> str | None:
         """The file that the recording was read from; None for a simulated episode."""
-        file = self.options.get("file")
-        return file if isinstance(file, str) else None
+        return self._option("file")
+
+    def _option(self, name: str) -> str | None:
+        value = self.options.get(name)
+        return value if isinstance(value, str) else None
 
     @property
     def name(self) -> str:

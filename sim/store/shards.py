@@ -41,9 +41,6 @@ METADATA_KEY: Final = b"graphrqi"
 KEPT_FOOTERS: Final = 64
 """Of how many files a process keeps the footer."""
 
-MAX_PART_CHARACTERS: Final = 220
-"""Longest part of a shard's path (file systems take 255 bytes)."""
-
 
 @dataclass(frozen=True, slots=True)
 class ShardName:
@@ -70,20 +67,12 @@ class ShardName:
         Args:
             table: which.
 
-        Raises:
-            InputError: if the scenario's name is too long for a folder.
-
         Examples:
             >>> ShardName("a road", "train", "000000-000004").file("steps")
             'steps/scenario=a%20road/split=train/000000-000004.parquet'
         """
-        folder = f"scenario={quote(self.scenario, safe='')}"
-        if len(folder) > MAX_PART_CHARACTERS:
-            raise InputError(
-                f"scenario: found a name of {len(folder)} letters in a path, expected at most "
-                f"{MAX_PART_CHARACTERS}: {self.scenario:.40}..."
-            )
-        return f"{table}/{folder}/split={self.split}/{self.block}.parquet"
+        scenario = quote(self.scenario, safe="")
+        return f"{table}/scenario={scenario}/split={self.split}/{self.block}.parquet"
 
 
 class Shard(BaseModel):
@@ -204,32 +193,6 @@ def parquet_options(schema: pa.Schema) -> dict[str, Any]:
         },
         "store_schema": False,
     }
-
-
-def read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Shard | None:
-    """A shard that an earlier run wrote.
-
-    Args:
-        place: the dataset.
-        name: of the shard.
-        listed: sizes of the files that are there, by name.
-
-    Returns:
-        The shard; None if a file of it is missing, broken, or of another size.
-    """
-    own = name.file("agents")
-    if own not in listed:
-        return None
-    try:
-        with opened(place, own) as parquet:
-            shard = metadata_of(place.path / own, parquet.metadata, Shard)
-            rows = parquet.metadata.num_rows
-        agents = FileEntry(sha256=place.checksum(own), size=listed[own], rows=rows)
-    except (InputError, FileNotFoundError):
-        return None
-    if any(listed.get(file) != entry.size for file, entry in shard.files.items()):
-        return None
-    return shard.model_copy(update={"files": {**shard.files, own: agents}})
 
 
 def metadata_of(path: Path, metadata: pq.FileMetaData, model: type[M]) -> M:

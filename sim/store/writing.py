@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from pydantic import JsonValue
 
 from behaviors.detector_inputs import ShownTrait
@@ -36,7 +35,7 @@ from sim.store.schema import (
     EpisodeMeta,
     FileEntry,
 )
-from sim.store.shards import ShardName, ShardWriter, parquet_options
+from sim.store.shards import ShardName, ShardWriter
 
 _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "sumo": ("libsumo",),
@@ -93,8 +92,8 @@ class EpisodeWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """Put the shards in their places, or remove them after an error."""
-        for name in list(self._open):
-            self.files |= self._open.pop(name).close(kind is None)
+        for writer in self._open.values():
+            self.files |= writer.close(kind is None)
 
     def write_episode(
         self,
@@ -224,14 +223,12 @@ class EpisodeWriter:
             OSError: if something cannot be written.
         """
         names = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
-        table = agents_table(agents, names)
-        made_from = table if drawn is None else agents_table(drawn, {})
         kept = {} if road is None else dict([self._keep_road(road)])
         sha256 = next((file.sha256 for file in kept.values()), None)
         index = tracks.as_rows().index
         entry = EpisodeEntry(
             **meta.model_dump(),
-            id=_identity(meta, made_from, sha256, tracks if exact else None),
+            id=_identity(meta, drawn or agents, sha256, tracks if exact else None),
             road=sha256,
             frames=int(tracks.time_s.size),
             agents=int((np.diff(index.first) > 0).sum()),
@@ -239,7 +236,7 @@ class EpisodeWriter:
             exact=exact,
             drawn=_drawn(agents),
         )
-        tables = encode(tracks, exact, known, table, shown, entry.id)
+        tables = encode(tracks, exact, known, agents_table(agents, names), shown, entry.id)
         name = ShardName.of(entry)
         if name not in self._open:
             for other in list(self._open):
@@ -263,29 +260,18 @@ class EpisodeWriter:
 
 
 def _identity(
-    meta: EpisodeMeta, agents: pa.Table, road: str | None, recorded: Tracks | None
+    meta: EpisodeMeta, agents: Sequence[AgentSpec], road: str | None, recorded: Tracks | None
 ) -> str:
     """An episode's id: the hash of everything that determines its content."""
-    content = hashlib.sha256()
+    made_from = {**meta.model_dump(), "version": EPISODE_VERSION, "road": road}
+    content = hashlib.sha256(json.dumps(made_from, sort_keys=True, allow_nan=False).encode())
+    content.update(repr(list(agents)).encode())
     if recorded is not None:
         rows = recorded.as_rows()
-        for values in (recorded.ids, recorded.time_s, recorded.signals, rows.index.agent,
-                       rows.index.step, rows.xy, rows.heading, rows.speed):  # fmt: skip
+        for values in (recorded.time_s, recorded.signals, rows.index.agent, rows.index.step,
+                       rows.xy, rows.heading, rows.speed):  # fmt: skip
             content.update(np.ascontiguousarray(values).tobytes())
-    made_from = {
-        **meta.model_dump(),
-        "schema_version": EPISODE_VERSION,
-        "agents": checksum(_parquet_bytes(agents)),
-        "road": road,
-        "recorded": None if recorded is None else content.hexdigest(),
-    }
-    return checksum(json.dumps(made_from, sort_keys=True, allow_nan=False).encode())[:16]
-
-
-def _parquet_bytes(table: pa.Table) -> bytes:
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, **parquet_options(table.schema))
-    return bytes(sink.getvalue())
+    return content.hexdigest()[:16]
 
 
 def _drawn(agents: Sequence[AgentSpec]) -> dict[str, int]:
@@ -335,9 +321,8 @@ def new_dataset(out: str | Path, configuration: Mapping[str, JsonValue]) -> Iter
         OSError: if something cannot be written; nothing is left behind.
     """
     place = place_of(out)
-    there = next(iter(place.files()), None) if place.remote else None
-    if there is not None:
-        raise InputError(f"{place.url}: found {there} there, expected nothing")
+    if place.remote and place.files():
+        raise InputError(f"{place.url}: found something there, expected nothing")
     with temporary_folder("dataset") if place.remote else new_folder(local_path(out)) as folder:
         made = Place(str(folder))
         with EpisodeWriter(made, configuration) as writer:

@@ -12,7 +12,6 @@ import pytest
 from behaviors import InputError
 from behaviors.labels import Behavior
 from experiments.cli.commands import main
-from experiments.data.what_if import WhatIf, branch_of, change_of, make_what_if
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.replay.ghosts import find_ghosts, ghosts_of
@@ -25,6 +24,7 @@ from experiments.scoring.what_if import (
     outcomes,
     same_incident,
 )
+from experiments.what_if import WhatIf, branch_of, change_of, make_what_if
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.store.dataset import open_dataset
 from sim.sumo.control.acting import Action
