@@ -22,7 +22,7 @@ from experiments.data.exchange import as_dataset
 from experiments.rows import Row
 from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
 from graphrqi.calibrate.following import RecordedDriver, Stretch, recorded_drivers
-from sim.store.atomic import whole_folder
+from sim.files import new_folder
 from sim.store.dataset import open_dataset
 
 SCHEMA: Final = pa.schema(
@@ -102,10 +102,8 @@ def write_calibration(
         InputError: if there is nothing to calibrate or ``out`` holds anything.
         OSError: if something cannot be written.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: found something there, expected a new or empty folder")
-    calibrated = calibrate_recordings(source, format, net, quiet)
-    with whole_folder(out) as folder:
+    with new_folder(out) as folder:
+        calibrated = calibrate_recordings(source, format, net, quiet)
         table = pa.Table.from_pylist(driver_rows(calibrated), schema=SCHEMA)
         pq.write_table(table, folder / "drivers.parquet")
         for law in Law:

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.report.page import printed_tables, write_report
 from experiments.report.run_file import Metrics, RunFile, Score, installed, read_run, write_run
 from experiments.report.tables import Table

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from behaviors.errors import InputError
-from sim.store.atomic import write_whole
+from sim.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

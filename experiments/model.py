@@ -15,10 +15,9 @@ from typing import Any, Final
 import graphrqi.predict
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
-from experiments.data.worlds.episode import read_worlds_config
 from experiments.demo import BEST_METHOD, SCENARIOS
+from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
 from experiments.training.elsewhere import train_on_worlds
 from experiments.training.predictor import calibrate_drivers, train_predictors
@@ -113,6 +112,11 @@ def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -
     )  # fmt: skip
 
 
+def worlds_of(count: int, seed: int) -> GenerateConfig:
+    """So many random worlds."""
+    return GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=count, seed=seed)
+
+
 def learn_elsewhere(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
     """Generate home traffic and random worlds, and teach the classifier to answer elsewhere.
 
@@ -134,7 +138,7 @@ def learn_elsewhere(work: Path, quiet: bool = False, jobs: int | None = None) ->
     worlds = []
     for seed, count in ELSEWHERE_WORLDS.items():
         worlds.append(work / f"elsewhere-worlds-{seed}")
-        generate(read_worlds_config(None, count, seed=seed), worlds[-1], jobs, quiet)
+        generate(worlds_of(count, seed), worlds[-1], jobs, quiet)
     model = load_model(BEST_METHOD)
     learned = train_on_worlds(
         [open_dataset(folder) for folder in home],
@@ -184,7 +188,7 @@ def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
         )
         return
     worlds, home = work / "recorded-worlds", work / "recorded-home"
-    generate(read_worlds_config(None, WORLDS, seed=WORLDS_SEED), worlds, None, quiet)
+    generate(worlds_of(WORLDS, WORLDS_SEED), worlds, None, quiet)
     config = GenerateConfig(
         scenarios=SCENARIOS, episodes=HOME_EPISODES, seed=WORLDS_SEED, limits_mps=HOME_LIMITS_MPS
     )

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from experiments.data.admission import admitted
 from experiments.data.parallel import all_in_parallel
-from experiments.data.worlds.sensor import seen_badly
+from experiments.generate.worlds.sensor import seen_badly
 from experiments.training.recorded_scenes import OPEN_DATA, SCENES, scene_rows
 from graphrqi.features.relative.observer import SCENE_NAMES
+from sim.files import whole_file
 from sim.formats import FORMATS, formats_in, read_recordings, recording_files
 from sim.formats.common.recording import Recording
-from sim.store.atomic import whole_file
 
 MOST_RECORDINGS: Final = 55
 """Recordings of a place that are used."""

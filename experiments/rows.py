@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from behaviors.errors import InputError
-from sim.store.atomic import write_whole
+from sim.files import write_whole
 
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]

@@ -14,7 +14,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.data.configuration import GenerateConfig
+from experiments.generate.configuration import GenerateConfig
 from experiments.rows import Row
 from sim.engines import get_engine
 from sim.episode.window import DEFAULT_RADIUS_M, Window

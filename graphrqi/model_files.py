@@ -26,8 +26,8 @@ from graphrqi.elsewhere import Elsewhere
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import METHODS, Method, Model
 from graphrqi.spectrum import SOLVERS
+from sim.files import whole_folder
 from sim.invalid_fields import first_wrong_field
-from sim.store.atomic import whole_folder
 
 MAX_CARD_BYTES: Final = 2**24
 """Largest ``model.json`` that is read (16 MiB; the shipped one has some kilobytes)."""

@@ -9,8 +9,8 @@ from enum import StrEnum
 class EventKind(StrEnum):
     """What can happen to or between agents.
 
-    A collision is one event, when it begins; ``CONTACT`` marks every later step in which the two
-    still touch.
+    A collision is one event, when it begins. An engine says ``CONTACT`` in every later step in
+    which the two still touch; stored events have no contacts.
     """
 
     COLLISION = "collision"
@@ -35,6 +35,10 @@ class Event:
         agent: id of the agent that did it (of a collision: the one that caused it).
         other: id of the second party, or None.
         rule: the rule by which the agent counts as its cause, in words; "" where there is none.
+        end_s: of a collision: when the two last touch, s; None for other events.
+        time_to_collision_s: of a near miss: the least one, s.
+        distance_m: of driving the wrong way: how far, m.
+        cut_in_headway_s: of a collision after a cut-in: the headway that it left, s.
     """
 
     kind: EventKind
@@ -42,3 +46,23 @@ class Event:
     agent: int
     other: int | None = None
     rule: str = ""
+    end_s: float | None = None
+    time_to_collision_s: float | None = None
+    distance_m: float | None = None
+    cut_in_headway_s: float | None = None
+
+    @property
+    def words(self) -> str:
+        """The rule and the event's number, for people.
+
+        Examples:
+            >>> Event(EventKind.NEAR_MISS, 2.0, 1, 2, time_to_collision_s=1.4).words
+            'time to collision 1.40 s'
+        """
+        if self.time_to_collision_s is not None:
+            return f"time to collision {self.time_to_collision_s:.2f} s"
+        if self.distance_m is not None:
+            return f"{self.distance_m:.0f} m"
+        if self.cut_in_headway_s is not None:
+            return f"{self.rule}, {self.cut_in_headway_s:.2f} s before the other"
+        return self.rule

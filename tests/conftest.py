@@ -7,12 +7,9 @@ time share the processors: each starts as many workers as it has processors for 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-from tests.experiments.shared import in_this_process_if_alone
 
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     testing = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
@@ -45,11 +42,3 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return SLOWEST.index(item.path.name) if item.path.name in SLOWEST else len(SLOWEST)
 
     items.sort(key=order)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def one_job_makes_episodes_here() -> Iterator[None]:
-    """Starting a worker takes seconds, at every call; tests of workers ask for two jobs."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("experiments.data.generate.make_in_processes", in_this_process_if_alone)
-        yield

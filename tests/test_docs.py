@@ -27,8 +27,8 @@ from sybil import Example, Sybil
 from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
 
 from experiments.cli.bench import bench
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from tests.experiments.shared import call
 
 ROOT = Path(__file__).resolve().parent.parent

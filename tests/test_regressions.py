@@ -16,7 +16,7 @@ import pytest
 
 from behaviors.errors import LONGEST, InputError
 from behaviors.populations.files import read_population
-from experiments.data.configuration import read_config
+from experiments.generate.configuration import read_config
 from experiments.replay.beliefs import read_beliefs
 from experiments.report.source import read_source
 from scenarios import get_scenario

@@ -33,8 +33,8 @@ from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.benchmarks.classified import AGES_S, Recordings, drivers
 from experiments.benchmarks.scores import difference_rows, keys_of, majority_of, score_rows
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.rival import PlainRival
 from experiments.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS

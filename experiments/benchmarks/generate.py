@@ -10,13 +10,14 @@ from typing import Final
 
 import numpy as np
 
-from experiments.data.configuration import GenerateConfig
-from experiments.data.episode import Task, make_episode
-from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel, processors
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
+from experiments.generate.episode import Task
 from experiments.rows import Cell, Row, tidy_row
+from sim.files import place_of
 from sim.scenario import sample_agents
-from sim.store.schema import EpisodeEntry
+from sim.store.writing import EpisodeWriter
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
 """Those of the dataset that is made with one job and with one per core."""
@@ -52,27 +53,29 @@ def episode_costs(scenario_name: str, index: int, duration_s: float) -> dict[str
     task = Task(config, scenario_name, index)
     scenario = config.scenario(scenario_name)
     agents = sample_agents(scenario, task.seed)
-    entries: list[EpisodeEntry] = []
+    sizes: list[int] = []
+    steps: list[int] = []
 
     def part(steer: bool, read: bool) -> Callable[[], object]:
         return lambda: step_bare(scenario, agents, task.seed, steer=steer, read=read)
 
     def whole() -> None:
         with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
-            entries.append(make_episode(Path(scratch), task))
+            with EpisodeWriter(place_of(scratch), {}) as out:
+                steps.append(task.write(out).agent_steps)
+            sizes.append(sum(file.size for file in out.files.values()))
 
     calls = [part(False, False), part(False, True), part(True, True), whole]
     rounds = np.array([[_cpu_s(call) for call in calls] for _ in range(2)])
     bare, read, engine, everything = rounds.min(axis=0).tolist()
-    steps = entries[0].agent_steps
     return {
         "frames_over_bare_stepping": read / bare - 1,
         "engine_over_bare_stepping": engine / bare - 1,
         "over_bare_stepping": everything / bare - 1,
         "times_real_time": duration_s / everything,
-        "us_per_agent_step": 1e6 * everything / steps,
-        "annotated_us_per_agent_step": 1e6 * (everything - engine) / steps,
-        "bytes_per_agent_step": sum(file.size for file in entries[0].files.values()) / steps,
+        "us_per_agent_step": 1e6 * everything / steps[0],
+        "annotated_us_per_agent_step": 1e6 * (everything - engine) / steps[0],
+        "bytes_per_agent_step": sizes[0] / steps[0],
     }
 
 

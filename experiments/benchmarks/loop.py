@@ -231,36 +231,37 @@ def slopes(done: Sequence[City], engine: str) -> list[Row]:
     return rows
 
 
-def stock_rows(cars: Sequence[int], frames: int = 60) -> Iterator[list[Row]]:
-    """Agent-steps per second of the highway-env engine beside highway-env's own road.
+def stock_rows(duration_s: float = 60.0, frames: int = 60) -> list[Row]:
+    """Agent-steps per second of the highway engine beside highway-env's own road and drivers.
 
     Args:
-        cars: numbers of cars on the straight road.
-        frames: that are timed.
+        duration_s: of the episode on the dense straight road that the engine drives, s.
+        frames: of highway-env's own road that are timed, with as many cars.
 
-    Yields:
-        Rows of each number of cars: ``agent_steps_per_cpu_s`` of both, and ``ratio_to_stock``.
+    Returns:
+        ``agent_steps_per_cpu_s`` of both, and ``ratio_to_stock``.
     """
-    from sim.highway.comparison import straight_traffic
+    from sim.highway.stock import stock_traffic
 
-    for n in cars:
-        speed = {}
-        for name in ("compiled", "stock-profiles"):
-            road = straight_traffic(name, n, 0)
-            spent = []
-            for _ in range(frames + 2):
-                begin = time.process_time()
-                road.act()
-                road.step(STOCK_STEP_S)
-                spent.append(time.process_time() - begin)
-            speed[name] = n * frames / max(sum(spent[2:]), 1e-9)  # the first ones compile
-        keys: dict[str, Cell] = {"agents": n, "lanes": None, "vehicles": n, "stage": "simulate"}
-        own, stock = speed["compiled"], speed["stock-profiles"]
-        yield [
-            tidy_row({"engine": engine, **keys}, metric, value, None, None, frames)
-            for engine, metric, value in (
-                ("highway", "agent_steps_per_cpu_s", own),
-                ("highway-env's own", "agent_steps_per_cpu_s", stock),
-                ("highway", "ratio_to_stock", own / stock),
-            )
-        ]
+    scenario = get_scenario("straight_road")(duration_s=duration_s, flow="dense")
+    agents = sample_agents(scenario, 0)
+    for _ in range(2):  # the first one compiles
+        begin = time.process_time()
+        counts = [len(frame) for frame in get_engine("highway")(scenario, agents, 0)]
+        own = sum(counts) / max(time.process_time() - begin, 1e-9)
+    cars = max(counts)
+    road = stock_traffic(cars, seed=0)
+    begin = time.process_time()
+    for _ in range(frames):
+        road.act()
+        road.step(STOCK_STEP_S)
+    stock = cars * frames / max(time.process_time() - begin, 1e-9)
+    keys: dict[str, Cell] = {"agents": cars, "lanes": None, "vehicles": cars, "stage": "simulate"}
+    return [
+        tidy_row({"engine": engine, **keys}, metric, value, None, None, frames)
+        for engine, metric, value in (
+            ("highway", "agent_steps_per_cpu_s", own),
+            ("highway-env's own", "agent_steps_per_cpu_s", stock),
+            ("highway", "ratio_to_stock", own / stock),
+        )
+    ]

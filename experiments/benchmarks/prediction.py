@@ -17,9 +17,9 @@ from experiments.benchmarks.yielding import (
     encounter_chances,
     score_chances,
 )
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.rows import Row, tidy_row
 from experiments.scoring.metrics import Statistic, bootstrap, ratio
 from experiments.scoring.prediction_errors import (

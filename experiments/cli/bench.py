@@ -190,7 +190,7 @@ def loop(
     else:
         duration_s, repeats = (20.0, 1) if quick else (180.0, 3)
         road = measure_road(engines, duration_s, repeats)
-        parts = chain(road, stock_rows((20,) if quick else (20, 50, 100, 200)))
+        parts = chain(road, [stock_rows(20.0, 10) if quick else stock_rows()])
     show_parts("loop", parts, json)
 
 

@@ -19,7 +19,7 @@ from experiments.cli.bench import bench
 from experiments.cli.calibrate import calibrate
 from experiments.cli.classify import classify, evaluate
 from experiments.cli.drive import drive
-from experiments.cli.generate import generate, merge, size_of, upgrade
+from experiments.cli.generate import generate, size_of
 from experiments.cli.input_keeping import InputKeepingCommand
 from experiments.cli.options import (
     FLAGS,
@@ -123,7 +123,7 @@ def run(
 ) -> None:
     """Run a scenario headless and sum up what happened."""
     from experiments.console.tables import show_table
-    from experiments.data.configuration import read_config
+    from experiments.generate.configuration import read_config
     from experiments.run import read_window, run_scenario
 
     config = read_config(
@@ -171,8 +171,6 @@ def train(
 app.command(epilog="example: graphrqi generate --scenario straight_road --episodes 9 --out roads")(
     generate
 )
-app.command(epilog="example: graphrqi merge s3://bucket/data")(merge)
-app.command(epilog="example: graphrqi upgrade old --out new")(upgrade)
 app.command("train-predictor", epilog="example: graphrqi train-predictor recordings --out weights")(
     train_predictor
 )
@@ -408,7 +406,7 @@ def export(
     say(f"{out}: {len(written)} files written")
 
 
-app.command(epilog="example: graphrqi verify data --repair")(verify)
+app.command(epilog="example: graphrqi verify data")(verify)
 
 app.add_typer(bench, name="bench")
 

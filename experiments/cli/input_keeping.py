@@ -35,7 +35,7 @@ def refuse_to_overwrite(parameters: Mapping[str, Any]) -> None:
         InputError: naming the file and the option.
     """
     from behaviors.errors import InputError
-    from sim.store.places import is_remote
+    from sim.files import is_remote
 
     read = [path for name, path in _paths(parameters) if name not in WRITTEN]
     written: dict[Path, str] = {}
@@ -71,8 +71,7 @@ def _reads(source: Path, file: Path) -> bool:
 
 def _is_of_dataset(folder: Path, file: Path) -> bool:
     """Whether a file in a folder is a dataset's: its catalogue, or in one of its folders."""
-    from sim.store.catalogue import is_dataset
-    from sim.store.entries import EPISODES
+    from sim.store.catalogue import EPISODES, is_dataset
 
     if not is_dataset(folder):
         return False

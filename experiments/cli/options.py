@@ -18,7 +18,7 @@ def in_a_folder(path: Path | None) -> Path | None:
     Raises:
         InputError: naming the folder.
     """
-    from sim.store.places import is_remote
+    from sim.files import is_remote
 
     if path is None or str(path) == "-" or is_remote(path):
         return path

@@ -32,8 +32,8 @@ def road(
     from experiments.console.notices import say
     from experiments.console.tables import show_table
     from scenarios.own.survey import survey
+    from sim.files import write_whole
     from sim.road.net import MAX_NET_BYTES
-    from sim.store.atomic import write_whole
     from sim.xml_tree import read_bytes
 
     in_a_folder(out)

@@ -7,22 +7,19 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import Jobs, Json, Quiet
+from experiments.cli.options import Json
 from experiments.console.notices import say
 
 
 def verify(
     dataset: Annotated[Path, typer.Argument(help="Folder written by generate or import.")],
-    repair: Annotated[bool, typer.Option("--repair", help="Make wrong files again.")] = False,
-    jobs: Jobs = None,
     json: Json = None,
-    quiet: Quiet = False,
 ) -> None:
     """Compare every file with its checksum."""
     from experiments.console.tables import show_table
     from experiments.data.verify import verify_dataset
 
-    flaws = verify_dataset(dataset, repair, jobs, quiet)
+    flaws = verify_dataset(dataset)
     if flaws or json is not None:
         show_table([{"file": str(f.path), "state": f.state} for f in flaws], json)
     if flaws:

@@ -21,7 +21,7 @@ from experiments.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from experiments.data.configuration import GenerateConfig
+    from experiments.generate.configuration import GenerateConfig
 
 ScenarioName = Annotated[
     str,
@@ -87,11 +87,11 @@ def what_if(
     from behaviors.errors import InputError, lookup
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
-    from experiments.data.configuration import read_config
-    from experiments.data.what_if import WhatIf, make_what_if
     from experiments.figure_files import check_figure_file
+    from experiments.generate.configuration import read_config
     from experiments.replay.pictures.paths import write_paths
     from experiments.scoring.what_if import outcomes
+    from experiments.what_if import WhatIf, make_what_if
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 
@@ -128,7 +128,7 @@ def _show_blame(
 ) -> None:
     """Print a line for each incident of an episode and driver who was tried."""
     from experiments.console.tables import show_table
-    from experiments.data.episode import Task
+    from experiments.generate.episode import Task
     from experiments.scoring.blame import judge, verdict_rows
     from sim.scenario import sample_agents
 

@@ -15,7 +15,8 @@ from experiments.console.progress import Progress
 from experiments.data.admission import DOUBTED, SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
-from experiments.data.shards.staging import check_empty, fetched, holds, new_output, staged
+from experiments.data.remote import fetched, new_output
+from sim.files import is_remote, temporary_folder, write_whole
 from sim.formats import (
     FORMATS,
     first_file,
@@ -29,14 +30,10 @@ from sim.formats import (
 from sim.formats.common.label_file import read_driver_labels
 from sim.formats.common.recording import Recording
 from sim.formats.common.windows import NoWindowError
-from sim.store.atomic import temporary_folder, write_whole
-from sim.store.catalogue import checksum, is_dataset
+from sim.store.catalogue import is_dataset
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.lock import new_folder, same_again
-from sim.store.places import is_remote, place_of
-from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest, Split, split_of
-from sim.store.sealing import write_manifest
-from sim.store.writing import made_with, write_recording
+from sim.store.schema import EpisodeMeta, Manifest, Split, split_of
+from sim.store.writing import checksum, made_with, new_dataset
 
 MARKER: Final = ".graphrqi-export"
 """File in a folder of exported files; it says which dataset they come from."""
@@ -57,13 +54,9 @@ def import_recordings(
 ) -> Manifest:
     """Make a dataset of recordings, their numbers kept to the last digit.
 
-    Where ``out`` already holds what the same import made, it stays as it is: so a command that was
-    stopped at its very end can be run again. To know, the recordings are imported into a temporary
-    folder and every file is compared.
-
     Args:
         source: a file, or a folder with files of one or several formats.
-        out: folder of the dataset: new, empty, or with the same import.
+        out: folder of the dataset, new or empty, or a URL where nothing is.
         name: a key of ``sim.formats.FORMATS``, whose files alone are read; None to read every
             format that is recognised from the content. Files that look like recordings and are
             not read are named on stderr and in the manifest.
@@ -106,14 +99,8 @@ def import_recordings(
             " or ".join(names),
             configuration["left_out"],
         )
-    if holds(out, configuration):
-        with same_again(out, "dataset") as folder:
-            return import_recordings(source, folder, name, net, split, quiet, types, labels)
-    check_empty(place_of(out))
-    entries: list[EpisodeEntry] = []
     with (
-        staged(out) as folder,
-        new_folder(folder),
+        new_dataset(out, configuration) as dataset,
         Progress("importing recordings", 0, quiet) as shown,
     ):
         for index, (key, recording) in enumerate(_recordings(source, names, types)):
@@ -142,15 +129,13 @@ def import_recordings(
                 options=options,
                 made_with=made_with(key),
             )
-            entry = write_recording(folder, meta, recording.tracks, road, recording.styles)
-            entries.append(entry)
+            entry = dataset.write_recording(meta, recording.tracks, road, recording.styles)
             shown.advance(entry.agents, entry.agent_steps)
         roads.check()
         if given is not None:
             given.check()
-        manifest = write_manifest(folder, configuration, entries, out)
-        write_data_card(out)
-    return manifest
+    write_data_card(out)
+    return open_dataset(out).manifest
 
 
 def _recordings(
@@ -186,9 +171,6 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
         return
     if not source.exists():
         raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
-    if name is None and (source / "episodes").is_dir():
-        yield source
-        return
     with temporary_folder("import") as scratch:
         folder = scratch / (source.resolve().name or "recordings")
         import_recordings(source, folder, name, net, split="test", quiet=True)

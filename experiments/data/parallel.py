@@ -11,7 +11,6 @@ from typing import Any, Final, TypeVar
 
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from sim.store.atomic import end_without_temporary
 
 T = TypeVar("T")
 
@@ -31,7 +30,7 @@ def start_worker(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(PARENT_CHECK_S)
-        end_without_temporary(1)
+        os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="parent-watch").start()
 

@@ -19,10 +19,9 @@ from experiments.scoring.classification import LABELS
 from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
-from sim.arrow.budget import MAX_TEXT_BYTES, Layout, check_spelled_out
+from sim.arrow.budget import MAX_TEXT_BYTES, Layout, check_number, check_spelled_out
 from sim.arrow.parquet import opened
 from sim.frames import FloatArray, IntArray, Tracks
-from sim.store.decode import check_number
 
 EVERY_S: Final = 0.5
 """Time between two beliefs that are kept, s (evidence gathers over seconds)."""

@@ -25,10 +25,10 @@ from experiments.replay.packing import differences, pack, quantum
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import ReplayScene
 from graphrqi.posterior import BEHAVIOR_TOLD, STYLE_TOLD
+from sim.files import write_whole
 from sim.formats import FORMATS
 from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray
 from sim.road.shapes import road_shapes
-from sim.store.atomic import write_whole
 
 SCRIPTS: Final = (
     "data.js", "view.js", "colors.js", "road.js", "draw.js", "timeline.js", "panel.js", "player.js",
@@ -155,7 +155,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
                 "time": round(e.time_s - begin_s, 3),
                 "agent": _row(tracks.ids, e.agent),
                 "other": -1 if e.other is None else _row(tracks.ids, e.other),
-                "rule": e.rule,
+                "rule": e.words,
             }
             for e in tracks.events
         ],

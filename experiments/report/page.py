@@ -29,7 +29,7 @@ from experiments.report.source import Source, by_bench, read_source, rows_of
 from experiments.report.tables import Table, name_of, pivot, words
 from experiments.report.templates import rendered
 from experiments.rows import Row
-from sim.store.atomic import write_whole
+from sim.files import write_whole
 
 OURS: Final = b"GraphRQI"
 """Mark in the head of every page that is written here; a page without it is not overwritten."""

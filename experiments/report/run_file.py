@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationErr
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.rows import MAX_BYTES
+from sim.files import write_whole
 from sim.invalid_fields import first_wrong_field
-from sim.store.atomic import write_whole
 
 SCHEMA_VERSION: Final = 1
 """Of run files; a newer one is refused."""

@@ -180,7 +180,7 @@ def verdict_rows(verdicts: Sequence[Verdict]) -> list[Row]:
             "incident": v.event.kind.value,
             "agent": v.event.agent,
             "other": v.event.other,
-            "rule": v.event.rule,
+            "rule": v.event.words,
             "driver": v.agent,
             "role": v.role,
             "behavior": None if v.behavior is None else v.behavior.value,

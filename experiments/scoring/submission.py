@@ -22,8 +22,8 @@ from experiments.scoring.prediction_errors import beliefs
 from graphrqi.model_files import load_model
 from graphrqi.predict import predict
 from graphrqi.predict.prediction import Prediction
+from sim.files import whole_file
 from sim.formats.argoverse.forecasting2 import OBSERVED_STEPS
-from sim.store.atomic import whole_file
 from sim.store.dataset import open_dataset
 
 RATE_HZ: Final = 10

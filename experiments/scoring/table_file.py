@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
-from sim.store.places import whole_file_at
+from sim.files import whole_file
 from sim.store.schema import EpisodeEntry
 
 ENDINGS: Final = (".parquet", ".csv")
@@ -89,7 +89,7 @@ def table_file(path: Path, schema: pa.Schema) -> Iterator[TakesTables]:
         OSError: if it cannot be written.
     """
     check_ending(path)
-    with whole_file_at(path) as partial:
+    with whole_file(path) as partial:
         if path.suffix.lower() == ".csv":
             plain = pa.schema(
                 [f.with_type(f.type.value_type) if pa.types.is_dictionary(f.type) else f

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from experiments.data.what_if import branch_of, change_of
 from experiments.rows import Row
+from experiments.what_if import branch_of, change_of
 from sim.frames import Event, EventKind, FloatArray, Tracks
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry

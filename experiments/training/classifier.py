@@ -11,6 +11,7 @@ from typing import Any, Final, get_args
 
 from experiments.console.notices import LOGGER
 from experiments.data.windows import OBSERVED_S, gather
+from experiments.generate.configuration import RANDOM_WORLD
 from experiments.scoring.evaluation import answers_of, evaluation_rows
 from experiments.scoring.models import Scored, majority_of, score_model
 from experiments.training.elsewhere import train_on_worlds
@@ -63,7 +64,7 @@ def train_model(
         episodes of each scenario.
     """
     chosen = METHODS[method]
-    worlds = [d for d in datasets if "worlds" in d.header.configuration]
+    worlds = [d for d in datasets if d.scenarios == (RANDOM_WORLD,)]
     home = [d for d in datasets if d not in worlds]
     elsewhere = None
     if chosen.name == BOTH and home and worlds:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import all_in_parallel
 from experiments.data.windows import measured
-from experiments.data.worlds.sensor import seen_badly
+from experiments.generate.worlds.sensor import seen_badly
 from experiments.scoring.metrics import score
 from experiments.scoring.models import majority_of
 from experiments.training.recorded_scenes import read_scenes, scene_rows

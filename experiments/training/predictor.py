@@ -30,8 +30,8 @@ from graphrqi.predict.rollout.following import shuffled_posterior
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene
 from graphrqi.predict.training.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
+from sim.files import write_whole
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray
-from sim.store.atomic import write_whole
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
 

@@ -42,9 +42,9 @@ from graphrqi.predict.training.recorded import (
     guesses,
     train_recorded,
 )
+from sim.files import whole_file
 from sim.frames import BoolArray, FloatArray, Tracks
 from sim.road import Road
-from sim.store.atomic import whole_file
 
 PER_DATASET: Final = 6_000
 """Number of examples, a moving agent at an instant each, that are taken from a dataset, about."""

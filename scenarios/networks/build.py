@@ -22,8 +22,7 @@ from scenarios.networks.geometry import (
     StraightGeometry,
 )
 from scenarios.networks.motorway_and_roundabout import MotorwayGeometry, RoundaboutGeometry
-from sim.store.atomic import temporary_folder, write_whole
-from sim.store.places import user_cache
+from sim.files import temporary_folder, user_cache, write_whole
 
 FOLDER: Final = Path(__file__).resolve().parent
 """Where the shipped nets lie: ``<name>/road.net.xml`` beside its sources."""

@@ -17,10 +17,10 @@ from typing import Final
 
 from behaviors.errors import InputError
 from scenarios.networks.build import NET, cache_folder, find_program, run_program
+from sim.files import temporary_folder, write_whole
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.road.net import read_road
-from sim.store.atomic import temporary_folder, write_whole
 from sim.xml_tree import DECLARED, read_bytes
 
 MAX_MAP_BYTES: Final = 2**28

@@ -9,8 +9,8 @@ from typing import Final
 
 from behaviors.errors import InputError
 from scenarios.networks.convert import kept_net
+from sim.files import write_whole
 from sim.road.net import MAX_NET_BYTES
-from sim.store.atomic import write_whole
 from sim.xml_tree import read_bytes, read_tree
 
 LEAST_LIMIT_MPS: Final = 1.0

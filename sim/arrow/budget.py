@@ -140,3 +140,17 @@ def check_spelled_out(path: Path, column: pa.ChunkedArray, max_text_bytes: int) 
             f"{path}: found texts of up to {size} bytes in a column, expected at most "
             f"{max_text_bytes}"
         )
+
+
+def check_number(path: Path, field: pa.Field) -> None:
+    """Refuse a column of a file that Arrow reads as something else than numbers, such as times.
+
+    Args:
+        path: of the file, for the message.
+        field: name and type of the column.
+
+    Raises:
+        InputError: naming both.
+    """
+    if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+        raise InputError(f"{path}: column {field.name}: found {field.type}, expected numbers")

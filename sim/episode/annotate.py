@@ -12,7 +12,7 @@ from sim.episode.detector_inputs import detector_inputs, with_encounters
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
-from sim.frames import Event, IntArray
+from sim.frames import Event, FloatArray, IntArray
 from sim.road import Road
 
 MIN_FRAMES: Final = 3
@@ -25,17 +25,25 @@ second and more)."""
 
 @dataclass(frozen=True, slots=True)
 class Annotations:
-    """What was found in an episode or recording.
+    """What was found in an episode or recording of m rows.
 
     Attributes:
         inputs: what the trait detectors read, with the rules that applied.
         events: rules kept and broken, near misses, collisions with their causes.
         shown_traits: the traits that were shown, with agent ids.
+        lane: (m,) index into ``Road.lanes``; -1 where unknown.
+        lane_s: (m,) distance along the lane, m; NaN where unknown.
+        leader: (m,) row of the vehicle ahead; -1 where there is none.
+        gap: (m,) bumper to bumper to it, m; +inf where there is none.
     """
 
     inputs: DetectorInputs
     events: tuple[Event, ...]
     shown_traits: tuple[ShownTrait, ...]
+    lane: IntArray
+    lane_s: FloatArray
+    leader: IntArray
+    gap: FloatArray
 
 
 def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> Annotations:
@@ -49,9 +57,10 @@ def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> An
     observed = observe(steps, road)
     inputs = detector_inputs(steps, road, observed)
     events = incidents(steps, road, observed, inputs, recorded=recorded)
+    seen = observed.lane, observed.s, observed.leader, observed.gap
     del observed  # a fifth of the memory, which the detectors need
     inputs = with_encounters(steps.ids, inputs, events)
-    return Annotations(inputs, events, shown_traits(steps.ids, inputs))
+    return Annotations(inputs, events, shown_traits(steps.ids, inputs), *seen)
 
 
 def annotate_recording(

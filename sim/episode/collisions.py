@@ -21,6 +21,9 @@ RECENT_S: Final = 8.0
 """A rule broken at a junction this long before a collision caused it (the time to cross the
 junction)."""
 
+CUT_IN: Final = "cut in"
+"""The cause of a collision after a cut-in."""
+
 CUT_IN_S: Final = 3.0
 """A cut-in causes a collision within this time (the time to restore a headway)."""
 
@@ -193,12 +196,21 @@ class Crashes:
         """
         column = _column(self.steps, time_s)
         parties = [_Party(self.steps, self.road, self.observed, id, column) for id in pair]
-        party, rule = self._cause(parties, time_s, column)
+        for cut in reversed(self.cuts):
+            cutter, victim = int(self.steps.ids[cut.agent]), int(self.steps.ids[cut.other])
+            if {cutter, victim} == set(pair) and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
+                break
+        else:
+            cut = None
+        party, rule = self._cause(parties, time_s, column, cut)
         other = pair[0] if party.id == pair[1] else pair[1]
-        return Event(EventKind.COLLISION, time_s, party.id, other, rule)
+        headway_s = float(cut.value) if cut is not None and rule == CUT_IN else None
+        return Event(EventKind.COLLISION, time_s, party.id, other, rule, cut_in_headway_s=headway_s)
 
-    def _cause(self, parties: list[_Party], time_s: float, column: int) -> tuple[_Party, str]:
-        """The party that caused a collision, and why."""
+    def _cause(
+        self, parties: list[_Party], time_s: float, column: int, cut: ShownTrait | None
+    ) -> tuple[_Party, str]:
+        """The party that caused a collision, and why; ``cut`` is a cut-in between them."""
         of = {party.id: party for party in parties}
         for kind, rule, recent_s in (
             (EventKind.RED_RUN, "ran a red light", RECENT_S),
@@ -218,10 +230,8 @@ class Crashes:
                 if (other.speed[-1 - round(1.0 / self.steps.step_s) :] < ROLLING_MPS).all():
                     return party, "walked into a vehicle that stood"
                 return other, "did not yield to a pedestrian"
-        for cut in reversed(self.cuts):
-            cutter, victim = int(self.steps.ids[cut.agent]), int(self.steps.ids[cut.other])
-            if {cutter, victim} == of.keys() and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
-                return of[cutter], f"cut in {cut.value:.2f} s before the other"
+        if cut is not None:
+            return of[int(self.steps.ids[cut.agent])], CUT_IN
         return self._between_vehicles(*parties)
 
     def _between_vehicles(self, one: _Party, two: _Party) -> tuple[_Party, str]:

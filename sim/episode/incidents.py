@@ -55,8 +55,8 @@ def incidents(
             overlap are a measurement error, not a collision.
 
     Returns:
-        Events in order of time; of each collision, ``agent`` is the party that caused it and
-        ``rule`` says why.
+        Events in order of time; a collision is one event, ``agent`` is the party that caused it
+        and ``rule`` says why.
     """
     observed = observe(steps, road) if observed is None else observed
     found = [
@@ -72,11 +72,8 @@ def incidents(
         crashes = Crashes(steps, road, observed, found, cutting_in(inputs), forbidden)
     for pair, columns in collided:
         collision = crashes.cause(pair, float(steps.time_s[columns[0]]))
-        found.append(collision)
-        found += [
-            dataclasses.replace(collision, kind=EventKind.CONTACT, time_s=float(time_s))
-            for time_s in steps.time_s[columns[1:]]
-        ]
+        end_s = float(steps.time_s[columns[-1]])
+        found.append(dataclasses.replace(collision, end_s=end_s))
     # an engine's events of other kinds are found again by the rules above
     found += [event for event in steps.events if event.kind is EventKind.REMOVAL]
     return tuple(sorted(found, key=lambda e: (e.time_s, e.agent, e.kind)))
@@ -131,7 +128,7 @@ def _wrong_way(steps: TrajectoryRows, observed: Observables) -> list[Event]:
     for run in steps.row_index.runs(wrong, round(1.0 / steps.step_s)):
         metres = float(steps.speed[run].sum()) * steps.step_s
         agent, time_s = steps.agent_and_time(run.start)
-        found.append(Event(EventKind.WRONG_WAY, time_s, agent, rule=f"{metres:.0f} m"))
+        found.append(Event(EventKind.WRONG_WAY, time_s, agent, distance_m=metres))
     return found
 
 
@@ -142,6 +139,6 @@ def _near_misses(steps: TrajectoryRows, observed: Observables) -> list[Event]:
     for run in steps.row_index.runs(close):
         agent, time_s = steps.agent_and_time(run.start)
         other, _ = steps.agent_and_time(int(observed.leader[run.start]))
-        least = f"time to collision {observed.time_to_collision[run].min():.2f} s"
-        found.append(Event(EventKind.NEAR_MISS, time_s, agent, other, rule=least))
+        least_s = float(observed.time_to_collision[run].min())
+        found.append(Event(EventKind.NEAR_MISS, time_s, agent, other, time_to_collision_s=least_s))
     return found

@@ -21,6 +21,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
+from sim.files import write_whole
 from sim.formats.common.packed import BROKEN, opened
 from sim.formats.common.recording import (
     MAX_BYTES,
@@ -34,7 +35,6 @@ from sim.formats.common.recording import (
 )
 from sim.formats.common.recording import default_size as usual_size
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
-from sim.store.atomic import write_whole
 from sim.written_numbers import real
 
 CHUNK_BYTES: Final = 2**20

@@ -1,268 +1,264 @@
-"""What a dataset's folder holds beside shards.
-
-That is its roads, episodes with files of their own, and the manifest of schema version 1.
-"""
+"""The catalogue ``episodes.parquet``: a row per episode, and what concerns the whole dataset."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterator
-from contextlib import suppress
-from functools import partial
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache, reduce
 from pathlib import Path
-from typing import Final, TypeVar, cast
+from typing import Final, get_args
 
-from pydantic import BaseModel, ValidationError
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic import JsonValue, ValidationError
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Style
+from sim.files import Place, place_of, whole_file
+from sim.frames import KINDS
 from sim.invalid_fields import first_wrong_field
-from sim.road import Road
-from sim.road.files import ENDINGS
-from sim.road.maps.stored import SUFFIX, encode_road
-from sim.store.atomic import write_whole
-from sim.store.decode import EpisodeFiles, Tables
-from sim.store.entries import EPISODES, Versioned, check_version
-from sim.store.places import Folder, Place, file_checksum, place_of
-from sim.store.schema import EPISODE_FILES, EpisodeEntry, FileEntry, FileName, Manifest
-from sim.store.shards import ShardTables
+from sim.store.schema import (
+    CATALOGUE,
+    SCHEMA_VERSION,
+    EpisodeEntry,
+    FileEntry,
+    Header,
+    Split,
+)
+from sim.store.shards import METADATA_KEY, check_columns, metadata_of, opened, parquet_options
 
-M = TypeVar("M", bound=BaseModel)
+EPISODES: Final = "episodes.parquet"
+"""Name of the catalogue; it is written last, so where it is the dataset is complete."""
 
-MANIFEST: Final = "manifest.json"
-ENTRY: Final = "episode.json"
-
-MAX_JSON_BYTES: Final = 2**28
-"""Largest manifest that is read (some 300 000 episodes)."""
-
-
-def checksum(data: bytes) -> str:
-    """SHA-256 in hexadecimal digits."""
-    return hashlib.sha256(data).hexdigest()
+_WORDS: Final = tuple(
+    field.name for field in CATALOGUE if field.type == pa.string() and field.name != "id"
+)
+_DRAWN: Final = (*BEHAVIORS, *(kind.value for kind in KINDS))
+_SUMMED: Final = ["agents", "agent_steps", *map(str, _DRAWN)]
+_GROUP_ROWS: Final = 2**17
+"""Rows of a row group of the catalogue (a few MB)."""
 
 
-def canonical(value: object) -> bytes:
-    """JSON with sorted keys, so that equal values have equal bytes."""
-    return json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode() + b"\n"
+def as_json(value: object) -> str:
+    """One line of JSON; equal values give equal lines."""
+    return json.dumps(value, sort_keys=True, allow_nan=False)
 
 
-def road_name(place: Place, sha256: str) -> str:
-    """Under which name a dataset keeps a road.
+def words_of(option: JsonValue) -> str | None:
+    """How the catalogue says an option of an episode: a word as it is, anything else as JSON.
+
+    Examples:
+        >>> words_of("dense"), words_of({"timid": 0.5, "careful": 0.5}), words_of(None)
+        ('dense', '{"careful": 0.5, "timid": 0.5}', None)
+    """
+    if option is None or isinstance(option, str):
+        return option
+    return as_json(option)
+
+
+def catalogue_table(entries: Iterable[EpisodeEntry]) -> pa.Table:
+    """Entries as the rows of a catalogue, in their order.
+
+    Args:
+        entries: of shards.
+
+    Returns:
+        A table of the columns ``CATALOGUE``.
+    """
+    rows = [
+        {
+            **{name: getattr(entry, name, None) for name in CATALOGUE.names},
+            **{word: entry.drawn.get(word, 0) for word in _DRAWN},
+            "flow": words_of(entry.options.get("flow")),
+            "mix": words_of(entry.options.get("mix")),
+            "options": as_json(entry.options),
+            "made_with": as_json(entry.made_with),
+        }
+        for entry in entries
+    ]
+    return pa.Table.from_pylist(rows, schema=CATALOGUE)
+
+
+def write_catalogue(
+    place: Place,
+    configuration: Mapping[str, JsonValue],
+    rows: Sequence[pa.Table],
+    files: Mapping[str, FileEntry],
+) -> None:
+    """Write the catalogue of a dataset, which completes it.
 
     Args:
         place: the dataset.
-        sha256: checksum of the road's file.
-
-    Returns:
-        The file with its map if there is one, else where its SUMO net would be.
-    """
-    kept = [f"roads/{sha256}{ending}" for ending in ENDINGS]
-    return next((name for name in kept if place.size(name) is not None), kept[-1])
-
-
-def road_path(folder: Path, sha256: str) -> Path:
-    """The path of a dataset's road; see `road_name`."""
-    return folder / road_name(Folder(folder), sha256)
-
-
-def road_bytes(road: Path | Road) -> bytes:
-    """What a dataset keeps of a road: a file as it is, anything else as a file of ours.
-
-    Args:
-        road: a SUMO net or an Argoverse 2 map, or a road that has no such file.
-
-    Returns:
-        The file's content.
+        configuration: what it is made from.
+        rows: tables of the columns ``CATALOGUE``, in any order.
+        files: size and checksum of its other files, by name.
 
     Raises:
-        OSError: if the file cannot be read.
+        OSError: if it cannot be written; an older one is then still there.
     """
-    return encode_road(road) if isinstance(road, Road) else road.read_bytes()
+    table = pa.concat_tables([CATALOGUE.empty_table(), *rows])
+    table = table.sort_by([(name, "ascending") for name in ("scenario", "engine", "index", "id")])
+    header = Header(
+        schema_version=SCHEMA_VERSION,
+        configuration=dict(configuration),
+        files=dict(sorted(files.items())),
+    )
+    options = {**parquet_options(CATALOGUE), "use_dictionary": list(_WORDS)}
+    with (
+        whole_file(place.path / EPISODES) as partial,
+        pq.ParquetWriter(partial, CATALOGUE, write_page_checksum=True, **options) as writer,
+    ):
+        writer.write_table(table.combine_chunks(), row_group_size=_GROUP_ROWS)
+        writer.add_key_value_metadata({METADATA_KEY.decode(): as_json(header.model_dump())})
 
 
-def keep_road(folder: Path, road: Path | Road) -> str:
-    """Put a road into a dataset, unless it is there already, unaltered.
-
-    Args:
-        folder: the dataset.
-        road: as for `road_bytes`.
-
-    Returns:
-        Its checksum.
-
-    Raises:
-        OSError: if it cannot be read or written.
-    """
-    data = road_bytes(road)
-    sha256 = checksum(data)
-    name = SUFFIX if isinstance(road, Road) else road.name
-    ending = next((e for e in ENDINGS if name.endswith(e)), ENDINGS[-1])
-    path = folder / "roads" / f"{sha256}{ending}"
-    if not path.exists() or checksum(path.read_bytes()) != sha256:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, data)
-    return sha256
-
-
-def finished_episode(folder: Path, identity: str) -> EpisodeEntry | None:
-    """The entry of an episode that is there, whole and unaltered.
-
-    Args:
-        folder: the dataset.
-        identity: the episode's id.
-
-    Returns:
-        Its entry; None if it has to be made (again).
-    """
-    home = folder / "episodes" / identity
-    try:
-        entry = validated(EpisodeEntry, home / ENTRY)
-        if entry.id != identity or altered_files(folder, entry):
-            return None
-    except (InputError, FileNotFoundError):
-        return None
-    return entry
-
-
-def unlisted_episodes(folder: Path) -> Iterator[EpisodeEntry]:
-    """The entries of the episodes that are in a folder, whether a manifest lists them or not.
-
-    Args:
-        folder: the dataset.
-
-    Yields:
-        Each readable ``episode.json``, in order of id.
-    """
-    for path in sorted((folder / "episodes").glob(f"[0-9a-f]*/{ENTRY}")):
-        with suppress(InputError):
-            yield validated(EpisodeEntry, path)
-
-
-def altered_files(folder: Path, entry: EpisodeEntry) -> list[Path]:
-    """The files of an episode that are missing or not as the entry says, its road included.
-
-    Args:
-        folder: the dataset.
-        entry: the episode.
-
-    Returns:
-        Paths; empty if all is well.
-    """
-    place, altered = Folder(folder), list[Path]()
-    for name in cast("tuple[FileName, ...]", EPISODE_FILES):
-        path, file = f"episodes/{entry.id}/{name}", entry.files.get(name)
-        if file is None or not is_unaltered(place, path, file):
-            altered.append(folder / path)
-    if entry.road is not None and not road_is_sound(place, entry.road):
-        altered.append(road_path(folder, entry.road))
-    return altered
-
-
-def is_unaltered(place: Place, name: str, file: FileEntry, hashed: bool = True) -> bool:
-    """Whether a file of a dataset is there, as it was said to be.
+def read_header(place: Place) -> tuple[Header, int]:
+    """What concerns a dataset as a whole, and how many episodes it has.
 
     Args:
         place: the dataset.
-        name: of the file.
-        file: its size and checksum.
-        hashed: whether to read and compare everything; otherwise the size is.
+
+    Raises:
+        InputError: if there is no catalogue, or it is broken or of another version.
     """
-    return place.size(name) == file.size and (
-        not hashed or file_checksum(place, name) == file.sha256
+    path = place.path / EPISODES
+    if place.size(EPISODES) is None:
+        raise InputError(_why_none(place))
+    with opened(place, EPISODES) as parquet:
+        metadata = parquet.metadata
+    version = re.search(
+        rb'"schema_version": (\d+)', (metadata.metadata or {}).get(METADATA_KEY, b"")
+    )
+    if version is not None and int(version[1]) != SCHEMA_VERSION:
+        newer = int(version[1]) > SCHEMA_VERSION
+        raise InputError(
+            f"{path}: found schema_version {int(version[1])}, expected {SCHEMA_VERSION}; "
+            + ("a newer graphrqi reads it" if newer else "make it again")
+        )
+    return metadata_of(path, metadata, Header), metadata.num_rows
+
+
+def read_catalogue(place: Place) -> pa.Table:
+    """All rows of a catalogue, with the columns ``CATALOGUE``; repeated words are in memory once.
+
+    Args:
+        place: the dataset.
+
+    Raises:
+        InputError: if the file is broken or has other columns.
+    """
+    with opened(place, EPISODES) as parquet:
+        check_columns(place.path / EPISODES, parquet.schema_arrow, CATALOGUE)
+        rows = parquet.read()
+    for name in _WORDS:
+        words = rows.column(name).dictionary_encode()
+        rows = rows.set_column(rows.schema.get_field_index(name), name, words)
+    return rows.unify_dictionaries().combine_chunks()
+
+
+def totals_of(table: pa.Table) -> pa.Table:
+    """Sums over rows of a catalogue; see `sim.store.dataset.Dataset.totals`.
+
+    Args:
+        table: rows of a catalogue.
+    """
+    keys = ["scenario", "split"]
+    plain = pa.schema([CATALOGUE.field(name) for name in (*keys, *_SUMMED)])
+    sums = table.select(plain.names).cast(plain).group_by(keys, use_threads=False)
+    summed = sums.aggregate([([], "count_all"), *((name, "sum") for name in _SUMMED)])
+    return summed.rename_columns([*keys, "episodes", *_SUMMED])
+
+
+def _why_none(place: Place) -> str:
+    """Why there is no catalogue, in words."""
+    if not place.filesystem.exists(place.full()):
+        return f"{place.url}: found nothing there, expected a dataset"
+    if not place.remote and not place.path.is_dir():
+        return f"{place.url}: found a file, expected a dataset (import makes one of it)"
+    if place.size("manifest.json") is not None:
+        return f"{place.url}: found a dataset of an older version, expected one to be made again"
+    return (
+        f"{place.path / EPISODES}: found no file; if the dataset is unfinished, run the same "
+        "generate again"
     )
 
 
-def road_is_sound(place: Place, sha256: str) -> bool:
-    """Whether a dataset has a road, unaltered."""
-    name = road_name(place, sha256)
-    return place.size(name) is not None and file_checksum(place, name) == sha256
+def is_dataset(path: str | Path) -> bool:
+    """Whether a folder or URL is that of a complete dataset."""
+    return place_of(path).size(EPISODES) is not None
 
 
-def validated(model: type[M], path: Path) -> M:
-    """A JSON file as a model; everything that can be wrong with it is one `InputError`.
+def rows_where(
+    table: pa.Table,
+    split: str | None = None,
+    scenario: str | None = None,
+    behavior: str | None = None,
+    mix: str | Mapping[str, float] | None = None,
+    flow: str | float | None = None,
+) -> pa.Table:
+    """The rows of a catalogue that fit; see `sim.store.dataset.Dataset.episodes`.
 
     Raises:
-        FileNotFoundError: if there is no such file.
+        InputError: if a filter is no behaviour, no split, or no mix.
     """
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: found no file, expected one")
-    return validated_in(model, Folder(path.parent), path.name)
+    if split is not None and split not in get_args(Split):
+        raise InputError(f"split: found {split!r}, expected one of {', '.join(get_args(Split))}")
+    if behavior is not None and behavior not in BEHAVIORS:
+        raise InputError(f"behavior: found {behavior!r}, expected one of {', '.join(BEHAVIORS)}")
+    wanted = {
+        "split": split,
+        "scenario": scenario,
+        "mix": None if mix is None else _mix_words(mix),
+        "flow": flow if flow is None or isinstance(flow, str) else words_of(float(flow)),
+    }
+    fits = [pc.equal(table.column(n), value) for n, value in wanted.items() if value is not None]
+    if behavior is not None:
+        fits.append(pc.greater(table.column(str(behavior)), 0))
+    return table.filter(reduce(pc.and_, fits)) if fits else table
 
 
-def validated_in(model: type[M], place: Place, name: str) -> M:
-    """As `validated`, for a file of a dataset wherever that is."""
-    path = place.path / name
-    size = place.size(name)
-    if size is None:
-        raise FileNotFoundError(2, "No such file", str(path))
-    if size > MAX_JSON_BYTES:
-        raise InputError(f"{path}: found {size} bytes, expected at most {MAX_JSON_BYTES}")
+def _mix_words(mix: str | Mapping[str, float]) -> str:
+    """A mix as the catalogue has it."""
+    if isinstance(mix, str):
+        if mix.startswith("{"):
+            return mix
+        try:
+            mix = {
+                name.strip(): float(share)
+                for name, _, share in (part.partition("=") for part in mix.split(","))
+            }
+        except ValueError:
+            raise InputError(f"mix: found {mix!r}, expected behavior=share,...") from None
+    styles = {str(style): [b for b in BEHAVIORS if b.style is style] for style in Style}
+    shares: dict[str, float] = {}
+    for name, share in mix.items():
+        members = styles.get(str(name), [str(name)])
+        shares |= {str(member): float(share) / len(members) for member in members}
+    return as_json(shares)
+
+
+def entries_of(table: pa.Table, path: Path) -> tuple[EpisodeEntry, ...]:
+    """Rows of a catalogue as entries, whose JSON is parsed once where it is the same.
+
+    Args:
+        table: some of the rows.
+        path: of the catalogue, for messages.
+
+    Raises:
+        InputError: if a row is not as it should be.
+    """
+    names = [name for name in EpisodeEntry.model_fields if name in CATALOGUE.names]
+    parsed = cache(json.loads)
+    found: list[EpisodeEntry] = []
     try:
-        return model.model_validate_json(place.read(name))
+        for row in table.to_pylist():
+            texts = {name: parsed(row[name]) for name in ("options", "made_with")}
+            drawn = {str(word): row[word] for word in _DRAWN if row[word]}
+            found.append(EpisodeEntry(**{**{n: row[n] for n in names}, **texts, "drawn": drawn}))
     except ValidationError as error:
-        raise InputError(f"{path}: {first_wrong_field(error)}") from None
-
-
-def read_manifest(place: Place) -> Manifest:
-    """Read the manifest of a dataset of schema version 1.
-
-    Args:
-        place: the dataset.
-
-    Returns:
-        What is inside.
-
-    Raises:
-        InputError: if there is no manifest, or it is broken or of another version.
-    """
-    manifest = place.path / MANIFEST
-    if place.size(MANIFEST) is None:
-        if not place.exists():
-            raise InputError(f"{place.url}: found nothing there, expected a dataset")
-        if isinstance(place, Folder) and not place.path.is_dir():
-            raise InputError(
-                f"{place.url}: found a file, expected a dataset (import makes one of it)"
-            )
-        raise InputError(
-            f"{place.path / EPISODES}: found no file; if the dataset is unfinished, run the same "
-            "generate again"
-        )
-    version = validated_in(Versioned, place, MANIFEST).schema_version
-    check_version(manifest, version, 1)
-    return validated_in(Manifest, place, MANIFEST)
-
-
-def is_dataset(path: Path) -> bool:
-    """Whether a folder or URL is that of a whole dataset, of whatever version."""
-    place = place_of(path)
-    return any(place.size(name) is not None for name in (EPISODES, MANIFEST))
-
-
-def checked_bytes(place: Place, entry: EpisodeEntry, name: FileName) -> bytes:
-    """The content of an episode's own file, which must be as the entry says."""
-    file = f"episodes/{entry.id}/{name}"
-    path = place.path / file
-    expected = entry.files.get(name)
-    if expected is None:
-        raise InputError(f"{path}: found no checksum of it in the manifest, expected one")
-    size = place.size(file)
-    if size is None:
-        raise InputError(f"{path}: found no file, expected one of {expected.size} bytes")
-    if size != expected.size:
-        raise InputError(f"{path}: found {size} bytes, expected {expected.size}")
-    data = place.read(file)
-    if checksum(data) != expected.sha256:
-        raise InputError(f"{path}: found another content, expected sha256 {expected.sha256}")
-    return data
-
-
-def tables_of(place: Place, entry: EpisodeEntry) -> Tables:
-    """The tables of an episode, in its shard or in files of its own.
-
-    Args:
-        place: the dataset.
-        entry: of the episode.
-    """
-    if entry.shard is not None:
-        return ShardTables(place, entry)
-    return EpisodeFiles(place.path / "episodes" / entry.id, partial(checked_bytes, place, entry))
+        raise InputError(f"{path}: row {len(found)}: {first_wrong_field(error)}") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: row {len(found)}: found options that are no JSON") from None
+    return tuple(found)

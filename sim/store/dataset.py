@@ -1,11 +1,13 @@
 """A dataset of labelled episodes: opened by its catalogue, read back as arrays.
 
-What the files hold is said in `sim.store.schema`; `sim.store.writing` and `sim.store.sealing` write
-them.
+It is opened by the catalogue's last bytes alone. Its rows are read when they are asked for, and
+become `EpisodeEntry` objects only where an episode is. So a million episodes open in less than a
+second. `sim.store.schema` says what the files hold; `sim.store.writing` writes them.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -19,31 +21,29 @@ import pyarrow.compute as pc
 from behaviors.detector_inputs import ShownTrait
 from behaviors.display import counted, html_table, import_pandas
 from behaviors.errors import InputError
+from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.scenario import AgentSpec
-from sim.store.atomic import temporary_folder
-from sim.store.catalogue import checksum, is_dataset, read_manifest, road_name, tables_of
-from sim.store.decode import read_tables
-from sim.store.entries import (
-    Catalogue,
-    catalogue_table,
-    open_catalogue,
+from sim.store.catalogue import (
+    EPISODES,
+    entries_of,
+    read_catalogue,
+    read_header,
     rows_where,
     totals_of,
 )
-from sim.store.lock import LOCK
-from sim.store.places import Folder, is_remote, local_path, place_of
-from sim.store.scans import scanned
+from sim.store.decode import read_tables
 from sim.store.schema import (
     CATALOGUE,
+    TABLES,
     EpisodeEntry,
-    Header,
     Manifest,
     Split,
+    table_schema,
 )
-from sim.store.sealing import with_counts
+from sim.store.shards import ShardName
 
 SHOWN_EPISODES: Final = 10
 """Most episodes that a notebook shows of a dataset."""
@@ -78,14 +78,6 @@ class Episode:
             f"{counted(len(self.shown_traits), 'shown trait')}; {self.tracks!r})"
         )
 
-    def to_pandas(self) -> Any:
-        """Its steps as a pandas table: a row for each agent and time, as `Tracks.to_pandas` has it.
-
-        Raises:
-            InputError: if pandas is not installed.
-        """
-        return self.tracks.to_pandas()
-
 
 class Dataset:
     """A dataset whose catalogue has been opened; nothing else of it has been read.
@@ -95,45 +87,38 @@ class Dataset:
         header: what concerns it as a whole.
     """
 
-    def __init__(self, path: Path, catalogue: Catalogue | Manifest) -> None:
-        """A dataset that has a catalogue, or the manifest of schema version 1."""
-        self.path = path
+    def __init__(self, path: str | Path) -> None:
+        """Open the dataset of a folder or URL; see `open_dataset`."""
         self._place = place_of(path)
-        self._catalogue = catalogue
-
-    @property
-    def header(self) -> Header:
-        """What concerns the dataset as a whole."""
-        return self._catalogue if isinstance(self._catalogue, Header) else self._catalogue.header
-
-    @property
-    def manifest(self) -> Manifest:
-        """Everything that is known of the dataset, an object for each episode."""
-        catalogue = self._catalogue
-        return catalogue if isinstance(catalogue, Manifest) else catalogue.manifest
+        self.path = self._place.path
+        self.header, self._count = read_header(self._place)
 
     @cached_property
     def catalogue(self) -> pa.Table:
         """The catalogue as an Arrow table of the columns ``sim.store.schema.CATALOGUE``.
 
         Raises:
-            InputError: if it is broken; of schema version 1, if an episode's agents are.
+            InputError: if it is broken.
         """
-        if isinstance(self._catalogue, Catalogue):
-            return self._catalogue.table
-        return catalogue_table(with_counts(self._place, e) for e in self._catalogue.episodes)
+        return read_catalogue(self._place)
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """Everything that is known of the dataset, an object for each episode."""
+        return Manifest(**dict(self.header), episodes=self.entries(self.catalogue))
 
     @cached_property
     def totals(self) -> pa.Table:
-        """Sums by scenario and split, as `sim.store.entries.Catalogue.totals` has them."""
-        if isinstance(self._catalogue, Catalogue):
-            return self._catalogue.totals
+        """Sums over the episodes of each scenario and split.
+
+        Its columns are ``scenario``, ``split``, ``episodes``, and sums of ``agents``,
+        ``agent_steps`` and of every behaviour and kind that was drawn.
+        """
         return totals_of(self.catalogue)
 
     def __len__(self) -> int:
         """How many episodes there are."""
-        catalogue = self._catalogue
-        return len(catalogue.episodes) if isinstance(catalogue, Manifest) else catalogue.count
+        return self._count
 
     def __iter__(self) -> Iterator[Episode]:
         """Every episode, read one after another in the catalogue's order."""
@@ -163,106 +148,77 @@ class Dataset:
         Raises:
             InputError: if a filter is no behaviour, or no mix.
         """
-        if isinstance(self._catalogue, Manifest) and (behavior, mix, flow) == (None, None, None):
-            return tuple(
-                e
-                for e in self._catalogue.episodes
-                if split in (None, e.split) and scenario in (None, e.scenario)
-            )
         if (split, scenario, behavior, mix, flow) == (None,) * 5:
             return self.manifest.episodes
         return self.entries(rows_where(self.catalogue, split, scenario, behavior, mix, flow))
 
     def entries(self, rows: pa.Table) -> tuple[EpisodeEntry, ...]:
         """Rows of the `catalogue` as entries, in their order."""
-        if isinstance(self._catalogue, Catalogue):
-            return self._catalogue.entries(rows)
-        by_id = {entry.id: entry for entry in self._catalogue.episodes}
-        return tuple(by_id[identity] for identity in rows.column("id").to_pylist())
+        return entries_of(rows, self.path / EPISODES)
 
-    def scan(
-        self,
-        table: str = "steps",
-        split: Split | None = None,
-        scenario: str | None = None,
-        behavior: str | None = None,
-        mix: str | Mapping[str, float] | None = None,
-        flow: str | float | None = None,
-    ) -> Any:
+    def scan(self, table: str = "steps", **filters: Any) -> Any:
         """One table of all episodes that fit, to be read in pieces.
 
         Args:
             table: steps, agents, frames, signals, events or traits.
-            split: as in `episodes`, like all that follow.
-            scenario: as in `episodes`.
-            behavior: as in `episodes`: it chooses episodes, not agents.
-            mix: as in `episodes`.
-            flow: as in `episodes`.
+            filters: as of `episodes`; each chooses episodes, not agents.
 
         Returns:
-            A `pyarrow.dataset.Dataset` with the columns of that table, and ``episode``,
-            ``scenario`` and ``split``. Only the shards that hold a fitting episode are opened.
+            A `pyarrow.dataset.Dataset` with the columns of that table, ``scenario`` and ``split``.
+            Only the shards that hold a fitting episode are opened.
 
         Raises:
-            InputError: if there is no such table, a filter is wrong, or the dataset is of schema
-                version 1 (``graphrqi upgrade`` rewrites it).
+            InputError: if there is no such table, or a filter is wrong.
         """
-        if isinstance(self._catalogue, Manifest):
-            raise InputError(
-                f"{self.path}: found a dataset of schema version 1, expected shards; "
-                "graphrqi upgrade makes them"
-            )
-        fitting = rows_where(self.catalogue, split, scenario, behavior, mix, flow)
-        alone = None if (behavior, mix, flow) == (None,) * 3 else fitting.column("id")
-        return scanned(self._place, table, fitting, alone)
+        from pyarrow import dataset as arrow_dataset
+
+        if table not in TABLES:
+            raise InputError(f"table: found {table!r}, expected one of {', '.join(TABLES)}")
+        fitting = rows_where(self.catalogue, **filters)
+        keys = ["scenario", "split", "shard"]
+        shards = fitting.select(keys).group_by(keys).aggregate([]).to_pylist()
+        files = sorted(ShardName(*(one[key] for key in keys)).file(table) for one in shards)
+        schema = table_schema(table, bool(pc.any(fitting.column("exact")).as_py()))
+        parts = pa.schema([("scenario", pa.string()), ("split", pa.string())])
+        found = arrow_dataset.dataset(
+            [self._place.full(file) for file in files],
+            schema=pa.schema([*schema, *parts]),
+            format="parquet",
+            filesystem=self._place.filesystem,
+            partitioning=arrow_dataset.partitioning(parts, flavor="hive"),
+            partition_base_dir=self._place.full(table),
+        )
+        if filters.keys() <= {"split", "scenario"}:
+            return found
+        ids = pa.array(fitting.column("id").to_pylist(), pa.string())
+        return found.filter(pc.field("episode").isin(ids))
 
     @property
     def scenarios(self) -> tuple[str, ...]:
         """Names of the scenarios that have episodes, sorted."""
-        if isinstance(self._catalogue, Manifest):
-            return tuple(sorted({e.scenario for e in self._catalogue.episodes}))
         return tuple(sorted(set(self.totals.column("scenario").to_pylist())))
-
-    def _counts(self) -> tuple[dict[str, int], int, int]:
-        """Episodes by split, agents, and agent-steps."""
-        if isinstance(self._catalogue, Manifest):
-            entries = self._catalogue.episodes
-            splits = Counter(str(e.split) for e in entries)
-            return splits, sum(e.agents for e in entries), sum(e.agent_steps for e in entries)
-        splits = Counter[str]()
-        for row in self.totals.to_pylist():
-            splits[row["split"]] += row["episodes"]
-        agents, steps = (sum(self.totals.column(n).to_pylist()) for n in ("agents", "agent_steps"))
-        return splits, agents, steps
 
     def __repr__(self) -> str:
         """Counts of episodes by split, of scenarios, agents and agent-steps, and the size."""
-        splits, agents, steps = self._counts()
-        files = list(self.header.files.values())
-        if isinstance(self._catalogue, Manifest):
-            files += [file for e in self._catalogue.episodes for file in e.files.values()]
+        splits = Counter(self.catalogue.column("split").to_pylist())
+        agents, steps = (
+            pc.sum(self.totals[name]).as_py() or 0 for name in ("agents", "agent_steps")
+        )
         by_split = ", ".join(f"{splits[name]} {name}" for name in sorted(splits))
+        size = sum(file.size for file in self.header.files.values()) / 1e6
         return (
             f"Dataset({self._place.url:.120}: {counted(len(self), 'episode')}"
             + (f" ({by_split})" if by_split else "")
             + f" of {counted(len(self.scenarios), 'scenario')}, "
-            f"{counted(agents, 'agent')}, {counted(steps, 'agent-step')}, "
-            f"{sum(file.size for file in files) / 1e6:.1f} MB)"
+            f"{counted(agents, 'agent')}, {counted(steps, 'agent-step')}, {size:.1f} MB)"
         )
 
     def _repr_html_(self) -> str:
         """A table of the first episodes, for notebooks."""
-        if isinstance(self._catalogue, Manifest):
-            first = self._catalogue.episodes[:SHOWN_EPISODES]
-        else:
-            first = self._catalogue.entries(self.catalogue.slice(0, SHOWN_EPISODES))
-        rows: list[tuple[object, ...]] = [
-            tuple(getattr(e, name) for name in _COLUMNS) for e in first
-        ]
-        if len(self) > SHOWN_EPISODES:
-            rest = f"and {len(self) - SHOWN_EPISODES} more"
-            rows.append((rest, *[""] * (len(_COLUMNS) - 1)))
-        return html_table(repr(self), _COLUMNS, rows)
+        rows = self.catalogue.slice(0, SHOWN_EPISODES).select(_COLUMNS).to_pylist()
+        more = len(self) - SHOWN_EPISODES
+        last = [(f"and {more} more",)] if more > 0 else []
+        return html_table(repr(self), _COLUMNS, [*(tuple(row.values()) for row in rows), *last])
 
     def to_pandas(self) -> Any:
         """A pandas table with a row per episode: the catalogue.
@@ -274,11 +230,10 @@ class Dataset:
             InputError: if pandas is not installed.
         """
         import_pandas()
-        table = self.catalogue
-        return table.cast(pa.schema([CATALOGUE.field(n) for n in table.column_names])).to_pandas()
+        return self.catalogue.cast(CATALOGUE).to_pandas()
 
     def read(self, entry: EpisodeEntry) -> Episode:
-        """Read an episode, comparing checksums.
+        """Read an episode, comparing the checksums of its pages.
 
         Args:
             entry: one of `episodes`.
@@ -289,9 +244,7 @@ class Dataset:
         Raises:
             InputError: if a file is missing, altered, or does not fit the schema; names the file.
         """
-        if entry.shard is None and isinstance(self._catalogue, Catalogue):
-            return self.load_episode(entry.id)  # as it was before it came into a shard
-        return Episode(entry, *read_tables(entry, tables_of(self._place, entry)))
+        return Episode(entry, *read_tables(self._place, entry))
 
     def load_episode(self, identity: str) -> Episode:
         """Read the episode of an id, as `read` does.
@@ -302,25 +255,10 @@ class Dataset:
         Raises:
             InputError: if there is no such episode, or it cannot be read.
         """
-        return self.read(self.entry(identity))
-
-    def entry(self, identity: str) -> EpisodeEntry:
-        """The entry of an id.
-
-        Args:
-            identity: the id of one of `episodes`.
-
-        Raises:
-            InputError: if there is no such episode.
-        """
-        if isinstance(self._catalogue, Manifest):
-            found = tuple(e for e in self._catalogue.episodes if e.id == identity)
-        else:
-            mask = pc.equal(self.catalogue.column("id"), identity)
-            found = self._catalogue.entries(self.catalogue.filter(mask))
+        found = self.entries(self.catalogue.filter(pc.equal(self.catalogue["id"], identity)))
         if not found:
             raise InputError(f"{self.path}: found no episode {identity!r}, expected one of its ids")
-        return found[0]
+        return self.read(found[0])
 
     def road(self, entry: EpisodeEntry) -> Road | None:
         """The road an episode happened on.
@@ -336,40 +274,25 @@ class Dataset:
         """
         if entry.road is None:
             return None
-        name = road_name(self._place, entry.road)
+        kept = f"roads/{entry.road}"
+        name = next((name for name in self.header.files if name.startswith(kept)), kept)
         path = self.path / name
-        try:
-            data = self._place.read(name)
-        except FileNotFoundError:
-            raise InputError(
-                f"{path}: found no file, expected the road of episode {entry.id}"
-            ) from None
-        if checksum(data) != entry.road:
-            raise InputError(f"{path}: found another checksum than its name, expected it unaltered")
-        if isinstance(self._place, Folder):
-            return read_road_file(path, entry.scenario)
+        if self._place.size(name) is None:
+            raise InputError(f"{path}: found no file, expected the road of {entry.id}")
         with temporary_folder("road") as scratch:
             copy = scratch / path.name
-            copy.write_bytes(data)
-            return read_road_file(copy, entry.scenario)
-
-
-def finished_dataset(path: Path) -> Dataset | None:
-    """The dataset at a place; None if there is none, a run is writing there, or it is broken."""
-    if not is_dataset(path) or (not is_remote(path) and (local_path(path) / LOCK).exists()):
-        return None
-    try:
-        return open_dataset(path)
-    except InputError:
-        return None
+            copy.write_bytes(self._place.read(name))
+            if hashlib.sha256(copy.read_bytes()).hexdigest() != entry.road:
+                raise InputError(f"{path}: found another checksum than its name, expected its own")
+            return read_road_file(copy if self._place.remote else path, entry.scenario)
 
 
 def open_dataset(path: str | Path) -> Dataset:
     """Open a dataset by its catalogue alone.
 
     Args:
-        path: the folder that holds ``episodes.parquet`` (or ``manifest.json``, of schema version
-            1), or its URL: ``s3://bucket/data``, ``gs://``, ``file://``, ``memory://``.
+        path: the folder that holds ``episodes.parquet``, or its URL: ``s3://bucket/data``,
+            ``gs://``, ``file://``, ``memory://``.
 
     Returns:
         The dataset; the catalogue's rows and the episodes are read when asked for.
@@ -377,6 +300,4 @@ def open_dataset(path: str | Path) -> Dataset:
     Raises:
         InputError: if there is no catalogue, or it is broken or of another version.
     """
-    place = place_of(path)
-    catalogue = open_catalogue(place)
-    return Dataset(place.path, read_manifest(place) if catalogue is None else catalogue)
+    return Dataset(path)

@@ -1,249 +1,189 @@
-"""From frames or tracks to the tables of an episode and their Parquet bytes."""
+"""From tracks to the tables of an episode."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, cast
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.profiles import PROFILE_FIELDS
-from sim.arrow.budget import most_unpacked_bytes
-from sim.frames import SIGNALS, Event, Frame, Tracks
+from sim.frames import SIGNALS, EventKind, Tracks
 from sim.scenario import AgentSpec
 from sim.store.schema import (
     AGENTS,
+    DERIVED_QUANTUM,
     EVENTS,
-    FRAMES,
     HEADING_QUANTUM,
-    MAX_OBJECTS,
-    MAX_SHARD_STEPS,
+    MAX_STEPS,
     POSITION_QUANTUM,
-    SIGNALS_TABLE,
-    TRAITS_TABLE,
-    FileName,
+    TableName,
     steps_schema,
+    table_schema,
 )
-
-CHUNK_FRAMES: Final = 256
-"""Frames collected before they are packed into arrays."""
-
-_ROW_BYTES: Final = 8 * (1 + len(steps_schema(exact=False)))
-"""What readers count for a row of ``steps.parquet``, bytes: 8 for each value, and in a shard the
-episode's name."""
+from sim.track_rows import TrackRows
 
 
-@dataclass(frozen=True, slots=True)
-class Steps:
-    """The rows of ``steps.parquet`` and the frames that they belong to."""
-
-    agent: NDArray[np.int64]
-    step: NDArray[np.int32]
-    time_s: NDArray[np.float64]
-    x: NDArray[Any]
-    y: NDArray[Any]
-    heading: NDArray[Any]
-    speed: NDArray[Any]
-    signals: NDArray[np.int8]
-    events: tuple[Event, ...]
-
-    @property
-    def exact(self) -> bool:
-        """Whether the numbers are as they came, not rounded."""
-        return self.x.dtype == np.float64
-
-    def agents(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(N,) ids of the agents, ascending, and (N,) how many rows each has."""
-        first = np.ones(self.agent.size, dtype=bool)
-        first[1:] = self.agent[1:] != self.agent[:-1]  # they come agent by agent
-        begins = np.flatnonzero(first)
-        return self.agent[begins], np.diff(begins, append=self.agent.size)
-
-
-def _rounded(values: NDArray[np.float64], quantum: float) -> NDArray[np.float32]:
-    return (np.rint(values * (1.0 / quantum)) * quantum).astype(np.float32)
-
-
-def _rounded_heading(heading: NDArray[np.float64]) -> NDArray[np.float32]:
-    rounded = _rounded(heading, HEADING_QUANTUM)
-    # pi itself rounds to a multiple above pi, and -pi is outside (-pi, pi].
-    over = rounded.astype(np.float64) > np.pi
-    under = rounded.astype(np.float64) < -np.pi
-    return cast(
-        "NDArray[np.float32]",
-        rounded - np.float32(HEADING_QUANTUM) * over + np.float32(HEADING_QUANTUM) * under,
-    )
-
-
-def collect(frames: Iterable[Frame], since_s: float | None = None) -> Steps:
-    """Pack frames, a chunk at a time, and sort the rows by agent, then step.
+def rounded(tracks: Tracks) -> Tracks:
+    """Simulated tracks as they are stored: multiples of the schema's quanta, as float32 has them.
 
     Args:
-        frames: the episode, in time order.
-        since_s: rows up to this time, s, are not written and do not count. None: all do.
+        tracks: as an engine gives them.
+    """
+    rows = tracks.as_rows()
+    heading = _multiples(rows.heading, HEADING_QUANTUM)
+    # pi itself rounds to a multiple above pi, and -pi is outside (-pi, pi].
+    heading -= HEADING_QUANTUM * (heading > np.pi)
+    heading += HEADING_QUANTUM * (heading < -np.pi)
+    xy, speed = (_multiples(values, POSITION_QUANTUM) for values in (rows.xy, rows.speed))
+    return tracks.changed(TrackRows(rows.index, xy, heading, speed))
+
+
+def _multiples(values: NDArray[np.float64], quantum: float) -> NDArray[np.float64]:
+    whole = np.rint(values * (1.0 / quantum)) * quantum
+    return whole.astype(np.float32).astype(np.float64)
+
+
+def encode(
+    tracks: Tracks,
+    exact: bool,
+    known: Mapping[str, pa.Array],
+    agents: pa.Table,
+    shown_traits: Sequence[ShownTrait],
+    episode: str,
+) -> dict[TableName, pa.Table]:
+    """Every table of an episode.
+
+    Args:
+        tracks: what was seen.
+        exact: whether numbers are stored as float64, else as float32.
+        known: columns of the steps beyond those of the tracks; those left out are null.
+        agents: what `agents_table` gives.
+        shown_traits: the traits that were shown.
+        episode: its id.
 
     Raises:
-        InputError: if times do not increase, or as soon as more rows are to be written than can be
-            read back.
+        InputError: if a number is not finite, or there are too many rows.
     """
-    written = 0
-    packed: list[tuple[NDArray[Any], ...]] = []
-    chunk: list[Frame] = []
-    times: list[float] = []
-    signals: list[NDArray[np.int8]] = []
-    events: list[Event] = []
-
-    def pack() -> None:
-        xy = np.concatenate([f.xy for f in chunk])
-        counts = [len(f) for f in chunk]
-        first = len(times) - len(chunk)
-        packed.append(
-            (
-                np.concatenate([f.ids for f in chunk]),
-                np.repeat(np.arange(first, len(times), dtype=np.int32), counts),
-                _rounded(xy[:, 0], POSITION_QUANTUM),
-                _rounded(xy[:, 1], POSITION_QUANTUM),
-                _rounded_heading(np.concatenate([f.heading for f in chunk])),
-                _rounded(np.concatenate([f.speed for f in chunk]), POSITION_QUANTUM),
-            )
-        )
-        chunk.clear()
-
-    for frame in frames:
-        if times and frame.time_s <= times[-1]:
-            raise InputError(f"frame.time_s: found {frame.time_s}, expected later than {times[-1]}")
-        if since_s is None or frame.time_s >= since_s + 1e-9:
-            written += len(frame)
-            _check_rows(written)
-        chunk.append(frame)
-        times.append(frame.time_s)
-        signals.append(frame.signals)
-        events.extend(frame.events)
-        if len(chunk) == CHUNK_FRAMES:
-            pack()
-    if chunk or not packed:
-        chunk = chunk or [_no_agents()]
-        pack()
-    agent, step, x, y, heading, speed = (np.concatenate(part) for part in zip(*packed, strict=True))
-    packed.clear()
-    order = np.argsort(agent, kind="stable")
-    return Steps(
-        agent=agent[order],
-        step=step[order],
-        time_s=np.array(times, dtype=np.float64),
-        x=x[order],
-        y=y[order],
-        heading=heading[order],
-        speed=speed[order],
-        signals=np.stack(signals, axis=1) if signals else np.empty((0, 0), dtype=np.int8),
-        events=tuple(events),
-    )
-
-
-def _check_rows(rows: int) -> None:
-    if rows > MAX_SHARD_STEPS:
-        raise InputError(f"steps.parquet: found {rows} rows, expected at most {MAX_SHARD_STEPS}")
-
-
-def _check_growth(rows: int, size: int) -> None:
-    """Refuse rows that take too few bytes for readers to trust them."""
-    most = most_unpacked_bytes(size) // _ROW_BYTES
-    if rows > most:
-        raise InputError(
-            f"steps.parquet: found {rows} rows in {size} bytes, of which readers take at most "
-            f"{most}: too many agents never move"
-        )
-
-
-def _no_agents() -> Frame:
-    none, codes = np.empty(0), np.empty(0, dtype=np.int8)
-    return Frame(0.0, codes.astype(np.int64), np.empty((0, 2)), none, none, none, none, codes)
-
-
-def from_tracks(tracks: Tracks) -> Steps:
-    """The rows of tracks, exactly as they are."""
     rows = tracks.as_rows()
-    return Steps(
-        agent=tracks.ids[rows.index.agent],
-        step=rows.index.step.astype(np.int32),
-        time_s=np.asarray(tracks.time_s),
-        x=rows.xy[:, 0],
-        y=rows.xy[:, 1],
-        heading=rows.heading,
-        speed=rows.speed,
-        signals=np.asarray(tracks.signals),
-        events=tracks.events,
-    )
-
-
-def _check_finite(steps: Steps) -> None:
-    for name in ("x", "y", "heading", "speed"):
-        bad = np.flatnonzero(~np.isfinite(getattr(steps, name)))
+    agent, step = tracks.ids[rows.index.agent], rows.index.step
+    if agent.size > MAX_STEPS:
+        raise InputError(f"steps: found {agent.size} rows, expected at most {MAX_STEPS}")
+    moved = {"x": rows.xy[:, 0], "y": rows.xy[:, 1], "heading": rows.heading, "speed": rows.speed}
+    for name, values in moved.items():
+        bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            at = int(bad[0])
             raise InputError(
-                f"{name} of agent {steps.agent[at]} at step {steps.step[at]}: found "
-                f"{getattr(steps, name)[at]}, expected a finite number"
+                f"{name} of agent {agent[bad[0]]} at step {step[bad[0]]}: found "
+                f"{values[bad[0]]}, expected a finite number"
             )
+    events = [event for event in tracks.events if event.kind is not EventKind.CONTACT]
+    columns: dict[TableName, Mapping[str, Any]] = {
+        "steps": {
+            "agent": agent,
+            "step": step,
+            "time_s": tracks.time_s[step],
+            "x_m": moved["x"],
+            "y_m": moved["y"],
+            "heading_rad": moved["heading"],
+            "speed_mps": moved["speed"],
+            "acceleration_mps2": derived(_acceleration(tracks), exact),
+            **known,
+        },
+        "frames": {"step": np.arange(tracks.time_s.size), "time_s": tracks.time_s},
+        "signals": _signals(tracks),
+        "events": {name: [getattr(e, name) for e in events] for name in EVENTS.names[1:]},
+        "traits": {
+            **{name: [getattr(e, name) for e in shown_traits] for name in _OF_TRAITS},
+            "other": [None if e.other < 0 else e.other for e in shown_traits],
+        },
+    }
+    tables = {name: _table(name, found, exact, episode) for name, found in columns.items()}
+    tables["agents"] = agents.add_column(0, AGENTS.field(0), _repeated(episode, agents.num_rows))
+    return tables
 
 
-def encode_agents(agents: Sequence[AgentSpec], names: Mapping[int, str]) -> bytes:
-    """The bytes of ``agents.parquet``.
+_OF_TRAITS = ("agent", "trait", "begin_s", "end_s", "value")
+
+
+def written_schema(name: TableName, exact: bool) -> pa.Schema:
+    """A table's columns as they are handed to the writer, lanes as a dictionary.
+
+    Args:
+        name: of the table.
+        exact: of steps, as for `steps_schema`.
+    """
+    schema = table_schema(name, exact)
+    if name != "steps":
+        return schema
+    lane = pa.field("lane", pa.dictionary(pa.int32(), pa.string()))
+    return schema.set(schema.get_field_index("lane"), lane)
+
+
+def _table(name: TableName, columns: Mapping[str, Any], exact: bool, episode: str) -> pa.Table:
+    schema = written_schema(name, exact)
+    count = len(columns["time_s" if name != "traits" else "agent"])
+    arrays = [_repeated(episode, count)]
+    for field in list(schema)[1:]:
+        values = columns.get(field.name)
+        arrays.append(pa.nulls(count, field.type) if values is None else _array(values, field))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _array(values: Any, field: pa.Field) -> pa.Array:
+    if isinstance(values, np.ndarray):
+        values = values.astype(field.type.to_pandas_dtype(), copy=False)
+    return values if isinstance(values, pa.Array) else pa.array(values, field.type)
+
+
+def _repeated(episode: str, count: int) -> pa.Array:
+    return pa.repeat(pa.scalar(episode), count)
+
+
+def derived(values: NDArray[np.float64], exact: bool) -> pa.Array:
+    """A column that follows from others: rounded where those are, null where it is not finite.
+
+    Args:
+        values: numbers.
+        exact: as for `steps_schema`.
+    """
+    unknown = ~np.isfinite(values)
+    kind = steps_schema(exact).field("gap_m").type
+    numbers = values if exact else _multiples(np.where(unknown, 0.0, values), DERIVED_QUANTUM)
+    return pa.array(numbers.astype(kind.to_pandas_dtype()), mask=unknown)
+
+
+def _acceleration(tracks: Tracks) -> NDArray[np.float64]:
+    """(m,) change of speed since the agent's step before, m/s²; NaN where it was not seen then."""
+    rows = tracks.as_rows()
+    found = np.full(rows.speed.size, np.nan)
+    at = np.flatnonzero(~rows.index.begins)
+    time_s = tracks.time_s[rows.index.step]
+    found[at] = (rows.speed[at] - rows.speed[at - 1]) / (time_s[at] - time_s[at - 1])
+    return found
+
+
+def _signals(tracks: Tracks) -> dict[str, Any]:
+    """The state of every group at step 0, then every change."""
+    signals = tracks.signals
+    changed = np.ones(signals.shape, dtype=bool)
+    changed[:, 1:] = signals[:, 1:] != signals[:, :-1]
+    step, group = np.nonzero(changed.T)
+    state = [SIGNALS[code] for code in signals[group, step]]
+    return {"step": step, "time_s": tracks.time_s[step], "group": group, "state": state}
+
+
+def agents_table(agents: Sequence[AgentSpec], names: Mapping[int, str]) -> pa.Table:
+    """The rows of ``agents`` without the episode's id.
 
     Args:
         agents: in order of id.
         names: the source's own id of each agent; by default the id in words.
     """
-    return _parquet_bytes("agents.parquet", _agents_table(agents, names))
-
-
-def encode(
-    steps: Steps, agents: bytes, shown_traits: Sequence[ShownTrait]
-) -> dict[FileName, bytes]:
-    """The bytes of every table of an episode.
-
-    Args:
-        steps: the episode's rows.
-        agents: what `encode_agents` gives.
-        shown_traits: the traits that were shown.
-
-    Raises:
-        InputError: if a number is not finite, or a table has more rows than can be read back.
-    """
-    _check_rows(steps.agent.size)
-    _check_finite(steps)
-    tables: dict[FileName, pa.Table] = {
-        "steps.parquet": _steps_table(steps),
-        "frames.parquet": pa.Table.from_arrays([pa.array(steps.time_s)], schema=FRAMES),
-        "signals.parquet": _signals_table(steps),
-        "events.parquet": _events_table(steps.events),
-        "traits.parquet": _traits_table(shown_traits),
-    }
-    content = {name: _parquet_bytes(name, table) for name, table in tables.items()}
-    _check_growth(steps.agent.size, len(content["steps.parquet"]))
-    return {**content, "agents.parquet": agents}
-
-
-def _steps_table(steps: Steps) -> pa.Table:
-    columns = [
-        steps.agent,
-        steps.step,
-        steps.time_s[steps.step],
-        steps.x,
-        steps.y,
-        steps.heading,
-        steps.speed,
-    ]
-    return pa.Table.from_arrays([pa.array(c) for c in columns], schema=steps_schema(steps.exact))
-
-
-def _agents_table(agents: Sequence[AgentSpec], names: Mapping[int, str]) -> pa.Table:
     columns: dict[str, list[Any]] = {
         "agent": [a.id for a in agents],
         "name": [names.get(a.id, str(a.id)) for a in agents],
@@ -260,70 +200,4 @@ def _agents_table(agents: Sequence[AgentSpec], names: Mapping[int, str]) -> pa.T
     }
     for name in PROFILE_FIELDS:
         columns[name] = [None if a.profile is None else getattr(a.profile, name) for a in agents]
-    return pa.Table.from_pydict(columns, schema=AGENTS)
-
-
-def _signals_table(steps: Steps) -> pa.Table:
-    signals = steps.signals
-    changed = np.ones(signals.shape, dtype=bool)
-    changed[:, 1:] = signals[:, 1:] != signals[:, :-1]
-    step, group = np.nonzero(changed.T)
-    words = np.array([s.value for s in SIGNALS])
-    state = words[signals[group, step]] if step.size else np.empty(0, dtype=str)
-    columns = [step, steps.time_s[step], group, state.tolist()]
-    arrays = [pa.array(c).cast(f.type) for c, f in zip(columns, SIGNALS_TABLE, strict=True)]
-    return pa.Table.from_arrays(arrays, schema=SIGNALS_TABLE)
-
-
-def _events_table(events: Sequence[Event]) -> pa.Table:
-    rows = [
-        {
-            "time_s": e.time_s,
-            "kind": e.kind.value,
-            "agent": e.agent,
-            "other": e.other,
-            "rule": e.rule,
-        }
-        for e in events
-    ]
-    return pa.Table.from_pylist(rows, schema=EVENTS)
-
-
-def _traits_table(shown: Sequence[ShownTrait]) -> pa.Table:
-    columns = {
-        "agent": [e.agent for e in shown],
-        "trait": [e.trait.value for e in shown],
-        "begin_s": [e.begin_s for e in shown],
-        "end_s": [e.end_s for e in shown],
-        "value": [float(e.value) for e in shown],
-        "other": [None if e.other < 0 else e.other for e in shown],
-    }
-    return pa.Table.from_pydict(columns, schema=TRAITS_TABLE)
-
-
-def _parquet_bytes(name: FileName, table: pa.Table) -> bytes:
-    if name not in ("steps.parquet", "frames.parquet") and table.num_rows > MAX_OBJECTS:
-        raise InputError(f"{name}: found {table.num_rows} rows, expected at most {MAX_OBJECTS}")
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, **parquet_options(table.schema))
-    return cast(bytes, sink.getvalue().to_pybytes())
-
-
-def parquet_options(schema: pa.Schema) -> dict[str, Any]:
-    """How tables of a schema are written: options of `pyarrow.parquet.ParquetWriter`."""
-    numbers = [f.name for f in schema if pa.types.is_floating(f.type)]
-    integers = [f.name for f in schema if pa.types.is_integer(f.type)]
-    words = [
-        f.name if pa.types.is_string(f.type) else f"{f.name}.list.element"
-        for f in schema
-        if not (f.name in numbers or f.name in integers)
-    ]
-    return {
-        "compression": "zstd",
-        "use_dictionary": words,
-        "column_encoding": {
-            **{name: "BYTE_STREAM_SPLIT" for name in numbers},
-            **{name: "DELTA_BINARY_PACKED" for name in integers},
-        },
-        "store_schema": False,
-    }
+    return pa.Table.from_pydict(columns, schema=pa.schema(list(AGENTS)[1:]))

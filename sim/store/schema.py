@@ -2,27 +2,17 @@
 
     DATASET/
       episodes.parquet              the catalogue: a row per episode; how it was made and a checksum
-                                    for every other file in its metadata
+                                    for every other file in its metadata; written last
       README.md                     the data card, for people
       roads/<sha256>.net.xml        the road of the episodes, as a SUMO net (or, of recordings, as
                                     it came: .json, an Argoverse 2 map)
       TABLE/scenario=S/split=P/FIRST-LAST.parquet
-                                    a shard: the rows of several episodes, those of the scenario's
-                                    indices FIRST to LAST that are of this split
+                                    a shard: those of the scenario's episodes FIRST to LAST that are
+                                    of this split, a row group for each
 
-TABLE is one of
-
-      steps       one row per agent and time step; one row group per episode
-      agents      one row per agent
-      frames      one row per time step
-      signals     one row per change of a traffic light
-      events      one row per event
-      traits      one row per shown trait
-
-Every row says in ``episode`` to which episode it belongs. While a dataset is being made, finished
-episodes wait in ``episodes/<id>/``, a file for each table and ``episode.json``, until all of their
-shard are there. Datasets of schema version 1 consist of such folders and a ``manifest.json``; they
-are read as well.
+Every row says in ``episode`` to which episode it belongs. A shard's table of agents is put there
+last and says, in its metadata, which episodes the shard holds and what its other files are; so a
+run that was stopped goes on with the shards that are there.
 
 Positions are agents' centres, x east and y north in metres; headings are radians counter-clockwise
 from +x in (-pi, pi]; speeds m/s along the heading; times s. Labels are words. The tables are plain
@@ -35,7 +25,7 @@ from elsewhere are stored as float64, exactly.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, get_args
 
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
@@ -44,41 +34,31 @@ from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
 from sim.frames import KINDS
 
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 """Version of a dataset's layout. Raised whenever a reader of the old version could misread the new
-one. Version 1 had a folder for each episode and ``manifest.json``."""
+one."""
 
-EPISODE_VERSION: Final = 1
+EPISODE_VERSION: Final = 2
 """Version of an episode's content, which is part of what its id is the hash of."""
 
 POSITION_QUANTUM: Final = 2.0**-10
 """Simulated positions, m, and speeds, m/s, are multiples of this: about a millimetre (cars are
 measured to centimetres at best)."""
 
+DERIVED_QUANTUM: Final = 2.0**-7
+"""Gaps and distances along lanes, m, and accelerations, m/s², of simulated episodes are multiples
+of this: below a centimetre."""
+
 HEADING_QUANTUM: Final = 2.0**-13
 """Simulated headings, rad, are multiples of this: 0.007 degrees (finer than any measurement)."""
 
-MAX_CELLS: Final = 5 * 10**7
-"""Most times that one episode may have, and signal groups times times (0.45 GB of times and
-states)."""
+MAX_STEPS: Final = 5 * 10**7
+"""Most agent-steps that one episode may have, and signal groups times times (they take some 2 GB of
+memory)."""
 
-MAX_OBJECTS: Final = 10**6
-"""Most agents, events, traits, changes of lights and edges of routes that one episode may have (as
-many agents as a recording may have; as Python objects they take up to 3 GB)."""
-
-BLOCK_EPISODES: Final = 5000
-"""Number of episodes of a block; a shard holds episodes of one block of a scenario. What is in a
-shard follows from the episodes of its block alone, so blocks can be made in any order, and a
-dataset that grows keeps its whole blocks (with 10 to 120 s per episode, shards have 60 to 250
-MB)."""
-
-MAX_SHARD_STEPS: Final = 5 * 10**7
-"""Most agent-steps of a shard: it ends before the episode that would exceed this (some 250 MB at 5
-bytes each)."""
-
-MAX_SHARD_ROWS: Final = 10**6
-"""Most agents and most frames of a shard: it ends before the episode that would exceed this (its
-smaller tables are read as a whole)."""
+SMALLEST_BLOCK, LARGEST_BLOCK, BLOCKS_OF_A_SIZE = 5, 640, 32
+"""Episodes of the first blocks of a scenario (one round of `split_of`) and of the last ones of a
+very long one (an hour's work), and how many blocks there are of each size between."""
 
 Split = Literal["train", "validation", "test"]
 
@@ -104,179 +84,192 @@ def split_of(index: int) -> Split:
     return _SPLIT_CYCLE[index % len(_SPLIT_CYCLE)]
 
 
+def block_of(index: int) -> tuple[int, int]:
+    """The block that a scenario's episode belongs to: the episodes that one worker makes.
+
+    Blocks are small at first, so that all processors have work in a small dataset, and grow, so
+    that a large one has few files. They depend on the index alone, so a dataset can grow.
+
+    Args:
+        index: 0 for a scenario's first episode.
+
+    Returns:
+        The first and the last index of the block.
+
+    Examples:
+        >>> block_of(0), block_of(7), block_of(161), block_of(325), block_of(10**6)
+        ((0, 4), (5, 9), (160, 164), (320, 329), (999680, 1000319))
+    """
+    begin = SMALLEST_BLOCK * BLOCKS_OF_A_SIZE
+    doublings = max((index // begin).bit_length() - 1, 0)
+    size = min(SMALLEST_BLOCK << doublings, LARGEST_BLOCK)
+    first = index - index % size
+    return first, first + size - 1
+
+
+def _column(name: str, kind: pa.DataType) -> pa.Field:
+    """A column that has a value in every row."""
+    return pa.field(name, kind, nullable=False)
+
+
+_OF_EPISODE: Final = _column("episode", pa.string())
+
+
 def steps_schema(exact: bool) -> pa.Schema:
-    """Columns of ``steps.parquet``: one row per agent and step, sorted by agent, then step.
+    """Columns of ``steps``: one row per agent and step, sorted by agent, then step.
 
     Args:
         exact: whether the numbers are float64 as they came; otherwise rounded float32.
 
     Returns:
-        The schema. ``agent`` is the id in ``agents.parquet``, ``step`` the row of
-        ``frames.parquet``, ``time_s`` that row's time.
+        The schema. ``agent`` is the id in ``agents``, ``step`` that in ``frames``, ``time_s`` its
+        time. What follows ``speed_mps`` is null where it is not known, such as on unknown roads.
     """
     number = pa.float64() if exact else pa.float32()
     return pa.schema(
         [
-            pa.field("agent", pa.int64(), nullable=False),
-            pa.field("step", pa.int32(), nullable=False),
-            pa.field("time_s", pa.float64(), nullable=False),
-            pa.field("x_m", number, nullable=False),
-            pa.field("y_m", number, nullable=False),
-            pa.field("heading_rad", number, nullable=False),
-            pa.field("speed_mps", number, nullable=False),
+            _OF_EPISODE,
+            _column("agent", pa.int64()),
+            _column("step", pa.int32()),
+            _column("time_s", pa.float64()),
+            _column("x_m", number),
+            _column("y_m", number),
+            _column("heading_rad", number),
+            _column("speed_mps", number),
+            pa.field("lane", pa.string()),  # id of the road's lane; null: on none
+            pa.field("lane_s_m", number),  # distance along the lane
+            pa.field("acceleration_mps2", number),  # change of speed since the step before
+            pa.field("leader", pa.int64()),  # the agent ahead on its way
+            pa.field("gap_m", number),  # bumper to bumper to the leader
         ]
     )
 
 
 AGENTS: Final = pa.schema(
     [
-        pa.field("agent", pa.int64(), nullable=False),
-        pa.field("name", pa.string(), nullable=False),  # the source's own id
-        pa.field("kind", pa.string(), nullable=False),  # car bus truck motorcycle bicycle ...
+        _OF_EPISODE,
+        _column("agent", pa.int64()),
+        _column("name", pa.string()),  # the source's own id
+        _column("kind", pa.string()),  # car bus truck motorcycle bicycle ...
         pa.field("behavior", pa.string()),  # null: not known, or does not drive
         pa.field("style", pa.string()),  # aggressive, conservative; null: not known
-        pa.field("length_m", pa.float64(), nullable=False),
-        pa.field("width_m", pa.float64(), nullable=False),
-        pa.field("depart_s", pa.float64(), nullable=False),  # when it is due to enter
-        pa.field("route", pa.list_(pa.string()), nullable=False),  # edges, first to last
-        pa.field("walking_speed_mps", pa.float64(), nullable=False),  # 0 for those that drive
-        pa.field("seed", pa.int64(), nullable=False),  # of the agent's own chance decisions
-        pa.field("jaywalks", pa.bool_(), nullable=False),  # crosses anywhere and on red
+        _column("length_m", pa.float64()),
+        _column("width_m", pa.float64()),
+        _column("depart_s", pa.float64()),  # when it is due to enter
+        pa.field("route", pa.list_(pa.field("element", pa.string())), nullable=False),  # edges
+        _column("walking_speed_mps", pa.float64()),  # 0 for those that drive
+        _column("seed", pa.int64()),  # of the agent's own chance decisions
+        _column("jaywalks", pa.bool_()),  # crosses anywhere and on red
         *(pa.field(name, pa.float64()) for name in PROFILE_FIELDS),  # null: no profile
     ]
 )
-"""Columns of ``agents.parquet``: one row per agent, in order of id."""
+"""Columns of ``agents``: one row per agent, in order of id."""
 
-FRAMES: Final = pa.schema([pa.field("time_s", pa.float64(), nullable=False)])
-"""Columns of ``frames.parquet``: one row per time step; row i is step i."""
+FRAMES: Final = pa.schema(
+    [
+        _OF_EPISODE,
+        _column("step", pa.int32()),
+        _column("time_s", pa.float64()),
+    ]
+)
+"""Columns of ``frames``: one row per time step."""
 
 SIGNALS_TABLE: Final = pa.schema(
     [
-        pa.field("step", pa.int32(), nullable=False),
-        pa.field("time_s", pa.float64(), nullable=False),
-        pa.field("group", pa.int16(), nullable=False),  # signal group of the road
-        pa.field("state", pa.string(), nullable=False),  # red yellow green off
+        _OF_EPISODE,
+        _column("step", pa.int32()),
+        _column("time_s", pa.float64()),
+        _column("group", pa.int16()),  # signal group of the road
+        _column("state", pa.string()),  # red yellow green off
     ]
 )
-"""Columns of ``signals.parquet``: the state of every group at step 0, then every change."""
+"""Columns of ``signals``: the state of every group at step 0, then every change."""
 
 EVENTS: Final = pa.schema(
     [
-        pa.field("time_s", pa.float64(), nullable=False),
-        pa.field("kind", pa.string(), nullable=False),
-        pa.field("agent", pa.int64(), nullable=False),  # whose event it is
+        _OF_EPISODE,
+        _column("time_s", pa.float64()),
+        _column("kind", pa.string()),
+        _column("agent", pa.int64()),  # whose event it is
         pa.field("other", pa.int64()),  # the second party
-        pa.field("rule", pa.string(), nullable=False),  # the rule, or the cause
+        _column("rule", pa.string()),  # the rule, or the cause
+        pa.field("end_s", pa.float64()),  # collision: when the two last touch
+        pa.field("time_to_collision_s", pa.float64()),  # near miss: the least one
+        pa.field("distance_m", pa.float64()),  # wrong way: how far
+        pa.field("cut_in_headway_s", pa.float64()),  # collision after a cut-in: the gap it left
     ]
 )
-"""Columns of ``events.parquet``: one row per event, in time order."""
+"""Columns of ``events``: one row per event, in time order; a collision is one event. Numbers that
+do not belong to an event are null."""
 
 TRAITS_TABLE: Final = pa.schema(
     [
-        pa.field("agent", pa.int64(), nullable=False),  # the agent that showed it
-        pa.field("trait", pa.string(), nullable=False),  # a row of the paper's trait table
-        pa.field("begin_s", pa.float64(), nullable=False),
-        pa.field("end_s", pa.float64(), nullable=False),
-        pa.field("value", pa.float64(), nullable=False),  # the detector's number
+        _OF_EPISODE,
+        _column("agent", pa.int64()),  # the agent that showed it
+        _column("trait", pa.string()),  # a row of the paper's trait table
+        _column("begin_s", pa.float64()),
+        _column("end_s", pa.float64()),
+        _column("value", pa.float64()),  # the detector's number
         pa.field("other", pa.int64()),  # the second party
     ]
 )
-"""Columns of ``traits.parquet``: the shown traits, found by `behaviors.traits`, in time order.
-The detector gives meaning and unit of the value. Empty for recordings."""
+"""Columns of ``traits``: the shown traits, found by `behaviors.traits`, in time order. The detector
+gives meaning and unit of the value. Empty for recordings."""
 
-EPISODE_FILES: Final = (
-    "steps.parquet",
-    "agents.parquet",
-    "frames.parquet",
-    "signals.parquet",
-    "events.parquet",
-    "traits.parquet",
-)
-"""The tables of an episode."""
+TableName = Literal["steps", "agents", "frames", "signals", "events", "traits"]
 
-TABLES: Final = tuple(name.removesuffix(".parquet") for name in EPISODE_FILES)
+TABLES: Final[tuple[TableName, ...]] = get_args(TableName)
 """Names of the tables, each a folder of a dataset."""
 
 
-def table_schema(name: FileName, exact: bool = False) -> pa.Schema:
-    """The columns of one of an episode's tables.
+def table_schema(table: TableName, exact: bool = False) -> pa.Schema:
+    """The columns of a table.
 
     Args:
-        name: of ``EPISODE_FILES``.
-        exact: of steps, as for `steps_schema`.
-    """
-    if name == "steps.parquet":
-        return steps_schema(exact)
-    return {
-        "agents.parquet": AGENTS,
-        "frames.parquet": FRAMES,
-        "signals.parquet": SIGNALS_TABLE,
-        "events.parquet": EVENTS,
-        "traits.parquet": TRAITS_TABLE,
-    }[name]
-
-
-def shard_schema(name: FileName, exact: bool = False) -> pa.Schema:
-    """The columns of one table of a shard: ``episode``, then those of the episode's own table.
-
-    Frames say their step, too, because a shard has the frames of several episodes.
-
-    Args:
-        name: of ``EPISODE_FILES``.
+        table: which.
         exact: of steps, as for `steps_schema`.
 
     Examples:
-        >>> shard_schema("frames.parquet").names
+        >>> table_schema("frames").names
         ['episode', 'step', 'time_s']
     """
-    added = [pa.field("episode", pa.string(), nullable=False)]
-    if name == "frames.parquet":
-        added.append(pa.field("step", pa.int32(), nullable=False))
-    return pa.schema([*added, *table_schema(name, exact)])
+    return {
+        "steps": steps_schema(exact),
+        "agents": AGENTS,
+        "frames": FRAMES,
+        "signals": SIGNALS_TABLE,
+        "events": EVENTS,
+        "traits": TRAITS_TABLE,
+    }[table]
 
 
 CATALOGUE: Final = pa.schema(
     [
-        pa.field("id", pa.string(), nullable=False),
-        pa.field("scenario", pa.string(), nullable=False),
-        pa.field("engine", pa.string(), nullable=False),
-        pa.field("split", pa.string(), nullable=False),
-        pa.field("index", pa.int64(), nullable=False),
-        pa.field("seed", pa.uint64(), nullable=False),
+        _column("id", pa.string()),
+        _column("scenario", pa.string()),
+        _column("engine", pa.string()),
+        _column("split", pa.string()),
+        _column("index", pa.int64()),
+        _column("seed", pa.uint64()),
         pa.field("recording", pa.string()),  # the recording's own name; null: simulated
         pa.field("flow", pa.string()),  # option of that name, in words; null: not given
         pa.field("mix", pa.string()),  # option of that name as JSON with sorted keys; null: none
-        pa.field("frames", pa.int64(), nullable=False),
-        pa.field("agents", pa.int64(), nullable=False),  # that were seen
-        pa.field("agent_steps", pa.int64(), nullable=False),
-        *(pa.field(name, pa.int32(), nullable=False) for name in (*BEHAVIORS, *KINDS)),  # drawn
+        _column("frames", pa.int64()),
+        _column("agents", pa.int64()),  # that were seen
+        _column("agent_steps", pa.int64()),
+        *(_column(name, pa.int32()) for name in (*BEHAVIORS, *KINDS)),  # drawn
         pa.field("road", pa.string()),  # checksum; null: not known
-        pa.field("exact", pa.bool_(), nullable=False),  # float64 as it came, not rounded float32
-        pa.field("shard", pa.string(), nullable=False),  # name of its shard, without ending
-        pa.field("row_group", pa.int32(), nullable=False),  # of the shard's steps
-        pa.field("options", pa.string(), nullable=False),  # JSON
-        pa.field("made_with", pa.string(), nullable=False),  # JSON
+        _column("exact", pa.bool_()),  # float64 as it came, not rounded float32
+        _column("shard", pa.string()),  # name of its shard, without ending
+        _column("options", pa.string()),  # JSON
+        _column("made_with", pa.string()),  # JSON
     ]
 )
 """Columns of ``episodes.parquet``, the catalogue: one row per episode, by scenario, engine, index
 and id. A count of drawn agents stands under each behaviour and kind."""
 
-FileName = Literal[
-    "steps.parquet",
-    "agents.parquet",
-    "frames.parquet",
-    "signals.parquet",
-    "events.parquet",
-    "traits.parquet",
-]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 EpisodeId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
-ShardPath = Annotated[
-    str,
-    Field(
-        pattern=rf"^({'|'.join(TABLES)})/scenario=[A-Za-z0-9_.~%-]+/split=[a-z]+/[0-9-]+\.parquet$"
-    ),
-]
 
 
 class _Strict(BaseModel):
@@ -289,10 +282,12 @@ class FileEntry(_Strict):
     Attributes:
         sha256: checksum of its content.
         size: bytes.
+        rows: of the table; 0 for a road.
     """
 
     sha256: Sha256
     size: Annotated[int, Field(ge=0)]
+    rows: Annotated[int, Field(ge=0)] = 0
 
 
 class EpisodeMeta(_Strict):
@@ -318,20 +313,17 @@ class EpisodeMeta(_Strict):
 
 
 class EpisodeEntry(EpisodeMeta):
-    """An episode in a manifest.
+    """An episode of a dataset: a row of its catalogue.
 
     Attributes:
-        id: hash of what the episode was made from; the name of its folder.
+        id: hash of what the episode was made from.
         road: checksum of its road, which is ``roads/<road>.net.xml``, ``.json`` or ``.road.json``;
             None where unknown.
         frames: time steps.
         agents: agents that were seen.
         agent_steps: its rows of the table of steps.
-        files: every file of the episode, where it has files of its own.
-        shard: name of its shard, without folder and ending; None where it has files of its own.
-        row_group: of the shard's steps.
-        exact: whether its numbers are float64 as they came; None where it has files of its own.
-        drawn: how many agents of each behaviour and kind were drawn, where the catalogue says so.
+        exact: whether its numbers are float64 as they came.
+        drawn: how many agents of each behaviour and kind were drawn.
     """
 
     id: EpisodeId
@@ -339,35 +331,32 @@ class EpisodeEntry(EpisodeMeta):
     frames: Annotated[int, Field(ge=0)]
     agents: Annotated[int, Field(ge=0)]
     agent_steps: Annotated[int, Field(ge=0)]
-    files: dict[FileName, FileEntry] = {}
-    shard: Annotated[str, Field(pattern=r"^[0-9]{6,18}-[0-9]{6,18}(-[0-9]{1,9})?$")] | None = None
-    row_group: Annotated[int, Field(ge=0)] = 0
-    exact: bool | None = None
+    exact: bool = False
     drawn: dict[str, Annotated[int, Field(ge=0)]] = {}
+
+    @property
+    def shard(self) -> str:
+        """Name of its shard, without folder and ending."""
+        return "{:06}-{:06}".format(*block_of(self.index))
 
     @property
     def recording(self) -> str | None:
         """Name of the recording that it was read from; None for a simulated episode."""
-        recording = self.options.get("recording")
-        return recording if isinstance(recording, str) else None
+        return self._option("recording")
 
     @property
     def file(self) -> str | None:
         """The file that the recording was read from; None for a simulated episode."""
-        file = self.options.get("file")
-        return file if isinstance(file, str) else None
+        return self._option("file")
+
+    def _option(self, name: str) -> str | None:
+        value = self.options.get(name)
+        return value if isinstance(value, str) else None
 
     @property
     def name(self) -> str:
         """What people call it: its recording, or its scenario and index."""
         return self.recording or f"{self.scenario} {self.index}"
-
-
-EPISODE_FIELDS: Final = (
-    *EpisodeMeta.model_fields,
-    *("id", "road", "frames", "agents", "agent_steps", "files"),
-)
-"""What ``episode.json`` says of an episode with files of its own."""
 
 
 class Header(_Strict):
@@ -376,18 +365,16 @@ class Header(_Strict):
     Attributes:
         schema_version: version of the layout.
         configuration: what the dataset was generated or imported with.
-        roads: size in bytes of every road file, by its checksum.
-        files: size and checksum of every shard, by its path in the dataset.
+        files: size and checksum of every shard's tables and every road, by name.
     """
 
     schema_version: int
     configuration: dict[str, JsonValue]
-    roads: dict[Sha256, Annotated[int, Field(ge=0)]]
-    files: dict[ShardPath, FileEntry] = {}
+    files: dict[str, FileEntry] = {}
 
 
 class Manifest(Header):
-    """Everything that is known of a dataset, and the content of a ``manifest.json``.
+    """Everything that is known of a dataset.
 
     Attributes:
         episodes: every episode, by scenario and index.

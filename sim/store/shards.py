@@ -1,292 +1,280 @@
-"""Reads one episode out of the shards that hold many.
+"""Writes and reads shards: the files, one for each table, that hold several episodes.
 
-Of a shard's steps only the episode's own row group is read. The other tables are small: they are
-read once as a whole and the last ones are kept. Every page's checksum is compared.
+Every episode is a row group of each file, so it is written when it is done and read by itself.
+Pages carry checksums, which reading compares.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Hashable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeVar
 from urllib.parse import quote
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
-from sim.arrow.budget import MAX_TEXT_BYTES, check_budget, check_spelled_out
-from sim.arrow.parquet import Footer, opened, opened_group, read_footer, read_packed
-from sim.store.decode import check_columns
-from sim.store.entries import metadata_of, sorted_entries
-from sim.store.places import Folder, Place, place_of
+from sim.files import PARTIAL_PREFIX, Place, place_of
+from sim.invalid_fields import first_wrong_field
+from sim.store.encode import written_schema
 from sim.store.schema import (
-    BLOCK_EPISODES,
-    MAX_CELLS,
+    TABLES,
     EpisodeEntry,
     FileEntry,
-    FileName,
-    shard_schema,
+    TableName,
+    table_schema,
 )
 
-KEPT_TABLES: Final = 30
-"""How many of the smaller tables a process keeps (those of six shards)."""
+M = TypeVar("M", bound=BaseModel)
 
-KEPT_FOOTERS: Final = 16
-"""Of how many shards of steps a process keeps the footer (each some MB)."""
+METADATA_KEY: Final = b"graphrqi"
+"""Under which key a Parquet file says in JSON what belongs to the file as a whole."""
 
-MAX_PART_CHARACTERS: Final = 220
-"""Longest part of a shard's path (file systems take 255 bytes)."""
-
-
-def shard_path(name: FileName, entry: EpisodeEntry) -> str:
-    """Where in its dataset a table of an episode's shard lies.
-
-    Args:
-        name: which table.
-        entry: the episode, which has a shard.
-
-    Raises:
-        InputError: if the scenario's name is too long for a folder.
-
-    Examples:
-        >>> shard_path("steps.parquet", EpisodeEntry(
-        ...     scenario="a road", engine="sumo", id="0" * 16, frames=1, agents=1, agent_steps=1,
-        ...     shard="000000-000008"))
-        'steps/scenario=a%20road/split=train/000000-000008.parquet'
-    """
-    return shard_file(name, entry.scenario, entry.split, entry.shard or "")
+KEPT_FOOTERS: Final = 64
+"""Of how many files a process keeps the footer."""
 
 
-def shard_file(name: FileName, scenario: str, split: str, shard: str) -> str:
-    """As `shard_path`, from what the catalogue says of an episode.
-
-    Raises:
-        InputError: if the scenario's name is too long for a folder.
-    """
-    folder = f"scenario={quote(scenario, safe='')}"
-    if len(folder) > MAX_PART_CHARACTERS:
-        raise InputError(
-            f"scenario: found a name of {len(folder)} letters in a path, expected at most "
-            f"{MAX_PART_CHARACTERS}: {scenario:.40}..."
-        )
-    return f"{name.removesuffix('.parquet')}/{folder}/split={split}/{shard}.parquet"
-
-
-class Sealed(BaseModel):
-    """What a shard's table of agents says of the shard.
+@dataclass(frozen=True, slots=True)
+class ShardName:
+    """Which episodes a shard holds, and where it lies.
 
     Attributes:
+        scenario: of all its episodes.
+        split: of all its episodes.
+        block: its first and its last index.
+    """
+
+    scenario: str
+    split: str
+    block: str
+
+    @classmethod
+    def of(cls, entry: EpisodeEntry) -> ShardName:
+        """The shard of an episode."""
+        return cls(entry.scenario, entry.split, entry.shard)
+
+    def file(self, table: TableName) -> str:
+        """Where in its dataset a table of the shard lies.
+
+        Args:
+            table: which.
+
+        Examples:
+            >>> ShardName("a road", "train", "000000-000004").file("steps")
+            'steps/scenario=a%20road/split=train/000000-000004.parquet'
+        """
+        scenario = quote(self.scenario, safe="")
+        return f"{table}/scenario={scenario}/split={self.split}/{self.block}.parquet"
+
+
+class Shard(BaseModel):
+    """A shard that is finished; its table of agents says this in its metadata.
+
+    Attributes:
+        configuration: what the dataset is made from.
         entries: its episodes, in order.
-        files: size and checksum of its other tables, by path.
+        files: size and checksum of its tables but that of agents, and of its roads, by name.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
+    configuration: dict[str, JsonValue]
     entries: tuple[EpisodeEntry, ...]
     files: dict[str, FileEntry]
 
 
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """A shard that is there. Its episodes stay on the disk: thousands of shards fit in memory.
+class ShardWriter:
+    """Writes the episodes of one shard into a hidden folder, and moves its files when it is closed.
 
-    Attributes:
+    Args:
         place: the dataset.
-        name: path of its table of agents.
-        files: size and checksum of each of its tables, by path.
-        scenario: of all its episodes.
-        count: how many episodes it holds.
-        engines: of its episodes.
-        roads: checksums of its episodes' roads.
+        name: of the shard.
+        exact: whether numbers are float64 as they came.
+        configuration: what the dataset is made from.
     """
 
-    place: Place
-    name: str
-    files: dict[str, FileEntry]
-    scenario: str
-    count: int
-    engines: frozenset[str]
-    roads: frozenset[str]
+    def __init__(
+        self, place: Place, name: ShardName, exact: bool, configuration: Mapping[str, JsonValue]
+    ) -> None:
+        self._place, self._files = place, {table: name.file(table) for table in TABLES}
+        self._configuration = dict(configuration)
+        self._entries: list[EpisodeEntry] = []
+        self._rows = dict.fromkeys(TABLES, 0)
+        self._roads: dict[str, FileEntry] = {}
+        home = None if place.remote else place.path
+        self._scratch = Path(tempfile.mkdtemp(prefix=f"{PARTIAL_PREFIX}shard-", dir=home))
+        self._writers = {
+            table: pq.ParquetWriter(
+                self._scratch / table,
+                written_schema(table, exact),
+                write_page_checksum=True,
+                **parquet_options(table_schema(table, exact)),
+            )
+            for table in TABLES
+        }
 
-    @property
-    def block(self) -> int:
-        """Number of the block of indices that it belongs to."""
-        return int(self.name.rpartition("/")[2].partition("-")[0]) // BLOCK_EPISODES
-
-    def read(self) -> tuple[EpisodeEntry, ...]:
-        """Its episodes, in order.
-
-        Raises:
-            InputError: if its table of agents is broken.
-        """
-        footer = open_footer(self.place, self.name)
-        return metadata_of(self.place.path / self.name, footer, Sealed).entries
-
-
-def shard_of(place: Place, entries: Sequence[EpisodeEntry], files: dict[str, FileEntry]) -> Shard:
-    """A shard by what it holds."""
-    return Shard(
-        place=place,
-        name=shard_path("agents.parquet", entries[0]),
-        files=files,
-        scenario=entries[0].scenario,
-        count=len(entries),
-        engines=frozenset(entry.engine for entry in entries),
-        roads=frozenset(entry.road for entry in entries if entry.road is not None),
-    )
-
-
-def in_order(shards: Iterable[Shard]) -> Iterator[list[EpisodeEntry]]:
-    """All episodes in the order of catalogues, those of one block and engine at a time."""
-    blocks: dict[str, dict[int, list[Shard]]] = {}
-    for shard in shards:
-        blocks.setdefault(shard.scenario, {}).setdefault(shard.block, []).append(shard)
-    for _, by_block in sorted(blocks.items()):
-        engines = {name for some in by_block.values() for shard in some for name in shard.engines}
-        for engine in sorted(engines):
-            for _, some in sorted(by_block.items()):
-                found = (
-                    entry for shard in some if engine in shard.engines for entry in shard.read()
-                )
-                yield sorted_entries(entry for entry in found if entry.engine == engine)
-
-
-@dataclass(frozen=True, slots=True)
-class ShardTables:
-    """Tables of an episode that is in a shard, as `sim.store.decode.Tables` has them.
-
-    Attributes:
-        place: the dataset.
-        entry: the episode.
-    """
-
-    place: Place
-    entry: EpisodeEntry
-
-    def path(self, name: FileName) -> Path:
-        """The shard's file."""
-        return self.place.path / shard_path(name, self.entry)
-
-    def table(
+    def add(
         self,
-        name: FileName,
-        schemas: Sequence[pa.Schema],
-        max_rows: int,
-        columns: list[str] | None = None,
-    ) -> pa.Table:
-        """The episode's rows of a table, without the columns that only shards have."""
-        file = shard_path(name, self.entry)
-        path = self.place.path / file
+        entry: EpisodeEntry,
+        tables: Mapping[TableName, pa.Table],
+        road: Mapping[str, FileEntry],
+    ) -> None:
+        """Write an episode.
+
+        Args:
+            entry: what it is.
+            tables: all of them.
+            road: the file of its road, by name; empty if that is not known.
+        """
+        self._roads |= road
+        for table, rows in tables.items():
+            if rows.num_rows:
+                self._writers[table].write_table(rows, row_group_size=rows.num_rows)
+                self._rows[table] += rows.num_rows
+        self._entries.append(entry)
+
+    def close(self, keep: bool = True) -> dict[str, FileEntry]:
+        """Move the files to their places, that of agents last.
+
+        Args:
+            keep: whether to; otherwise they are removed.
+
+        Returns:
+            Size and checksum of each and of the roads, by name.
+        """
+        files = dict(sorted(self._roads.items()))
         try:
-            stamp = _stamp(self.place, file)
-            if name == "steps.parquet":
-                return self._steps(file, stamp, max_rows, columns)
-            shard = _small_table(self.place.url, file, stamp, name)
-        except FileNotFoundError:
-            raise InputError(
-                f"{path}: found no file, expected the shard of episode {self.entry.id}"
-            ) from None
-        begin, count = shard.rows.get(self.entry.id, (0, 0))
-        if count > max_rows:
-            raise InputError(f"{path}: found {count} rows, expected at most {max_rows}")
-        part = shard.table.slice(begin, count)
-        for column in part.columns:
-            check_spelled_out(path, column, MAX_TEXT_BYTES)
-        wanted = schemas[0]
-        for field in wanted:
-            if not field.nullable and part[field.name].null_count:
-                raise InputError(f"{path}: found an empty {field.name}, expected one in every row")
-        return part.select(wanted.names).cast(wanted)
-
-    def _steps(
-        self, file: str, stamp: Hashable, max_rows: int, columns: list[str] | None
-    ) -> pa.Table:
-        schema = shard_schema("steps.parquet", exact=bool(self.entry.exact))
-        if self.entry.agent_steps == 0:
-            return schema.empty_table()
-        path = self.place.path / file
-        footer = _footer(self.place.url, file, stamp)
-        names = [name for name in schema.names if columns is None or name in columns]
-        with opened_group(
-            footer, self.entry.row_group, lambda begin, end: self.place.read(file, begin, end)
-        ) as (layout, parquet):
-            check_columns(path, parquet.schema_arrow.remove_metadata(), [schema])
-            check_budget(path, layout, [*names, "episode"], max_rows)
-            whose = parquet.read_row_group(self.entry.row_group, ["episode"], use_threads=False)
-            if whose.num_rows and set(whose.column(0).unique().to_pylist()) != {self.entry.id}:
-                raise InputError(
-                    f"{path}: row group {self.entry.row_group}: found another episode, expected "
-                    f"{self.entry.id}"
-                )
-            return parquet.read_row_group(self.entry.row_group, names, use_threads=False)
+            for table in _AGENTS_LAST if keep else ():
+                if table == "agents":
+                    shard = Shard(
+                        configuration=self._configuration, entries=tuple(self._entries), files=files
+                    )
+                    text = shard.model_dump_json()
+                    self._writers[table].add_key_value_metadata({METADATA_KEY.decode(): text})
+                self._writers[table].close()
+                file = self._scratch / table
+                with file.open("rb") as content:
+                    sha256 = hashlib.file_digest(content, "sha256").hexdigest()
+                size, rows = file.stat().st_size, self._rows[table]
+                files[self._files[table]] = FileEntry(sha256=sha256, size=size, rows=rows)
+            for table in _AGENTS_LAST if keep else ():
+                self._place.put(self._scratch / table, self._files[table])
+        finally:
+            shutil.rmtree(self._scratch, ignore_errors=True)
+        return files
 
 
-@dataclass(frozen=True, slots=True)
-class _SmallTable:
-    """One of a shard's smaller tables, and where each episode's rows begin and how many."""
-
-    table: pa.Table
-    rows: dict[str, tuple[int, int]]
+_AGENTS_LAST: Final = sorted(TABLES, key=lambda table: table == "agents")
 
 
-def _stamp(place: Place, file: str) -> Hashable:
-    """What changes when a file does; of object stores nothing, since it would be asked for."""
-    if not isinstance(place, Folder):
-        return None
-    status = (place.path / file).stat()
-    return status.st_size, status.st_mtime_ns, status.st_ino
+def parquet_options(schema: pa.Schema) -> dict[str, Any]:
+    """How tables of a schema are written: options of `pyarrow.parquet.ParquetWriter`."""
+    numbers = [f.name for f in schema if pa.types.is_floating(f.type)]
+    integers = [f.name for f in schema if pa.types.is_integer(f.type)]
+    words = [
+        f.name if pa.types.is_string(f.type) else f"{f.name}.list.element"
+        for f in schema
+        if not (f.name in numbers or f.name in integers)
+    ]
+    return {
+        "compression": "zstd",
+        "use_dictionary": words,
+        "column_encoding": {
+            **{name: "BYTE_STREAM_SPLIT" for name in numbers},
+            **{name: "DELTA_BINARY_PACKED" for name in integers},
+        },
+        "store_schema": False,
+    }
 
 
-def open_footer(place: Place, file: str) -> Footer:
-    """The end of a file of a dataset.
+def metadata_of(path: Path, metadata: pq.FileMetaData, model: type[M]) -> M:
+    """What a Parquet file of ours says of itself as a whole.
+
+    Args:
+        path: of the file, for messages.
+        metadata: of the file.
+        model: what it is expected to be.
+
+    Raises:
+        InputError: if it says nothing, or something else.
+    """
+    found = (metadata.metadata or {}).get(METADATA_KEY)
+    if found is None:
+        raise InputError(f"{path}: found no metadata of graphrqi, expected a file of a dataset")
+    try:
+        return model.model_validate_json(found)
+    except ValidationError as error:
+        raise InputError(f"{path}: {first_wrong_field(error)}") from None
+
+
+@contextmanager
+def opened(place: Place, file: str) -> Iterator[pq.ParquetFile]:
+    """A Parquet file of a dataset, whose footer is kept for the next time.
 
     Raises:
         InputError: if it is broken.
         FileNotFoundError: if there is no such file.
     """
-    size = place.size(file)
-    if size is None:
-        raise FileNotFoundError(2, "No such file", str(place.path / file))
-    return read_footer(place.path / file, size, lambda begin, end: place.read(file, begin, end))
+    path = place.path / file
+    try:
+        known = _footer(place.url, file, place.stamp(file))
+        with place.open(file) as source:
+            yield pq.ParquetFile(source, metadata=known, page_checksum_verification=True)
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: found no readable Parquet ({reason:.200})") from None
 
 
 @lru_cache(maxsize=KEPT_FOOTERS)
-def _footer(url: str, file: str, stamp: Hashable) -> Footer:
-    return open_footer(place_of(url), file)
+def _footer(url: str, file: str, stamp: Hashable) -> pq.FileMetaData:
+    """A file's footer; ``stamp`` changes when the file does."""
+    with place_of(url).open(file) as source:
+        return pq.read_metadata(source)
 
 
-@lru_cache(maxsize=KEPT_TABLES)
-def _small_table(url: str, file: str, stamp: Hashable, name: FileName) -> _SmallTable:
-    place = place_of(url)
+def read_rows(
+    place: Place, table: TableName, entry: EpisodeEntry, columns: list[str] | None = None
+) -> pa.Table:
+    """An episode's rows of a table.
+
+    Args:
+        place: the dataset.
+        table: which.
+        entry: the episode.
+        columns: those to read; None for all.
+
+    Raises:
+        InputError: if the file is missing, broken, or has other columns.
+    """
+    file = ShardName.of(entry).file(table)
     path = place.path / file
-    schema = shard_schema(name)
-    with opened(path, place.read(file)) as (layout, source):
-        check_columns(path, pq.read_schema(source).remove_metadata(), [schema])
-        texts = check_budget(path, layout, None, MAX_CELLS)
-        table = read_packed(source, texts, None)
-    episode = table.column("episode").combine_chunks()
-    if isinstance(episode, pa.ChunkedArray):
-        episode = episode.chunk(0) if episode.num_chunks else pa.array([], schema.field(0).type)
-    if episode.null_count:
-        raise InputError(f"{path}: found an empty episode, expected one in every row")
-    return _SmallTable(table, _runs(path, episode))
+    try:
+        with opened(place, file) as parquet:
+            check_columns(path, parquet.schema_arrow, table_schema(table, entry.exact))
+            for number in range(parquet.num_row_groups):
+                ids = parquet.metadata.row_group(number).column(0).statistics
+                if ids is not None and ids.min == ids.max == entry.id:
+                    return parquet.read_row_group(number, columns, use_threads=False)
+    except FileNotFoundError:
+        raise InputError(f"{path}: found no file, expected the shard of {entry.id}") from None
+    none = table_schema(table, entry.exact).empty_table()
+    return none if columns is None else none.select(columns)
 
 
-def _runs(path: Path, episode: pa.Array) -> dict[str, tuple[int, int]]:
-    """Where each episode's rows are."""
-    if not len(episode):
-        return {}
-    packed = episode if pa.types.is_dictionary(episode.type) else episode.dictionary_encode()
-    code = packed.indices.to_numpy()
-    words = packed.dictionary.to_pylist()
-    begins = np.flatnonzero(np.diff(code, prepend=-1))
-    counts = np.diff(begins, append=code.size)
-    found = {words[code[b]]: (int(b), int(n)) for b, n in zip(begins, counts, strict=True)}
-    if len(found) != begins.size:
-        raise InputError(f"{path}: found rows of an episode apart, expected them in one piece")
-    return found
+def check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
+    """Refuse a table that has other columns than the schema, and name the first that differs."""
+    for field in expected:
+        if field.name not in found.names or not found.field(field.name).equals(field):
+            raise InputError(f"{path}: found no column {field.name} of {field.type}, expected it")
+    if found.names != expected.names:
+        raise InputError(f"{path}: found columns {', '.join(found.names):.120}, expected others")

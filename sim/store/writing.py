@@ -1,294 +1,333 @@
-"""Writes episodes: each is one folder, named by the hash of what it was made from.
-
-The folder appears whole or not at all; the manifest (`sim.store.catalogue`) is written last.
-"""
+"""Writes episodes into shards, and whole datasets."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
+import pyarrow as pa
+from pydantic import JsonValue
 
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
-from behaviors.row_index import RowIndex
-from sim.episode.annotate import annotate
+from sim.episode.annotate import Annotations, annotate
 from sim.episode.rows import TrajectoryRows
-from sim.frames import KINDS, Event, Frame, Tracks
+from sim.files import Place, local_path, new_folder, place_of, temporary_folder
+from sim.frames import KINDS, Frame, Tracks
 from sim.road import Road
-from sim.road.files import read_road_file
+from sim.road.files import ENDINGS, read_road_file
+from sim.road.maps.stored import SUFFIX, encode_road
 from sim.scenario import AgentSpec
-from sim.store.atomic import whole_folder
-from sim.store.catalogue import ENTRY, canonical, checksum, keep_road
-from sim.store.encode import Steps, collect, encode, encode_agents, from_tracks
+from sim.store.catalogue import EPISODES, catalogue_table, write_catalogue
+from sim.store.encode import agents_table, derived, encode, rounded
 from sim.store.schema import (
-    EPISODE_FIELDS,
     EPISODE_VERSION,
+    MAX_STEPS,
     EpisodeEntry,
     EpisodeMeta,
     FileEntry,
 )
+from sim.store.shards import ShardName, ShardWriter
 
 _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "sumo": ("libsumo",),
     "sumo-idm": ("libsumo",),
     "highway": ("highway-env",),
     "highway-krauss": ("highway-env",),
-    "worlds": ("libsumo", "highway-env"),
 }
 """Which packages, beside ours, numpy and pyarrow, determine an engine's bytes."""
 
 
-def made_with(engine: str) -> dict[str, str]:
-    """Versions of the packages that determine the bytes of an episode of this engine.
+def made_with(*engines: str) -> dict[str, str]:
+    """Versions of the packages that determine the bytes of an episode.
 
     Args:
-        engine: registered name of the engine, or a recording's format key.
+        *engines: registered names of its engines, or a recording's format key.
 
     Returns:
         Version by package name.
     """
-    names = ("graphrqi", "numpy", "pyarrow", *_DETERMINING.get(engine, ()))
-    return {name: metadata.version(name) for name in names}
+    own = [name for engine in engines for name in _DETERMINING.get(engine, ())]
+    return {name: metadata.version(name) for name in ("graphrqi", "numpy", "pyarrow", *own)}
 
 
-def episode_id(meta: EpisodeMeta, agents: Sequence[AgentSpec], road: Path | None = None) -> str:
-    """The name of an episode: the hash of everything that determines its content.
+def checksum(data: bytes) -> str:
+    """SHA-256 in hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+class EpisodeWriter:
+    """Writes episodes one after another into the shards that they belong to; a context manager.
+
+    The files of a shard appear when an episode of another block follows, or when the ``with`` block
+    ends without an error.
 
     Args:
-        meta: what it is made from.
-        agents: everyone who may appear in it.
-        road: its SUMO net, if any.
+        place: the dataset.
+        configuration: what the dataset is made from.
 
-    Returns:
-        16 hexadecimal digits.
+    Attributes:
+        entries: what the catalogue says of the episodes that were written.
+        files: size and checksum of the files that have appeared, by name.
     """
-    return _identity(
-        meta,
-        encode_agents(sorted(agents, key=lambda a: a.id), {}),
-        None if road is None else checksum(road.read_bytes()),
-    )
+
+    def __init__(self, place: Place, configuration: Mapping[str, JsonValue]) -> None:
+        self._place, self._configuration = place, configuration
+        self._open: dict[ShardName, ShardWriter] = {}
+        self._roads: set[str] = set()
+        self.entries: list[EpisodeEntry] = []
+        self.files: dict[str, FileEntry] = {}
+
+    def __enter__(self) -> EpisodeWriter:
+        """Begin; nothing is written yet."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        """Put the shards in their places, or remove them after an error."""
+        for writer in self._open.values():
+            self.files |= writer.close(kind is None)
+
+    def write_episode(
+        self,
+        meta: EpisodeMeta,
+        frames: Iterable[Frame],
+        agents: Sequence[AgentSpec],
+        road: Path | None = None,
+        since_s: float | None = None,
+    ) -> EpisodeEntry:
+        """Run frames to their end and write them as one episode.
+
+        Args:
+            meta: what the episode is made from.
+            frames: the episode, in time order; closed here, also on an error.
+            agents: everyone who may appear in a frame.
+            road: the SUMO net that the episode happened on (``scenario.road.source``); with it the
+                events are completed (rules kept and broken, near misses, causes), and lanes,
+                leaders and the traits that were shown are found.
+            since_s: write only what is later than this, s. Events and traits are found with all
+                frames in sight. None writes everything.
+
+        Returns:
+            The catalogue's entry of the episode.
+
+        Raises:
+            InputError: if a frame holds an agent that is not among ``agents``, a number that is not
+                finite, or a time that does not increase; or if there are too many rows.
+            OSError: if something cannot be written.
+        """
+        try:
+            tracks = rounded(Tracks.from_frames(_checked(frames)))
+        finally:
+            close = getattr(frames, "close", None)
+            if close is not None:
+                close()
+        strangers = sorted({*tracks.ids.tolist()} - {agent.id for agent in agents})
+        if strangers:
+            expected = f"one of {len(agents)} given"
+            raise InputError(f"frames: found agent {strangers[0]}, expected {expected}")
+        shown: tuple[ShownTrait, ...] = ()
+        known: dict[str, pa.Array] = {}
+        if road is not None and tracks.time_s.size > 2:
+            where = read_road_file(road)
+            found = annotate(TrajectoryRows.of(tracks), where)
+            tracks, shown = tracks.changed(events=found.events), found.shown_traits
+            known = _known(tracks, found, where)
+        if since_s is not None:
+            first = int(np.searchsorted(tracks.time_s, since_s + 1e-9))
+            later = pa.array(tracks.as_rows().index.step >= first)
+            known = {name: column.filter(later) for name, column in known.items()}
+            shown = tuple(trait for trait in shown if trait.begin_s > since_s)
+            tracks = tracks.part(np.arange(tracks.ids.size), slice(first, None))
+        ordered = sorted(agents, key=lambda a: a.id)
+        return self.write_tracks(meta, tracks, ordered, road, shown=shown, known=known)
+
+    def write_recording(
+        self,
+        meta: EpisodeMeta,
+        tracks: Tracks,
+        road: Path | Road | None = None,
+        styles: Mapping[str, Style] = MappingProxyType({}),
+    ) -> EpisodeEntry:
+        """Write tracks that come from elsewhere as one episode, exactly as they are.
+
+        Args:
+            meta: where the recording comes from.
+            tracks: the recording.
+            road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
+            styles: by name, of the drivers of whom the style is known but not the behaviour.
+
+        Returns:
+            The catalogue's entry of the episode.
+
+        Raises:
+            InputError: if a number is not finite where it is valid.
+            OSError: if something cannot be written.
+        """
+        n = tracks.ids.size
+        codes = np.full(n, -1) if tracks.behavior is None else tracks.behavior
+        first = tracks.as_rows().first_steps()
+        agents = [
+            AgentSpec(
+                id=int(tracks.ids[i]),
+                kind=KINDS[tracks.kind[i]],
+                behavior=None if codes[i] < 0 else BEHAVIORS[codes[i]],
+                profile=None,
+                route=(),
+                depart_s=float(tracks.time_s[first[i]]) if tracks.time_s.size else 0.0,
+                length_m=float(tracks.length[i]),
+                width_m=float(tracks.width[i]),
+                style_label=styles.get(tracks.names[i]) if codes[i] < 0 else None,
+            )
+            for i in range(n)
+        ]
+        return self.write_tracks(meta, tracks, agents, road, exact=True)
+
+    def write_tracks(
+        self,
+        meta: EpisodeMeta,
+        tracks: Tracks,
+        agents: Sequence[AgentSpec],
+        road: Path | Road | None = None,
+        *,
+        exact: bool = False,
+        drawn: Sequence[AgentSpec] | None = None,
+        shown: Sequence[ShownTrait] = (),
+        known: Mapping[str, pa.Array] = MappingProxyType({}),
+    ) -> EpisodeEntry:
+        """Write tracks as one episode.
+
+        Args:
+            meta: what the episode is made from.
+            tracks: what was seen, with its events.
+            agents: the agents that are written, in order of id.
+            road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
+            exact: whether to write float64 as it is; else the numbers are multiples of the schema's
+                quanta, see `sim.store.encode.rounded`.
+            drawn: the agents that determine the episode; None for ``agents``.
+            shown: the traits that were shown.
+            known: columns of the steps beyond those of the tracks; those left out are null.
+
+        Returns:
+            The catalogue's entry of the episode.
+
+        Raises:
+            InputError: if a number is not finite.
+            OSError: if something cannot be written.
+        """
+        names = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
+        kept = {} if road is None else dict([self._keep_road(road)])
+        sha256 = next((file.sha256 for file in kept.values()), None)
+        index = tracks.as_rows().index
+        entry = EpisodeEntry(
+            **meta.model_dump(),
+            id=_identity(meta, drawn or agents, sha256, tracks if exact else None),
+            road=sha256,
+            frames=int(tracks.time_s.size),
+            agents=int((np.diff(index.first) > 0).sum()),
+            agent_steps=int(index.agent.size),
+            exact=exact,
+            drawn=_drawn(agents),
+        )
+        tables = encode(tracks, exact, known, agents_table(agents, names), shown, entry.id)
+        name = ShardName.of(entry)
+        if name not in self._open:
+            for other in list(self._open):
+                if (other.scenario, other.split) == (name.scenario, name.split):
+                    self.files |= self._open.pop(other).close()
+            self._open[name] = ShardWriter(self._place, name, exact, self._configuration)
+        self._open[name].add(entry, tables, kept)
+        self.entries.append(entry)
+        return entry
+
+    def _keep_road(self, road: Path | Road) -> tuple[str, FileEntry]:
+        """Put a road into the dataset, unless it is there already, and say what its file is."""
+        data = encode_road(road) if isinstance(road, Road) else road.read_bytes()
+        sha256 = checksum(data)
+        name = SUFFIX if isinstance(road, Road) else road.name
+        file = f"roads/{sha256}{next((e for e in ENDINGS if name.endswith(e)), ENDINGS[-1])}"
+        if file not in self._roads and self._place.size(file) != len(data):
+            self._place.write(file, data)
+        self._roads.add(file)
+        return file, FileEntry(sha256=sha256, size=len(data))
 
 
 def _identity(
-    meta: EpisodeMeta, agents: bytes, road: str | None, recorded: bytes | None = None
+    meta: EpisodeMeta, agents: Sequence[AgentSpec], road: str | None, recorded: Tracks | None
 ) -> str:
-    made_from = {
-        **meta.model_dump(),
-        "schema_version": EPISODE_VERSION,
-        "agents": checksum(agents),
-        "road": road,
-        "recorded": None if recorded is None else checksum(recorded),
+    """An episode's id: the hash of everything that determines its content."""
+    made_from = {**meta.model_dump(), "version": EPISODE_VERSION, "road": road}
+    content = hashlib.sha256(json.dumps(made_from, sort_keys=True, allow_nan=False).encode())
+    content.update(repr(list(agents)).encode())
+    if recorded is not None:
+        rows = recorded.as_rows()
+        for values in (recorded.time_s, recorded.signals, rows.index.agent, rows.index.step,
+                       rows.xy, rows.heading, rows.speed):  # fmt: skip
+            content.update(np.ascontiguousarray(values).tobytes())
+    return content.hexdigest()[:16]
+
+
+def _drawn(agents: Sequence[AgentSpec]) -> dict[str, int]:
+    """How many agents of each kind and behaviour there are."""
+    words = [str(word) for a in agents for word in (a.kind, a.behavior) if word is not None]
+    return {str(word): words.count(word) for word in (*KINDS, *BEHAVIORS) if word in words}
+
+
+def _checked(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The same frames, whose times must increase and whose rows must not be too many."""
+    count, before = 0, -np.inf
+    for frame in frames:
+        if frame.time_s <= before:
+            raise InputError(f"frame.time_s: found {frame.time_s}, expected later than {before}")
+        count, before = count + len(frame), frame.time_s
+        if count > MAX_STEPS:
+            raise InputError(f"steps: found {count} rows, expected at most {MAX_STEPS}")
+        yield frame
+
+
+def _known(tracks: Tracks, found: Annotations, road: Road) -> dict[str, pa.Array]:
+    """The columns of steps that come from the road."""
+    agent = tracks.ids[tracks.as_rows().index.agent]
+    lane = pa.array(found.lane, pa.int32(), mask=found.lane < 0)
+    lane_ids = pa.array([lane.id for lane in road.lanes], pa.string())
+    return {
+        "lane": pa.DictionaryArray.from_arrays(lane, lane_ids),
+        "lane_s_m": derived(found.lane_s, exact=False),
+        "leader": pa.array(agent[found.leader], mask=found.leader < 0),
+        "gap_m": derived(found.gap, exact=False),
     }
-    return checksum(canonical(made_from))[:16]
 
 
-def write_episode(
-    folder: Path,
-    meta: EpisodeMeta,
-    frames: Iterable[Frame],
-    agents: Sequence[AgentSpec],
-    road: Path | None = None,
-    since_s: float | None = None,
-) -> EpisodeEntry:
-    """Run frames to their end and write them as one episode.
+@contextmanager
+def new_dataset(out: str | Path, configuration: Mapping[str, JsonValue]) -> Iterator[EpisodeWriter]:
+    """Write a dataset that appears as a whole, when the block ends without an error.
 
     Args:
-        folder: the dataset; created if need be. `write_manifest` completes it.
-        meta: what the episode is made from.
-        frames: the episode, in time order; closed here, also on an error.
-        agents: everyone who may appear in a frame.
-        road: the SUMO net that the episode happened on (``scenario.road.source``); with it the
-            events are completed (rules kept and broken, near misses, causes) and the traits that
-            were shown are found.
-        since_s: write only what is later than this, s. Events and traits are found with all frames
-            in sight. None writes everything.
+        out: a new or empty folder, or a URL where nothing is.
+        configuration: what the dataset is made from.
 
-    Returns:
-        The manifest's entry of the episode.
+    Yields:
+        What takes its episodes.
 
     Raises:
-        InputError: if a frame holds an agent that is not among ``agents``, a number that is not
-            finite, or a time that does not increase; or as soon as there are more rows than can be
-            read back.
-        OSError: if something cannot be written; nothing of the episode is left behind.
+        InputError: if there is something already.
+        OSError: if something cannot be written; nothing is left behind.
     """
-    try:
-        steps = collect(frames, since_s)
-    finally:
-        close = getattr(frames, "close", None)
-        if close is not None:
-            close()
-    ordered = sorted(agents, key=lambda a: a.id)
-    present, _ = steps.agents()
-    strangers = present[~np.isin(present, np.array([a.id for a in ordered], dtype=np.int64))]
-    if strangers.size:
-        raise InputError(f"frames: found agent {strangers[0]}, expected one of {len(agents)} given")
-    shown: tuple[ShownTrait, ...] = ()
-    if road is not None and steps.time_s.size > 2:
-        events, shown = _annotated(steps, ordered, road)
-        steps = dataclasses.replace(steps, events=events)
-    if since_s is not None:
-        steps = _later(steps, since_s)
-        present, _ = steps.agents()
-        shown = tuple(trait for trait in shown if trait.begin_s > since_s)
-    return _write(folder, meta, steps, encode_agents(ordered, {}), int(present.size), road, shown)
-
-
-def write_sensed(
-    folder: Path,
-    meta: EpisodeMeta,
-    tracks: Tracks,
-    agents: Sequence[AgentSpec],
-    drawn: Sequence[AgentSpec],
-    road: Path | None = None,
-) -> EpisodeEntry:
-    """Write what a sensor saw of a simulated episode, without events and traits.
-
-    Args:
-        folder: the dataset; created if need be. `write_manifest` completes it.
-        meta: what the episode is made from.
-        tracks: what the sensor recorded, sizes included; its labels are those of ``agents``.
-        agents: the agent behind each track, in the tracks' order; a track has its own id.
-        drawn: everyone who was drawn; with ``meta`` and the road they determine the episode.
-        road: the map that the recording comes with, if any.
-
-    Returns:
-        The manifest's entry of the episode, whose id is that of `episode_id` for ``drawn``.
-
-    Raises:
-        InputError: if a number is not finite.
-        OSError: if something cannot be written; nothing of the episode is left behind.
-    """
-    steps = collect(tracks.frames())
-    named = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
-    seen = zip(agents, named, tracks.length.tolist(), tracks.width.tolist(), strict=True)
-    specs = [dataclasses.replace(a, id=i, length_m=long, width_m=wide) for a, i, long, wide in seen]
-    made_from = encode_agents(sorted(drawn, key=lambda a: a.id), {})
-    content = encode_agents(specs, named)
-    return _write(folder, meta, steps, content, len(specs), road, (), made_from)
-
-
-def _later(steps: Steps, since_s: float) -> Steps:
-    """The part of an episode that is later than a time, s."""
-    first = int(np.searchsorted(steps.time_s, since_s + 1e-9))
-    kept = steps.step >= first
-    columns = ("agent", "x", "y", "heading", "speed")
-    return dataclasses.replace(
-        steps,
-        **{name: getattr(steps, name)[kept] for name in columns},
-        step=(steps.step[kept] - first).astype(np.int32),
-        time_s=steps.time_s[first:],
-        signals=steps.signals[:, first:],
-        events=tuple(event for event in steps.events if event.time_s > since_s + 1e-9),
-    )
-
-
-def _annotated(
-    steps: Steps, agents: Sequence[AgentSpec], road: Path
-) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
-    """Events and shown traits of the rounded steps, which are what a reader gets."""
-    every = np.array([a.id for a in agents], dtype=np.int64)
-    ids, counts = steps.agents()
-    row = np.repeat(np.arange(ids.size), counts)
-    specs = [agents[i] for i in np.searchsorted(every, ids)]
-    rows = TrajectoryRows(
-        row_index=RowIndex.of_rows(row, steps.step.astype(np.int64), ids.size, steps.time_s.size),
-        ids=ids,
-        kind=np.array([a.kind.code for a in specs], dtype=np.int8),
-        length=np.array([a.length_m for a in specs]),
-        width=np.array([a.width_m for a in specs]),
-        time_s=steps.time_s,
-        step_s=float(np.median(np.diff(steps.time_s))),
-        xy=np.stack([steps.x, steps.y], axis=1).astype(np.float64),
-        heading=steps.heading.astype(np.float64),
-        speed=steps.speed.astype(np.float64),
-        signals=steps.signals,
-        events=steps.events,
-    )
-    found = annotate(rows, read_road_file(road))
-    return found.events, found.shown_traits
-
-
-def write_recording(
-    folder: Path,
-    meta: EpisodeMeta,
-    tracks: Tracks,
-    road: Path | Road | None = None,
-    styles: Mapping[str, Style] = MappingProxyType({}),
-) -> EpisodeEntry:
-    """Write tracks that come from elsewhere as one episode, exactly as they are.
-
-    Args:
-        folder: the dataset; created if need be. `write_manifest` completes it.
-        meta: where the recording comes from.
-        tracks: the recording.
-        road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
-        styles: by name, of the drivers of whom the style is known but not the behaviour.
-
-    Returns:
-        The manifest's entry of the episode.
-
-    Raises:
-        InputError: if a number is not finite where it is valid.
-        OSError: if something cannot be written; nothing of the episode is left behind.
-    """
-    steps = from_tracks(tracks)
-    n = tracks.ids.size
-    codes = np.full(n, -1) if tracks.behavior is None else tracks.behavior
-    rows = tracks.as_rows()
-    first_s = tracks.time_s[rows.first_steps()] if tracks.time_s.size else np.zeros(n)
-    agents = [
-        AgentSpec(
-            id=int(tracks.ids[i]),
-            kind=KINDS[tracks.kind[i]],
-            behavior=None if codes[i] < 0 else BEHAVIORS[codes[i]],
-            profile=None,
-            route=(),
-            depart_s=float(first_s[i]),
-            length_m=float(tracks.length[i]),
-            width_m=float(tracks.width[i]),
-            style_label=styles.get(tracks.names[i]) if codes[i] < 0 else None,
-        )
-        for i in range(n)
-    ]
-    names = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
-    seen = int((np.diff(rows.index.first) > 0).sum())
-    return _write(folder, meta, steps, encode_agents(agents, names), seen, road, ())
-
-
-def _write(
-    folder: Path,
-    meta: EpisodeMeta,
-    steps: Steps,
-    agents: bytes,
-    seen: int,
-    road: Path | Road | None,
-    shown: Sequence[ShownTrait],
-    made_from: bytes | None = None,
-) -> EpisodeEntry:
-    """Write an episode; ``made_from``: agents that determine its id, by default its own."""
-    content = encode(steps, agents, shown)
-    road_sha256 = None if road is None else keep_road(folder, road)
-    recorded = content["steps.parquet"] if steps.exact else None
-    identity = _identity(meta, made_from or agents, road_sha256, recorded)
-    with whole_folder(folder / "episodes" / identity) as partial:
-        for name, data in content.items():
-            (partial / name).write_bytes(data)
-        entry = EpisodeEntry(
-            **meta.model_dump(),
-            id=identity,
-            road=road_sha256,
-            frames=int(steps.time_s.size),
-            agents=seen,
-            agent_steps=int(steps.agent.size),
-            files={n: FileEntry(sha256=checksum(d), size=len(d)) for n, d in content.items()},
-        )
-        (partial / ENTRY).write_bytes(canonical(entry.model_dump(include=set(EPISODE_FIELDS))))
-    return entry
+    place = place_of(out)
+    if place.remote and place.files():
+        raise InputError(f"{place.url}: found something there, expected nothing")
+    with temporary_folder("dataset") if place.remote else new_folder(local_path(out)) as folder:
+        made = Place(str(folder))
+        with EpisodeWriter(made, configuration) as writer:
+            yield writer
+        write_catalogue(made, configuration, [catalogue_table(writer.entries)], writer.files)
+        if place.remote:
+            for name in sorted(made.files(), key=lambda name: name == EPISODES):
+                place.put(folder / name, name)

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from behaviors.errors import InputError
+from sim.files import temporary_folder
 from sim.frames import Frame
 from sim.scenario import AgentSpec, Scenario, check_agents
-from sim.store.atomic import temporary_folder
 from sim.sumo.control.acting import Command
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places

@@ -1,4 +1,4 @@
-"""What several tests of the programs do: call a command, look at a folder, make episodes here."""
+"""What several tests of the programs do: call a command, look at a folder, have an object store."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from behaviors.errors import InputError
 from experiments.cli.commands import main
-from experiments.data.processes import make_in_processes
-from sim.store import places
+from sim import files
 
 
 def call(*arguments: object) -> int:
@@ -40,24 +38,6 @@ def write_recording(folder: Path, places: Sequence[tuple[float, float]], frames:
         for k in range(1, frames + 1)
     ]
     (folder / "vehicle_tracks_000.csv").write_text("\n".join([head, *rows]) + "\n")
-
-
-def in_this_process(make, folder, tasks, jobs, shown):
-    """As `make_in_processes`, without the seconds that starting workers takes."""
-    made, failed = [], []
-    for task in tasks:
-        try:
-            made.append(make(folder, task))
-            shown.advance(made[-1].agents, made[-1].agent_steps)
-        except InputError as error:
-            failed.append(f"{task}: {error}")
-    return made, failed
-
-
-def in_this_process_if_alone(make, folder, tasks, jobs, shown):
-    """As `make_in_processes`, which starts a worker for one job, too."""
-    made_by = in_this_process if jobs == 1 else make_in_processes
-    return made_by(make, folder, tasks, jobs, shown)
 
 
 def heed_signals() -> None:
@@ -98,5 +78,5 @@ def object_store(bucket: str) -> Iterator[None]:
 def _forget_clients() -> None:
     """Forget the clients that this process has: they ask the server that was there before."""
     s3fs = importlib.import_module("s3fs")
-    places._filesystem.cache_clear()
+    files._filesystem.cache_clear()
     s3fs.S3FileSystem.clear_instance_cache()

@@ -9,8 +9,8 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.__main__ import main
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.training.adapt import adapt
 from graphrqi.model_files import load_model
 from sim.store.dataset import open_dataset

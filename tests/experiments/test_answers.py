@@ -16,9 +16,9 @@ from behaviors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli import doctor
 from experiments.console.notices import LOGGER
-from experiments.data.configuration import GenerateConfig, read_config
 from experiments.data.exchange import import_recordings
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig, read_config
+from experiments.generate.dataset import generate
 from experiments.scoring.classification import LABELS
 from sim.formats import formats_in, left_out_files
 from sim.store.dataset import open_dataset

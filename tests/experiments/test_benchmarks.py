@@ -59,7 +59,7 @@ def test_a_city_is_measured_and_costs_are_compared() -> None:
 
 
 def test_the_engine_stands_beside_highway_envs_own_road() -> None:
-    (rows,) = loop.stock_rows((8,), frames=3)
+    rows = loop.stock_rows(duration_s=10.0, frames=3)
     value = {(row["engine"], row["metric"]): row["value"] for row in rows}
     own, stock = (value[e, "agent_steps_per_cpu_s"] for e in ("highway", "highway-env's own"))
     assert value["highway", "ratio_to_stock"] == pytest.approx(own / stock)

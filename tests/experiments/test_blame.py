@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from experiments.data.configuration import GenerateConfig
-from experiments.data.episode import Task
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.episode import Task
 from experiments.scoring.blame import judge, verdict_rows
 from scenarios import SCENARIOS
 from sim.engines import get_engine

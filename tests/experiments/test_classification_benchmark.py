@@ -20,9 +20,9 @@ from experiments.benchmarks.classification import (
 )
 from experiments.benchmarks.classified import Recordings, drivers, look
 from experiments.benchmarks.scores import difference_rows, score_rows
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
 from experiments.data.windows import places_of
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from graphrqi.methods import METHODS
 from graphrqi.posterior import Posterior
 from graphrqi.samples import Samples

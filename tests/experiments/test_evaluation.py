@@ -15,9 +15,9 @@ import pytest
 from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
 from behaviors.labels import BEHAVIORS, Behavior
-from experiments.data.configuration import GenerateConfig
 from experiments.data.exchange import import_recordings
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.scoring.classification import LABELS, Answered
 from experiments.scoring.evaluation import BENCH, evaluation_rows
 from sim.store.dataset import open_dataset

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors import InputError
-from experiments.data.configuration import GenerateConfig
 from experiments.data.exchange import as_dataset, export_dataset, import_recordings
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from sim.formats import FORMATS
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import content

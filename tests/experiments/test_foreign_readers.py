@@ -26,10 +26,9 @@ import pyarrow.dataset
 import pytest
 
 from behaviors.errors import InputError
-from experiments.data.configuration import GenerateConfig
 from experiments.data.exchange import export_dataset
-from experiments.data.generate import generate
-from experiments.data.verify import find_flaws
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import object_store
 
@@ -194,46 +193,6 @@ def test_the_hub_library_loads_a_folder(data: Path, tmp_path: Path) -> None:
     for table in ("agents", "frames", "signals", "events", "traits"):
         counts = {s: dataset.scan(table, split=s).count_rows() for s in steps}
         assert found.get(table, {}) == {split: n for split, n in counts.items() if n}
-
-
-def test_mlcroissant_validates_and_reads_the_description(data: Path) -> None:
-    # Its own code uses what pandas is going to remove.
-    warnings.simplefilter("ignore")
-    import mlcroissant
-
-    described = mlcroissant.Dataset(jsonld=str(data / "croissant.json"))
-    issues = described.metadata.ctx.issues
-    assert (set(issues.errors), set(issues.warnings)) == (set(), set())
-    dataset = open_dataset(data)
-    episodes = {row["episodes/id"].decode() for row in described.records("episodes")}
-    assert episodes == {entry.id for entry in dataset.episodes()}
-    drawn = Counter(
-        (row["agents/scenario"].decode(), row["agents/split"].decode())
-        for row in described.records("agents")
-    )
-    for (scenario, split), count in drawn.items():
-        assert dataset.scan("agents", split=split, scenario=scenario).count_rows() == count
-    assert sum(drawn.values()) == dataset.scan("agents").count_rows()
-
-
-def test_descriptions_of_equal_datasets_are_equal_and_edited_ones_stay(tmp_path, caplog) -> None:
-    def made(folder: Path, episodes: int) -> Path:
-        config = GenerateConfig(
-            scenarios=("straight_road",), episodes=episodes, seed=8, duration_s=6.0
-        )
-        generate(config, folder, jobs=1, quiet=True)
-        return folder
-
-    one, two = made(tmp_path / "a", 3), made(tmp_path / "elsewhere" / "b", 3)
-    for name in ("croissant.json", "README.md"):
-        assert (one / name).read_bytes() == (two / name).read_bytes()
-    mine = (one / "croissant.json").read_text().replace('"unknown"', '"CC-BY-4.0"')
-    (one / "croissant.json").write_text(mine)
-    made(one, 4)
-    assert (one / "croissant.json").read_text() == mine
-    assert "croissant.json: kept, since it was edited" in caplog.text
-    assert (one / "README.md").read_bytes() != (two / "README.md").read_bytes()
-    assert find_flaws(open_dataset(one)) == []
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "data.md"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import random
 import shutil
 import signal
 import subprocess
@@ -11,25 +12,24 @@ import sys
 import time
 from pathlib import Path
 
-import cloudpickle
+import psutil
 import pytest
 
-import experiments.data.generate
-import experiments.data.processes
 from behaviors import InputError
 from behaviors.populations import read_population
 from experiments.cli.commands import main
-from experiments.data.configuration import GenerateConfig, read_config
-from experiments.data.episode import Task, make_episode
-from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
+from experiments.generate.configuration import GenerateConfig, read_config
+from experiments.generate.dataset import generate
+from experiments.generate.episode import Task
+from experiments.generate.lock import sole_writer
+from experiments.generate.workers import in_workers
 from scenarios import SCENARIOS
+from sim.files import place_of
 from sim.scenario import Scenario, sample_agents
 from sim.store.dataset import open_dataset
-from sim.store.entries import write_catalogue
-from sim.store.lock import sole_writer
-from sim.store.places import place_of
-from sim.store.schema import CATALOGUE, EpisodeEntry
+from sim.store.schema import EpisodeEntry
+from sim.store.writing import EpisodeWriter
 from tests.experiments.shared import content, heed_signals
 
 CONFIG = GenerateConfig(
@@ -74,11 +74,15 @@ def test_only_what_is_missing_is_made_again(made: Path, tmp_path: Path) -> None:
     lost.write_bytes(b"altered")
     (folder / "episodes.parquet").unlink()
     (folder / ".partial-left-behind").mkdir()
-    (folder / "episodes").mkdir()
-    (folder / "episodes" / ".partial-left-behind").mkdir()
     generate(CONFIG, folder, jobs=1, quiet=True)
     assert content(folder) == content(made)
     assert kept.stat().st_ino == before
+    shards(folder, "agents")[0].unlink()  # also where the catalogue is there
+    generate(CONFIG, folder, jobs=1, quiet=True)
+    assert content(folder) == content(made)
+    before = (folder / "episodes.parquet").stat().st_mtime_ns
+    generate(CONFIG, folder, jobs=1, quiet=True)
+    assert (folder / "episodes.parquet").stat().st_mtime_ns == before
 
 
 def test_a_dataset_grows_but_is_never_mixed(made: Path, tmp_path: Path) -> None:
@@ -99,10 +103,21 @@ def test_a_dataset_grows_but_is_never_mixed(made: Path, tmp_path: Path) -> None:
     (folder / "episodes.parquet").unlink()
     with pytest.raises(InputError, match="unfinished episodes of another configuration"):
         generate(more.model_copy(update={"duration_s": 13.0}), folder, quiet=True)
-    (tmp_path / "else").mkdir()
-    (tmp_path / "else" / "thesis.tex").touch()
-    with pytest.raises(InputError, match=r"found thesis\.tex"):
-        generate(CONFIG, tmp_path / "else", quiet=True)
+    for name in ("thesis.tex", "README.md"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).write_text("a year's work")
+        with pytest.raises(InputError, match=f"found {name}"):
+            generate(CONFIG, tmp_path / name, quiet=True)
+
+
+def test_a_map_that_was_changed_is_another_configuration(tmp_path: Path) -> None:
+    net = tmp_path / "own.net.xml"
+    shutil.copy(SCENARIOS["straight_road"]().road.source, net)
+    config = GenerateConfig(scenarios=(str(net),), episodes=1, duration_s=2.0)
+    generate(config, tmp_path / "data", jobs=1, quiet=True)
+    net.write_text(net.read_text().replace("13.89", "10.00"))
+    with pytest.raises(InputError, match="was made with own_roads"):
+        generate(config, tmp_path / "data", jobs=1, quiet=True)
 
 
 def test_seeds_differ_and_depend_on_nothing_else() -> None:
@@ -117,9 +132,9 @@ def test_seeds_differ_and_depend_on_nothing_else() -> None:
 
 _HOLDER = """
 import sys, time
-from pathlib import Path
-from sim.store.lock import sole_writer
-with sole_writer(Path(sys.argv[1])):
+from experiments.generate.lock import sole_writer
+from sim.files import place_of
+with sole_writer(place_of(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -131,33 +146,33 @@ def test_a_second_run_is_refused_while_the_first_lives(tmp_path: Path) -> None:
         assert holder.stdout is not None
         try:
             assert holder.stdout.readline() == "held\n"
-            with pytest.raises(InputError, match=r"another run is writing to it \(process \d+ on "):
+            with pytest.raises(InputError, match="another run is writing to it"):
                 generate(CONFIG, tmp_path, quiet=True)
         finally:
             holder.kill()
-    with sole_writer(tmp_path):  # the dead holder's lock is gone with it
+    with sole_writer(place_of(tmp_path)):  # the dead holder's lock is gone with it
         assert (tmp_path / ".lock").exists()
     assert not (tmp_path / ".lock").exists()
 
 
-def _command(folder: Path, episodes: int, duration_s: float = 30, flow: str = "light") -> list[str]:
+EPISODES = 24
+GIVEN = {"scenarios": ["straight_road"], "duration_s": 30.0, "flow": "light", "seed": 3}
+
+
+def _command(folder: Path, episodes: int = EPISODES, *more: str) -> list[str]:
     return [
         *(sys.executable, "-m", "experiments.cli", "generate", "--out", str(folder)),
         *("--scenario", "straight_road", "--episodes", str(episodes), "--jobs", "2"),
-        *("--duration-s", str(duration_s), "--flow", flow, "--seed", "3"),
+        *("--duration-s", "30", "--flow", "light", "--seed", "3", *more),
     ]
 
 
-def _workers(parent: int) -> list[int]:
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = status.read_text().rsplit(")", 1)[1].split()
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        if int(fields[1]) == parent:
-            found.append(int(status.parent.name))
-    return found
+def _workers(parent: int) -> list[psutil.Process]:
+    try:
+        found = psutil.Process(parent).children()
+        return [one for one in found if "resource_tracker" not in " ".join(one.cmdline())]
+    except psutil.NoSuchProcess:
+        return []
 
 
 def _until(condition: object, seconds: float = 60.0) -> None:
@@ -168,43 +183,70 @@ def _until(condition: object, seconds: float = 60.0) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for child processes in /proc")
-def test_stopped_and_killed_runs_go_on_to_the_same_bytes(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("undisturbed") / "data"
+    generate(read_config(None, episodes=EPISODES, **GIVEN), folder, jobs=1, quiet=True)
+    return content(folder)
+
+
+def test_stopped_and_killed_runs_go_on_to_the_same_bytes(
+    undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
     folder = tmp_path / "data"
-    episodes = 24  # they last for seconds, so the signals come while some are left
-
-    def some_done() -> bool:
-        return any((folder / "episodes").glob("*/episode.json"))
-
     run = subprocess.Popen(
-        _command(folder, episodes), stderr=subprocess.PIPE, text=True, preexec_fn=heed_signals
+        _command(folder), stderr=subprocess.PIPE, text=True, preexec_fn=heed_signals
     )
-    _until(some_done)
+    _until(lambda: shards(folder, "agents"))
     run.send_signal(signal.SIGINT)
     _, said = run.communicate(timeout=60)
     assert run.returncode == 130
     assert "run the same command again to go on" in said
     assert "Traceback" not in said
-    assert not list((folder / "episodes").glob(".partial*"))
+    assert not list(folder.glob(".partial*"))
 
-    run = subprocess.Popen(_command(folder, episodes), stderr=subprocess.DEVNULL)
+    run = subprocess.Popen(_command(folder), stderr=subprocess.DEVNULL)
     _until(lambda: len(_workers(run.pid)) >= 2)
     orphans = _workers(run.pid)
     run.kill()
     run.wait()
-    _until(lambda: not any(Path(f"/proc/{pid}/cmdline").exists() for pid in orphans), 10.0)
+    _until(lambda: not any(orphan.is_running() for orphan in orphans), 10.0)
 
-    run = subprocess.Popen(_command(folder, episodes), stderr=subprocess.DEVNULL)
+    run = subprocess.Popen(_command(folder), stderr=subprocess.DEVNULL)
     _until(lambda: len(_workers(run.pid)) >= 2)
     time.sleep(1.0)
-    for pid in _workers(run.pid)[-1:]:
-        os.kill(pid, signal.SIGKILL)
+    for worker in _workers(run.pid)[-1:]:
+        worker.kill()
     assert run.wait(timeout=120) == 0
+    assert content(folder) == undisturbed
 
-    given = {"scenarios": ["straight_road"], "duration_s": 30.0, "flow": "light", "seed": 3}
-    config = read_config(None, episodes=episodes, **given)
-    generate(config, tmp_path / "undisturbed", jobs=1, quiet=True)
-    assert content(folder) == content(tmp_path / "undisturbed")
+
+@pytest.mark.slow
+def test_twenty_kills_change_nothing(undisturbed: dict[str, bytes], tmp_path: Path) -> None:
+    """Runs and workers are killed at random moments until the dataset is there."""
+    rng = random.Random(1)
+    kills = number = 0
+    while kills < KILLS:
+        folder = tmp_path / str(number)
+        run = subprocess.Popen(_command(folder, EPISODES, "--quiet"), stderr=subprocess.PIPE)
+        try:
+            run.wait(rng.uniform(1.0, 6.0))
+        except subprocess.TimeoutExpired:
+            workers = _workers(run.pid)
+            victim = rng.choice(workers) if workers and rng.random() < 0.5 else run
+            victim.kill()
+            kills += 1
+            run.wait(120 if victim is not run else 10)
+        if run.returncode == 0:
+            assert content(folder) == undisturbed
+            number += 1
+        else:
+            assert run.returncode == -signal.SIGKILL, run.stderr.read()
+    generate(read_config(None, episodes=EPISODES, **GIVEN), tmp_path / str(number), 1, quiet=True)
+    assert content(tmp_path / str(number)) == undisturbed
+
+
+KILLS = 20
 
 
 def test_a_read_only_folder_is_one_clear_error(tmp_path: Path) -> None:
@@ -217,135 +259,81 @@ def test_a_read_only_folder_is_one_clear_error(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_one_clear_error_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     folder = tmp_path / "data"
-    command = [*_command(folder, 1, 200, "dense"), "--quiet"]
+    command = [*_command(folder, 1), "--quiet", "--duration-s", "300", "--flow", "dense"]
     limited = ["bash", "-c", 'ulimit -f 200; exec "$@"', "-", *command]  # KiB per file
     run = subprocess.run(limited, capture_output=True, text=True, check=False)
     assert run.returncode == 2, run.stderr
-    assert run.stderr.startswith(f"graphrqi: error: {folder}")
+    assert run.stderr.startswith("graphrqi: error: ")
     assert run.stderr.endswith("File too large\n")
     assert run.stderr.count("\n") == 1
     assert {p.suffix for p in folder.rglob("*") if p.is_file()} <= {".xml"}
 
 
-def _deadly(folder: Path, task: Task) -> EpisodeEntry:
-    if task.index == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return make_episode(folder, task)
-
-
-def _failing(folder: Path, task: Task) -> EpisodeEntry:
-    if task.index == 1:
-        raise InputError("engine: fell over")
-    return make_episode(folder, task)
-
-
-@pytest.mark.parametrize(
-    ("stand_in", "reason"),
-    [(_deadly, "killed its worker 3 times"), (_failing, "engine: fell over")],
-    ids=["kills its worker", "fails"],
-)
 def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand_in: object, reason: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    monkeypatch.setattr(experiments.data.generate, "make_episode", stand_in)
+    write = Task.write
+
+    def failing(task: Task, out: EpisodeWriter) -> EpisodeEntry:
+        if task.index in failed:
+            raise InputError("engine: fell over")
+        return write(task, out)
+
+    monkeypatch.setattr(Task, "write", failing)
     config = CONFIG.model_copy(update={"scenarios": ("straight_road",), "episodes": 4})
     seed = Task(config, "straight_road", 1).seed
-    with pytest.raises(InputError, match=rf"1 of 4 .* episode 1 \(seed {seed}\): {reason}"):
-        generate(config, tmp_path, jobs=2, quiet=True)
-    cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+    failed = {0, 1, 2, 3}
+    with pytest.raises(InputError, match=r"4 of 4 episodes could not be made: .* fell over"):
+        generate(config, tmp_path / "data", jobs=1, quiet=True)
+    assert list(tmp_path.iterdir()) == []
+    failed = {1}
+    with pytest.raises(InputError, match=rf"1 of 4 .* episode 1 \(seed {seed}\): engine: fell"):
+        generate(config, tmp_path, jobs=1, quiet=True)
     assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 2, 3]
-    monkeypatch.undo()
+    failed = set()
     generate(config, tmp_path, jobs=1, quiet=True)
     assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 1, 2, 3]
 
 
-def _kept_in_vain(folder: Path, task: Task) -> EpisodeEntry:
-    make_episode(folder, task)
-    shutil.rmtree(folder / "episodes")
-    raise InputError("engine: fell over")
+def test_a_task_that_kills_its_workers_takes_no_other_with_it() -> None:
+    found = dict(in_workers(_deadly, range(6), jobs=2))
+    assert found == {0: 0, 1: 1, 2: None, 3: 9, 4: 16, 5: 25}
 
 
-def test_where_no_episode_can_be_made_nothing_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(experiments.data.generate, "make_episode", _kept_in_vain)
-    with pytest.raises(InputError, match=r"2 of 2 episodes could not be made: .* fell over"):
-        generate(CONFIG, tmp_path / "data", jobs=1, quiet=True)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_episode_given_to_workers_of_whom_one_has_died_is_tried_again(tmp_path: Path) -> None:
-    def die(folder: Path, task: str) -> EpisodeEntry:
+def _deadly(number: int) -> int:
+    if number == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-        raise AssertionError
-
-    pool = experiments.data.processes.RestartingPool(1)
-    try:
-        died = pool.submit(die, tmp_path, "first").exception(60.0)
-        later = pool.submit(die, tmp_path, "second")
-        assert later.done()
-        assert isinstance(later.exception(), type(died))
-    finally:
-        pool.stop()
-
-
-def test_no_more_workers_than_episodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-
-    class Pool(experiments.data.processes.RestartingPool):
-        def __init__(self, jobs: int) -> None:
-            asked.append(jobs)
-            super().__init__(jobs)
-
-    monkeypatch.setattr(experiments.data.processes, "RestartingPool", Pool)
-    config = CONFIG.model_copy(update={"scenarios": ("straight_road",), "duration_s": 2.0})
-    generate(config, tmp_path / "data", jobs=24, quiet=True)
-    assert asked == [1]
+    return number * number
 
 
 # --- verify -------------------------------------------------------------------------------------
 
 
-def test_verify_finds_and_repairs(made: Path, tmp_path: Path) -> None:
+def test_verify_finds_what_is_wrong_and_generate_mends_it(made: Path, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     shutil.copytree(made, folder)
     assert verify_dataset(folder) == []
     first, second = shards(folder, "steps")
     (road, _) = sorted((folder / "roads").iterdir())
-    first.write_bytes(first.read_bytes()[:-1])
+    content_of = bytearray(first.read_bytes())
+    content_of[100] ^= 1
+    first.write_bytes(content_of)
     shards(folder, "events")[1].unlink()
-    (first.parent / "extra").touch()
-    (folder / "episodes" / "stranger").mkdir(parents=True)
-    (folder / "episodes" / "stranger" / "file").touch()
     (folder / "notes.txt").touch()
+    good = road.read_bytes()
     road.write_text("<net/>")
     flaws = {str(f.path): f.state for f in verify_dataset(folder)}
-    home = first.parent.relative_to(folder)
     assert flaws == {
-        f"{home}/{first.name}": "altered",
-        f"{home}/extra": "foreign",
+        str(first.relative_to(folder)): "altered",
         f"events/{second.relative_to(folder / 'steps')}": "missing",
-        "episodes/stranger/file": "foreign",
         "notes.txt": "foreign",
         f"roads/{road.name}": "altered",
     }
-    left = verify_dataset(folder, mend=True, jobs=1, quiet=True)
-    assert [str(f.path) for f in left] == ["notes.txt"]
     (folder / "notes.txt").unlink()
+    first.unlink()
+    road.write_bytes(good)
+    generate(CONFIG, folder, jobs=1, quiet=True)
     assert content(folder) == content(made)
-
-
-def test_what_was_made_with_other_versions_is_not_repaired(made: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "data"
-    shutil.copytree(made, folder)
-    dataset = open_dataset(folder)
-    made_with = {**dataset.header.configuration["made_with"], "libsumo": "0.1"}  # type: ignore[dict-item]
-    configuration = {**dataset.header.configuration, "made_with": made_with}
-    header = dataset.header.model_copy(update={"configuration": configuration})
-    write_catalogue(place_of(folder), header, [dataset.catalogue.cast(CATALOGUE)])
-    with pytest.raises(InputError, match=r"was made with .*'libsumo': '0.1'.*install those"):
-        verify_dataset(folder, mend=True, quiet=True)
 
 
 # --- configuration ------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from experiments.report.source import read_source
 from experiments.rows import read_rows
 from graphrqi.model_files import MODELS, load_model
 from graphrqi.predict.networks.perceptron import load_perceptron, weights_file
-from sim.store.catalogue import finished_episode
 
 ROW = {
     "bench": "prediction", "scenario": "s", "predictor": "p", "behavior": "all", "horizon_s": 5.0,
@@ -124,10 +123,6 @@ def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
             read_source(path)
     with pytest.raises(InputError, match="found no file"):
         read_run(rows)
-    episode = tmp_path / "episodes" / "ab"
-    episode.mkdir(parents=True)
-    os.mkfifo(episode / "episode.json")
-    assert finished_episode(tmp_path, "ab") is None
 
 
 @pytest.mark.parametrize("broken", ["spread", "weights", "about"])

@@ -6,8 +6,8 @@ import pytest
 
 from behaviors.errors import InputError
 from experiments.cli.input_keeping import refuse_to_overwrite
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from tests.experiments.shared import call, content, write_recording
 
 

@@ -37,8 +37,7 @@ from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
-from sim.store.sealing import write_manifest
-from sim.store.writing import write_episode, write_recording
+from sim.store.writing import new_dataset
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 
@@ -257,17 +256,16 @@ def test_metrics_tree_and_table():
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("prediction") / "data"
-    entries = []
-    for index, split in enumerate(("train", "validation", "test")):
-        scenario = SCENARIOS["straight_road"](duration_s=30.0, flow=1500)
-        agents = sample_agents(scenario, index)
-        meta = EpisodeMeta(
-            scenario=scenario.name, options={}, engine="sumo", seed=index, index=index,
-            split=split,
-        )  # fmt: skip
-        frames = get_engine("sumo")(scenario, agents, index)
-        entries.append(write_episode(folder, meta, frames, agents, scenario.road.source))
-    write_manifest(folder, {}, entries)
+    with new_dataset(folder, {}) as out:
+        for index, split in enumerate(("train", "validation", "test")):
+            scenario = SCENARIOS["straight_road"](duration_s=30.0, flow=1500)
+            agents = sample_agents(scenario, index)
+            meta = EpisodeMeta(
+                scenario=scenario.name, options={}, engine="sumo", seed=index, index=index,
+                split=split,
+            )  # fmt: skip
+            frames = get_engine("sumo")(scenario, agents, index)
+            out.write_episode(meta, frames, agents, scenario.road.source)
     return folder
 
 
@@ -293,7 +291,8 @@ def test_samples_hold_scenes_and_their_futures(dataset):
 
 
 def test_calibration_without_training_episodes_is_refused(tmp_path):
-    write_manifest(tmp_path / "empty", {}, [])
+    with new_dataset(tmp_path / "empty", {}):
+        pass
     with pytest.raises(InputError, match="no training scene"):
         calibrate_drivers(tmp_path / "empty", tmp_path / "out.json", quiet=True)
 
@@ -324,18 +323,13 @@ def test_predictions_file_holds_every_future_of_every_agent(dataset, tmp_path):
 
 def recordings(folder, *seconds):
     """A dataset of recordings without a map, of these lengths."""
-    entries = [
-        write_recording(
-            folder,
-            EpisodeMeta(
+    with new_dataset(folder, {}) as out:
+        for index, length in enumerate(seconds):
+            meta = EpisodeMeta(
                 scenario="here", engine="here", index=index, split="test",
                 options={"recording": f"drive{index}"},
-            ),
-            steady([5.0, 8.0], seconds=length),
-        )
-        for index, length in enumerate(seconds)
-    ]  # fmt: skip
-    write_manifest(folder, {}, entries)
+            )  # fmt: skip
+            out.write_recording(meta, steady([5.0, 8.0], seconds=length))
     return folder
 
 

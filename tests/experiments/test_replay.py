@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-import shutil
 
 import numpy as np
 import pyarrow as pa
@@ -43,8 +42,7 @@ from graphrqi.spectrum import SOLVERS
 from sim.frames import Event, EventKind, Tracks
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
-from sim.store.sealing import write_manifest
-from sim.store.writing import write_recording
+from sim.store.writing import new_dataset
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +55,13 @@ def dataset(scene, tmp_path_factory):
     """The scene's tracks as a recording with and one without a road."""
     out = tmp_path_factory.mktemp("replay") / "data"
     named = dataclasses.replace(scene.tracks, names=tuple(f"v{i}" for i in scene.tracks.ids))
-    entries = [
-        write_recording(
-            out, EpisodeMeta(scenario=name, engine=engine, options={"recording": name}), named, road
-        )
+    with new_dataset(out, {}) as writer:
         for name, engine, road in (
             ("mapped", "argo", scene.road.source),
             ("pixels", "traf", None),
-        )
-    ]
-    write_manifest(out, {}, entries)
+        ):
+            meta = EpisodeMeta(scenario=name, engine=engine, options={"recording": name})
+            writer.write_recording(meta, named, road)
     return out
 
 
@@ -213,15 +208,15 @@ def test_an_episode_is_found_by_its_beginning_or_refused(dataset):
 
 
 def test_an_episode_whose_name_several_have_is_refused_by_ids(dataset, tmp_path):
-    opened = open_dataset(dataset)
-    first, second = opened.manifest.episodes
-    twins = [
-        entry.model_copy(update={"options": {"recording": name}})
-        for entry, name in ((first, "north/tracks"), (second, "south/tracks"))
-    ]
+    tracks = next(iter(open_dataset(dataset))).tracks
     folder = tmp_path / "data"
-    shutil.copytree(dataset, folder)
-    write_manifest(folder, {}, twins)
+    with new_dataset(folder, {}) as out:
+        first, second = (
+            out.write_recording(
+                EpisodeMeta(scenario="a", engine="argo", options={"recording": name}), tracks
+            )
+            for name in ("north/tracks", "south/tracks")
+        )
     opened = open_dataset(folder)
     with pytest.raises(InputError, match=f"found 2 episodes .*{first.id}.*{second.id}"):
         chosen_entry(opened, "tracks")

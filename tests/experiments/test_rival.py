@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.rival import NAMES, PlainRival, nine_numbers, whole_tracks
 from scenarios import SCENARIOS
 from sim.frames import Tracks

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from experiments.data.exchange import import_recordings
-from sim.store.lock import LOCK, new_folder
-from tests.experiments.shared import heed_signals
+from tests.experiments.shared import content, heed_signals
 
 FCD = '<timestep time="{t}"><vehicle id="a" x="{t}" y="0" angle="90" speed="1"/></timestep>'
 
@@ -19,11 +18,10 @@ STOPPED_INSIDE = """
 import sys, time
 from pathlib import Path
 from experiments.console.exit_codes import exit_on_user_error
-from sim.store.atomic import whole_file, whole_folder
-from sim.store.lock import new_folder
+from sim.files import new_folder, whole_file, whole_folder
 
 folder = Path(sys.argv[1])
-with exit_on_user_error(), new_folder(folder), whole_file(folder / "file") as file:
+with exit_on_user_error(), new_folder(folder) as folder, whole_file(folder / "file") as file:
     with whole_folder(folder / "part") as part:
         file.write_text("half")
         (part / "x").write_text("half")
@@ -69,24 +67,10 @@ def test_what_ignores_a_hangup_goes_on_ignoring_it(tmp_path: Path) -> None:
 def test_an_import_that_was_killed_can_be_run_again(tmp_path: Path) -> None:
     source = tmp_path / "a.xml"
     source.write_text(f"<fcd-export>{''.join(FCD.format(t=t) for t in range(5))}</fcd-export>")
-    whole = tmp_path / "whole"
-    import_recordings(source, whole, quiet=True)
     killed = tmp_path / "killed"
-    script = STOPPED_INSIDE.replace('"part"', '"episodes"').replace("exit_on_user_error(), ", "")
-    assert stopped(signal.SIGKILL, killed, script)[0] == -signal.SIGKILL
-    assert (killed / LOCK).exists()
-    assert any(child.name.startswith(".partial-") for child in killed.iterdir())
-    import_recordings(source, killed, quiet=True)
-    files = {path.relative_to(whole) for path in whole.rglob("*") if path.is_file()}
-    assert files == {path.relative_to(killed) for path in killed.rglob("*") if path.is_file()}
-    assert all((whole / file).read_bytes() == (killed / file).read_bytes() for file in files)
-
-
-def test_files_of_others_are_not_removed(tmp_path: Path) -> None:
-    folder = tmp_path / "killed"
     script = STOPPED_INSIDE.replace("exit_on_user_error(), ", "")
-    stopped(signal.SIGKILL, folder, script)
-    (folder / "mine.txt").write_text("kept")
-    with pytest.raises(ValueError, match="found something there"), new_folder(folder):
-        pass
-    assert (folder / "mine.txt").read_text() == "kept"
+    assert stopped(signal.SIGKILL, killed, script)[0] == -signal.SIGKILL
+    assert not killed.exists()
+    for folder in (killed, tmp_path / "whole"):
+        import_recordings(source, folder, quiet=True)
+    assert content(killed) == content(tmp_path / "whole")

@@ -17,8 +17,7 @@ from sim.frames import Frame, Tracks
 from sim.scenario import sample_agents
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
-from sim.store.sealing import write_manifest
-from sim.store.writing import write_recording
+from sim.store.writing import new_dataset
 
 
 def futures(agents=2, modes=3, steps=STEPS) -> Prediction:
@@ -96,8 +95,8 @@ def test_only_ten_hertz_can_be_submitted(tmp_path):
         for t in np.arange(0.0, 11.0, 0.2)
     ]  # fmt: skip
     meta = EpisodeMeta(scenario="here", engine="argoverse2")
-    entry = write_recording(tmp_path / "data", meta, Tracks.from_frames(frames))
-    write_manifest(tmp_path / "data", {}, [entry])
+    with new_dataset(tmp_path / "data", {}) as out:
+        out.write_recording(meta, Tracks.from_frames(frames))
     with pytest.raises(InputError, match=r"step of 0\.2 s, expected 0\.1 s"):
         submit_dataset(tmp_path / "data", "constant-velocity", "graphrqi-plus", tmp_path / "no")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.data.configuration import GenerateConfig
-from experiments.data.generate import generate
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.training.classifier import train_on
 from graphrqi.samples import NoSamplesError
 from graphrqi.stream import load_stream

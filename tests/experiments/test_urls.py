@@ -14,20 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import experiments.data.generate
 from behaviors import InputError
-from experiments.data.array_job.parts import generate_part, merge
-from experiments.data.configuration import GenerateConfig
 from experiments.data.exchange import as_dataset, export_dataset, import_recordings
-from experiments.data.generate import generate
-from experiments.data.shards.plan import Part
-from experiments.data.shards.staging import staging_folder
 from experiments.data.verify import verify_dataset
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.scoring.classification import classify_dataset
 from experiments.training.classifier import train_on
+from sim.files import Place, errors_named, place_of, url_of
 from sim.store.dataset import open_dataset
-from sim.store.places import Place, file_checksum, place_of, url_of
-from tests.experiments.shared import in_this_process, object_store
+from tests.experiments.shared import object_store
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=5, duration_s=12.0)
 
@@ -36,7 +32,6 @@ CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=5, durati
 def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patched, object_store("datasets"):
         patched.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patched.setattr(experiments.data.generate, "make_in_processes", in_this_process)
         yield "s3://datasets"
 
 
@@ -45,6 +40,10 @@ def made(bucket: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made") / "data"
     generate(CONFIG, folder, jobs=1, quiet=True)
     return folder
+
+
+def remove(place: Place, name: str) -> None:
+    place.filesystem.rm_file(place.full(name))
 
 
 def content(place: Place) -> dict[str, bytes]:
@@ -60,15 +59,14 @@ def stored(bucket: str, made: Path) -> Path:
 
 def test_the_same_bytes_as_in_a_folder(stored: Path, made: Path) -> None:
     assert content(place_of(stored)) == content(place_of(made))
-    assert not staging_folder(stored).exists()
 
 
 def test_what_is_missing_is_made_again(bucket: str, made: Path) -> None:
     out = Path(f"{bucket}/again")
     generate(CONFIG.model_copy(update={"episodes": 1}), out, jobs=1, quiet=True)
     place = place_of(out)
-    place.remove("episodes.parquet")
-    place.write(next(place.files("steps")), b"altered")
+    remove(place, "episodes.parquet")
+    place.write(next(iter(place.files("steps"))), b"altered")
     generate(CONFIG, out, jobs=1, quiet=True)
     assert content(place) == content(place_of(made))
     with pytest.raises(InputError, match=r"s3://datasets/again: was made with seed 5, now 6"):
@@ -95,8 +93,7 @@ CALLS: dict[str, Callable[[Place, Path], object]] = {
     "files": lambda place, _: list(place.files()),
     "write": lambda place, _: place.write("two", b"2"),
     "put": lambda place, file: place.put(file, "three"),
-    "remove": lambda place, _: place.remove("one"),
-    "checksum": lambda place, _: file_checksum(place, "one"),
+    "checksum": lambda place, _: place.checksum("one"),
 }
 
 
@@ -161,13 +158,13 @@ def test_datasets_are_trained_on_classified_and_exported(stored: Path, tmp_path:
     out = stored.parent / "imported"
     import_recordings(stored.parent / "fcd", out, "sumo-fcd", quiet=True)
     assert len(open_dataset(out).episodes()) == 3
-    again = import_recordings(stored.parent / "fcd", out, "sumo-fcd", quiet=True)
-    assert again == open_dataset(out).manifest  # it is there already
-    with pytest.raises(InputError, match="expected a new or empty folder"):
-        import_recordings(stored.parent / "fcd", out, "sumo-fcd", split="test", quiet=True)
+    with pytest.raises(InputError, match="expected nothing"):
+        import_recordings(stored.parent / "fcd", out, "sumo-fcd", quiet=True)
 
 
-def test_verify_finds_and_repairs(bucket: str, stored: Path, made: Path) -> None:
+def test_verify_finds_what_is_wrong_and_generate_mends_it(
+    bucket: str, stored: Path, made: Path
+) -> None:
     out = Path(f"{bucket}/verified")
     for name, data in content(place_of(made)).items():
         place_of(out).write(name, data)
@@ -175,48 +172,51 @@ def test_verify_finds_and_repairs(bucket: str, stored: Path, made: Path) -> None
     assert verify_dataset(out) == []
     first, *_ = place.files("steps")
     place.write(first, place.read(first)[:-1])
-    other = next(place.files("agents"))
-    place.remove(other)
+    other = next(iter(place.files("agents")))
+    remove(place, other)
     place.write("notes.txt", b"mine")
     assert {(str(f.path), f.state) for f in verify_dataset(out)} == {
         (first, "altered"), (other, "missing"), ("notes.txt", "foreign"),
     }  # fmt: skip
-    left = verify_dataset(out, mend=True, jobs=1, quiet=True)
-    assert [str(f.path) for f in left] == ["notes.txt"]
-    place.remove("notes.txt")
+    remove(place, "notes.txt")
+    generate(CONFIG, out, jobs=1, quiet=True)
     assert content(place) == content(place_of(made))
 
 
-def test_parts_meet_in_a_bucket(bucket: str, made: Path) -> None:
-    out = Path(f"{bucket}/parts")
-    for number in (3, 1):
-        generate_part(CONFIG, out, Part(number, 3), jobs=1, quiet=True)
-    assert {name.partition("/")[0] for name in place_of(out).files()} == {
-        "episodes", "plan.json", "roads",
-    }  # fmt: skip
-    with pytest.raises(InputError, match=r"1 of 3 episodes missing.* run part 2/3 again"):
-        merge(out, quiet=True)
-    for number in (2, 2):
-        generate_part(CONFIG, out, Part(number, 3), jobs=1, quiet=True)
-    merge(out, quiet=True)
+KILLED = """
+import os, sys
+from pathlib import Path
+from experiments.generate import dataset
+from experiments.generate.configuration import GenerateConfig
+from sim.files import Place
+
+put, number = Place.put, iter(range(1000))
+def killed(place, file, name):
+    if next(number) == int(sys.argv[2]):
+        os._exit(9)
+    put(place, file, name)
+Place.put = killed
+config = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=5, duration_s=12.0)
+dataset.generate(config, Path(sys.argv[1]), jobs=1, quiet=True)
+"""
+
+
+@pytest.mark.parametrize("number", [3, 5, 14, 19])
+def test_a_run_that_was_killed_goes_on_to_the_same_bytes(
+    bucket: str, made: Path, number: int
+) -> None:
+    out = f"{bucket}/killed-{number}"
+    run = subprocess.run([sys.executable, "-c", KILLED, out, str(number)], check=False)
+    assert run.returncode == 9
+    assert "episodes.parquet" not in place_of(out).files()
+    generate(CONFIG, Path(out), jobs=1, quiet=True)
     assert content(place_of(out)) == content(place_of(made))
 
 
-def test_an_unfinished_run_goes_on_where_it_was(bucket: str, made: Path, monkeypatch) -> None:
-    out = Path(f"{bucket}/unfinished")
-
-    def killed(make, folder, tasks, jobs, shown):
-        make(folder, tasks[0])
-        raise SystemExit
-
-    with monkeypatch.context() as patched:
-        patched.setattr(experiments.data.generate, "make_in_processes", killed)
-        with pytest.raises(SystemExit):
-            generate(CONFIG, out, jobs=1, quiet=True)
-    assert len(list((staging_folder(out) / "episodes").iterdir())) == 1
-    generate(CONFIG, out, jobs=1, quiet=True)
+def test_workers_write_to_the_store_themselves(bucket: str, made: Path) -> None:
+    out = Path(f"{bucket}/two-jobs")
+    generate(CONFIG, out, jobs=2, quiet=True)
     assert content(place_of(out)) == content(place_of(made))
-    assert not staging_folder(out).exists()
 
 
 def test_file_urls_are_paths_and_memory_is_a_store(made: Path, tmp_path: Path) -> None:
@@ -243,17 +243,9 @@ def test_urls_of_nothing(bucket: str, url: str, message: str) -> None:
 
 
 def test_an_error_of_a_stores_client_is_one_of_the_system() -> None:
-    def refuse() -> None:
+    with pytest.raises(OSError, match="nobody listens") as found, errors_named("memory://a/b"):
         raise EOFError("nobody\nlistens")
-
-    with pytest.raises(OSError, match="nobody listens") as found:
-        place_of("memory://here/data")._tried(refuse, "a")  # type: ignore[attr-defined]
-    assert found.value.filename == "memory://here/data/a"
-
-
-def test_a_cluster_needs_a_shared_folder(bucket: str) -> None:
-    with pytest.raises(InputError, match="expected a folder on a disk that every worker sees"):
-        generate(CONFIG, Path(f"{bucket}/no"), quiet=True, cluster="tcp://127.0.0.1:1")
+    assert found.value.filename == "memory://a/b"
 
 
 def test_commands_say_urls_as_they_were_given(stored: Path, capsys) -> None:

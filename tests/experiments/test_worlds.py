@@ -14,27 +14,23 @@ from experiments.data.disturbances import (
     lost_detections,
     renamed_tracks,
 )
-from experiments.data.generate import generate
 from experiments.data.verify import find_flaws
 from experiments.data.windows import gather
-from experiments.data.worlds.episode import (
-    WorldsConfig,
-    WorldTask,
-    make_world,
-    read_worlds_config,
-)
-from experiments.data.worlds.roads import FAMILIES, JUNCTIONS
-from experiments.data.worlds.sensor import Sensor
-from experiments.data.worlds.world import draw_world
+from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig, read_config
+from experiments.generate.dataset import generate
+from experiments.generate.episode import Task
+from experiments.generate.worlds.roads import FAMILIES, JUNCTIONS
+from experiments.generate.worlds.sensor import Sensor
+from experiments.generate.worlds.world import draw_world
 from scenarios.networks.written import limited_net, ramp_net, straight_net
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.sealing import write_manifest
+from sim.store.writing import new_dataset
 from sim.sumo.settings import LAWS
 from tests.experiments.shared import call
 
-CONFIG = WorldsConfig(worlds=5, seed=4, duration_s=15.0)
+CONFIG = GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=5, seed=4, duration_s=15.0)
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +62,10 @@ def test_many_worlds_hold_every_law_family_and_discipline():
 
 
 def test_episodes_can_be_opened_trained_on_and_verified(dataset: Dataset):
-    assert len(dataset.manifest.episodes) == CONFIG.worlds
+    assert len(dataset.manifest.episodes) == CONFIG.episodes
     assert find_flaws(dataset) == []
     for entry in dataset.manifest.episodes:
-        world = WorldTask(CONFIG, entry.index).world
+        world = draw_world(entry.seed, 15.0)
         episode = dataset.read(entry)
         assert entry.options["law"] == world.law
         assert entry.options["noise_m"] == world.sensor.noise_m
@@ -89,20 +85,19 @@ def test_episodes_can_be_opened_trained_on_and_verified(dataset: Dataset):
 def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(
     dataset: Dataset, tmp_path: Path
 ):
-    fewer = CONFIG.model_copy(update={"worlds": 3})
+    fewer = CONFIG.model_copy(update={"episodes": 3})
     generate(fewer, tmp_path, jobs=1, quiet=True)
     grown = generate(CONFIG, tmp_path, jobs=2, quiet=True)
     assert grown == dataset.manifest
-    with pytest.raises(InputError, match="holds 5 worlds, found 3"):
+    with pytest.raises(InputError, match="holds 5 episodes per scenario, found 3"):
         generate(fewer, tmp_path, jobs=1, quiet=True)
 
 
-def test_options_that_worlds_draw_themselves_are_refused():
-    assert read_worlds_config(None, 3, seed=2, flow=None).seed == 2
-    with pytest.raises(InputError, match="found --scenario beside it"):
-        read_worlds_config(None, 3, scenarios=["straight_road"])
-    with pytest.raises(InputError, match=r"--worlds: found 0, expected at least 1"):
-        read_worlds_config(None, 0)
+@pytest.mark.parametrize("option", [{"flow": "dense"}, {"engine": "highway"}, {"duration_s": 0.5}])
+def test_options_that_worlds_draw_themselves_are_refused(option: dict[str, object]):
+    read_config(None, scenarios=[RANDOM_WORLD], episodes=3, seed=2, duration_s=20.0).check()
+    with pytest.raises(InputError, match=next(iter(option))):
+        read_config(None, scenarios=[RANDOM_WORLD], episodes=3, **option).check()
 
 
 @pytest.mark.parametrize("lanes", [1, 4])
@@ -170,13 +165,14 @@ def test_agents_that_are_found_again_have_new_ids_and_their_old_labels():
 
 
 def test_a_world_in_pixels_is_stored_with_sizes_in_pixels(tmp_path: Path):
-    tasks = (WorldTask(CONFIG, index) for index in range(100))
-    task = next(t for t in tasks if t.world.sensor.pixels_per_m > 10.0 and t.world.sensor.has_sizes)
+    tasks = [Task(CONFIG, RANDOM_WORLD, index) for index in range(100)]
+    sensors = [draw_world(task.seed).sensor for task in tasks]
+    index = next(i for i, s in enumerate(sensors) if s.pixels_per_m > 10.0 and s.has_sizes)
     folder = tmp_path / "data"
-    entry = make_world(folder, task)
-    write_manifest(folder, {}, [entry])
+    with new_dataset(folder, {}) as out:
+        entry = tasks[index].write(out)
     tracks = open_dataset(folder).read(entry).tracks
-    cars = tracks.length[tracks.kind != PEDESTRIAN] / task.world.sensor.pixels_per_m
+    cars = tracks.length[tracks.kind != PEDESTRIAN] / sensors[index].pixels_per_m
     assert 3.0 < np.median(cars) < 6.0
     page = tmp_path / "world.html"
     assert call("replay", folder, "--out", page, "--predictor", "none", "-q") == 0

@@ -19,8 +19,7 @@ from sim.formats.common.windows import NoWindowError, windows
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta
-from sim.store.sealing import write_manifest
-from sim.store.writing import write_recording
+from sim.store.writing import new_dataset
 
 FORMATS = ("argoverse1", "argoverse2")
 STEPS = {"argoverse1": 50, "argoverse2": 110}
@@ -54,8 +53,9 @@ def frames(*spans: tuple[int, int], step_s: float = 0.1) -> np.ndarray:
 
 def dataset(folder: Path, *episodes: Tracks) -> Path:
     metas = [EpisodeMeta(scenario="here", engine="made", index=i) for i in range(len(episodes))]
-    entries = [write_recording(folder, m, t) for m, t in zip(metas, episodes, strict=True)]
-    write_manifest(folder, {}, entries)
+    with new_dataset(folder, {}) as out:
+        for meta, tracks in zip(metas, episodes, strict=True):
+            out.write_recording(meta, tracks)
     return folder
 
 

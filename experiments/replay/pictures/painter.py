@@ -27,9 +27,9 @@ from experiments.replay.pictures.panels import (
 from experiments.replay.pictures.sheets import Pen, Pixels, Vectors, letters
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import ReplayScene
+from sim.files import write_whole
 from sim.frames import KINDS, PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
 from sim.road.shapes import RoadShapes, road_shapes
-from sim.store.atomic import write_whole
 
 FINE: Final = 2
 """By what factor the image is drawn larger before it is reduced."""

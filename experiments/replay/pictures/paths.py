@@ -9,10 +9,10 @@ import numpy as np
 
 from behaviors.colors import COLORS
 from behaviors.labels import Behavior
-from experiments.data.what_if import branch_of, change_of
 from experiments.figure_files import check_figure_file, write_figure
 from experiments.replay.pictures.painter import ASPHALT, INK, MUTED, PAINT, PAVING
 from experiments.scoring.what_if import INCIDENTS, branches_of, factual_of, new_incidents
+from experiments.what_if import branch_of, change_of
 from sim.frames import Event, FloatArray, Tracks
 from sim.road import Road
 from sim.road.shapes import road_shapes

@@ -13,7 +13,7 @@ from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.replay.pictures.painter import Painter
 from experiments.replay.scene import ReplayScene
-from sim.store.atomic import whole_file
+from sim.files import whole_file
 
 FRAMES_PER_S: Final = {".mp4": 20.0, ".gif": 10.0}
 """By the file's ending; films play in real time."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from sim.files import write_whole
 from sim.formats.common.csv_columns import read_columns
 from sim.formats.common.packed import stem
 from sim.formats.common.recording import (
@@ -31,7 +32,6 @@ from sim.formats.common.recording import (
 )
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, Tracks
-from sim.store.atomic import write_whole
 from sim.written_numbers import real
 
 STEPS: Final = 50

@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from sim.arrow.budget import Layout, check_budget
+from sim.arrow.budget import Layout, check_budget, check_number
 from sim.arrow.parquet import opened, read_packed
+from sim.files import whole_folder
 from sim.formats.common.recording import (
     MAX_NAMES,
     Recording,
@@ -40,8 +41,6 @@ from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agen
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
 from sim.road.maps.argoverse2 import read_map, static_map
-from sim.store.atomic import whole_folder
-from sim.store.decode import check_number
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110

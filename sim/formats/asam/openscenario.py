@@ -20,10 +20,10 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from sim.files import write_whole
 from sim.formats.asam.opendrive import NO_DATE, RoadFile, as_bytes, opendrive
 from sim.frames import KINDS, SIGNALS, AgentKind, FloatArray, IntArray, Tracks
 from sim.road import Road
-from sim.store.atomic import write_whole
 
 HEIGHTS_M: Final[dict[AgentKind, float]] = {
     AgentKind.CAR: 1.5, AgentKind.BUS: 3.2, AgentKind.TRUCK: 3.5, AgentKind.MOTORCYCLE: 1.5,

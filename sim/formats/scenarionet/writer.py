@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from sim.files import write_whole
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
-from sim.store.atomic import write_whole
 
 VERSION: Final = "0.1"
 SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"

@@ -8,8 +8,7 @@ say in ``branch`` what differs: ``at_s``, ``agent``, and ``behavior`` or ``actio
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -19,20 +18,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from behaviors.errors import InputError
 from behaviors.labels import Behavior
 from experiments.console.progress import Progress
-from experiments.data.configuration import GenerateConfig
-from experiments.data.data_card import edited_cards, write_data_card
-from experiments.data.episode import Task
-from experiments.data.generate import check_unfinished, clear_partial, stoppable
-from experiments.data.shards.plan import meta_of
+from experiments.data.data_card import write_data_card
+from experiments.generate.configuration import GenerateConfig
+from experiments.generate.episode import Task
 from sim.frames import Frame
 from sim.scenario import AgentSpec, Scenario, sample_agents
-from sim.store.catalogue import finished_episode, is_dataset
+from sim.store.catalogue import is_dataset
 from sim.store.dataset import open_dataset
-from sim.store.lock import sole_writer
-from sim.store.places import Folder
-from sim.store.schema import EpisodeEntry, EpisodeMeta, Manifest
-from sim.store.sealing import entries_in, write_manifest
-from sim.store.writing import episode_id, made_with, write_episode
+from sim.store.schema import EpisodeMeta, Manifest
+from sim.store.writing import EpisodeWriter, made_with, new_dataset
 from sim.sumo.branches import ENGINE_LAWS, Trunk, check_platform
 from sim.sumo.control.acting import Action
 
@@ -127,11 +121,11 @@ def change_of(entry: EpisodeMeta) -> str:
 
 
 def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
-    """Make the factual and every counterfactual episode, or what is missing of them.
+    """Make the factual and every counterfactual episode.
 
     Args:
         config: what is to differ.
-        folder: of the dataset; a new folder, or one that the same what-if was writing to.
+        folder: of the dataset; new, empty, or with the same what-if, which is left as it is.
         quiet: whether to show no progress.
 
     Returns:
@@ -141,37 +135,24 @@ def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
         InputError: on other systems than Linux, if an option is wrong, if the driver cannot change
             at that instant, or if the folder holds something else.
         OSError: if something cannot be written.
-        Interrupted: if the user stopped it.
     """
     scenario = config.check()
+    configuration: dict[str, Any] = {
+        "what_if": config.model_dump(mode="json", exclude_none=True),
+        "made_with": dict(made_with(config.episode.engine)),
+    }
+    if is_dataset(folder) and open_dataset(folder).header.configuration == configuration:
+        return open_dataset(folder).manifest  # it is there already
     task = Task(config.episode, config.episode.scenarios[0], config.index)
     agents = sample_agents(scenario, task.seed)
-    with Trunk(scenario, agents, task.seed, config.episode.engine) as trunk:
+    with (
+        Trunk(scenario, agents, task.seed, config.episode.engine) as trunk,
+        new_dataset(folder, configuration) as out,
+    ):
         plan = _plan(config, task, scenario, agents, trunk)
-        with _removed_if_empty(folder), sole_writer(folder), stoppable(folder, len(plan)):
-            configuration: dict[str, Any] = {
-                "what_if": config.model_dump(mode="json", exclude_none=True),
-                "made_with": dict(made_with(config.episode.engine)),
-            }
-            _check_same(folder, configuration, plan)
-            edited = edited_cards(folder)
-            clear_partial(folder)
-            entries = _make(config, folder, plan, scenario, trunk, quiet)
-            manifest = write_manifest(folder, configuration, entries)
-            write_data_card(folder, edited)
-    return manifest
-
-
-@contextmanager
-def _removed_if_empty(folder: Path) -> Iterator[None]:
-    """Leave no new folder behind if nothing was written into it."""
-    new = not folder.exists()
-    try:
-        yield
-    finally:
-        if new:
-            with suppress(OSError):
-                folder.rmdir()
+        _make(config, out, plan, scenario, trunk, quiet)
+    write_data_card(folder)
+    return open_dataset(folder).manifest
 
 
 def _plan(
@@ -200,49 +181,30 @@ def _plan(
     return plan
 
 
-def _check_same(folder: Path, configuration: dict[str, Any], plan: Sequence[_Planned]) -> None:
-    """Refuse to mix two different datasets in one folder."""
-    if not is_dataset(folder):
-        check_unfinished(folder, lambda made: any(meta_of(made) == one.meta for one in plan))
-    elif open_dataset(folder).header.configuration != configuration:
-        raise InputError(
-            f"{folder}: was made with other options or versions; choose another folder"
-        )
-
-
 def _make(
     config: WhatIf,
-    folder: Path,
+    out: EpisodeWriter,
     plan: Sequence[_Planned],
     scenario: Scenario,
     trunk: Trunk,
     quiet: bool,
-) -> list[EpisodeEntry]:
-    """The entries of all episodes; those that are not there yet are driven and written."""
-    road = scenario.road.source
-    there = entries_in(Folder(folder))
-    identities = [episode_id(p.meta, p.agents, road) for p in plan]
-    found = [there.get(one) or finished_episode(folder, one) for one in identities]
-    missing = [one for one, entry in zip(plan, found, strict=True) if entry is None]
-    entries = [entry for entry in found if entry is not None]
-    if not missing:
-        return entries
+) -> None:
+    """Drive and write all episodes."""
     before = trunk.advance(config.at_s)
     _check_present(config, before[-1])
     end_s = scenario.steps * scenario.step_s
     branches = [
         trunk.branch(end_s) if one.change is None else trunk.branch(end_s, config.agent, one.change)
-        for one in missing
+        for one in plan
     ]  # all run from now on, beside each other
-    with Progress("driving what would have been", len(missing), quiet) as shown:
-        for one, branch in zip(missing, branches, strict=True):
+    with Progress("driving what would have been", len(plan), quiet) as shown:
+        for one, branch in zip(plan, branches, strict=True):
             with branch:
                 frames = itertools.chain(before, branch)
                 since_s = None if one.change is None else config.at_s
-                entry = write_episode(folder, one.meta, frames, one.agents, road, since_s)
-            entries.append(entry)
+                road = scenario.road.source
+                entry = out.write_episode(one.meta, frames, one.agents, road, since_s)
             shown.advance(entry.agents, entry.agent_steps)
-    return entries
 
 
 def _check_present(config: WhatIf, frame: Frame) -> None:

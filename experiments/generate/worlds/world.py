@@ -13,9 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from experiments.data.worlds.population import Population, draw_population
-from experiments.data.worlds.roads import WorldRoad, draw_road
-from experiments.data.worlds.sensor import Sensor, draw_sensor
+from experiments.generate.worlds.population import Population, draw_population
+from experiments.generate.worlds.roads import WorldRoad, draw_road
+from experiments.generate.worlds.sensor import Sensor, draw_sensor
 from sim.frames import AgentKind
 from sim.sumo.settings import LAWS, SumoSettings
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -16,6 +16,12 @@ from sim.engines import get_engine
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario
 
+RANDOM_WORLD: Final = "random_world"
+"""The scenario whose episodes have a road, drivers and a sensor each, drawn at random."""
+
+NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "engine", "duration_s"})
+"""What may be chosen of random worlds, too."""
+
 
 def _population_table(given: Any) -> dict[str, Any]:
     return read_population(given).table()
@@ -25,7 +31,8 @@ class GenerateConfig(BaseModel):
     """What a dataset is generated from.
 
     Attributes:
-        scenarios: registered names, paths of scenarios' files (``.toml``), or of maps.
+        scenarios: registered names, paths of scenarios' files (``.toml``), or of maps; or
+            ``random_world``, whose episodes draw everything but their number, length and seed.
         episodes: episodes per scenario.
         seed: any non-negative integer.
         engine: registered name of the engine.
@@ -86,12 +93,42 @@ class GenerateConfig(BaseModel):
                 out of range.
         """
         get_engine(self.engine)
-        for name in self.scenarios:
+        named = [name for name in self.scenarios if name != RANDOM_WORLD]
+        if len(named) < len(self.scenarios):
+            self._check_worlds()
+        for name in named:
             for index in range(len(self.limits_mps or get_scenario(name).limits_mps or (None,))):
                 self.scenario(name, index)
-        called = [get_scenario(name).name for name in self.scenarios]
+        called = [scenario_name(name) for name in self.scenarios]
         if len(set(called)) != len(called):
             raise InputError(f"scenarios: found {', '.join(called)}, expected each once")
+
+    def _check_worlds(self) -> None:
+        """Refuse what random worlds draw themselves."""
+        given = self.model_dump(exclude_defaults=True).keys() - NOT_DRAWN
+        if self.engine != "sumo":
+            given |= {"engine"}
+        if given:
+            name = {"scenario_options": "set"}.get(min(given), min(given))
+            raise InputError(f"{name}: found one for {RANDOM_WORLD}, expected none: it is drawn")
+        if not 1.0 <= (self.duration_s or 1.0) <= 3600.0:
+            raise InputError(f"duration_s: found {self.duration_s}, expected 1 to 3600")
+
+
+def scenario_name(given: str) -> str:
+    """What a scenario is called.
+
+    Args:
+        given: its name, or the path of its file or map.
+
+    Raises:
+        InputError: if there is no such scenario.
+
+    Examples:
+        >>> scenario_name("straight_road")
+        'straight_road'
+    """
+    return given if given == RANDOM_WORLD else get_scenario(given).name
 
 
 def _read_toml(path: Path | None) -> dict[str, object]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Final
 
 import numpy as np
 
-from experiments.data.configuration import GenerateConfig
+from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig, scenario_name
+from experiments.generate.worlds.episode import write_world
 from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.scenario import Scenario, sample_agents
-from sim.store.catalogue import finished_episode, keep_road
 from sim.store.schema import EpisodeEntry, EpisodeMeta, split_of
-from sim.store.writing import episode_id, made_with, write_episode
+from sim.store.writing import EpisodeWriter, made_with
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +35,14 @@ class Task:
     @property
     def name(self) -> str:
         """What the scenario is called."""
-        return get_scenario(self.scenario).name
+        return scenario_name(self.scenario)
 
     @property
     def seed(self) -> int:
         """The episode's own seed, independent of every other episode's."""
         name = int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:4], "big")
-        sequence = np.random.SeedSequence(self.config.seed, spawn_key=(name, self.index))
+        key = (self.index,) if self.scenario == RANDOM_WORLD else (name, self.index)
+        sequence = np.random.SeedSequence(self.config.seed, spawn_key=key)
         return int(sequence.generate_state(1)[0] >> 1)  # SUMO takes 31 bits
 
     def meta(self, scenario: Scenario) -> EpisodeMeta:
@@ -65,32 +67,40 @@ class Task:
             made_with=made_with(self.config.engine),
         )
 
+    def write(self, out: EpisodeWriter) -> EpisodeEntry:
+        """Make the episode.
+
+        Args:
+            out: what takes it.
+
+        Returns:
+            Its entry in the catalogue.
+
+        Raises:
+            InputError: if the engine cannot run it.
+            OSError: if it cannot be written.
+        """
+        return WRITERS.get(self.scenario, _write_scenario)(self, out)
+
     def __str__(self) -> str:
         """Which episode it is, for messages."""
         return f"{self.name} episode {self.index} (seed {self.seed})"
 
 
-def make_episode(folder: Path, task: Task) -> EpisodeEntry:
-    """Make one episode, unless it is there already, whole and unaltered.
-
-    Args:
-        folder: the dataset.
-        task: which episode.
-
-    Returns:
-        Its manifest entry.
-
-    Raises:
-        InputError: if the engine cannot run it.
-        OSError: if it cannot be written.
-    """
+def _write_scenario(task: Task, out: EpisodeWriter) -> EpisodeEntry:
+    """Make an episode of a scenario."""
     scenario = task.config.scenario(task.scenario, task.index)
     agents = sample_agents(scenario, task.seed)
-    meta = task.meta(scenario)
-    road = scenario.road.source
-    keep_road(folder, road)
-    entry = finished_episode(folder, episode_id(meta, agents, road))
-    if entry is not None:
-        return entry
     frames = get_engine(task.config.engine)(scenario, agents, task.seed)
-    return write_episode(folder, meta, frames, agents, road)
+    return out.write_episode(task.meta(scenario), frames, agents, scenario.road.source)
+
+
+def _write_world(task: Task, out: EpisodeWriter) -> EpisodeEntry:
+    """Make an episode of a random world."""
+    return write_world(out, task.seed, task.index, task.config.duration_s)
+
+
+WRITERS: Final[dict[str, Callable[[Task, EpisodeWriter], EpisodeEntry]]] = {
+    RANDOM_WORLD: _write_world
+}
+"""What makes the episodes of scenarios that are not registered."""

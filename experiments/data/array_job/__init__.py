@@ -1,1 +1,0 @@
-"""Datasets that several commands make together, without a scheduler."""

@@ -1,1 +1,0 @@
-"""What a dataset says of itself to the tools and catalogues of others."""

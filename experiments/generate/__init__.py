@@ -1,0 +1,1 @@
+"""Makes labelled datasets: of scenarios, and of random worlds."""

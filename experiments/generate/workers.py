@@ -1,0 +1,174 @@
+"""Calls a function on many tasks in worker processes, here or on the machines of a Dask cluster.
+
+A worker that dies takes no other task with it: all that ran at the time are tried once more, each
+alone.
+
+References:
+    Rocklin (2015), Dask: parallel computation with blocked algorithms and task scheduling, SciPy.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from typing import Any, Final, TypeVar
+from urllib.parse import urlsplit
+
+from behaviors.errors import InputError
+from experiments.data.parallel import start_worker
+from sim.store.writing import made_with
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+CONNECT_S: Final = 20.0
+"""Longest wait for the scheduler and its first worker, s."""
+
+TASKS_AT_ONCE: Final = 10_000
+"""Most tasks that a cluster is given at once."""
+
+
+def in_workers(
+    function: Callable[[A], B], tasks: Iterable[A], jobs: int, cluster: str | None = None
+) -> Iterator[tuple[A, B | None]]:
+    """Call a function on every task.
+
+    Args:
+        function: importable by workers.
+        tasks: its arguments.
+        jobs: worker processes; one runs in this process.
+        cluster: address of a Dask scheduler, whose workers take the place of processes.
+
+    Yields:
+        Each task with its answer, as they come; with None where it killed its worker twice.
+
+    Raises:
+        InputError: if the cluster cannot do the work.
+    """
+    if cluster is None and jobs == 1:
+        for task in tasks:
+            yield task, function(task)
+        return
+    pool = partial(_processes, jobs) if cluster is None else partial(_cluster, cluster)
+    suspects = deque[A]()
+    waiting = deque(tasks)
+    while waiting:
+        at_once = jobs if cluster is None else TASKS_AT_ONCE
+        yield from _until_one_dies(function, waiting, suspects, pool, at_once)
+    while suspects:
+        alone, killers = deque([suspects.popleft()]), deque[A]()
+        yield from _until_one_dies(function, alone, killers, pool, 1)
+        for task in killers:
+            yield task, None
+
+
+def _until_one_dies(
+    function: Callable[[A], B],
+    waiting: deque[A],
+    suspects: deque[A],
+    pool: Callable[[], AbstractContextManager[Executor]],
+    at_once: int,
+) -> Iterator[tuple[A, B]]:
+    """Take tasks from those that wait until all are done or a worker dies with some suspects."""
+    running: dict[Future[B], A] = {}
+    broken = False
+    with pool() as executor:
+        while running or (waiting and not broken):
+            while waiting and not broken and len(running) < at_once:
+                task = waiting.popleft()
+                running[executor.submit(function, task)] = task
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                task, error = running.pop(future), future.exception()
+                if error is None:
+                    yield task, future.result()
+                elif type(error).__name__ in _DEATHS:
+                    suspects.append(task)
+                    broken = True
+                else:
+                    raise error
+
+
+_DEATHS: Final = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
+"""Names of the errors that say that a worker died: loky's and Dask's."""
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[Executor]:
+    """Worker processes of this machine, which end with the block."""
+    from loky.process_executor import ProcessPoolExecutor
+
+    executor = ProcessPoolExecutor(
+        max_workers=jobs, initializer=start_worker, initargs=(os.getpid(),)
+    )
+    try:
+        yield executor
+    finally:
+        executor.shutdown(wait=True, kill_workers=True)
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    """The workers of a Dask scheduler."""
+    _check_address(address)
+    try:
+        from distributed import Client
+        from distributed.security import Security
+    except ImportError:
+        raise InputError(
+            "cluster: found no distributed, expected it: pip install 'graphrqi[cluster]'"
+        ) from None
+    try:
+        # certificates are those of Dask's own configuration
+        encrypted = Security(require_encryption=True) if address.startswith("tls://") else None
+        client = Client(address, timeout=CONNECT_S, security=encrypted)
+    except (OSError, ValueError, RuntimeError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"cluster {address}: found no scheduler there, or no certificates for it, as "
+            f"docs/cluster.md says ({reason:.100})"
+        ) from None
+    with client:
+        _check_workers(client, address)
+        yield client.get_executor(pure=False)
+
+
+def _check_address(address: str) -> None:
+    """Refuse an address at which others could listen, or run code as this user."""
+    protocol, separator, rest = address.partition("://")
+    try:
+        host = urlsplit(f"//{rest}").hostname or ""
+        loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        loopback = False
+    if not separator or protocol not in ("tcp", "tls", "inproc"):
+        raise InputError(f"cluster {address}: expected tls://HOST:PORT, or tcp://127.0.0.1:PORT")
+    if protocol == "tcp" and not loopback:
+        raise InputError(
+            f"cluster {address}: found an unencrypted address of another machine, expected "
+            "tls://HOST:PORT: who reaches such a scheduler runs code as you"
+        )
+
+
+def _check_workers(client: Any, address: str) -> None:
+    """Refuse workers that make other bytes, or run several simulations in one process."""
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError:
+        raise InputError(f"cluster {address}: found no worker, expected one or more") from None
+    for worker, threads in client.nthreads().items():
+        if threads != 1:
+            raise InputError(
+                f"cluster {address}: found worker {worker} with {threads} threads, expected 1: "
+                "start it with --nthreads 1"
+            )
+    engines = ("sumo", "highway")
+    here = made_with(*engines)
+    for worker, there in client.run(made_with, *engines, on_error="return").items():
+        if there != here and not isinstance(there, OSError):  # it has just died
+            raise InputError(f"cluster {address}: found {there} on {worker}, expected {here}")

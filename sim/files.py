@@ -1,0 +1,395 @@
+"""Files and folders that appear as a whole or not at all, on this machine or at a URL.
+
+Everything is written under a hidden name beside its destination and moved there with `os.replace`.
+So a reader, or a run that was killed, never sees half of anything. A URL such as ``s3://bucket/data``
+may be given instead of a path; credentials are those of the store's usual environment variables and
+files.
+
+References:
+    fsspec (2024), Filesystem interfaces for Python: https://filesystem-spec.readthedocs.io.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+import uuid
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Final, cast
+
+from behaviors.errors import InputError
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+PARTIAL_PREFIX: Final = ".partial-"
+"""How the hidden name of everything unfinished begins."""
+
+_URL: Final = re.compile(r"^([a-z][a-z0-9+.-]+):/{1,3}(?!/)(.*)$", re.DOTALL)
+"""A URL, also after a path has taken one of its slashes away."""
+
+
+def url_of(path: str | Path) -> str | None:
+    """The URL that a path stands for; None for a path of this machine.
+
+    Args:
+        path: as a user gave it, or as `pathlib` made of it (with one slash less).
+
+    Examples:
+        >>> url_of(Path("s3://bucket/data")), url_of("data"), url_of("file:///data")
+        ('s3://bucket/data', None, None)
+    """
+    found = _URL.match(str(path))
+    if found is None or found[1] in ("file", "local"):
+        return None
+    return f"{found[1]}://{found[2].rstrip('/')}"
+
+
+def is_remote(path: str | Path) -> bool:
+    """Whether a path is a URL of something that is no folder of this machine."""
+    return url_of(path) is not None
+
+
+def local_path(path: str | Path) -> Path:
+    """A path of this machine, also where it was given as a ``file://`` URL.
+
+    Args:
+        path: as a user gave it.
+
+    Raises:
+        InputError: if it is the URL of something else.
+
+    Examples:
+        >>> str(local_path(Path("file:///data/one")))
+        '/data/one'
+    """
+    url = url_of(path)
+    if url is not None:
+        raise InputError(f"{url}: found a URL, expected a path of this machine here")
+    found = _URL.match(str(path))
+    return Path(path) if found is None else Path("/" + found[2])
+
+
+def user_cache() -> Path:
+    """The user's folder on this machine for what can be made again (``XDG_CACHE_HOME``)."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphrqi"
+
+
+@contextmanager
+def temporary_folder(purpose: str) -> Iterator[Path]:
+    """A folder below that for temporary files (``TMPDIR``), removed when the block ends.
+
+    Args:
+        purpose: a word for its name.
+    """
+    with tempfile.TemporaryDirectory(
+        prefix=f"graphrqi-{purpose}-", ignore_cleanup_errors=True
+    ) as folder:
+        yield Path(folder)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it appears as a whole or not at all.
+
+    Args:
+        path: where; its folder must exist. An older file there is replaced.
+        data: the content.
+
+    Raises:
+        OSError: if it cannot be written; nothing is left behind.
+    """
+    with whole_file(path) as partial:
+        partial.write_bytes(data)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A new file to write, moved to its destination when the block ends without an error.
+
+    Args:
+        path: where it will appear, or a URL. An older file there is replaced, a link is followed,
+            and a pipe or device is written to. Its folder must exist.
+
+    Yields:
+        The path to write to.
+
+    Raises:
+        OSError: if it cannot be written; nothing is left behind.
+    """
+    url = url_of(path)
+    if url is not None or (path.exists() and not path.is_file() and not path.is_dir()):
+        with temporary_folder("file") as scratch:
+            partial = scratch / path.name
+            yield partial
+            if url is None:
+                path.write_bytes(partial.read_bytes())
+            else:
+                home, _, name = url.rpartition("/")
+                Place(home).put(partial, name)
+        return
+    target = Path(os.path.realpath(local_path(path)))
+    if not target.parent.is_dir():
+        raise FileNotFoundError(2, "No such folder", str(target.parent))
+    partial = partial_path(target)
+    try:
+        yield partial
+        os.replace(partial, target)
+    except BaseException as error:
+        partial.unlink(missing_ok=True)
+        _name(error, partial, path)
+        raise
+
+
+@contextmanager
+def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
+    """A new folder to fill, moved to its destination when the block ends without an error.
+
+    Args:
+        path: where it will appear; a link is followed. Of an older folder there, files of the same
+            names are replaced and all others are kept. Its parent is created.
+        outdated: names of files and folders of the older folder that are not kept.
+
+    Yields:
+        The folder to write into.
+
+    Raises:
+        OSError: if it cannot be written; nothing is left behind.
+    """
+    target = Path(os.path.realpath(local_path(path)))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial, old = partial_path(target), partial_path(target)
+    try:
+        partial.mkdir()
+        yield partial
+        for child in target.iterdir() if target.is_dir() else ():
+            if child.name in outdated or os.path.lexists(partial / child.name):
+                continue
+            if child.is_dir() and not child.is_symlink():
+                shutil.copytree(child, partial / child.name, symlinks=True)
+            else:
+                shutil.copy2(child, partial / child.name, follow_symlinks=False)
+        if target.is_dir():
+            os.replace(target, old)
+        os.replace(partial, target)
+    except BaseException as error:
+        _name(error, partial, path)
+        raise
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """As `whole_folder`, where there is nothing yet.
+
+    Args:
+        path: a new or empty folder.
+
+    Raises:
+        InputError: if there is something.
+        OSError: if it cannot be written; nothing is left behind.
+    """
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: found a file, expected a new or empty folder")
+    found = next(path.iterdir(), None) if path.is_dir() else None
+    if found is not None:
+        raise InputError(f"{path}: found {found.name} there, expected a new or empty folder")
+    with whole_folder(path) as folder:
+        yield folder
+
+
+def partial_path(path: Path) -> Path:
+    """A new hidden name beside a path, for what is not finished."""
+    return path.parent / f"{PARTIAL_PREFIX}{path.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+
+def filesystem(protocol: str) -> AbstractFileSystem:
+    """The client of a protocol, made once per process: a forked one cannot use its parent's.
+
+    Args:
+        protocol: ``file``, ``s3``, ``gs``, ``memory`` or another one that fsspec knows.
+
+    Raises:
+        InputError: if the protocol is unknown, or its package is not installed.
+    """
+    return _filesystem(protocol, os.getpid())
+
+
+@cache
+def _filesystem(protocol: str, process: int) -> AbstractFileSystem:
+    """See `filesystem`."""
+    import fsspec
+
+    try:
+        # no listings are kept: other machines write, too
+        return fsspec.filesystem(protocol, use_listings_cache=False)
+    except ImportError as error:
+        raise InputError(f"{protocol}://: {error}; pip install 'graphrqi[store]'") from None
+    except ValueError:
+        known = "s3, gs, file, memory or another of fsspec's"
+        raise InputError(f"{protocol}://: found an unknown protocol, expected {known}") from None
+
+
+@contextmanager
+def errors_named(name: str) -> Iterator[None]:
+    """In the block, errors of stores' clients, which have no common class, become `OSError`.
+
+    Args:
+        name: path or URL of what the block reads or writes, for the message.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise FileNotFoundError(2, "No such file", name) from None
+    except PermissionError as error:
+        raise PermissionError(13, f"{error!s:.200}", name) from None
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise OSError(5, f"{error!s:.200}".replace("\n", " "), name) from error
+
+
+def _name(error: BaseException, partial: Path, path: Path) -> None:
+    """Let an error of the system name the path that the user knows, not the hidden one."""
+    if not isinstance(error, OSError) or error.errno is None:
+        return
+    if error.filename is None or Path(error.filename).is_relative_to(partial):
+        error.filename = str(path)
+        error.filename2 = None
+    if str(partial) in str(error.strerror) or "Detail: [errno" in str(error.strerror):
+        error.strerror = os.strerror(error.errno)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A folder of files, on a disk or in an object store. Names are relative, with slashes.
+
+    Attributes:
+        url: what people call it: a path, or a URL.
+    """
+
+    url: str
+
+    @property
+    def path(self) -> Path:
+        """The same as a path; of a URL, one that `place_of` understands."""
+        return Path(self.url)
+
+    @property
+    def remote(self) -> bool:
+        """Whether it is no folder of this machine."""
+        return "://" in self.url
+
+    @property
+    def filesystem(self) -> AbstractFileSystem:
+        """What reads and writes it."""
+        return filesystem(self.url.partition("://")[0] if self.remote else "file")
+
+    def full(self, name: str = "") -> str:
+        """A file's name as the filesystem has it."""
+        root = self.url.partition("://")[2] if self.remote else os.path.abspath(self.url)
+        return f"{root}/{name}" if name else root
+
+    def _called(self, name: str) -> str:
+        """A file's name as people call it."""
+        return f"{self.url}/{name}" if name else self.url
+
+    def size(self, name: str) -> int | None:
+        """Bytes of a file; None where there is none."""
+        try:
+            with errors_named(self._called(name)):
+                found = self.filesystem.info(self.full(name))
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        return int(found["size"]) if found["type"] == "file" else None
+
+    def stamp(self, name: str) -> str:
+        """What changes when a file does.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+        """
+        with errors_named(self._called(name)):
+            return str(self.filesystem.ukey(self.full(name)))
+
+    def open(self, name: str) -> IO[bytes]:
+        """A file, opened for reading.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+        """
+        with errors_named(self._called(name)):
+            return cast("IO[bytes]", self.filesystem.open(self.full(name), "rb"))
+
+    def read(self, name: str) -> bytes:
+        """A file's bytes.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+        """
+        with errors_named(self._called(name)):
+            return cast(bytes, self.filesystem.cat_file(self.full(name)))
+
+    def files(self, prefix: str = "") -> dict[str, int]:
+        """Sizes of the files below a folder, by name, sorted; hidden ones are left out."""
+        with errors_named(self._called(prefix)):
+            full = self.full(prefix)
+            if not self.filesystem.exists(full):
+                return {}
+            found: dict[str, Any] = self.filesystem.find(full, detail=True)
+        begin = len(self.full().strip("/")) + 1
+        named = {path.strip("/")[begin:]: int(one["size"] or 0) for path, one in found.items()}
+        return {
+            name: size
+            for name, size in sorted(named.items())
+            if name and not any(part.startswith(".") for part in name.split("/"))
+        }
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write a small file, which appears as a whole or not at all."""
+        if not self.remote:
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(self.path / name, data)
+
+    def put(self, file: Path, name: str) -> None:
+        """Move a finished file of this machine here, where it appears as a whole or not at all."""
+        if self.remote:
+            with errors_named(self._called(name)):
+                self.filesystem.put_file(str(file), self.full(name))
+            file.unlink()
+            return
+        target = self.path / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(file, target)
+
+    def checksum(self, name: str) -> str:
+        """SHA-256 of a file, which is never in memory as a whole.
+
+        Raises:
+            FileNotFoundError: if there is none.
+        """
+        with errors_named(self._called(name)), self.open(name) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+
+
+def place_of(path: str | Path) -> Place:
+    """The place that a path or URL names.
+
+    Args:
+        path: of a folder; or a URL that fsspec knows, ``file://`` among them.
+
+    Examples:
+        >>> place_of("memory://datasets/one").url
+        'memory://datasets/one'
+    """
+    return Place(url_of(path) or str(local_path(path)))
