@@ -223,7 +223,7 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     kind = _kinds(driven, outlines, places, of_place, at_pet, nearest)
     kind[(tracks.kind == PEDESTRIAN)[agents].any(axis=0)] = WALKING
     touch = np.flatnonzero(found.gap_m == 0.0)
-    depth = -separation(*(outlines.rows(each[touch]) for each in rows))
+    depth = -separation(outlines.rows(rows[0, touch]), outlines.rows(rows[1, touch]))
     contact = np.bincount(number[touch[depth > GRAZE_M]], minlength=k) > 0
     crossing_s = np.maximum(pet_s, np.finfo(float).tiny)  # what grazes is no contact
     crossing_s[~np.isin(kind, PATHS_CROSS)] = np.nan
