@@ -1,8 +1,8 @@
 """Calibrates the drivers of recordings: ``graphrqi calibrate RECORDING_OR_DATASET --out FOLDER``.
 
 Writes a folder with ``drivers.parquet`` (a row for each driver, law and number), one
-``population_LAW.toml`` for each law and ``population.toml`` for the law that fits better,
-``calibration.json`` and ``report.html``. ``python -m experiments.calibration FOLDER`` (or ``make
+``population_LAW.toml`` for each law and ``population.toml`` for the law that fits better, and
+``calibration.json``. ``python -m experiments.calibration FOLDER`` (or ``make
 population``) makes the population that ships again.
 """
 
@@ -22,8 +22,7 @@ from behaviors.errors import InputError
 from behaviors.populations import NUMBERS, POPULATIONS, read_population
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.report.calibration import calibration_page
-from experiments.scoring.calibration import (
+from experiments.score.calibration import (
     Calibrated,
     calibrate_recordings,
     label_of,
@@ -53,7 +52,7 @@ SCHEMA: Final = pa.schema(
 
 
 FILES: Final = frozenset(
-    {"drivers.parquet", "population.toml", "calibration.json", "report.html"}
+    {"drivers.parquet", "population.toml", "calibration.json"}
     | {f"population_{law}.toml" for law in Law}
 )
 """What is written into the folder."""
@@ -117,7 +116,6 @@ def write_calibration(
         write_whole(
             folder / "calibration.json", (json.dumps(_card(calibrated), indent=1) + "\n").encode()
         )
-        write_whole(folder / "report.html", calibration_page(calibrated).encode())
     return calibrated
 
 

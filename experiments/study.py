@@ -13,7 +13,7 @@ from pathlib import Path
 from experiments.benches.registry import BENCHES
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.rows import write_json
+from experiments.score.rows import write_rows
 
 
 def run_study(out: Path) -> list[Path]:
@@ -36,7 +36,7 @@ def run_study(out: Path) -> list[Path]:
             print(f"{path}: skipped, {bench.needs} names no recordings", file=sys.stderr)
             continue
         print(f"{path}: measuring", file=sys.stderr, flush=True)
-        write_json(bench.run(bench.full), path)
+        write_rows(bench.run(bench.full), path)
     return [path for path in paths.values() if path.exists()]
 
 

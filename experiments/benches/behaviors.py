@@ -20,7 +20,7 @@ from behaviors.labels import BEHAVIORS, Trait
 from behaviors.traits import waits
 from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.episode.annotate import annotate

@@ -1,7 +1,7 @@
 """How often blame by counterfactual and blame by rule agree.
 
 Episodes are driven, and for each collision and near miss every driver near is made careful in a
-branch (`experiments.scoring.blame`). Beside it stands the agent that the rules of
+branch (`experiments.what_if.blame`). Beside it stands the agent that the rules of
 `sim.episode.incidents` name as the cause.
 """
 
@@ -17,9 +17,9 @@ import numpy as np
 from behaviors.errors import lookup
 from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
-from experiments.rows import Row, tidy_row
-from experiments.scoring.blame import NEAREST, Agreement, agreements, judge
-from experiments.scoring.metrics import bootstrap, ratio
+from experiments.score.metrics import bootstrap, ratio
+from experiments.score.rows import Row, tidy_row
+from experiments.what_if.blame import NEAREST, Agreement, agreements, judge
 from scenarios import get_scenario
 from sim.frames import EventKind
 from sim.scenario import sample_agents

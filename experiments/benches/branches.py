@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from experiments.benches.contract import Bench, option
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.frames import PEDESTRIAN, Frame
 from sim.scenario import sample_agents

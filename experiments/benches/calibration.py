@@ -39,9 +39,9 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.populations import NUMBERS
 from experiments.benches.contract import Bench, option
-from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import RESAMPLES, bootstrap, ratio
-from experiments.scoring.recordings import read_sources
+from experiments.score.metrics import RESAMPLES, bootstrap, ratio
+from experiments.score.rows import Row, tidy_row
+from experiments.training.recordings import read_sources
 from graphrqi.calibrate.drives import Drive, Stretch, make_drive
 from graphrqi.calibrate.driving_on import (
     candidate_weights,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from experiments.rows import Row, of_bench
+from experiments.score.rows import Row, stamped
 
 S = TypeVar("S")
 
@@ -33,7 +33,7 @@ class Bench(Generic[S]):
     """One thing that is measured.
 
     Attributes:
-        name: its key in the registry, and the ``bench`` of its rows.
+        name: its key in the registry, and in the ``command`` of its rows.
         summary: one sentence on what it measures.
         keys: what says what was measured in a row, beside ``metric, value, low, high, n``.
         full: settings at full size.
@@ -64,14 +64,15 @@ class Bench(Generic[S]):
             on_rows: called with all rows so far after each part.
 
         Returns:
-            Tidy rows with the keys ``bench``, `keys` and ``metric, value, low, high, n``.
+            Tidy rows that say how they were made, with `keys` and ``metric, value, low, high, n``.
 
         Raises:
             InputError: if a setting is wrong.
         """
         rows: list[Row] = []
-        for part in self.measure(self.full if settings is None else settings):
-            rows += of_bench(self.name, part)
+        chosen = self.full if settings is None else settings
+        for part in self.measure(chosen):
+            rows += stamped(part, f"bench {self.name}", getattr(chosen, "seed", None))
             if on_rows is not None:
                 on_rows(rows)
         return rows

@@ -18,7 +18,7 @@ from experiments.data.configuration import GenerateConfig
 from experiments.data.episode import Task, make_episode
 from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel, processors
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.scenario import sample_agents
 from sim.store.schema import EpisodeEntry
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments.benches.city import STAGES, measure_cities, timed
 from experiments.benches.contract import Bench, option
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario

@@ -21,8 +21,8 @@ from behaviors.driver_models import krauss_safe_speed
 from behaviors.labels import BEHAVIORS
 from experiments.benches.contract import Bench, option
 from experiments.data.parallel import in_parallel
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import bootstrap, ratio
+from experiments.score.metrics import bootstrap, ratio
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.predict.planner import ACT_S, Plan, plan

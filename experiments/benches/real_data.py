@@ -31,11 +31,10 @@ from behaviors.labels import BEHAVIORS, Style
 from experiments.benches.contract import Bench, option
 from experiments.benches.prediction.knowledge import measure_knowledge
 from experiments.benches.prediction.recordings import measure_recordings
+from experiments.benches.statistics import auc_within
+from experiments.benches.worst_cases import Case, worst_cases_page, worst_of
 from experiments.data.parallel import in_parallel
-from experiments.report.worst_cases import Case, worst_cases_page, worst_of
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import (
-    auc_within,
+from experiments.score.metrics import (
     balanced_accuracy,
     bootstrap,
     calibration_error,
@@ -45,6 +44,7 @@ from experiments.scoring.metrics import (
     reliability,
     weighted_accuracy,
 )
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.classify import make_classifier
 from graphrqi.features.observer import Observer
 from graphrqi.features.unit_free import standardised, unit_free_features

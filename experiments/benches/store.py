@@ -25,7 +25,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.benches.contract import Bench, option
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate_shards
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.frames import KINDS
 from sim.store.dataset import open_dataset
 from sim.store.entries import header_of, write_catalogue

@@ -118,7 +118,7 @@ def bench_command(bench: Bench[Any]) -> Any:
             for name, annotation in annotations.items()
         ]
     )
-    app = typer.Typer(rich_markup_mode=None, add_completion=False)
+    app = typer.Typer(add_completion=False)
     app.command(
         bench.name,
         help=bench.summary,
@@ -129,14 +129,14 @@ def bench_command(bench: Bench[Any]) -> Any:
 
 def _measure(bench: Bench[Any], settings: Any, json: Path | None, plot: Path | None) -> None:
     from experiments.console.tables import show_table
-    from experiments.rows import write_json
+    from experiments.score.rows import write_rows
 
-    kept = None if json is None or str(json) == "-" else partial(write_json, path=json)
+    kept = None if json is None or str(json) == "-" else partial(write_rows, path=json)
     rows = bench.run(settings, kept)
     if plot is not None and bench.plot is not None:
         bench.plot(rows, plot)
     if json is not None:
-        write_json(rows, json)
+        write_rows(rows, json)
     if json is None or str(json) != "-":
         show_table(rows if bench.table is None else bench.table(rows))
 
@@ -145,7 +145,7 @@ def _default(value: object) -> str:
     if value is None or value == ():
         return ""
     words = ",".join(map(str, value)) if isinstance(value, tuple) else value
-    return f" [default: {words}]"
+    return f" (default: {words})"
 
 
 def _parsed(name: str, texts: Sequence[str], kind: Any) -> tuple[object, ...]:

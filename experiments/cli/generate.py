@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.cli.options import (
-    FLAGS,
-    DurationS,
-    Flow,
-    Jobs,
-    Mix,
-    OwnNet,
-    PopulationName,
-    Quiet,
-    Routes,
-    ScenarioOptions,
-    Spread,
-    names_of,
-)
+from experiments.cli.options import Jobs, Quiet, Traffic, names_of, with_traffic
 from experiments.console.notices import say
 
 
@@ -34,6 +22,7 @@ def size_of(out: Path) -> str:
     return f"{place_of(out).url}: {len(dataset)} episodes, {steps} agent-steps"
 
 
+@with_traffic
 def generate(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     scenario: Annotated[
@@ -49,26 +38,14 @@ def generate(
     ] = None,
     worlds: Annotated[
         int | None,
-        typer.Option(help="So many random worlds instead of scenarios; takes no other traffic."),
+        typer.Option(help="This many random worlds instead of scenarios."),
     ] = None,
     config: Annotated[
         Path | None,
         typer.Option(dir_okay=False, metavar="FILE.toml", help="The same options in a file."),
     ] = None,
-    engine: Annotated[
-        str | None,
-        typer.Option(help="Which simulator [default: sumo].", autocompletion=names_of("engine")),
-    ] = None,
-    flow: Flow = None,
-    mix: Mix = None,
-    spread: Spread = None,
-    population: PopulationName = None,
-    duration_s: DurationS = None,
-    option: ScenarioOptions = None,
-    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes (default: 0).")] = None,
     jobs: Jobs = None,
-    net: OwnNet = None,
-    routes: Routes = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of processes.")
     ] = None,
@@ -77,27 +54,26 @@ def generate(
         typer.Option(metavar="K/N", help="Only the K-th of N parts; graphrqi merge joins them."),
     ] = None,
     quiet: Quiet = False,
+    *,
+    traffic: Traffic,
 ) -> None:
     """Make a dataset, or what is missing of it."""
     from experiments.data.array_job.parts import generate_part
-    from experiments.data.configuration import read_cluster, read_config
+    from experiments.data.configuration import GenerateConfig, read_cluster
     from experiments.data.generate import generate_shards as make
     from experiments.data.shards.plan import read_part
-    from experiments.data.worlds.episode import read_worlds_config
-    from scenarios.command import read_options
+    from experiments.data.worlds.episode import WorldsConfig, read_worlds_config
     from sim.store.places import place_of
 
-    given = {
-        "scenarios": scenario or None, "episodes": episodes, "engine": engine, "flow": flow,
-        "mix": mix, "spread": spread, "population": population, "duration_s": duration_s,
-        "seed": seed, "net": net, "routes": routes,
-        "scenario_options": read_options(option or [], FLAGS) or None,
-    }  # fmt: skip
-    chosen = (
-        read_config(config, **given)
-        if worlds is None
-        else (read_worlds_config(config, worlds, **given))
-    )
+    chosen: GenerateConfig | WorldsConfig
+    if worlds is None:
+        chosen = traffic.config(scenario, config, episodes=episodes, seed=seed)
+    else:
+        given = asdict(traffic)
+        given["scenario_options"] = given.pop("option") or None
+        chosen = read_worlds_config(
+            config, worlds, scenarios=scenario or None, episodes=episodes, seed=seed, **given
+        )
     chosen_part, scheduler = read_part(part), read_cluster(config, cluster)
     if chosen_part is not None:
         if scheduler is not None:

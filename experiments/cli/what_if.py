@@ -7,35 +7,19 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import (
-    DurationS,
-    Engine,
-    Flow,
-    Json,
-    Mix,
-    PopulationName,
-    Quiet,
-    Seed,
-    Spread,
-    names_of,
-)
+from experiments.cli.options import Json, Quiet, ScenarioName, Seed, Traffic, with_traffic
 
-ScenarioName = Annotated[
-    str,
-    typer.Argument(
-        help="Name of a scenario; see graphrqi list.", autocompletion=names_of("scenario")
-    ),
-]
 Episode = Annotated[
     int, typer.Option(min=0, metavar="N", help="Which of the scenario's episodes, as by generate.")
 ]
 
 
+@with_traffic
 def what_if(
-    scenario: ScenarioName,
     at_s: Annotated[float, typer.Option("--at-s", help="From when on the driver differs, s.")],
     agent: Annotated[int, typer.Option(metavar="ID", help="The driver.")],
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
+    scenario: ScenarioName = None,
     behavior: Annotated[
         list[str] | None,
         typer.Option(metavar="B", help="A behaviour to go on with; repeat for several."),
@@ -49,13 +33,7 @@ def what_if(
         ),
     ] = None,
     episode: Episode = 0,
-    engine: Engine = "sumo",
     seed: Seed = 0,
-    flow: Flow = None,
-    mix: Mix = None,
-    spread: Spread = None,
-    population: PopulationName = None,
-    duration_s: DurationS = None,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -66,70 +44,68 @@ def what_if(
     ] = None,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    traffic: Traffic,
 ) -> None:
     """Drive one episode on from one instant with one driver different (Linux only)."""
     from behaviors.errors import lookup
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
-    from experiments.data.configuration import read_config
     from experiments.data.what_if import WhatIf, make_what_if
     from experiments.figure_files import check_figure_file
-    from experiments.replay.pictures.paths import write_paths
-    from experiments.scoring.what_if import outcomes
+    from experiments.score.rows import dataset_id, melted, stamped
+    from experiments.what_if.outcomes import outcomes
+    from experiments.what_if.paths import write_paths
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 
     behaviors, actions = {b.value: b for b in Behavior}, {a.value: a for a in Action}
     config = WhatIf(
-        episode=read_config(
-            None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
-            mix=mix, spread=spread, population=population, duration_s=duration_s,
-        ),
+        episode=traffic.config([scenario] if scenario else None, episodes=episode + 1, seed=seed),
         index=episode,
         at_s=at_s,
         agent=agent,
         behaviors=tuple(lookup(behaviors, word, "behavior") for word in behavior or ()),
         actions=tuple(lookup(actions, word, "action") for word in action or ()),
-    )  # fmt: skip
+    )
     if picture is not None:
         check_figure_file(picture, "--picture")
     make_what_if(config, out, quiet)
     dataset = open_dataset(out)
-    show_table(outcomes(dataset), json)
+    lines = outcomes(dataset)
+    rows = stamped(melted(lines, ["change"]), "what-if", seed, dataset_id(dataset))
+    show_table(rows, json, lines=lines)
     if picture is not None:
         write_paths(dataset, picture)
 
 
+@with_traffic
 def blame(
-    scenario: ScenarioName,
+    scenario: ScenarioName = None,
     episode: Episode = 0,
-    engine: Engine = "sumo",
     seed: Seed = 0,
-    flow: Flow = None,
-    mix: Mix = None,
-    spread: Spread = None,
-    population: PopulationName = None,
-    duration_s: DurationS = None,
     bystanders: Annotated[
         int, typer.Option(min=0, help="How many drivers beside the two parties are tried.")
     ] = 4,
     json: Json = None,
+    *,
+    traffic: Traffic,
 ) -> None:
     """Say whose careful driving would have prevented each collision and near miss (Linux only)."""
     from experiments.console.tables import show_table
-    from experiments.data.configuration import read_config
     from experiments.data.episode import Task
-    from experiments.scoring.blame import judge, verdict_rows
+    from experiments.score.rows import melted, stamped
+    from experiments.what_if.blame import judge, verdict_rows
     from sim.scenario import sample_agents
 
-    config = read_config(
-        None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
-        mix=mix, spread=spread, population=population, duration_s=duration_s,
-    )  # fmt: skip
-    made = config.scenario(scenario, episode)
-    drawn = Task(config, scenario, episode).seed
-    verdicts = list(judge(made, sample_agents(made, drawn), drawn, engine, bystanders))
+    config = traffic.config([scenario] if scenario else None, episodes=episode + 1, seed=seed)
+    task = Task(config, config.scenarios[0], episode)
+    made = config.scenario(task.scenario, episode)
+    agents = sample_agents(made, task.seed)
+    verdicts = list(judge(made, agents, task.seed, config.engine, bystanders))
     if verdicts or json is not None:
-        show_table(verdict_rows(verdicts), json)
+        lines = verdict_rows(verdicts)
+        keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
+        show_table(stamped(melted(lines, keys), "what-if --blame", seed), json, lines=lines)
     else:
-        typer.echo(f"{scenario}: no collision and no near miss in {made.duration_s:g} s")
+        typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s")

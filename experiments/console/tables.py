@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from behaviors.display import printable
-from experiments.rows import Cell, Row, write_json
+from experiments.score.rows import MADE, Cell, Row, write_rows
 
 
 def _text(cell: Cell) -> str:
@@ -15,23 +15,30 @@ def _text(cell: Cell) -> str:
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
-def show_table(rows: Sequence[Row], json_path: Path | None = None, title: str = "") -> None:
-    """Print rows as a table, or write them as JSON.
+def show_table(
+    rows: Sequence[Row],
+    json_path: Path | None = None,
+    title: str = "",
+    lines: Sequence[Row] | None = None,
+) -> None:
+    """Print a table for people, and write tidy rows as JSON if a file is named.
 
     Args:
-        rows: flat rows; the columns are the keys of all rows in order of appearance.
-        json_path: file for a JSON list of the rows; ``-`` prints JSON instead of the table.
+        rows: tidy rows.
+        json_path: file for the rows; ``-`` prints JSON instead of the table.
         title: what stands above the table.
+        lines: what is printed, as mappings with the same keys; None for the rows themselves.
 
     Raises:
         OSError: if the file cannot be written.
     """
     if json_path is not None:
-        write_json(rows, json_path)
+        write_rows(rows, json_path)
         if str(json_path) == "-":
             return
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    print_table(columns, [[_text(row.get(column)) for column in columns] for row in rows], title)
+    shown = rows if lines is None else lines
+    columns = list(dict.fromkeys(key for row in shown for key in row if key not in MADE))
+    print_table(columns, [[_text(row.get(column)) for column in columns] for row in shown], title)
 
 
 def print_table(columns: Sequence[str], lines: Sequence[Sequence[str]], title: str = "") -> None:

@@ -209,7 +209,7 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
                 "profile": None
                 if profile is None
                 else [[name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS],
-                "numbers": [] if scene.numbers is None else scene.numbers.rows(i),
+                "numbers": [],
             }
         )
     return found

@@ -12,7 +12,6 @@ import numpy as np
 
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
-from behaviors.populations import Population
 from experiments.console.progress import Progress
 from experiments.data.admission import SCALED, is_scene
 from experiments.data.windows import measured
@@ -20,7 +19,6 @@ from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, likeliest, read_forecasts
 from experiments.replay.ghosts import Ghosts, ghosts_of
 from experiments.replay.graph_history import GraphHistory, graph_history
-from experiments.replay.numbers import KnownNumbers, known_numbers
 from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.model_files import load_model
 from graphrqi.units import image_scale
@@ -66,7 +64,6 @@ class ReplayScene:
         predictor: whose; "" if there are none.
         notes: what a reader should know of the data, one sentence each.
         ghosts: of a counterfactual episode, where everyone factually was.
-        numbers: drivers' car-following numbers, where they were asked for.
     """
 
     entry: EpisodeEntry
@@ -82,7 +79,6 @@ class ReplayScene:
     predictor: str
     notes: tuple[str, ...]
     ghosts: Ghosts | None = None
-    numbers: KnownNumbers | None = None
 
     @property
     def name(self) -> str:
@@ -131,7 +127,6 @@ def gather(
     labels: Path | None = None,
     predictions: Path | None = None,
     predictor: str | None = None,
-    population: Population | None = None,
     quiet: bool = True,
 ) -> ReplayScene:
     """Read an episode, and classify and predict in it what no file says.
@@ -144,8 +139,6 @@ def gather(
         predictions: a predictions file, as ``graphrqi predict`` writes it.
         predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
             or for the first in ``predictions``.
-        population: of which drivers are taken to be, to infer their car-following numbers; None not
-            to.
         quiet: whether to show no progress.
 
     Returns:
@@ -187,7 +180,6 @@ def gather(
         forecasts = likeliest(forecasts)
         progress.advance()
         graph = graph_history(tracks)
-        numbers = None if population is None else known_numbers(tracks, population)
         progress.advance()
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
@@ -211,7 +203,6 @@ def gather(
         predictor=shown if forecasts else "",
         notes=(*said, *_notes(episode, road, unit, stride), *_left_out(told, forecasts)),
         ghosts=ghosts,
-        numbers=numbers,
     )
 
 

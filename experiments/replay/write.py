@@ -8,13 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from behaviors.errors import InputError, lookup
-from behaviors.populations import read_population
 from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
-from experiments.figure_files import check_figure_file
 from experiments.replay.page import MODES, default_mode, write_page
-from experiments.replay.pictures.painter import write_picture
-from experiments.replay.pictures.video import check_video, write_video
+from experiments.replay.pictures import check_picture, write_picture
 from experiments.replay.scene import chosen_entry, gather
 from graphrqi.predict import get_predictor
 from sim.store.dataset import open_dataset
@@ -33,15 +30,12 @@ class ReplayOptions:
         model: a shipped model's name or a folder.
         predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
             or for the first in ``predictions``.
-        population: a population's name or file, to infer drivers' car-following numbers; None not
-            to.
         color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
         begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
             opens when the road has filled to half and there are beliefs, a film begins with the
             episode, and a picture shows the fullest moment.
         end_s: when a film ends, s; None for the end.
-        video: also film it into this file, .mp4 or .gif.
-        picture: also draw it into this file, .png, .pdf or .svg.
+        picture: also draw it into this file, .png, .pdf or .svg, or film it, .mp4 or .gif.
     """
 
     episode: str | None = None
@@ -51,11 +45,9 @@ class ReplayOptions:
     predictions: Path | None = None
     model: str = "graphrqi-plus"
     predictor: str | None = None
-    population: str | None = None
     color: str | None = None
     begin_s: float | None = None
     end_s: float | None = None
-    video: Path | None = None
     picture: Path | None = None
 
 
@@ -82,17 +74,14 @@ def write_replay(
         lookup({mode: mode for mode in MODES}, o.color, "color")
     if o.predictor is not None and o.predictor != "none":
         get_predictor(o.predictor)
-    population = None if o.population is None else read_population(o.population)
-    wanted = [path for path in (out, o.video, o.picture) if path is not None]
+    wanted = [path for path in (out, o.picture) if path is not None]
     for path in wanted:
         if not path.parent.is_dir():
             raise InputError(f"{path}: found no folder {path.parent}, expected one")
         if not os.access(path.parent, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-    if o.video is not None:
-        check_video(o.video)
     if o.picture is not None:
-        check_figure_file(o.picture, "--picture")
+        check_picture(o.picture)
     with as_dataset(source, o.format, o.net) as folder:
         dataset = open_dataset(folder)
         entry, many = chosen_entry(dataset, o.episode), len(dataset.manifest.episodes)
@@ -100,7 +89,7 @@ def write_replay(
             LOGGER.info("%s: showing %s, the first of %d episodes", source, entry.name, many)
         scene = gather(
             dataset, entry, model=o.model, labels=o.labels,
-            predictions=o.predictions, predictor=o.predictor, population=population, quiet=quiet,
+            predictions=o.predictions, predictor=o.predictor, quiet=quiet,
         )  # fmt: skip
     first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])
     if o.begin_s is not None and not min(first_s, 0.0) <= o.begin_s <= last_s:
@@ -109,8 +98,6 @@ def write_replay(
         )
     mode = o.color or default_mode(scene)
     write_page(scene, out, mode, o.begin_s)
-    if o.video is not None:
-        write_video(scene, o.video, mode, o.begin_s, o.end_s, quiet)
     if o.picture is not None:
-        write_picture(scene, o.picture, mode, o.begin_s)
+        write_picture(scene, o.picture, mode, o.begin_s, o.end_s, quiet)
     return wanted

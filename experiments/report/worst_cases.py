@@ -1,129 +1,170 @@
-"""The page of the predictions with the largest errors on recordings, family by family."""
+"""Where a run was most wrong: pictures and replays of unseen episodes, with links to moments."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import groupby
+from pathlib import Path
 from typing import Final
+from urllib.parse import urlencode
 
 import numpy as np
-from markupsafe import Markup
 
-from experiments.report.charts import PAGE, inlined
-from experiments.report.templates import rendered
-from sim.frames import FloatArray
+from behaviors.labels import BEHAVIORS
+from experiments.console.progress import Progress
+from experiments.data.parallel import in_parallel
+from experiments.replay.page import write_page
+from experiments.replay.pictures import Drawing, fullest_s
+from experiments.replay.scene import DEFAULT_PREDICTOR, ReplayScene, gather
+from experiments.report.pictures import Picture
+from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
 
-WORST: Final = 10
-"""Cases of each family that are shown, at most one of each vehicle."""
+EPISODES: Final = 4
+"""Unseen episodes of each scenario that are looked at."""
 
-MARGIN_M: Final = 12.0
-"""How much is shown around what a case is about, m."""
+CASES: Final = 3
+"""Worst cases of each sort that are shown for each scenario."""
 
-LEAST_SHARE: Final = 0.03
-"""Futures that are less likely are not drawn."""
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """An agent about which the run was wrong.
+
+    Attributes:
+        sort: "answer" or "prediction".
+        badness: the probability given to the wrong behaviour, or metres.
+        text: one sentence on it.
+        href: where to see it, relative to the report.
+    """
+
+    sort: str
+    badness: float
+    text: str
+    href: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
-    """One prediction of one vehicle, and what happened.
+class Excerpt:
+    """What the unseen episodes of one scenario show.
 
     Attributes:
-        family: what kind of place it is.
-        recording: the dataset, the place and the recording.
-        vehicle: its name there.
-        time_s: the present.
-        error_m: mean distance of the likeliest future.
-        steady_error_m: the same for constant velocity.
-        past: (P, 2) where it had been, m.
-        truth: (K, 2) where it went, m.
-        futures: (M, K, 2) where it might have gone, m.
-        probability: (M,) of these futures.
-        others: (Q, 2) where the others near by were at the present, m.
-        lanes: centre lines of the lanes near by, each (L, 2), m; () without a map.
+        scenario: its name.
+        pictures: one moment, coloured by predicted behaviour and by prominence in the graph.
+        href: the replay of that moment.
+        cases: the worst of each sort.
     """
 
-    family: str
-    recording: str
-    vehicle: str
-    time_s: float
-    error_m: float
-    steady_error_m: float
-    past: FloatArray
-    truth: FloatArray
-    futures: FloatArray
-    probability: FloatArray
-    others: FloatArray
-    lanes: tuple[FloatArray, ...]
+    scenario: str
+    pictures: tuple[Picture, ...]
+    href: str
+    cases: tuple[Case, ...]
 
 
-def worst_of(cases: Iterable[Case]) -> list[Case]:
-    """The `WORST` cases of each family, the worst first, and at most one of each vehicle."""
-    found: list[Case] = []
-    ordered = sorted(cases, key=lambda case: (case.family, -case.error_m))
-    for _, those in groupby(ordered, key=lambda case: case.family):
-        of_vehicle: dict[tuple[str, str], Case] = {}
-        for case in those:
-            of_vehicle.setdefault((case.recording, case.vehicle), case)
-        found += list(of_vehicle.values())[:WORST]
-    return found
-
-
-def worst_cases_page(cases: Iterable[Case], predictor: str) -> str:
-    """The page as HTML.
+def take_excerpts(folder: Path, jobs: int | None = None, quiet: bool = True) -> list[Excerpt]:
+    """Look at a run's unseen episodes and write their replays.
 
     Args:
-        cases: of any families; the worst of each are shown.
-        predictor: whose predictions they are.
+        folder: of the run, with ``data`` and ``model``; replays go into ``replays`` in it.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        One entry for each scenario that has unseen episodes.
     """
-    families = [
-        (family, [(_words(case), _picture(case)) for case in those])
-        for family, those in groupby(worst_of(cases), key=lambda case: case.family)
-    ]
-    return rendered("worst_cases.html", predictor=predictor, families=families)
+    dataset = open_dataset(folder / "data")
+    (folder / "replays").mkdir(exist_ok=True)
+    chosen = {name: dataset.episodes("test", name)[:EPISODES] for name in dataset.scenarios}
+    arguments = [
+        (folder, entry, place == 0)
+        for part in chosen.values()
+        for place, entry in enumerate(part)
+    ]  # fmt: skip
+    found: dict[str, list[Excerpt]] = {}
+    with Progress("looking at unseen episodes", len(arguments), quiet) as progress:
+        for one in in_parallel(excerpt_of, arguments, jobs):
+            found.setdefault(one.scenario, []).append(one)
+            progress.advance()
+    return [_joined(parts) for parts in found.values()]
 
 
-def _words(case: Case) -> str:
-    """The caption of a picture."""
-    return (
-        f"{case.recording}, vehicle {case.vehicle} at {case.time_s:.1f} s: "
-        f"{case.error_m:.1f} m off on average, constant velocity {case.steady_error_m:.1f} m"
+def excerpt_of(folder: Path, entry: EpisodeEntry, draw: bool) -> Excerpt:
+    """Look at one episode and write its replay.
+
+    Args:
+        folder: of the run.
+        entry: the episode.
+        draw: whether pictures are wanted.
+
+    Returns:
+        What it shows.
+    """
+    model = str(folder / "model")
+    dataset = open_dataset(folder / "data")
+    scene = gather(dataset, entry, model=model, predictor=DEFAULT_PREDICTOR)
+    page, moment = f"replays/{entry.id}.html", fullest_s(scene)
+    write_page(scene, folder / page, "predicted")
+    pictures = tuple(
+        Picture(f"{entry.scenario} at {moment:.0f} s, {words}", Drawing(scene, mode).draw(moment))
+        for mode, words in (("predicted", "predicted behaviours and paths"), ("w", "traffic graph"))
+        if draw
     )
+    cases = (*_wrong_answers(scene, page), *_wrong_predictions(scene, page))
+    return Excerpt(entry.scenario, pictures, _link(page, moment), cases)
 
 
-def _picture(case: Case) -> Markup:
-    """The lanes, the others, the past, what was predicted, and what happened."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
+def _joined(parts: list[Excerpt]) -> Excerpt:
+    cases = sorted((c for part in parts for c in part.cases), key=lambda case: -case.badness)
+    kept = [[c for c in cases if c.sort == sort][:CASES] for sort in ("answer", "prediction")]
+    return Excerpt(parts[0].scenario, parts[0].pictures, parts[0].href, (*kept[0], *kept[1]))
 
-    shown = case.probability >= min(LEAST_SHARE, float(case.probability.max()))
-    about = np.concatenate([case.past, case.truth, case.futures[shown].reshape(-1, 2)])
-    low, high = about.min(axis=0), about.max(axis=0)
-    middle, half = (low + high) / 2.0, float((high - low).max()) / 2.0 + MARGIN_M
-    title = _words(case)
-    with rc_context({"svg.hashsalt": title, **PAGE.style()}):
-        figure = Figure(figsize=(4.2, 4.2), layout="constrained")
-        axes = figure.add_subplot()
-        for lane in case.lanes:
-            axes.plot(*lane.T, color="#99a1ab", linewidth=0.8, zorder=1)
-        axes.plot(*case.others.T, "s", color="#99a1ab", markersize=4, label="others", zorder=2)
-        best = int(case.probability.argmax())
-        for number in np.flatnonzero(shown):
-            way = np.concatenate([case.past[-1:], case.futures[number]])
-            likeliest = number == best
-            axes.plot(
-                *way.T, color="#0072B2", linewidth=2.0 if likeliest else 1.0, zorder=3,
-                alpha=1.0 if likeliest else 0.25 + 0.6 * float(case.probability[number]),
-                label="predicted" if likeliest else None,
-            )  # fmt: skip
-        way = np.concatenate([case.past[-1:], case.truth])
-        axes.plot(*way.T, "o-", color="#D55E00", markersize=2.5, label="happened", zorder=4)
-        axes.plot(*case.past.T, color="#55606E", linewidth=2.0, label="past", zorder=5)
-        (left, bottom), (right, top) = middle - half, middle + half
-        axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x, m", ylabel="y, m")
-        axes.set_aspect("equal")
-        figure.legend(loc="outside lower left", ncols=4, frameon=False, handlelength=1.6)
-        out = io.StringIO()
-        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None})
-    return inlined(out.getvalue(), title)
+
+def _link(page: str, time_s: float, agent: str = "") -> str:
+    query = {"t": f"{time_s:.1f}", "mode": "predicted"} | ({"agent": agent} if agent else {})
+    return f"{page}#{urlencode(query)}"
+
+
+def _wrong_answers(scene: ReplayScene, page: str) -> list[Case]:
+    """Drivers whose last belief is wrong, the surest first."""
+    cases = list[Case]()
+    truth = scene.tracks.behavior
+    for row in range(0 if truth is None else truth.size):
+        believed = scene.beliefs.probability[row]
+        samples = np.flatnonzero(np.isfinite(believed).all(axis=1))
+        if truth is None or truth[row] < 0 or not samples.size:
+            continue
+        last = believed[samples[-1]]
+        code = int(last.argmax())
+        if code == truth[row]:
+            continue
+        surest = int(samples[believed[samples, code].argmax()])
+        name = scene.tracks.names[row]
+        text = (
+            f"driver {name} is {BEHAVIORS[truth[row]]}, taken for {BEHAVIORS[code]} with "
+            f"{100 * last[code]:.0f} % at last"
+        )
+        href = _link(page, float(scene.beliefs.time_s[surest]), name)
+        cases.append(Case("answer", float(last[code]), text, href))
+    return sorted(cases, key=lambda case: -case.badness)[:CASES]
+
+
+def _wrong_predictions(scene: ReplayScene, page: str) -> list[Case]:
+    """Agents that ended farthest from their likeliest future, each at most once."""
+    tracks = scene.tracks
+    worst: dict[int, tuple[float, float]] = {}
+    for forecast in scene.forecasts:
+        end_s = forecast.time_s + float(forecast.ahead_s[-1])
+        step = int(np.searchsorted(tracks.time_s, end_s - 1e-3))
+        if step >= tracks.time_s.size:
+            continue
+        likeliest = np.flatnonzero(np.diff(forecast.agent, prepend=-1) != 0)
+        agent = forecast.agent[likeliest]
+        away = np.hypot(*(forecast.xy[likeliest, -1] - tracks.xy[agent, step]).T)
+        for row, error in zip(agent.tolist(), away.tolist(), strict=True):
+            if np.isfinite(error) and error > worst.get(row, (0.0, 0.0))[0]:
+                worst[row] = error, forecast.time_s
+    cases = []
+    for row, (error, time_s) in worst.items():
+        name = tracks.names[row]
+        text = f"agent {name}, predicted at {time_s:.1f} s, ended {error:.1f} {scene.unit} away"
+        cases.append(Case("prediction", error, text, _link(page, time_s, name)))
+    return sorted(cases, key=lambda case: -case.badness)[:CASES]

@@ -10,7 +10,7 @@ from behaviors.labels import Behavior
 from experiments.benches.blame import rows_of
 from experiments.data.configuration import GenerateConfig
 from experiments.data.episode import Task
-from experiments.scoring.blame import Verdict, agreements, judge, verdict_rows
+from experiments.what_if.blame import Verdict, agreements, judge, verdict_rows
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.episode.incidents import incidents

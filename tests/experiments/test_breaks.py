@@ -10,7 +10,7 @@ import pytest
 from behaviors.labels import BEHAVIORS
 from experiments.replay.beliefs import Beliefs
 from experiments.replay.forecasts import forecast
-from experiments.scoring.prediction_errors import evaluate, future
+from experiments.score.predictions import evaluate, future
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from scenarios import SCENARIOS

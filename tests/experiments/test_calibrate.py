@@ -14,7 +14,7 @@ from behaviors.errors import InputError
 from behaviors.populations import NUMBERS, read_population
 from experiments.benches.calibration import behind_rows
 from experiments.calibration import SCHEMA, write_calibration, write_shipped
-from experiments.scoring.calibration import population_rows
+from experiments.score.calibration import population_rows
 from graphrqi.calibrate.drives import Stretch
 from graphrqi.calibrate.laws import Law
 from sim.store.lock import FILLING, LOCK

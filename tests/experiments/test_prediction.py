@@ -11,13 +11,14 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.commands import main
-from experiments.scoring.prediction import (
+from experiments.score.futures import PREDICTIONS
+from experiments.score.predict import (
     NothingToScore,
     metrics_tree,
     predict_dataset,
     short_table,
 )
-from experiments.scoring.prediction_errors import (
+from experiments.score.predictions import (
     GROUPS,
     MEASURES,
     Errors,
@@ -26,7 +27,6 @@ from experiments.scoring.prediction_errors import (
     instants,
     summarize,
 )
-from experiments.scoring.prediction_file import PREDICTIONS
 from experiments.training.predictor import calibrate_drivers, samples_of
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor

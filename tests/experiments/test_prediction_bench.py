@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.benches.prediction.bench import busy_road, compare, rollout_time, shifted_in_time
-from experiments.scoring.prediction_errors import GROUPS, MEASURES, Errors
+from experiments.score.predictions import GROUPS, MEASURES, Errors
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from sim.frames import Tracks

@@ -31,6 +31,7 @@ from experiments.benches.classification.robustness import (
 )
 from experiments.benches.classification.rows import difference_rows, score_rows
 from experiments.benches.classification.speed import speed_rows
+from experiments.benches.statistics import auc_within
 from experiments.data.configuration import GenerateConfig
 from experiments.data.disturbances import (
     DISTURBANCES,
@@ -41,7 +42,7 @@ from experiments.data.disturbances import (
 )
 from experiments.data.generate import generate
 from experiments.data.windows import places_of
-from experiments.scoring.metrics import auc_within, calibration_error, confusion, reliability
+from experiments.score.metrics import calibration_error, confusion, reliability
 from graphrqi.methods import METHODS
 from graphrqi.model_files import load_model
 from graphrqi.samples import Samples

@@ -17,16 +17,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.benches import real_data
 from experiments.benches.prediction import knowledge
 from experiments.benches.prediction.recordings import RATIOS, _distance, measure_recordings
-from experiments.report.worst_cases import WORST
-from experiments.scoring.recordings import (
-    family_of,
-    happened,
-    history_of,
-    moving,
-    read_sources,
-    recorded_instants,
-    steady_motion,
-)
+from experiments.benches.worst_cases import WORST
 from experiments.training.recorded import (
     KEY_FRAMES_S,
     MIRROR,
@@ -38,6 +29,15 @@ from experiments.training.recorded import (
     shorter,
     train_on_recordings,
     with_noise,
+)
+from experiments.training.recordings import (
+    family_of,
+    happened,
+    history_of,
+    moving,
+    read_sources,
+    recorded_instants,
+    steady_motion,
 )
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict

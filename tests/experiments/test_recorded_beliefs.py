@@ -6,7 +6,7 @@ import numpy as np
 
 from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recorded import LEAST_DRIVERS, Drivers, place_rows
-from experiments.scoring.second_half import MEASURES
+from experiments.benches.second_half import MEASURES
 
 
 def test_a_measure_that_all_drivers_share_has_no_correlation():

@@ -23,7 +23,7 @@ from experiments.data.generate import generate
 from experiments.data.shards.plan import Part
 from experiments.data.shards.staging import staging_folder
 from experiments.data.verify import verify_dataset
-from experiments.scoring.classification import classify_dataset
+from experiments.score.labels import classify_dataset
 from experiments.training.classifier import train_on
 from sim.store.dataset import open_dataset
 from sim.store.places import Place, file_checksum, place_of, url_of

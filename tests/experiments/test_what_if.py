@@ -18,7 +18,7 @@ from experiments.data.verify import verify_dataset
 from experiments.data.what_if import WhatIf, branch_of, change_of, make_what_if
 from experiments.replay.ghosts import find_ghosts, ghosts_of
 from experiments.replay.pictures.paths import write_paths
-from experiments.scoring.what_if import (
+from experiments.what_if.outcomes import (
     branches_of,
     delays,
     factual_of,

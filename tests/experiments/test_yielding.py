@@ -19,7 +19,7 @@ from experiments.benches.prediction.yielding import (
     score_chances,
     travelled,
 )
-from experiments.scoring.metrics import auc, auc_within, brier
+from experiments.benches.statistics import auc, auc_within, brier
 from graphrqi.posterior import Posterior
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS

@@ -39,7 +39,7 @@ from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.data.worlds.episode import WorldsConfig
 from experiments.figure_files import write_figure
-from experiments.rows import Row
+from experiments.score.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.methods import METHODS, Model
 from graphrqi.model_files import load_model

@@ -20,9 +20,9 @@ from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.benches.classification.recordings import MAIN_S, FloatArray, IntArray, Recordings
 from experiments.benches.classification.rows import keys_of, posterior, score_rows
-from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import bootstrap, pairs_won, ratio
-from experiments.scoring.models import majority_of
+from experiments.benches.statistics import majority_of, pairs_won
+from experiments.score.metrics import bootstrap, ratio
+from experiments.score.rows import Row, tidy_row
 from graphrqi.classify import make_classifier
 from graphrqi.methods import train
 from graphrqi.posterior import AGGRESSIVE

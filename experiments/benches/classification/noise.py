@@ -12,7 +12,7 @@ from experiments.benches.classification.recordings import (
 )
 from experiments.benches.classification.rows import keys_of
 from experiments.benches.classification.streams import answer_rows, by_age, stream_all
-from experiments.rows import Row
+from experiments.score.rows import Row
 from graphrqi.methods import Model
 
 NOISE_M: Final = (0.03, 0.1, 0.25, 0.5)

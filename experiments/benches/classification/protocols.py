@@ -46,8 +46,8 @@ from experiments.benches.classification.rows import (
     reliability_rows,
     score_rows,
 )
-from experiments.rows import Row
-from experiments.scoring.models import majority_of
+from experiments.benches.statistics import majority_of
+from experiments.score.rows import Row
 from graphrqi.classify import make_classifier
 from graphrqi.features.baseline import FREE_FLOW, GRAPH_SIGNALS, LAW_HEADWAYS
 from graphrqi.methods import METHODS, Model, train

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.rows import keys_of
+from experiments.benches.second_half import MEASURES, halves, measured
 from experiments.data.admission import admitted
 from experiments.data.parallel import in_parallel
-from experiments.rows import Row, tidy_row
-from experiments.scoring.second_half import MEASURES, halves, measured
+from experiments.score.rows import Row, tidy_row
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.posterior import aggressive_share

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.benches.statistics import majority_of
 from experiments.data.disturbances import DISTURBANCES
 from experiments.data.parallel import in_parallel
-from experiments.scoring.models import majority_of
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from graphrqi.methods import METHODS, Model, make_observer, train
 from graphrqi.samples import WINDOWS_S, Samples, collect

@@ -11,9 +11,9 @@ import numpy as np
 from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recordings import MAIN_S, Disturbed, Recordings
 from experiments.benches.classification.rows import keys_of, posterior, score_rows
+from experiments.benches.statistics import majority_of
 from experiments.data.disturbances import DISTURBANCES
-from experiments.rows import Row
-from experiments.scoring.models import majority_of
+from experiments.score.rows import Row
 from graphrqi.methods import Model, train
 from graphrqi.samples import WINDOWS_S, Samples
 

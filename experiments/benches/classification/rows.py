@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recordings import FloatArray
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import (
+from experiments.score.metrics import (
     METRICS,
     Statistic,
     bootstrap,
@@ -20,6 +19,7 @@ from experiments.scoring.metrics import (
     reliability,
     weighted_accuracy,
 )
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.classify import Classifier
 from graphrqi.methods import Model
 from graphrqi.samples import Samples

@@ -11,7 +11,7 @@ import numpy as np
 
 from experiments.benches.classification.recordings import Recordings
 from experiments.benches.classification.rows import keys_of
-from experiments.rows import Row, tidy_row
+from experiments.score.rows import Row, tidy_row
 from graphrqi.stream import BehaviorStream
 from sim.frames import Tracks
 

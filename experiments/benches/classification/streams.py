@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recordings import UNDISTURBED, Disturbed, FloatArray
 from experiments.benches.classification.rows import score_rows
+from experiments.benches.statistics import majority_of
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import (
+from experiments.score.metrics import (
     bootstrap,
     calibration_error,
     confusion,
@@ -24,7 +24,7 @@ from experiments.scoring.metrics import (
     summed,
     weighted_accuracy,
 )
-from experiments.scoring.models import majority_of
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.methods import Model
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from graphrqi.samples import Samples

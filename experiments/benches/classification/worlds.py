@@ -18,7 +18,7 @@ from experiments.benches.classification.recordings import OURS, FloatArray
 from experiments.benches.classification.rows import keys_of
 from experiments.benches.classification.streams import answer_rows, by_age, stream_all
 from experiments.data.windows import gather
-from experiments.rows import Row
+from experiments.score.rows import Row
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from experiments.training.elsewhere import PARTS, gather_lessons, number_of
 from graphrqi.elsewhere import FOREIGN

@@ -20,9 +20,9 @@ from behaviors.labels import BEHAVIORS
 from experiments.benches.classification.recorded import last_beliefs, log_odds
 from experiments.benches.classification.rows import keys_of
 from experiments.benches.real_data import Video, evaluate_traf, read_video
+from experiments.benches.statistics import auc_within
 from experiments.data.parallel import in_parallel
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import auc_within
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.features.unit_free import NAMES
 from graphrqi.model_files import load_model
 from graphrqi.posterior import AGGRESSIVE, aggressive_share

@@ -21,7 +21,7 @@ from experiments.benches.drive.episode import METRICS, ROADS, drive
 from experiments.benches.drive.policies import POLICIES, get_policy
 from experiments.benches.drive.ranking import mean_row, ranking_rows
 from experiments.data.parallel import in_parallel
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.frames import FloatArray
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import RESAMPLES
+from experiments.score.metrics import RESAMPLES
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.frames import FloatArray
 
 

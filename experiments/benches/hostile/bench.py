@@ -25,7 +25,7 @@ from experiments.benches.contract import Bench, option
 from experiments.benches.hostile.progress import Progress
 from experiments.benches.hostile.trial import FAILURES, STATES, families
 from experiments.benches.hostile.worker import Trial, try_all
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 
 LOGGER = logging.getLogger(__name__)
 

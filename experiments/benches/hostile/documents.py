@@ -86,7 +86,7 @@ def _table(reader: Callable[..., object]) -> Callable[[Path], object]:
 
 
 def _labels() -> bytes:
-    from experiments.scoring.classification import LABELS
+    from experiments.score.labels import LABELS
 
     rows = [
         {"episode": EPISODE, "recording": "r", "agent": a, "name": str(a), "time_s": t}
@@ -96,7 +96,7 @@ def _labels() -> bytes:
 
 
 def _predictions() -> bytes:
-    from experiments.scoring.prediction_file import PREDICTIONS
+    from experiments.score.futures import PREDICTIONS
 
     rows = [
         {

@@ -32,7 +32,7 @@ from experiments.benches.contract import Bench, option
 from experiments.benches.kills import generations
 from experiments.benches.kills.forked import content, run
 from experiments.benches.progress import read_progress
-from experiments.rows import Row, tidy_row
+from experiments.score.rows import Row, tidy_row
 from sim.store.atomic import write_whole
 
 LOGGER = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
 MODULES: Final = (
     "experiments.calibration", "experiments.cli.commands", "experiments.data.exchange",
     "experiments.data.generate", "experiments.replay.write", "experiments.report",
-    "experiments.scoring.classification", "experiments.scoring.prediction",
+    "experiments.score.labels", "experiments.score.predict",
     "experiments.training.classifier",
 )  # fmt: skip
 """What commands import; it is there before they are forked, so that they begin at once."""

@@ -21,23 +21,23 @@ from experiments.benches.prediction.yielding import (
     encounter_chances,
     score_chances,
 )
+from experiments.benches.statistics import prediction_keys
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.data.parallel import in_parallel
-from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import Statistic, bootstrap, ratio
-from experiments.scoring.prediction_errors import (
+from experiments.score.metrics import Statistic, bootstrap, ratio
+from experiments.score.predictions import (
     EVERY_S,
     HORIZONS_S,
     MEASURES,
     Errors,
     beliefs,
-    evaluate,
     instants,
-    prediction_keys,
     root_ratio,
-    summarize,
+    score_episode,
+    score_predictions,
 )
+from experiments.score.rows import Row, tidy_row
 from graphrqi.model_files import load_model
 from graphrqi.predict import PREDICTORS, chosen_predictor
 from graphrqi.predict.rollout.driver_table import default_table
@@ -156,7 +156,7 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
                 ("unseen, no map", [one.map_free for one in found]),
                 ("unseen, no map, clocks shifted", [one.shifted for one in found]),
             ):
-                rows += summarize(episodes, scenario, split)
+                rows += score_predictions(episodes, {"scenario": scenario, "split": split})
                 rows += compare(episodes, scenario, split)
             rows += score_chances([one.chances for one in found], scenario, "unseen")
             cases += [case for one in found for case in one.chances.cases]
@@ -178,9 +178,9 @@ def bench_episode(
     moments = {stop: posteriors[stop] for stop in scored}
     late = shifted_in_time(tracks, entry.seed)
     return EpisodeResult(
-        errors=evaluate(tracks, moments, road, predictors),
-        map_free=evaluate(tracks, moments, None, MAP_FREE),
-        shifted=evaluate(late, moments, None, MAP_FREE),
+        errors=score_episode(tracks, moments, road, predictors),
+        map_free=score_episode(tracks, moments, None, MAP_FREE),
+        shifted=score_episode(late, moments, None, MAP_FREE),
         chances=NO_ENCOUNTERS
         if road is None
         else encounter_chances(tracks, road, posteriors, predictors),

@@ -24,9 +24,10 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benches.prediction.recordings import scored_every_s
-from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import bootstrap, ratio, summed
-from experiments.scoring.recordings import (
+from experiments.benches.second_half import MEASURES, SPAN_S, Doings
+from experiments.score.metrics import bootstrap, ratio, summed
+from experiments.score.rows import Row, tidy_row
+from experiments.training.recordings import (
     RecordedPlace,
     happened,
     history_of,
@@ -34,7 +35,6 @@ from experiments.scoring.recordings import (
     read_sources,
     recorded_instants,
 )
-from experiments.scoring.second_half import MEASURES, SPAN_S, Doings
 from graphrqi.methods import Model
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.prediction import STEP_S

@@ -36,9 +36,9 @@ from experiments.benches.realism.likelihood import (
 )
 from experiments.benches.realism.simulators import SIMULATORS, simulate
 from experiments.benches.realism.start import Start, starts
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import bootstrap, ratio
-from experiments.scoring.recordings import OTHER, RecordedPlace, read_sources
+from experiments.score.metrics import bootstrap, ratio
+from experiments.score.rows import Cell, Row, tidy_row
+from experiments.training.recordings import OTHER, RecordedPlace, read_sources
 from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.episode.observables import observe

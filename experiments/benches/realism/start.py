@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.benches.realism.likelihood import Motion
-from experiments.scoring.recordings import RecordedPlace
+from experiments.training.recordings import RecordedPlace
 from graphrqi.predict.rollout.lane_positions import along_path
 from graphrqi.predict.rollout.rollout import on_lanes
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene, make_scene

@@ -20,7 +20,7 @@ from experiments.benches.contract import Bench, option
 from experiments.benches.roads.odd_maps import write_odd_maps
 from experiments.benches.roads.trip import Trip, look, ride
 from experiments.data.parallel import in_parallel
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.engines import ENGINES
 
 ENDINGS: Final = (".net.xml", ".osm", ".xodr", ".xml", ".json")

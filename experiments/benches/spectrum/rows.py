@@ -7,7 +7,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from experiments.rows import tidy_row
+from experiments.score.rows import tidy_row
 
 Row: TypeAlias = dict[str, Any]
 
