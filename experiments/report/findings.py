@@ -30,7 +30,7 @@ def findings(rows: pd.DataFrame) -> list[str]:
     if "behavior" in rows:
         rows = rows[rows["behavior"].isna() | (rows["behavior"] == "all")]
     if "split" in rows and (rows["split"] == "test").any():
-        rows = rows[rows["split"] == "test"]
+        rows = rows[rows["split"].isna() | (rows["split"] == "test")]
     if "name" in rows:
         rows = rows[rows["name"].isna()]
     found: list[str] = []

@@ -13,12 +13,13 @@ from experiments.benches.behaviors import (
     Settings,
     rows_of,
 )
+from experiments.score.rows import FIGURE, MADE
 
 
 def test_rows_are_tidy_and_say_what_the_drivers_did():
     rows = BENCH.run(Settings(("straight_road",), seeds=(0,), duration_s=90.0))
     json.dumps(rows)
-    keys = {"bench", "engine", "scenario", "behavior", "metric", "value", "low", "high", "n"}
+    keys = {*MADE, "engine", "scenario", "behavior", *FIGURE}
     assert all(row.keys() == keys for row in rows)
     found = {(r["behavior"], r["metric"]) for r in rows}
     assert {(b.value, m) for b in BEHAVIORS for m, _, _ in METRICS} <= found

@@ -18,7 +18,7 @@ from experiments.score.calibration import population_rows
 from graphrqi.calibrate.drives import Stretch
 from graphrqi.calibrate.laws import Law
 from sim.store.lock import FILLING, LOCK
-from tests.experiments.shared import call, content
+from tests.experiments.shared import content
 
 HEADWAY_S = 1.2
 
@@ -86,9 +86,6 @@ def test_a_recording_is_calibrated_into_a_folder(tmp_path: Path) -> None:
     better = (out / f"population_{card['better_law']}.toml").read_text()
     assert (out / "population.toml").read_text() == better
     assert set(tomllib.loads(better)["numbers"]) == set(NUMBERS)
-    page = (out / "report.html").read_text()
-    assert "best fitted: t" in page
-    assert "worst fitted: t" in page
     assert len(population_rows(calibrated)) == len(Law) * len(NUMBERS)
 
 
@@ -101,7 +98,7 @@ def test_a_calibration_that_was_stopped_is_run_again(tmp_path: Path) -> None:
     recording(source, 21.0)
     with pytest.raises(InputError, match=r"found another calibration there .*new or empty folder"):
         write_calibration(source, out, "argoverse1", quiet=True)
-    (out / "report.html").unlink()
+    (out / "calibration.json").unlink()
     with pytest.raises(InputError, match="found something there, expected a new or empty folder"):
         write_calibration(source, out, "argoverse1", quiet=True)
     (out / LOCK).write_text(f"process 1 on a machine, {FILLING}")  # of one that was killed
@@ -114,15 +111,3 @@ def test_nobody_to_calibrate_is_said(tmp_path: Path) -> None:
     source = recording(tmp_path / "a.csv", 3.0)
     with pytest.raises(InputError, match="found no driver that follows another one"):
         write_calibration(source, tmp_path / "out", "argoverse1", quiet=True)
-
-
-def test_populations_are_laid_beside_the_profiles(tmp_path: Path) -> None:
-    people = read_population("profiles")
-    (tmp_path / "people.toml").write_text(people.to_toml())
-    out = tmp_path / "rows.json"
-    assert call("populations", "profiles", tmp_path / "people.toml", "--json", out) == 0
-    rows = json.loads(out.read_bytes())
-    assert [row["number"] for row in rows] == [*NUMBERS, *NUMBERS]
-    headway = next(row for row in rows if row["number"] == "time_headway_s")
-    assert headway["threatening"] < headway["careful"] < headway["timid"]
-    assert headway["careful"] == pytest.approx(people.quantile("time_headway_s", 1.45), abs=1e-3)

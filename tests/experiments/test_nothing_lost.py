@@ -11,7 +11,6 @@ from behaviors import InputError
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
-from experiments.report.page import write_report
 from experiments.training.classifier import train_on
 from sim.store.atomic import whole_folder
 
@@ -104,14 +103,3 @@ def test_a_repair_moves_foreign_files_beside_the_dataset(
     beside = tmp_path / "data-foreign"
     assert (beside / home.relative_to(folder) / "note").read_text() == NOTE
     assert f"moved 1 foreign files to {beside}" in caplog.text
-
-
-def test_a_report_does_not_replace_a_page_of_others(tmp_path: Path) -> None:
-    rows = tmp_path / "rows.json"
-    rows.write_text('[{"command": "bench loop", "stage": "all", "metric": "ms_median", "value": 1.0}]')
-    page = write_report([rows])
-    assert write_report([rows]) == page
-    page.write_text(f"<html><body>{NOTE}</body></html>")
-    with pytest.raises(InputError, match="found a page that is not a report"):
-        write_report([rows])
-    assert NOTE in page.read_text()

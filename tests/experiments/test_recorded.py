@@ -282,12 +282,12 @@ def test_knowledge_of_drivers_is_measured_on_each_dataset_left_out(data):
 
 def test_the_command_trains_and_tells(data, tmp_path):
     out = subprocess.run(
-        [sys.executable, "-m", "experiments.cli", "train-predictor", str(data / "ngsim_us101"),
+        [sys.executable, "-m", "experiments.cli", "train", "--predictor", str(data / "ngsim_us101"),
          "--out", str(tmp_path), "--epochs", "1", "--json", "-", "--quiet"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     rows = json.loads(out.stdout)
-    assert [row["dataset"] for row in rows] == ["ngsim_us101"]
+    assert [row["recordings"] for row in rows] == ["ngsim_us101"]
     assert (tmp_path / SHIPPED).is_file()
 
 

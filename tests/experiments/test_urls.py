@@ -154,7 +154,7 @@ def test_datasets_are_trained_on_classified_and_exported(stored: Path, tmp_path:
     model = tmp_path / "model"
     train_on([stored], "majority", model, quiet=True, jobs=1)
     with as_dataset(stored) as dataset:
-        classify_dataset(dataset, str(model), stored.parent / "labels.parquet", True)
+        classify_dataset(dataset, str(model), stored.parent / "labels.parquet", quiet=True)
     assert place_of(stored.parent).size("labels.parquet")
     written = export_dataset(stored, stored.parent / "fcd", "sumo-fcd", quiet=True)
     assert {url_of(path.parent) for path in written} == {"s3://datasets/fcd"}

@@ -18,6 +18,7 @@ from experiments.benches.spectrum.sequences import (
     traffic,
     traffic_positions,
 )
+from experiments.score.rows import FIGURE, MADE
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
@@ -26,7 +27,7 @@ def test_rows_table_and_plot(tmp_path: Path) -> None:
     rows = BENCH.run(
         Settings((25, 40), 4, ("largest",), ("road",), ("instantaneous",), 3, budget_s=0.2, study=0)
     )
-    keys = ["bench", "solver", "d", "graph", "kind", "end", "metric", "value", "low", "high", "n"]
+    keys = [*MADE, "solver", "d", "graph", "kind", "end", *FIGURE]
     keys.append("reason")
     assert all(list(row) == keys for row in rows)
     json.dumps(rows, allow_nan=False)
