@@ -17,10 +17,11 @@ from experiments.figure_files import write_figure
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import ReplayScene
 from sim.frames import PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
-from sim.road.shapes import RoadShapes, road_shapes
+from sim.road.shapes import road_shapes
 from sim.store.atomic import write_whole
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -146,7 +147,7 @@ class Drawing:
         self.fastest = max(1.0, float(np.quantile(scene.tracks.as_rows().speed, 0.995)))
         self._shapes = None if scene.road is None else road_shapes(scene.road)
         self._axes: list[Axes] = []
-        self._moving: list[Any] = []
+        self._moving: list[Artist] = []
         many = len(self.layout.rows)
         each = (tall - GAP_PX * (many - 1)) / many
         for row, (u, v) in enumerate(self.layout.rows):
@@ -155,10 +156,9 @@ class Drawing:
             half = width / self.layout.scale / 2, each / self.layout.scale / 2
             axes.set(xlim=(u - half[0], u + half[0]), ylim=(v - half[1], v + half[1]))
             axes.set(xticks=[], yticks=[], facecolor=GROUND)
-            for spine in axes.spines.values():
-                spine.set_visible(False)
-            self._draw_ground(axes)
+            axes.spines[:].set_visible(False)
             self._axes.append(axes)
+        self._draw_ground()
         self._draw_words()
         self._clock = self.figure.text(0.985, 1 - HEAD_PX / 2 / height, "", ha="right", va="center")
 
@@ -173,47 +173,57 @@ class Drawing:
         """
         for artist in self._moving:
             artist.remove()
-        self._moving = []
         self._clock.set_text(f"{time_s:.1f} s")
         rows, xy, heading, speed = self._present(time_s)
         colors = self._colors(rows, speed, time_s)
-        lines, styles = self._overlay(rows, xy, colors, time_s)
+        lines, inks, width = self._overlay(rows, xy, colors, time_s)
         bodies = [self._body(*one) for one in zip(rows, xy, heading, strict=True)]
-        for axes in self._axes:
-            self._add_lines(axes, lines, styles)
-            self._add_polygons(axes, bodies, colors)
-            self._add_lamps(axes, time_s)
-            self._add_ghosts(axes, time_s)
-            self._add_events(axes, time_s)
+        self._moving = [
+            *self._stops(time_s),
+            *self._lines(lines, inks, width, 3),
+            *self._lines(self._ghosts(time_s), MUTED, 0.8, 4, linestyles="--"),
+            *self._polygons(bodies, colors, 5, edgecolors=INK, linewidths=0.7),
+            *self._collisions(time_s),
+        ]
         return self.figure
 
-    def _draw_ground(self, axes: Axes) -> None:
-        """Draw what does not move."""
-        if self._shapes is None:
-            seen = self.scene.tracks.as_rows()
-            paths = [seen.xy[seen.index.rows(row)] for row in range(self.scene.tracks.ids.size)]
-            self._fixed_lines(axes, [p for p in paths if len(p) > 1], TRACK, 1.0)
-            return
-        shapes = self._shapes
-        for color, polygons in (
-            (PAVING, shapes.paving), (ASPHALT, shapes.asphalt), (PAINT, shapes.bars)
-        ):  # fmt: skip
-            self._fixed_polygons(axes, polygons, color)
-        thin = max(0.5, 0.14 * self.layout.scale * 72 / DPI)
-        self._fixed_lines(axes, [*shapes.edges, *shapes.dashes], PAINT, thin)
-        self._fixed_lines(axes, shapes.middles, MIDDLE, thin)
+    def _lines(
+        self, lines: Any, colors: Any, width: float, zorder: int, **style: Any
+    ) -> list[Artist]:
+        """Add lines to every row."""
+        from matplotlib.collections import LineCollection
 
-    def _fixed_polygons(self, axes: Axes, polygons: Any, color: str) -> None:
+        places, style = [self.layout.places(line) for line in lines], {"colors": colors, **style}
+        return [
+            axes.add_collection(LineCollection(places, linewidths=width, zorder=zorder, **style))
+            for axes in (self._axes if places else ())
+        ]
+
+    def _polygons(self, polygons: Any, colors: Any, zorder: int, **style: Any) -> list[Artist]:
+        """Add filled outlines to every row."""
         from matplotlib.collections import PolyCollection
 
         places = [self.layout.places(polygon) for polygon in polygons]
-        axes.add_collection(PolyCollection(places, facecolors=color, linewidths=0))
+        return [
+            axes.add_collection(PolyCollection(places, facecolors=colors, zorder=zorder, **style))
+            for axes in (self._axes if places else ())
+        ]
 
-    def _fixed_lines(self, axes: Axes, lines: Any, color: str, width: float) -> None:
-        from matplotlib.collections import LineCollection
-
-        places = [self.layout.places(line) for line in lines]
-        axes.add_collection(LineCollection(places, colors=color, linewidths=width))
+    def _draw_ground(self) -> None:
+        """Draw what does not move."""
+        shapes = self._shapes
+        if shapes is None:
+            seen = self.scene.tracks.as_rows()
+            paths = [seen.xy[seen.index.rows(row)] for row in range(self.scene.tracks.ids.size)]
+            self._lines([p for p in paths if len(p) > 1], TRACK, 1.0, 1)
+            return
+        for color, polygons in (
+            (PAVING, shapes.paving), (ASPHALT, shapes.asphalt), (PAINT, shapes.bars)
+        ):  # fmt: skip
+            self._polygons(polygons, color, 1, linewidths=0)
+        thin = max(0.5, 0.14 * self.layout.scale * 72 / DPI)
+        self._lines([*shapes.edges, *shapes.dashes], PAINT, thin, 1)
+        self._lines(shapes.middles, MIDDLE, thin, 1)
 
     def _draw_words(self) -> None:
         """Write title and legend, and draw a bar of a round length as a scale."""
@@ -300,7 +310,7 @@ class Drawing:
 
     def _overlay(
         self, rows: IntArray, xy: FloatArray, colors: list[str], time_s: float
-    ) -> tuple[list[FloatArray], list[tuple[str, float]]]:
+    ) -> tuple[list[FloatArray], list[str] | str, float]:
         """Lines over the road: the graph's edges, or the rest of each likeliest future."""
         place = dict(zip(rows.tolist(), xy, strict=True))
         if self.mode == "w":
@@ -308,16 +318,16 @@ class Drawing:
             sample = int(np.searchsorted(graph.time_s, time_s + 1e-6)) - 1
             live = graph.edges[(graph.edges[:, 2] <= sample) & (graph.edges[:, 3] > sample)]
             pairs = [(a, b) for a, b in live[:, :2].tolist() if a in place and b in place]
-            return [np.stack([place[a], place[b]]) for a, b in pairs], [(EDGE, 0.6)] * len(pairs)
+            return [np.stack([place[a], place[b]]) for a, b in pairs], EDGE, 0.6
         made = [f for f in self.scene.forecasts if time_s - 2.0 < f.time_s <= time_s + 1e-6]
         if self.mode != "predicted" or not made:
-            return [], []
+            return [], [], 1.0
         forecast, color = made[-1], dict(zip(rows.tolist(), colors, strict=True))
         rest = forecast.ahead_s > time_s - forecast.time_s
         likeliest = np.flatnonzero(np.diff(forecast.agent, prepend=-1) != 0)
         shown = [(m, int(forecast.agent[m])) for m in likeliest if int(forecast.agent[m]) in place]
         ways = [np.concatenate([place[agent][None], forecast.xy[m, rest]]) for m, agent in shown]
-        return ways, [(color[agent], 1.4) for _, agent in shown]
+        return ways, [color[agent] for _, agent in shown], 1.4
 
     def _body(self, row: int, xy: FloatArray, heading: float) -> FloatArray:
         """The outline of an agent, at least a few pixels large."""
@@ -329,59 +339,41 @@ class Drawing:
             return xy + 0.5 * width * np.stack([np.cos(turns), np.sin(turns)], axis=1)
         return _outline(xy, heading, length, width)
 
-    def _add_lines(
-        self, axes: Axes, lines: list[FloatArray], styles: list[tuple[str, float]]
-    ) -> None:
-        from matplotlib.collections import LineCollection
-
-        places = [self.layout.places(line) for line in lines]
-        colors, widths = [c for c, _ in styles], [w for _, w in styles]
-        drawn = LineCollection(places, colors=colors or INK, linewidths=widths or 1, zorder=3)
-        self._moving.append(axes.add_collection(drawn))
-
-    def _add_polygons(self, axes: Axes, polygons: list[FloatArray], colors: list[str]) -> None:
-        from matplotlib.collections import PolyCollection
-
-        places = [self.layout.places(polygon) for polygon in polygons]
-        drawn = PolyCollection(
-            places, facecolors=colors or "none", edgecolors=INK, linewidths=0.7, zorder=5
-        )
-        self._moving.append(axes.add_collection(drawn))
-
-    def _add_lamps(self, axes: Axes, time_s: float) -> None:
+    def _stops(self, time_s: float) -> list[Artist]:
         """Draw stop lines in the colour of their signals, with a lamp of a shape of its own."""
-        shapes: RoadShapes | None = self._shapes
-        if shapes is None:
-            return
         signals, step = self.scene.tracks.signals, self._step(time_s)
-        for stop in shapes.stops:
+        drawn: list[Artist] = []
+        wide = max(1.5, 0.6 * self.layout.scale * 72 / DPI)
+        for stop in () if self._shapes is None else self._shapes.stops:
             color, marker = PAINT, ""
             if 0 <= stop.signal < len(signals):
                 color, marker = LAMPS[SIGNALS[signals[stop.signal, step]]]
-            line = self.layout.places(stop.line)
-            wide = max(1.5, 0.6 * self.layout.scale * 72 / DPI)
-            self._moving += axes.plot(*line.T, color=color, linewidth=wide, zorder=2)
-            if marker:
-                self._moving += axes.plot(
-                    *line.mean(axis=0), marker, color=color, markeredgecolor=INK, markersize=6,
-                    zorder=4,
-                )  # fmt: skip
+            drawn += self._lines([stop.line], color, wide, 2)
+            middle = self.layout.places(stop.line).mean(axis=0)
+            style = {"color": color, "markeredgecolor": INK, "markersize": 6, "zorder": 4}
+            drawn += [
+                a for axes in self._axes if marker for a in axes.plot(*middle, marker, **style)
+            ]
+        return drawn
 
-    def _add_ghosts(self, axes: Axes, time_s: float) -> None:
-        """Draw outlines of where agents were in the factual episode."""
+    def _ghosts(self, time_s: float) -> list[FloatArray]:
+        """Outlines of where agents were in the factual episode."""
         ghosts = self.scene.ghosts
         if ghosts is None:
-            return
-        for i in ghosts.at(self._step(time_s)):
-            own = ghosts.ghost[i]
-            size = float(ghosts.length[own]), float(ghosts.width[own])
-            outline = _outline(ghosts.xy[i], float(ghosts.heading[i]), *size)
-            closed = self.layout.places(np.concatenate([outline, outline[:1]]))
-            self._moving += axes.plot(*closed.T, "--", color=MUTED, linewidth=0.8, zorder=4)
+            return []
+        outlines = [
+            _outline(
+                ghosts.xy[i], float(ghosts.heading[i]),
+                float(ghosts.length[ghosts.ghost[i]]), float(ghosts.width[ghosts.ghost[i]]),
+            )
+            for i in ghosts.at(self._step(time_s))
+        ]  # fmt: skip
+        return [np.concatenate([outline, outline[:1]]) for outline in outlines]
 
-    def _add_events(self, axes: Axes, time_s: float) -> None:
+    def _collisions(self, time_s: float) -> list[Artist]:
         """Draw a ring around the place of each collision of the last moments."""
         tracks = self.scene.tracks
+        drawn: list[Artist] = []
         for event in tracks.events:
             since = time_s - event.time_s
             row = int(np.searchsorted(tracks.ids, event.agent))
@@ -390,10 +382,11 @@ class Drawing:
             if row < tracks.ids.size and tracks.ids[row] == event.agent:
                 at = np.array(self._step(event.time_s))
                 place = self.layout.places(tracks.as_rows().places(np.array(row), at))
-                self._moving += axes.plot(
-                    *place, "o", color=GRAVE, markersize=18 + 10 * since, fillstyle="none",
-                    markeredgewidth=2, zorder=6,
-                )  # fmt: skip
+                style: dict[str, Any] = {"color": GRAVE, "fillstyle": "none", "zorder": 6}
+                size = 18 + 10 * since
+                for axes in self._axes:
+                    drawn += axes.plot(*place, "o", markersize=size, markeredgewidth=2, **style)
+        return drawn
 
 
 def _outline(xy: FloatArray, heading: float, length: float, width: float) -> FloatArray:
