@@ -350,10 +350,9 @@ class Drawing:
                 color, marker = LAMPS[SIGNALS[signals[stop.signal, step]]]
             drawn += self._lines([stop.line], color, wide, 2)
             middle = self.layout.places(stop.line).mean(axis=0)
-            style = {"color": color, "markeredgecolor": INK, "markersize": 6, "zorder": 4}
-            drawn += [
-                a for axes in self._axes if marker for a in axes.plot(*middle, marker, **style)
-            ]
+            style: dict[str, Any] = {"color": color, "markeredgecolor": INK, "zorder": 4}
+            for axes in self._axes if marker else ():
+                drawn += axes.plot(*middle, marker, markersize=6, **style)
         return drawn
 
     def _ghosts(self, time_s: float) -> list[FloatArray]:
