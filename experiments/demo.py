@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.console.tables import show_table
+from experiments.console.tables import show_table, write_rows
 from experiments.data.configuration import GenerateConfig
 from experiments.data.generate import generate
 from experiments.report.findings import findings
@@ -21,7 +21,7 @@ from experiments.report.page import write_report
 from experiments.report.source import read_source
 from experiments.score.answers import scores_table
 from experiments.score.predict import errors_table, predict_dataset
-from experiments.score.rows import Row, dataset_id, stamped, write_rows
+from experiments.score.rows import Row, dataset_id, stamped
 from experiments.training.classifier import score_windows, train_model
 from graphrqi.model_files import save_model
 from sim.store.atomic import write_whole

@@ -13,7 +13,7 @@ from pathlib import Path
 from experiments.benches.registry import BENCHES
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
-from experiments.score.rows import write_rows
+from experiments.console.tables import write_rows
 
 
 def run_study(out: Path) -> list[Path]:

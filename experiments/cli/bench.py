@@ -128,8 +128,7 @@ def bench_command(bench: Bench[Any]) -> Any:
 
 
 def _measure(bench: Bench[Any], settings: Any, json: Path | None, plot: Path | None) -> None:
-    from experiments.console.tables import show_table
-    from experiments.score.rows import write_rows
+    from experiments.console.tables import show_table, write_rows
 
     kept = None if json is None or str(json) == "-" else partial(write_rows, path=json)
     rows = bench.run(settings, kept)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -119,15 +120,13 @@ def classify(
 ) -> None:
     """Name each driver's behaviour as it drives."""
     from experiments.console.tables import show_table
-    from experiments.data.exchange import as_dataset
     from experiments.score.labels import classify_dataset, domain_notice, named_table
-    from experiments.score.rows import dataset_id, stamped
-    from sim.store.dataset import open_dataset
+    from experiments.score.rows import stamped
 
     refuse_to_overwrite([source, net, labels], [out, json])
-    with as_dataset(source, format, net) as dataset:
+    with _named_dataset(source, format, net) as (dataset, known):
         found = classify_dataset(dataset, model, out, labels, jobs=jobs, quiet=quiet)
-        rows = stamped(found, "classify", dataset=dataset_id(open_dataset(dataset)))
+    rows = stamped(found, "classify", dataset=known)
     if str(json) != "-":
         show_table(named_table(rows), title="drivers by their last answer")
     _show_scores(rows, json)
@@ -146,18 +145,15 @@ def evaluate(
     quiet: Quiet = False,
 ) -> None:
     """Score a model where drivers are known; report makes a page of the JSON."""
-    from experiments.data.exchange import as_dataset
     from experiments.score.labels import evaluate, trained_here
-    from experiments.score.rows import dataset_id, stamped
-    from sim.store.dataset import open_dataset
+    from experiments.score.rows import stamped
 
     refuse_to_overwrite([source, net, labels], [json])
-    with as_dataset(source, format, net) as dataset:
+    with _named_dataset(source, format, net) as (dataset, known):
         found = evaluate(model, dataset, labels, jobs=jobs, quiet=quiet)
-        rows = stamped(found, "evaluate", dataset=dataset_id(open_dataset(dataset)))
-        known = trained_here(model, dataset)
-    _show_scores(rows, json)
-    if known and str(json) != "-":
+        trained = trained_here(model, dataset)
+    _show_scores(stamped(found, "evaluate", dataset=known), json)
+    if trained and str(json) != "-":
         typer.echo("the model was trained on data like these: the test split counts", err=True)
 
 
@@ -187,18 +183,16 @@ def predict(
 ) -> None:
     """Predict where everyone goes, and score it."""
     from experiments.console.tables import show_table
-    from experiments.data.exchange import as_dataset
     from experiments.score.predict import errors_table, predict_dataset
-    from experiments.score.rows import dataset_id, stamped
-    from sim.store.dataset import open_dataset
+    from experiments.score.rows import stamped
 
     refuse_to_overwrite([source, net], [out, json])
     names = [word.strip() for word in predictors.split(",") if word.strip()]
-    with as_dataset(source, format, net) as dataset:
+    with _named_dataset(source, format, net) as (dataset, known):
         found = predict_dataset(
             dataset, names, horizon_s, model, out=out, weights=weights, jobs=jobs, quiet=quiet
         )
-        rows = stamped(found, "predict", dataset=dataset_id(open_dataset(dataset)))
+    rows = stamped(found, "predict", dataset=known)
     show_table(rows, json, "prediction", errors_table(rows))
 
 
@@ -225,6 +219,19 @@ def calibrate(
     if str(json) != "-":
         places = place_rows([calibrated.population(calibrated.better)])
         show_table(places, title="quantiles at which each behaviour's median driver lies")
+
+
+@contextmanager
+def _named_dataset(
+    source: Path, format: str | None, net: Path | None
+) -> Iterator[tuple[Path, str]]:
+    """A dataset, made of recordings where need be, with its id in rows."""
+    from experiments.data.exchange import as_dataset
+    from experiments.score.rows import dataset_id
+    from sim.store.dataset import open_dataset
+
+    with as_dataset(source, format, net) as folder:
+        yield folder, dataset_id(open_dataset(folder))
 
 
 def _show_scores(rows: Sequence[Row], json: Path | None) -> None:

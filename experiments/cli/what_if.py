@@ -53,9 +53,9 @@ def what_if(
     from experiments.console.tables import show_table
     from experiments.data.what_if import WhatIf, make_what_if
     from experiments.figure_files import check_figure_file
+    from experiments.replay.paths import write_paths
     from experiments.score.rows import dataset_id, melted, stamped
     from experiments.what_if.outcomes import outcomes
-    from experiments.what_if.paths import write_paths
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 

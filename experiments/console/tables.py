@@ -1,18 +1,48 @@
-"""Tables for people on standard output."""
+"""Tables for people on standard output, and rows for programs as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
 from behaviors.display import printable
-from experiments.score.rows import MADE, Cell, Row, write_rows
+from sim.store.atomic import write_whole
+
+Row = Mapping[str, Any]
+
+MADE: Final = ("command", "version", "seed", "dataset")
+"""Keys of tidy rows that say how a figure was made; tables for people leave them out."""
 
 
-def _text(cell: Cell) -> str:
+def _text(cell: object) -> str:
     if cell is None:
         return ""
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def write_rows(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as a JSON list; a number that is not finite becomes null.
+
+    Args:
+        rows: flat rows.
+        path: the file; ``-`` for standard output.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    finite = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+        for row in rows
+    ]
+    text = json.dumps(finite, indent=1, allow_nan=False, default=str) + "\n"
+    if str(path) == "-":
+        sys.stdout.write(text)
+    else:
+        write_whole(path, text.encode())
 
 
 def show_table(

@@ -14,13 +14,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from behaviors.errors import InputError, lookup
+from experiments.console.tables import MADE
 from experiments.figure_files import figure_bytes
 from experiments.report.findings import findings
 from experiments.report.pictures import Picture, pictures_of
 from experiments.report.source import Source, read_source
 from experiments.report.tables import Table, tables_of
 from experiments.report.worst_cases import Excerpt, take_excerpts
-from experiments.score.rows import MADE
 from sim.store.atomic import write_whole
 
 MARK: Final = b"GraphRQI"

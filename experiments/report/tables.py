@@ -9,7 +9,8 @@ from typing import Any, Final
 import pandas as pd
 
 from behaviors.labels import BEHAVIORS
-from experiments.score.rows import FIGURE, MADE
+from experiments.console.tables import MADE
+from experiments.score.rows import FIGURE
 
 NAMES: Final = {
     "weighted_accuracy": "accuracy (A_w)",

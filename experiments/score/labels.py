@@ -105,20 +105,10 @@ def label_episode(episode: Episode, model: Model) -> pa.Table:
     return pa.table(columns).select(LABELS.names).cast(LABELS)
 
 
-def with_truth(
+def _with_truth(
     table: pa.Table, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels | None
 ) -> pa.Table:
-    """Answers with labels that are given now instead of what was known.
-
-    Args:
-        table: with the columns ``LABELS``, of one episode.
-        names: of the episode's agents.
-        entry: the episode.
-        labels: of drivers; what was known is left of others. None if no labels are given.
-
-    Returns:
-        The table.
-    """
+    """Answers about one episode with labels that are given now instead of what was known."""
     if labels is None:
         return table
     found = labels.of(names, entry.name, entry.file, entry.id)
@@ -137,15 +127,8 @@ def with_truth(
     return table
 
 
-def last_answers(table: pa.Table) -> pa.Table:
-    """The last row of every driver of an episode.
-
-    Args:
-        table: with the columns ``LABELS``, of one episode, in order of time.
-
-    Returns:
-        Its rows in order of agent.
-    """
+def _last_answers(table: pa.Table) -> pa.Table:
+    """The last row of every driver of an episode, in order of agent."""
     agent = table["agent"].to_numpy()
     _, last = np.unique(agent[::-1], return_index=True)
     return table.take(pa.array(agent.size - 1 - last))
@@ -216,10 +199,10 @@ def answer_episodes(
     ):
         answers = in_parallel(_answers, arguments, jobs) if arguments else ()
         for (_, entry, place), (names, table) in zip(chosen, answers, strict=True):
-            labelled = with_truth(table, names, entry, given)
+            labelled = _with_truth(table, names, entry, given)
             if writer is not None:
                 writer.write_table(labelled)
-            found.append(Answered(place, entry, last_answers(labelled)))
+            found.append(Answered(place, entry, _last_answers(labelled)))
             progress.advance()
     if given is not None:
         given.check()
@@ -237,7 +220,7 @@ def _answers(
     """Names of an episode's agents, and answers at every frame or the last ones."""
     episode = _opened(folder).read(entry)
     table = label_episode(episode, model)
-    return episode.tracks.names, table if every_frame else last_answers(table)
+    return episode.tracks.names, table if every_frame else _last_answers(table)
 
 
 def scored_answers(answered: Sequence[Answered], model: str) -> list[Row]:

@@ -10,23 +10,18 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from behaviors.errors import InputError
-from sim.store.atomic import write_whole
 
 if TYPE_CHECKING:
     from sim.store.dataset import Dataset
 
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
-
-MADE: Final = ("command", "version", "seed", "dataset")
-"""Keys that say how a figure was made."""
 
 FIGURE: Final = ("metric", "value", "low", "high", "n")
 """Keys of the figure itself."""
@@ -94,27 +89,6 @@ def dataset_id(dataset: Dataset) -> str:
     """
     ids = sorted(entry.id for entry in dataset.episodes())
     return hashlib.sha256("\n".join(ids).encode()).hexdigest()[:12]
-
-
-def write_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as a JSON list; a number that is not finite becomes null.
-
-    Args:
-        rows: flat rows.
-        path: the file; ``-`` for standard output.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
-    finite = [
-        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
-        for row in rows
-    ]
-    text = json.dumps(finite, indent=1, allow_nan=False, default=str) + "\n"
-    if str(path) == "-":
-        sys.stdout.write(text)
-    else:
-        write_whole(path, text.encode())
 
 
 def read_rows(path: Path) -> list[Row]:

@@ -13,7 +13,8 @@ from experiments.benches.behaviors import (
     Settings,
     rows_of,
 )
-from experiments.score.rows import FIGURE, MADE
+from experiments.console.tables import MADE
+from experiments.score.rows import FIGURE
 
 
 def test_rows_are_tidy_and_say_what_the_drivers_did():

@@ -14,7 +14,8 @@ from experiments.benches.contract import Bench, option
 from experiments.benches.registry import BENCHES
 from experiments.cli.bench import bench_command
 from experiments.cli.commands import main
-from experiments.score.rows import FIGURE, MADE, Row, read_rows, tidy_row
+from experiments.console.tables import MADE
+from experiments.score.rows import FIGURE, Row, read_rows, tidy_row
 from experiments.study import run_study
 
 

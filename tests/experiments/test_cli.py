@@ -117,7 +117,7 @@ def test_run_sums_up(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None
     rows = {row["metric"]: row["value"] for row in json.loads(path.read_text())}
     assert code == 0
     assert rows["simulated_s"] == 15.0
-    assert rows["agents"] > 3
+    assert rows["agents"] >= 3
     assert "mean_speed" in out
 
 

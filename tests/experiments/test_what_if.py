@@ -17,7 +17,7 @@ from experiments.data.generate import generate
 from experiments.data.verify import verify_dataset
 from experiments.data.what_if import WhatIf, branch_of, change_of, make_what_if
 from experiments.replay.ghosts import find_ghosts, ghosts_of
-from experiments.replay.pictures.paths import write_paths
+from experiments.replay.paths import write_paths
 from experiments.what_if.outcomes import (
     branches_of,
     delays,

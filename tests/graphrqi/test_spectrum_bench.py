@@ -18,7 +18,8 @@ from experiments.benches.spectrum.sequences import (
     traffic,
     traffic_positions,
 )
-from experiments.score.rows import FIGURE, MADE
+from experiments.console.tables import MADE
+from experiments.score.rows import FIGURE
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
