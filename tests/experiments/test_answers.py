@@ -78,14 +78,6 @@ def test_classifying_ends_with_totals_per_split(data, tmp_path, capsys) -> None:
         assert drivers[split] == sum(r["value"] for r in parts if r["metric"] == "drivers")
 
 
-def test_classifying_needs_no_file_to_write(tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "argo7_tracks.csv").write_text(ARGO)
-    assert call("classify", "argo7_tracks.csv", "-q") == 0
-    assert "drivers by their last answer" in capsys.readouterr().out
-    assert [path.name for path in tmp_path.iterdir()] == ["argo7_tracks.csv"]
-
-
 def test_labels_carry_names_beside_hashes(tmp_path) -> None:
     (tmp_path / "argo7_tracks.csv").write_text(ARGO)
     labels = tmp_path / "labels.parquet"
@@ -126,14 +118,6 @@ def test_v_and_q_set_the_level(arguments, level, capsys) -> None:
     assert ("graphrqi: done in" in capsys.readouterr().err) == (level == logging.DEBUG)
 
 
-def test_q_before_the_command_is_quiet_too(tmp_path, capsys) -> None:
-    options = ["--scenario", "straight_road", "--episodes", 1, "--duration-s", 5, "--jobs", 1]
-    assert call("-q", "generate", *options, "--out", tmp_path / "a") == 0
-    assert capsys.readouterr().err == ""
-    assert call("generate", *options, "--out", tmp_path / "b") == 0
-    assert "generating episodes" in capsys.readouterr().err
-
-
 # --- mixed folders ------------------------------------------------------------------------------
 
 
@@ -157,14 +141,6 @@ def test_a_mixed_folder_is_read_whole(tmp_path, caplog) -> None:
     assert manifest.configuration["format"] == "ind, argo"
     assert "left out, because they are not in the format ind or argo: notes.csv" in caplog.text
     assert len(open_dataset(tmp_path / "data").manifest.episodes) == 3
-
-
-def test_one_format_asked_for_names_the_others(tmp_path, caplog) -> None:
-    source = mixed(tmp_path / "mixed")
-    manifest = import_recordings(source, tmp_path / "data", "argo", quiet=True)
-    assert [entry.name for entry in manifest.episodes] == ["a"]
-    for name in ("00_tracks.csv", "01_tracks.csv", "notes.csv"):
-        assert name in caplog.text
 
 
 # --- errors name the user's thing ---------------------------------------------------------------

@@ -16,7 +16,6 @@ from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.data.configuration import GenerateConfig
-from experiments.data.exchange import import_recordings
 from experiments.data.generate import generate
 from experiments.score.answers import Answers, score_answers
 from experiments.score.labels import LABELS
@@ -195,23 +194,6 @@ def test_labels_of_nobody_are_refused_and_nothing_is_written(command, tmp_path, 
     assert call(*arguments[command], "--labels", labels, "-q") == 2
     assert "which no driver is called" in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_predictions_are_joined_by_the_same_columns(tmp_path) -> None:
-    source, out = recording(tmp_path), tmp_path / "futures.csv"
-    names = ["--predictors", "constant-velocity", "--horizon-s", 1, "-q"]
-    assert call("predict", source, *names, "--out", out) == 0
-    table = pyarrow.csv.read_csv(out)
-    assert table.column_names[:5] == LABELS.names[:5]
-    assert set(table["file"].to_pylist()) == {"argo7_tracks.csv"}
-    assert table["agent"].type == pa.int64()
-
-
-def test_files_in_folders_are_named_from_the_folder_on(tmp_path) -> None:
-    (tmp_path / "all" / "monday").mkdir(parents=True)
-    recording(tmp_path / "all" / "monday")
-    manifest = import_recordings(tmp_path / "all", tmp_path / "data", quiet=True)
-    assert [entry.file for entry in manifest.episodes] == ["monday/argo7_tracks.csv"]
 
 
 def test_a_models_report_has_its_scores(data, tmp_path) -> None:

@@ -20,7 +20,6 @@ from behaviors.labels import BEHAVIORS
 from experiments.replay.beliefs import read_beliefs
 from experiments.replay.forecasts import read_forecasts
 from experiments.replay.graph_history import graph_history
-from experiments.replay.packing import differences
 from experiments.replay.page import write_page
 from experiments.replay.pictures import Drawing, Layout, write_picture
 from experiments.replay.scene import chosen_entry, gather
@@ -154,13 +153,6 @@ def test_data_on_the_page_cannot_end_its_script(scene, tmp_path):
     data = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
     assert json.loads(data.group(1))["agents"][0]["name"] == scene.tracks.names[0]
     assert not re.search(r"(src|href)\s*=\s*[\"']?(https?:)?//", page)
-
-
-def test_steps_that_are_differenced_add_up_again():
-    values = np.array([5.0, 5.02, 4.96, -3.0, -3.01])
-    first, steps = differences(values, np.array([0, 3]), 0.01)
-    again = np.concatenate([first[0] + np.cumsum(steps[:3]), first[1] + np.cumsum(steps[3:])])
-    assert again * 0.01 == pytest.approx(values)
 
 
 def test_recordings_without_a_road_say_so_and_pixels_stay_pixels(dataset, tmp_path):
