@@ -41,10 +41,6 @@ from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 
 
-class NothingToScore(InputError):
-    """No prediction of a dataset can be compared with what happened."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class EpisodePrediction:
     """What predictors say about one episode.
@@ -142,8 +138,8 @@ def predict_dataset(
         Rows as `score_predictions` gives them, over all scenarios.
 
     Raises:
-        InputError: if the dataset, the model or a predictor's name is wrong.
-        NothingToScore: if every episode is too short, or nobody is seen for long enough in any.
+        InputError: if the dataset, the model or a predictor's name is wrong, every episode is too
+            short, or nobody is seen for long enough in any.
     """
     _check_request(predictors, horizon_s)
     if weights is not None:
@@ -181,13 +177,13 @@ def predict_dataset(
                 file.write_table(one.futures)
             progress.advance(entry.agents, entry.agent_steps)
         if not found:
-            raise NothingToScore(
+            raise InputError(
                 f"{source}: found {len(short)} episodes of at most "
                 f"{max(length_s for _, length_s in short):g} s, expected one of {least_s:g} s or "
                 f"longer to predict {horizon_s:g} s ahead: ask for a shorter horizon"
             )
         if not any(errors[predictors[0]].count.any() for one in found.values() for errors in one):
-            raise NothingToScore(
+            raise InputError(
                 f"{source}: found nobody seen for {LEAST_SEEN_S:g} s and then for another "
                 f"{horizon_s:g} s, expected at least one agent"
             )
