@@ -17,9 +17,10 @@ import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
 from behaviors.populations import NUMBERS, Population
+from behaviors.profiles import PROFILES
 from experiments.console.progress import Progress
 from experiments.data.exchange import as_dataset
-from experiments.rows import Row
+from experiments.score.rows import Row
 from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
 from graphrqi.calibrate.following import RecordedDriver, Stretch, recorded_drivers
 from sim.files import new_folder
@@ -203,6 +204,31 @@ def population_rows(calibrated: Calibrated) -> list[Row]:
             for k, number in enumerate(NUMBERS)
         ]
     return rows
+
+
+def quantile_rows(population: Population) -> list[Row]:
+    """The quantiles of a population at which the median driver of each behaviour lies.
+
+    A desired speed has none: profiles have a factor of the limit instead.
+
+    Examples:
+        >>> from behaviors.populations import read_population
+        >>> rows = quantile_rows(read_population("profiles"))
+        >>> rows[0]["number"], rows[0]["timid"]
+        ('time_headway_s', 1.0)
+    """
+    return [
+        {
+            "number": number,
+            "median": float(population.median[NUMBERS.index(number)]),
+            "log_spread": float(population.log_spread[NUMBERS.index(number)]),
+            **{
+                str(behavior): round(population.quantile(number, getattr(profile, number)), 3)
+                for behavior, profile in PROFILES.items()
+            },
+        }
+        for number in NUMBERS[1:]
+    ]
 
 
 def _longest_following(driver: RecordedDriver) -> Stretch | None:

@@ -15,14 +15,14 @@ from sim.files import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LEFT_OUT: Final[dict[str, dict[str, Any]]] = {
+LEFT_OUT: Final[dict[str, dict[str, Any]]] = {
     ".pdf": {"CreationDate": None},
     ".png": {"Software": None},
     ".svg": {"Date": None},
 }
 """By the ending of a file: what matplotlib would write about when and with what it was made."""
 
-_STYLE: Final[dict[Any, Any]] = {"pdf.fonttype": 42, "svg.hashsalt": "graphrqi"}
+STYLE: Final[dict[Any, Any]] = {"pdf.fonttype": 42, "svg.hashsalt": "graphrqi"}
 """TrueType letters, which publishers ask for, and names inside an SVG that do not change."""
 
 
@@ -36,10 +36,8 @@ def check_figure_file(path: Path, option: str) -> None:
     Raises:
         InputError: if so.
     """
-    if path.suffix.lower() not in _LEFT_OUT:
-        raise InputError(
-            f"{option}: found {path.name!r}, expected a name that ends in .pdf, .png or .svg"
-        )
+    if path.suffix.lower() not in LEFT_OUT:
+        raise InputError(f"{option}: found {path.name!r}, expected a .pdf, .png or .svg")
     if not path.parent.is_dir():
         raise InputError(f"{path}: found no folder {path.parent}, expected one")
 
@@ -51,12 +49,15 @@ def figure_bytes(figure: Figure, ending: str, dpi: int = 110) -> bytes:
         figure: what to write.
         ending: ``.pdf``, ``.png`` or ``.svg``.
         dpi: pixels per inch of a PNG.
+
+    Returns:
+        The bytes.
     """
     from matplotlib import rc_context
 
     out = io.BytesIO()
-    with rc_context(_STYLE):
-        figure.savefig(out, format=ending[1:], dpi=dpi, metadata=_LEFT_OUT[ending])
+    with rc_context(STYLE):
+        figure.savefig(out, format=ending[1:], dpi=dpi, metadata=LEFT_OUT[ending])
     return out.getvalue()
 
 
@@ -65,7 +66,7 @@ def write_figure(figure: Figure, path: Path, dpi: int = 110) -> None:
 
     Args:
         figure: what to write.
-        path: the file; it appears whole or not at all.
+        path: the file; it appears complete or not at all.
         dpi: pixels per inch of a PNG.
 
     Raises:

@@ -34,9 +34,10 @@ def command(*words: str | Path) -> None:
 
 
 def of_rows(path: Path) -> str:
-    """Rows without the name of their bench."""
+    """Rows without what says how they were made."""
+    made = ("bench", "command", "version", "seed", "dataset")
     rows = json.loads(path.read_bytes())
-    figures = [{key: value for key, value in row.items() if key != "bench"} for row in rows]
+    figures = [{key: value for key, value in row.items() if key not in made} for row in rows]
     return of_bytes((json.dumps(figures, indent=1) + "\n").encode())
 
 

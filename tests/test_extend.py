@@ -15,7 +15,7 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.cli.doctor import REGISTRIES
+from experiments.cli.names import REGISTRIES
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("behaviors", "sim", "graphrqi", "scenarios", "experiments")

@@ -85,8 +85,8 @@ def test_the_installed_command_works_anywhere(installed: Path, tmp_path: Path) -
     where = run([str(installed / "python"), "-c", "import sim; print(sim.__file__)"], tmp_path)
     assert str(installed.parent) in where.stdout
 
-    doctor = run([str(installed / "graphrqi"), "doctor"], tmp_path)
-    assert doctor.returncode == 0, doctor.stdout + doctor.stderr
+    listed = run([str(installed / "graphrqi"), "list"], tmp_path)
+    assert listed.returncode == 0, listed.stdout + listed.stderr
 
     command = [str(installed / "graphrqi"), "generate", "--scenario", "straight_road"]
     generated = run(

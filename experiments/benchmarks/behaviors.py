@@ -19,7 +19,7 @@ from behaviors.labelling import label_from_traits
 from behaviors.labels import BEHAVIORS, Trait
 from behaviors.traits import waits
 from experiments.data.parallel import in_parallel
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.episode.annotate import annotate

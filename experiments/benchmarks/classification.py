@@ -36,7 +36,7 @@ from experiments.benchmarks.scores import difference_rows, keys_of, majority_of,
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.rival import PlainRival
-from experiments.rows import Row
+from experiments.score.rows import Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.classify import Classifier, make_classifier
 from graphrqi.methods import METHODS, Model, train

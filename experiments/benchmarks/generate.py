@@ -14,7 +14,7 @@ from experiments.data.parallel import in_parallel, processors
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.generate.episode import Task
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.files import place_of
 from sim.scenario import sample_agents
 from sim.store.writing import EpisodeWriter

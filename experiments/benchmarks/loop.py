@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from experiments.benchmarks import yielding
+from experiments.benchmarks.statistics import prediction_keys
 from experiments.benchmarks.yielding import (
     NO_ENCOUNTERS,
     EncounterChances,
@@ -20,20 +21,19 @@ from experiments.benchmarks.yielding import (
 from experiments.data.parallel import in_parallel
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import Statistic, bootstrap, ratio
-from experiments.scoring.prediction_errors import (
+from experiments.score.metrics import Statistic, bootstrap, ratio
+from experiments.score.predictions import (
     EVERY_S,
     HORIZONS_S,
     MEASURES,
     Errors,
     beliefs,
-    evaluate,
     instants,
-    prediction_keys,
     root_ratio,
-    summarize,
+    score_episode,
+    score_predictions,
 )
+from experiments.score.rows import Row, tidy_row
 from graphrqi.model_files import load_model
 from graphrqi.predict import PREDICTORS, chosen_predictor
 from graphrqi.stream import DEFAULT_MODEL
@@ -127,7 +127,7 @@ def measure(
                 ("unseen", [one.errors for one in found]),
                 ("unseen, no map", [one.map_free for one in found]),
             ):
-                rows += summarize(results, scenario, split)
+                rows += score_predictions(results, {"scenario": scenario, "split": split})
                 rows += compare(results, scenario, split)
             yield rows + score_chances([one.chances for one in found], scenario, "unseen")
 
@@ -143,8 +143,8 @@ def predicted_episode(
     posteriors = beliefs(tracks, load_model(model), sorted(stops))
     moments = {stop: posteriors[stop] for stop in scored}
     return EpisodeResult(
-        errors=evaluate(tracks, moments, road, predictors),
-        map_free=evaluate(tracks, moments, None, MAP_FREE),
+        errors=score_episode(tracks, moments, road, predictors),
+        map_free=score_episode(tracks, moments, None, MAP_FREE),
         chances=NO_ENCOUNTERS
         if road is None
         else encounter_chances(tracks, road, posteriors, predictors),

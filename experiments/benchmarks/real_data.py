@@ -28,11 +28,10 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError, lookup
 from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
+from experiments.benchmarks.statistics import auc_within
 from experiments.data.parallel import in_parallel
 from experiments.rival import nine_numbers
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import (
-    auc_within,
+from experiments.score.metrics import (
     balanced_accuracy,
     bootstrap,
     calibration_error,
@@ -42,6 +41,7 @@ from experiments.scoring.metrics import (
     reliability,
     weighted_accuracy,
 )
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.classify import make_classifier
 from graphrqi.features.observer import Observer
 from graphrqi.features.unit_free import standardised, unit_free_features

@@ -2,7 +2,7 @@
 
 The network for recordings is trained on all others (``left-out``) and predicts the one left out;
 rules and the weights that ship stand beside it. Moving agents are scored (see
-`experiments.scoring.recordings`), once with the past as recorded and once with noise added to it.
+`experiments.training.recordings`), once with the past as recorded and once with noise added to it.
 Errors are divided by those of constant velocity with the same past. Intervals resample vehicles
 and, in the metrics that end in ``_by_place``, places.
 
@@ -22,10 +22,17 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import bootstrap, ratio, summed
-from experiments.scoring.prediction_errors import hits, off_road, set_measures
-from experiments.scoring.recordings import (
+from experiments.score.metrics import bootstrap, ratio, summed
+from experiments.score.predictions import hits, off_road, set_measures
+from experiments.score.rows import Row, tidy_row
+from experiments.training.recorded import (
+    PER_DATASET,
+    DatasetExamples,
+    fit_network,
+    gather_examples,
+    with_noise,
+)
+from experiments.training.recordings import (
     RecordedPlace,
     happened,
     history_of,
@@ -33,13 +40,6 @@ from experiments.scoring.recordings import (
     read_sources,
     recorded_instants,
     steady_motion,
-)
-from experiments.training.recorded import (
-    PER_DATASET,
-    DatasetExamples,
-    fit_network,
-    gather_examples,
-    with_noise,
 )
 from graphrqi.posterior import Posterior
 from graphrqi.predict.metrics import MISS_THRESHOLD_M

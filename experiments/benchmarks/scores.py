@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.rows import Cell, Row, tidy_row
-from experiments.scoring.metrics import (
+from experiments.benchmarks.statistics import majority_of
+from experiments.score.metrics import (
     METRICS,
     Statistic,
     bootstrap,
@@ -18,7 +18,7 @@ from experiments.scoring.metrics import (
     reliability,
     weighted_accuracy,
 )
-from experiments.scoring.models import majority_of
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.samples import Samples
 from sim.frames import FloatArray
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from behaviors.errors import lookup
 from experiments.benchmarks.graph_sequences import check_layout, graph_sequence
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.spectrum import SOLVERS, Spectrum
 from graphrqi.spectrum.contract import Pairs, Problem, Solver, check_arguments, eigensolver
 from graphrqi.spectrum.spectrum import End

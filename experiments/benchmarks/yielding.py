@@ -20,9 +20,10 @@ from typing import Final
 
 import numpy as np
 
-from experiments.rows import Row, tidy_row
-from experiments.scoring.metrics import RESAMPLES, auc, brier
-from experiments.scoring.prediction_errors import HISTORY_S, future, prediction_keys
+from experiments.benchmarks.statistics import auc, brier, prediction_keys
+from experiments.score.metrics import RESAMPLES
+from experiments.score.predictions import HISTORY_S, future
+from experiments.score.rows import Row, tidy_row
 from graphrqi.posterior import Posterior
 from graphrqi.predict import chosen_predictor
 from graphrqi.predict.prediction import STEP_S, Prediction

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.cli.options import Flow, Jobs, Json, Quiet
+from experiments.cli.options import Jobs, Json, Quiet
 
 
 def drive(
@@ -16,32 +16,34 @@ def drive(
         typer.Option(
             metavar="NAME",
             help="planner, another of ours, or module:function of your own; repeat for several "
-            "[default: ours].",
+            "(default: ours).",
         ),
     ] = None,
     scenario: Annotated[
-        list[str] | None, typer.Option(help="Where; repeat for several [default: everywhere].")
+        list[str] | None, typer.Option(help="Where; repeat for several (default: everywhere).")
     ] = None,
     crowd: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
             help="Among whom: a behaviour, mixed, recorded or homogeneous; repeat for several "
-            "[default: all].",
+            "(default: all).",
         ),
     ] = None,
     episodes: Annotated[
         int | None,
-        typer.Option(help="Of each policy in each scenario and crowd [default: 20]."),
+        typer.Option(help="Of each policy in each scenario and crowd (default: 20)."),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the first episode.")] = None,
-    flow: Flow = None,
+    flow: Annotated[
+        str | None, typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour.")
+    ] = None,
     duration_s: Annotated[
-        float | None, typer.Option("--duration-s", help="Longest episode, s [default: 60].")
+        float | None, typer.Option("--duration-s", help="Longest episode, s (default: 60).")
     ] = None,
     warmup_s: Annotated[
         float | None,
-        typer.Option("--warmup-s", help="How long the traffic drives before, s [default: 20]."),
+        typer.Option("--warmup-s", help="How long the traffic drives before, s (default: 20)."),
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Two scenarios, two crowds, two short episodes.")

@@ -7,21 +7,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli.options import (
-    FLAGS,
-    DurationS,
-    Flow,
-    Jobs,
-    Mix,
-    OwnNet,
-    PopulationName,
-    Quiet,
-    Routes,
-    ScenarioOptions,
-    Spread,
-    names_of,
-    read_options,
-)
+from experiments.cli.options import Jobs, Quiet, Traffic, names_of, with_traffic
 from experiments.console.notices import say
 
 
@@ -35,6 +21,7 @@ def size_of(out: Path) -> str:
     return f"{place_of(out).url}: {len(dataset)} episodes, {steps} agent-steps"
 
 
+@with_traffic
 def generate(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
     scenario: Annotated[
@@ -52,35 +39,19 @@ def generate(
         Path | None,
         typer.Option(dir_okay=False, metavar="FILE.toml", help="The same options in a file."),
     ] = None,
-    engine: Annotated[
-        str | None,
-        typer.Option(help="Which simulator [default: sumo].", autocompletion=names_of("engine")),
-    ] = None,
-    flow: Flow = None,
-    mix: Mix = None,
-    spread: Spread = None,
-    population: PopulationName = None,
-    duration_s: DurationS = None,
-    option: ScenarioOptions = None,
-    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes [default: 0].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Same seed, same bytes (default: 0).")] = None,
     jobs: Jobs = None,
-    net: OwnNet = None,
-    routes: Routes = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler, instead of processes.")
     ] = None,
     quiet: Quiet = False,
+    *,
+    traffic: Traffic,
 ) -> None:
     """Make a dataset, or what is missing of it."""
-    from experiments.generate.configuration import read_cluster, read_config
+    from experiments.generate.configuration import read_cluster
     from experiments.generate.dataset import generate as make
 
-    given = {
-        "scenarios": scenario or None, "episodes": episodes, "engine": engine, "flow": flow,
-        "mix": mix, "spread": spread, "population": population, "duration_s": duration_s,
-        "seed": seed, "net": net, "routes": routes,
-        "scenario_options": read_options(option or [], FLAGS) or None,
-    }  # fmt: skip
-    chosen = read_config(config, **given)
+    chosen = traffic.config(scenario, config, episodes=episodes, seed=seed)
     make(chosen, out, jobs, quiet, read_cluster(config, cluster))
     say(size_of(out))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from typer.models import OptionInfo
 
-from behaviors.errors import InputError
+if TYPE_CHECKING:
+    from experiments.generate.configuration import GenerateConfig
 
 
 def in_a_folder(path: Path | None) -> Path | None:
@@ -20,11 +23,11 @@ def in_a_folder(path: Path | None) -> Path | None:
     """
     from sim.files import is_remote
 
-    if path is None or str(path) == "-" or is_remote(path):
+    if path is None or str(path) == "-" or is_remote(path) or path.parent.is_dir():
         return path
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: found no folder {path.parent}, expected one")
-    return path
+    from behaviors.errors import InputError
+
+    raise InputError(f"{path}: found no folder {path.parent}, expected one")
 
 
 def table_to_write(path: Path | None) -> Path | None:
@@ -34,30 +37,38 @@ def table_to_write(path: Path | None) -> Path | None:
         InputError: naming the ending or the folder.
     """
     if path is not None:
-        from experiments.scoring.table_file import check_ending
+        from experiments.score.tables import check_ending
 
         check_ending(path)
     return in_a_folder(path)
 
 
-def at_least_one(jobs: int | None) -> int | None:
-    """Refuse no process, and fewer.
+def refuse_to_overwrite(read: Sequence[Path | None], written: Sequence[Path | None]) -> None:
+    """Refuse files to write that are read, too, or that are named twice.
+
+    Args:
+        read: what a command reads.
+        written: what it writes.
 
     Raises:
-        InputError: naming the number.
+        InputError: naming the file.
     """
-    if jobs is not None:
-        from experiments.data.parallel import checked_jobs
+    from behaviors.errors import InputError
 
-        checked_jobs(jobs)
-    return jobs
+    places = [path.resolve() for path in read if path is not None]
+    for path in written:
+        if path is None or str(path) == "-":
+            continue
+        if path.resolve() in places:
+            raise InputError(f"{path}: found the same file twice, expected another one to write")
+        places.append(path.resolve())
 
 
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 
     def complete(incomplete: str) -> list[str]:
-        from experiments.cli.doctor import names_of as registered
+        from experiments.cli.names import names_of as registered
 
         return [name for name in registered(what) if name.startswith(incomplete)]
 
@@ -67,21 +78,15 @@ def names_of(what: str) -> Callable[[str], list[str]]:
 def json_option(help: str) -> OptionInfo:
     """The option ``--json FILE``, with what it writes."""
     option: OptionInfo = typer.Option(
-        "--json",
-        dir_okay=False,
-        callback=in_a_folder,
-        allow_dash=True,
-        metavar="FILE",
-        help=help,
+        "--json", dir_okay=False, callback=in_a_folder, allow_dash=True, metavar="FILE", help=help
     )
     return option
 
 
 Source = Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")]
-Jobs = Annotated[
-    int | None, typer.Option(callback=at_least_one, help="Processes [default: one per core].")
-]
-Json = Annotated[Path | None, json_option("Write the table as JSON; - for standard output.")]
+DatasetFolder = Annotated[Path, typer.Argument(help="Folder written by generate or import.")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")]
+Json = Annotated[Path | None, json_option("Write the figures as JSON rows; - for standard output.")]
 ModelName = Annotated[
     str, typer.Option("--model", help="A model that ships, or a folder written by train.")
 ]
@@ -90,42 +95,17 @@ FormatName = Annotated[
     typer.Option(
         "--format",
         metavar="KEY",
-        help="Told from the content if left out.",
+        help="Format of the recordings (default: recognised by their content).",
         autocompletion=names_of("format"),
     ),
 ]
 Net = Annotated[
     Path | None,
     typer.Option(
-        "--net",
-        dir_okay=False,
-        metavar="FILE",
-        help="SUMO net or map that a recording was made on.",
+        "--net", dir_okay=False, metavar="FILE", help="SUMO net or map of the recordings' place."
     ),
-]
-OwnNet = Annotated[
-    str | None,
-    typer.Option(
-        "--net",
-        metavar="FILE",
-        help="Instead of a scenario, a map: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, "
-        "CommonRoad or Argoverse 2.",
-    ),
-]
-Routes = Annotated[
-    str | None,
-    typer.Option(metavar="FILE", help="SUMO routes for the map [default: made from the map]."),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
-LabelsFile = Annotated[
-    Path | None,
-    typer.Option(
-        dir_okay=False,
-        callback=table_to_write,
-        metavar="FILE",
-        help="File for the answers, too: .parquet or .csv.",
-    ),
-]
 GivenLabels = Annotated[
     Path | None,
     typer.Option(
@@ -135,84 +115,157 @@ GivenLabels = Annotated[
         help="Known drivers: columns name and label (a behaviour or style), or also recording.",
     ),
 ]
-Version = Annotated[
-    bool, typer.Option("--version", help="Say the version, and those of the simulators.")
-]
-Verbose = Annotated[
-    bool,
-    typer.Option(
-        "--verbose", "-v", help="Say on stderr what is read and how long it took; anywhere."
-    ),
-]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
-Engine = Annotated[
-    str,
-    typer.Option(help="Which simulator; see graphrqi list.", autocompletion=names_of("engine")),
-]
-Flow = Annotated[
+ScenarioName = Annotated[
     str | None,
-    typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour, at most 100000."),
-]
-Mix = Annotated[
-    str | None,
-    typer.Option(metavar="MIX", help="Shares of behaviours or styles: aggressive=.2,timid=.8."),
-]
-Spread = Annotated[
-    float | None, typer.Option(help="How much drivers of one behaviour differ; 0 gives clones.")
-]
-PopulationName = Annotated[
-    str | None,
-    typer.Option(
-        "--population",
-        metavar="NAME or FILE",
-        help="Of which drivers are drawn: a name (see graphrqi list) or a TOML file, such as "
-        "calibrate writes.",
-        autocompletion=names_of("population"),
+    typer.Argument(
+        help="Name of a scenario (see graphrqi list), its TOML file, or a map.",
+        autocompletion=names_of("scenario"),
     ),
 ]
-WindowText = Annotated[
-    str | None,
-    typer.Option(
-        "--window",
-        metavar="AGENT[:M] or X0,Y0,X1,Y1",
-        help="Classify and predict only an agent and those within 100 m (or M), or only an area.",
-    ),
-]
-DurationS = Annotated[float | None, typer.Option("--duration-s", help="Length, s; at most 86400.")]
-ScenarioOptions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Another option of the scenario, such as lanes=2; repeat for several.",
-    ),
-]
-FLAGS = ("flow", "mix", "spread", "population", "duration_s")
-"""Options of a scenario that commands have beside ``--set``."""
+
+TRAFFIC_PANEL: Final = "Traffic"
 
 
-def read_options(
-    texts: Sequence[str], flags: Collection[str]
-) -> dict[str, bool | int | float | str]:
+def _traffic(*flags: str, **settings: Any) -> OptionInfo:
+    option: OptionInfo = typer.Option(*flags, rich_help_panel=TRAFFIC_PANEL, **settings)
+    return option
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """The options that say which traffic drives; `with_traffic` gives them to a command."""
+
+    engine: Annotated[
+        str | None,
+        _traffic(help="Which simulator (default: sumo).", autocompletion=names_of("engine")),
+    ] = None
+    flow: Annotated[
+        str | None, _traffic(metavar="FLOW", help="light, medium, dense or vehicles per hour.")
+    ] = None
+    mix: Annotated[
+        str | None,
+        _traffic(metavar="MIX", help="Shares of behaviours or styles: aggressive=.2,timid=.8."),
+    ] = None
+    kinds: Annotated[
+        str | None, _traffic(metavar="KINDS", help="Shares of kinds of agents: car=.9,truck=.1.")
+    ] = None
+    spread: Annotated[
+        float | None, _traffic(help="How much drivers of one behaviour differ; 0 gives clones.")
+    ] = None
+    population: Annotated[
+        str | None,
+        _traffic(
+            metavar="NAME or FILE",
+            help="Population that drivers are drawn from: a name (see graphrqi list), or a TOML "
+            "file as calibrate writes it.",
+            autocompletion=names_of("population"),
+        ),
+    ] = None
+    duration_s: Annotated[
+        float | None, _traffic("--duration-s", help="Length, s; at most 86400.")
+    ] = None
+    net: Annotated[
+        str | None,
+        _traffic(
+            metavar="FILE",
+            help="A map instead of a scenario: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, "
+            "CommonRoad or Argoverse 2.",
+        ),
+    ] = None
+    routes: Annotated[
+        str | None,
+        _traffic(metavar="FILE", help="SUMO routes for the map (default: made from the map)."),
+    ] = None
+    option: Annotated[
+        list[str] | None,
+        _traffic(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Another option of the scenario, such as lanes=2; repeat for several.",
+        ),
+    ] = None
+
+    def config(
+        self, scenarios: Sequence[str] | None, file: Path | None = None, **more: Any
+    ) -> GenerateConfig:
+        """The configuration of such traffic.
+
+        Args:
+            scenarios: names, files or maps; None where a file or ``--net`` says it.
+            file: a TOML file with the same options, which are weaker than these.
+            **more: ``episodes`` and ``seed``.
+
+        Returns:
+            The configuration.
+
+        Raises:
+            InputError: if an option is wrong.
+        """
+        from experiments.generate.configuration import read_config
+
+        others = read_options(self.option or [])
+        if self.kinds is not None:
+            others["kinds"] = self.kinds
+        return read_config(
+            file, scenarios=list(scenarios) if scenarios else None, engine=self.engine,
+            flow=self.flow, mix=self.mix, spread=self.spread, population=self.population,
+            duration_s=self.duration_s, net=self.net, routes=self.routes,
+            scenario_options=others or None, **more,
+        )  # fmt: skip
+
+
+def with_traffic(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of `Traffic`.
+
+    Args:
+        command: takes ``traffic``, a `Traffic`, as its last parameter.
+
+    Returns:
+        The command with an option for every field instead.
+    """
+    offered = inspect.signature(Traffic, eval_str=True).parameters
+    own = dict(inspect.signature(command, eval_str=True).parameters)
+    del own["traffic"]
+
+    def called(**given: Any) -> None:
+        chosen = {name: given.pop(name) for name in offered}
+        command(**given, traffic=Traffic(**chosen))
+
+    shown = {
+        name: one.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, one in {**own, **offered}.items()
+    }
+    called.__name__, called.__doc__ = command.__name__, command.__doc__
+    called.__annotations__ = {name: one.annotation for name, one in shown.items()}
+    called.__signature__ = inspect.Signature(list(shown.values()))  # type: ignore[attr-defined]
+    return called
+
+
+def read_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
     """Options given as ``NAME=VALUE``: true, false, a number, or a word.
 
     Args:
         texts: as given on the command line, after ``--set``.
-        flags: options that have a flag of their own.
+
+    Returns:
+        The values by name.
 
     Raises:
-        InputError: if one is written otherwise, or has a flag of its own.
+        InputError: if one is written otherwise, or is an option of its own.
 
     Examples:
-        >>> read_options(["blocks=8", "crossing=true"], ["flow"])
+        >>> read_options(["blocks=8", "crossing=true"])
         {'blocks': 8, 'crossing': True}
     """
+    from behaviors.errors import InputError
+
     found: dict[str, bool | int | float | str] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise InputError(f"--set: found {text!r}, expected NAME=VALUE")
-        if name in flags:
+        if name in Traffic.__dataclass_fields__:
             raise InputError(f"--set: found {name}, expected --{name.replace('_', '-')} for it")
         found[name] = _value(value)
     return found

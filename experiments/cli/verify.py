@@ -18,10 +18,13 @@ def verify(
     """Compare every file with its checksum."""
     from experiments.console.tables import show_table
     from experiments.data.verify import verify_dataset
+    from experiments.score.rows import stamped, tidy_row
 
     flaws = verify_dataset(dataset)
     if flaws or json is not None:
-        show_table([{"file": str(f.path), "state": f.state} for f in flaws], json)
+        lines = [{"file": str(f.path), "state": f.state} for f in flaws]
+        rows = [tidy_row(line, "wrong_files", 1) for line in lines]
+        show_table(stamped(rows, "verify"), json, lines=lines)
     if flaws:
         say(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
         raise typer.Exit(2)

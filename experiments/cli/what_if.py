@@ -1,4 +1,4 @@
-"""The command that asks what would have happened: ``what-if``, also about whom to blame."""
+"""The command ``graphrqi what-if``: what would have happened, and whose care would have helped."""
 
 from __future__ import annotations
 
@@ -7,35 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from experiments.cli.options import (
-    DurationS,
-    Engine,
-    Flow,
-    Json,
-    Mix,
-    PopulationName,
-    Quiet,
-    Seed,
-    Spread,
-    names_of,
-)
+from experiments.cli.options import Json, Quiet, ScenarioName, Seed, Traffic, with_traffic
 
 if TYPE_CHECKING:
     from experiments.generate.configuration import GenerateConfig
 
-ScenarioName = Annotated[
-    str,
-    typer.Argument(
-        help="Name of a scenario; see graphrqi list.", autocompletion=names_of("scenario")
-    ),
-]
-Episode = Annotated[
-    int, typer.Option(min=0, metavar="N", help="Which of the scenario's episodes, as by generate.")
-]
 
-
+@with_traffic
 def what_if(
-    scenario: ScenarioName,
+    scenario: ScenarioName = None,
     at_s: Annotated[
         float | None, typer.Option("--at-s", help="From when on the driver differs, s.")
     ] = None,
@@ -53,22 +33,11 @@ def what_if(
             "for several.",
         ),
     ] = None,
-    episode: Episode = 0,
-    engine: Engine = "sumo",
+    episode: Annotated[
+        int,
+        typer.Option(min=0, metavar="N", help="Which of the scenario's episodes, as by generate."),
+    ] = 0,
     seed: Seed = 0,
-    flow: Flow = None,
-    mix: Mix = None,
-    spread: Spread = None,
-    population: PopulationName = None,
-    duration_s: DurationS = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="Draw the paths over the factual ones too: .png, .pdf or .svg.",
-        ),
-    ] = None,
     blame: Annotated[
         bool,
         typer.Option(
@@ -78,64 +47,77 @@ def what_if(
         ),
     ] = False,
     bystanders: Annotated[
-        int, typer.Option(min=0, help="Of --blame: drivers beside the two parties who are tried.")
+        int, typer.Option(min=0, help="With --blame: drivers beside the two parties to try.")
     ] = 4,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False,
+            metavar="FILE",
+            help="Draw the paths over the factual ones too: .png, .pdf or .svg.",
+        ),
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    traffic: Traffic,
 ) -> None:
     """Drive one episode on from one instant with one driver different (Linux only)."""
     from behaviors.errors import InputError, lookup
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
     from experiments.figure_files import check_figure_file
-    from experiments.generate.configuration import read_config
-    from experiments.replay.pictures.paths import write_paths
-    from experiments.scoring.what_if import outcomes
-    from experiments.what_if import WhatIf, make_what_if
+    from experiments.replay.paths import write_paths
+    from experiments.score.rows import dataset_id, melted, stamped
+    from experiments.what_if.branches import WhatIf, make_what_if
+    from experiments.what_if.outcomes import outcomes
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 
-    traffic = read_config(
-        None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
-        mix=mix, spread=spread, population=population, duration_s=duration_s,
-    )  # fmt: skip
+    drawn = traffic.config([scenario] if scenario else None, episodes=episode + 1, seed=seed)
     if blame:
-        _show_blame(traffic, scenario, episode, bystanders, json)
+        _show_blame(drawn, episode, bystanders, seed, json)
         return
     if at_s is None or agent is None or out is None:
         missing = "--at-s" if at_s is None else "--agent" if agent is None else "--out"
         raise InputError(f"{missing}: found none, expected it, or --blame")
     behaviors, actions = {b.value: b for b in Behavior}, {a.value: a for a in Action}
     config = WhatIf(
-        episode=traffic,
+        episode=drawn,
         index=episode,
         at_s=at_s,
         agent=agent,
         behaviors=tuple(lookup(behaviors, word, "behavior") for word in behavior or ()),
         actions=tuple(lookup(actions, word, "action") for word in action or ()),
-    )  # fmt: skip
+    )
     if picture is not None:
         check_figure_file(picture, "--picture")
     make_what_if(config, out, quiet)
     dataset = open_dataset(out)
-    show_table(outcomes(dataset), json)
+    lines = outcomes(dataset)
+    rows = stamped(melted(lines, ["change"]), "what-if", seed, dataset_id(dataset))
+    show_table(rows, json, lines=lines)
     if picture is not None:
         write_paths(dataset, picture)
 
 
 def _show_blame(
-    config: GenerateConfig, scenario: str, episode: int, bystanders: int, json: Path | None
+    config: GenerateConfig, episode: int, bystanders: int, seed: int, json: Path | None
 ) -> None:
     """Print a line for each incident of an episode and driver who was tried."""
     from experiments.console.tables import show_table
     from experiments.generate.episode import Task
-    from experiments.scoring.blame import judge, verdict_rows
+    from experiments.score.rows import melted, stamped
+    from experiments.what_if.blame import judge, verdict_rows
     from sim.scenario import sample_agents
 
-    made = config.scenario(scenario, episode)
-    drawn = Task(config, scenario, episode).seed
-    verdicts = list(judge(made, sample_agents(made, drawn), drawn, config.engine, bystanders))
+    task = Task(config, config.scenarios[0], episode)
+    made = config.scenario(task.scenario, episode)
+    agents = sample_agents(made, task.seed)
+    verdicts = list(judge(made, agents, task.seed, config.engine, bystanders))
     if verdicts or json is not None:
-        show_table(verdict_rows(verdicts), json)
+        lines = verdict_rows(verdicts)
+        keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
+        show_table(stamped(melted(lines, keys), "what-if --blame", seed), json, lines=lines)
     else:
-        typer.echo(f"{scenario}: no collision and no near miss in {made.duration_s:g} s")
+        typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from experiments.console.tables import show_table
-from experiments.rows import Row, of_bench, write_json
+from experiments.console.tables import show_table, write_rows
+from experiments.score.rows import Row, stamped
 
 
 def show_parts(
@@ -18,7 +18,7 @@ def show_parts(
     """Collect rows, and print them.
 
     Args:
-        name: what measured them; the ``bench`` of every row.
+        name: what measured them; the ``command`` of every row.
         parts: the rows; a long measurement that is stopped has written those before.
         json: file for all rows so far, written after every part; ``-`` prints them as JSON instead
             of the table; None for none.
@@ -29,11 +29,8 @@ def show_parts(
     """
     rows: list[Row] = []
     for part in parts:
-        rows += of_bench(name, part)
+        rows += stamped(part, name)
         if json is not None and str(json) != "-":
-            write_json(rows, json)
-    if json is not None and str(json) == "-":
-        write_json(rows, json)
-    else:
-        show_table(rows if table is None else table(rows))
+            write_rows(rows, json)
+    show_table(rows, json, lines=None if table is None else table(rows))
     return rows

@@ -1,37 +1,74 @@
-"""Tables for people on standard output."""
+"""Tables for people on standard output, and rows for programs as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
 from behaviors.display import printable
-from experiments.rows import Cell, Row, write_json
+from sim.files import write_whole
+
+Row = Mapping[str, Any]
+
+MADE: Final = ("command", "version", "seed", "dataset")
+"""Keys of tidy rows that say how a figure was made; tables for people leave them out."""
 
 
-def _text(cell: Cell) -> str:
+def _text(cell: object) -> str:
     if cell is None:
         return ""
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
-def show_table(rows: Sequence[Row], json_path: Path | None = None, title: str = "") -> None:
-    """Print rows as a table, or write them as JSON.
+def write_rows(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as a JSON list; a number that is not finite becomes null.
 
     Args:
-        rows: flat rows; the columns are the keys of all rows in order of appearance.
-        json_path: file for a JSON list of the rows; ``-`` prints JSON instead of the table.
+        rows: flat rows.
+        path: the file; ``-`` for standard output.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    finite = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+        for row in rows
+    ]
+    text = json.dumps(finite, indent=1, allow_nan=False, default=str) + "\n"
+    if str(path) == "-":
+        sys.stdout.write(text)
+    else:
+        write_whole(path, text.encode())
+
+
+def show_table(
+    rows: Sequence[Row],
+    json_path: Path | None = None,
+    title: str = "",
+    lines: Sequence[Row] | None = None,
+) -> None:
+    """Print a table for people, and write tidy rows as JSON if a file is named.
+
+    Args:
+        rows: tidy rows.
+        json_path: file for the rows; ``-`` prints JSON instead of the table.
         title: what stands above the table.
+        lines: what is printed, as mappings with the same keys; None for the rows themselves.
 
     Raises:
         OSError: if the file cannot be written.
     """
     if json_path is not None:
-        write_json(rows, json_path)
+        write_rows(rows, json_path)
         if str(json_path) == "-":
             return
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    print_table(columns, [[_text(row.get(column)) for column in columns] for row in rows], title)
+    shown = rows if lines is None else lines
+    columns = list(dict.fromkeys(key for row in shown for key in row if key not in MADE))
+    print_table(columns, [[_text(row.get(column)) for column in columns] for row in shown], title)
 
 
 def print_table(columns: Sequence[str], lines: Sequence[Sequence[str]], title: str = "") -> None:

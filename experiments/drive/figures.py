@@ -11,7 +11,7 @@ from scipy.stats import rankdata
 from experiments.drive.crowds import HOMOGENEOUS, MIXED
 from experiments.drive.episode import METRICS
 from experiments.drive.policies import BLIND
-from experiments.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.frames import FloatArray
 
 RESAMPLES: Final = 2000

@@ -13,7 +13,7 @@ from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED
 from experiments.drive.episode import METRICS, ROADS, drive
 from experiments.drive.figures import figure_rows
 from experiments.drive.policies import POLICIES, get_policy
-from experiments.rows import Cell, Row
+from experiments.score.rows import Cell, Row
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,19 +8,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
+import pandas as pd
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.scoring.classification import LABELS
 from graphrqi.methods import Model
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
-from sim.arrow.budget import MAX_TEXT_BYTES, Layout, check_number, check_spelled_out
-from sim.arrow.parquet import opened
 from sim.frames import FloatArray, IntArray, Tracks
 
 EVERY_S: Final = 0.5
@@ -29,26 +24,6 @@ EVERY_S: Final = 0.5
 MAX_LOOKS: Final = 3_000_000
 """Most beliefs that are kept: agents times instants. Longer recordings have fewer instants (a page
 of some megabytes)."""
-
-MAX_ROWS: Final = 10**8
-"""Most rows of a labels file that are read."""
-
-MAX_KEPT: Final = 10**7
-"""Most of these rows that one episode may have (an hour of 250 drivers at 10 Hz; in memory some 1
-GB)."""
-
-BATCH_ROWS: Final = 2**16
-"""Rows that are read at a time."""
-
-MAX_BATCH_BYTES: Final = 2**26
-"""Most bytes that the texts of one column may take in a batch (64 MiB, 1 kB for each row)."""
-
-
-BELIEFS: Final = pa.schema(
-    [LABELS.field(name) for name in ("episode", "agent", "time_s")]
-    + [LABELS.field(f"p_{b.value}") for b in BEHAVIORS]
-)
-"""The columns of a labels file that are read."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,98 +124,58 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     Raises:
         InputError: if the file is not a labels file or does not speak of this episode.
     """
-    table = episode_rows(path, BELIEFS, episode, "labels")
-    agent = agent_rows(path, table, episode, tracks)
+    chances = [f"p_{b.value}" for b in BEHAVIORS]
+    table = episode_table(path, ["agent", "time_s", *chances], episode, "labels")
+    agent = agent_rows(path, table["agent"].to_numpy(), episode, tracks)
     steps = kept_steps(tracks)
     times = tracks.time_s[steps]
     time_s = table["time_s"].to_numpy()
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
     here = np.abs(times[column] - time_s) < 1e-3
-    told = np.stack([table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS], axis=1)
-    del table  # of millions of rows there is memory for one copy
-    if not np.isfinite(time_s).all():
-        raise InputError(f"{path}: found a time_s that is not finite, expected seconds")
-    if not np.isfinite(told).all() or (np.abs(told.sum(axis=1) - 1.0) > 1e-3).any():
+    told = table[chances].to_numpy(dtype=np.float32)
+    if not (np.abs(told.sum(axis=1) - 1.0) < 1e-3).all():
         raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
     probability = _nothing(tracks, steps)
     probability[agent[here], column[here]] = told[here]
     return Beliefs(tracks.ids, times, probability)
 
 
-def episode_rows(path: Path, schema: pa.Schema, episode: str, what: str) -> pa.Table:
+def episode_table(path: Path, columns: list[str], episode: str, what: str) -> pd.DataFrame:
     """What a Parquet file that this project writes says of one episode.
 
     Args:
-        path: the file, read a piece at a time: the rows of other episodes take no memory.
-        schema: the columns it must have, ``episode`` among them, none of them empty anywhere;
-            others are left out.
+        path: the file.
+        columns: those that are read, beside ``episode``.
         episode: whose rows.
         what: what the rows are, for messages.
 
     Returns:
-        The rows, without the column ``episode``.
+        The rows.
 
     Raises:
-        InputError: if the file is broken, too large, a column is missing or of another type, or no
-            row is of that episode.
+        InputError: if the file is broken, lacks a column, or has no row of the episode.
     """
-    with opened(path) as (layout, source):
-        texts = _check_columns(path, schema, layout, pq.read_schema(source))
-        file = pq.ParquetFile(source, read_dictionary=texts)
-        ours_only = schema.remove(schema.get_field_index("episode"))
-        parts, kept = [ours_only.empty_table()], 0
-        for batch in file.iter_batches(BATCH_ROWS, columns=schema.names, use_threads=False):
-            part = pa.Table.from_batches([batch])
-            part.validate(full=True)
-            for name in schema.names:
-                if part[name].null_count:
-                    raise InputError(f"{path}: found an empty {name}, expected one in every row")
-            ours = pc.equal(part["episode"].cast(pa.string()), episode)
-            part = part.select(ours_only.names).filter(ours)
-            kept += part.num_rows
-            if kept > MAX_KEPT:
-                raise InputError(
-                    f"{path}: found more than {MAX_KEPT} rows of episode {episode}, expected fewer"
-                )
-            for field in ours_only:
-                check_spelled_out(path, part[field.name], MAX_BATCH_BYTES)
-            if part.num_rows:
-                parts.append(part.cast(ours_only))
-        table = pa.concat_tables(parts)
-    if not table.num_rows:
+    try:
+        table = pd.read_parquet(path, columns=columns, filters=[("episode", "==", episode)])
+    except (ValueError, OSError, KeyError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: {said:.120}, expected a file of {what}") from None
+    if table.empty:
         raise InputError(f"{path}: found no row of episode {episode}, expected its {what}")
+    empty = [name for name in columns if table[name].isna().any()]
+    if empty:
+        raise InputError(f"{path}: found an empty {empty[0]}, expected one in every row")
     return table
 
 
-def _check_columns(path: Path, schema: pa.Schema, layout: Layout, found: pa.Schema) -> list[str]:
-    """Refuse a file without these columns or with too many rows; its columns of texts."""
-    for name in schema.names:
-        if found.names.count(name) != 1:
-            raise InputError(
-                f"{path}: found column {name} {found.names.count(name)} times, expected it once"
-            )
-        wanted = schema.field(name).type
-        if pa.types.is_integer(wanted) or pa.types.is_floating(wanted):
-            check_number(path, found.field(name))
-    if layout.rows > MAX_ROWS:
-        raise InputError(f"{path}: found {layout.rows} rows, expected at most {MAX_ROWS}")
-    columns = [column for column in layout.columns if column.name in schema.names]
-    for column in columns:
-        if column.repeated or column.largest_page > MAX_TEXT_BYTES:
-            raise InputError(
-                f"{path}: column {column.name}: found lists, or pages of up to "
-                f"{column.largest_page} bytes, expected at most {MAX_TEXT_BYTES}"
-            )
-    return [column.name for column in columns if column.physical == "BYTE_ARRAY"]
-
-
-def agent_rows(path: Path, table: pa.Table, episode: str, tracks: Tracks) -> IntArray:
-    """(m,) agent of an episode that each row of a table is about, by the column ``agent``.
+def agent_rows(path: Path, agent: IntArray, episode: str, tracks: Tracks) -> IntArray:
+    """(m,) row in an episode's tracks of each agent id (m,).
 
     Raises:
         InputError: if it names somebody whom the episode does not have.
     """
-    agent: IntArray = table["agent"].to_numpy()
     row: IntArray = np.minimum(np.searchsorted(tracks.ids, agent), tracks.ids.size - 1)
     strangers = agent[tracks.ids[row] != agent]
     if strangers.size:

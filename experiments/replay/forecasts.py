@@ -9,13 +9,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from behaviors.errors import InputError
-from experiments.replay.beliefs import Beliefs, agent_rows, episode_rows, sampled
-from experiments.scoring.prediction_file import PREDICTIONS
-from experiments.scoring.table_file import JOINED
+from experiments.replay.beliefs import Beliefs, agent_rows, episode_table, sampled
 from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
@@ -36,12 +32,6 @@ MAX_FUTURES: Final = 1_000_000
 """Most futures that a page keeps (some 15 MB). If there are more, each agent's likeliest future is
 kept, then the likeliest of the others; if each agent's likeliest alone are too many, there are
 fewer predictions."""
-
-
-FORECASTS: Final = pa.schema(
-    [f for f in PREDICTIONS if f.name not in {"name", *(g.name for g in JOINED[1:])}]
-)
-"""The columns of a predictions file that are read."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,24 +147,15 @@ def read_forecasts(
     Raises:
         InputError: if the file is not a predictions file or does not speak of this episode.
     """
-    table = episode_rows(path, FORECASTS, episode, "predictions")
-    whose = table["predictor"].cast(pa.string())
-    name = predictor or whose[0].as_py()
-    ours = pc.equal(whose, name)
-    if not pc.any(ours).as_py():
-        names = ", ".join(sorted(set(whose.unique().to_pylist())))
+    columns = ["predictor", "agent", "time_s", "mode", "probability", "ahead_s", "x_m", "y_m"]
+    table = episode_table(path, columns, episode, "predictions")
+    name = predictor or str(table["predictor"].iloc[0])
+    ours = table[table["predictor"] == name]
+    if ours.empty:
+        names = ", ".join(sorted(table["predictor"].unique()))
         raise InputError(f"{path}: found no predictor {name!r}, expected one of {names}")
-    table = table.drop_columns("predictor")
-    agent = agent_rows(path, table.select(["agent"]).filter(ours), episode, tracks)
-    columns = list[FloatArray]()
-    for column in ("time_s", "mode", "ahead_s", "x_m", "y_m", "probability"):
-        columns.append(np.asarray(table[column].filter(ours).to_numpy(), dtype=np.float64))
-        table = table.drop_columns(column)  # of millions of rows there is memory for one copy
-    time_s, mode, ahead_s, x, y, probability = columns
-    if not (np.isfinite(x) & np.isfinite(y) & np.isfinite(time_s) & np.isfinite(ahead_s)).all():
-        raise InputError(f"{path}: found a place or time that is not finite, expected numbers")
-    if not ((probability >= 0.0) & (probability <= 1.0)).all():
-        raise InputError(f"{path}: found a probability outside of 0 to 1")
+    agent = agent_rows(path, ours["agent"].to_numpy(), episode, tracks)
+    time_s, mode, probability, ahead_s, x, y = ours[columns[2:]].to_numpy(dtype=np.float64).T
     ahead = np.unique(ahead_s)
     order = np.lexsort((ahead_s, mode, -probability, agent, time_s))
     if order.size % ahead.size or (ahead_s[order].reshape(-1, ahead.size) != ahead).any():

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from experiments.scoring.what_if import factual_of
-from experiments.what_if import branch_of, change_of
+from experiments.what_if.branches import branch_of, change_of
+from experiments.what_if.outcomes import factual_of
 from sim.frames import CodeArray, FloatArray, IntArray, Tracks
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry

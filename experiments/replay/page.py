@@ -155,7 +155,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
                 "time": round(e.time_s - begin_s, 3),
                 "agent": _row(tracks.ids, e.agent),
                 "other": -1 if e.other is None else _row(tracks.ids, e.other),
-                "rule": e.words,
+                "rule": e.rule,
             }
             for e in tracks.events
         ],
@@ -209,6 +209,7 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
                 "profile": None
                 if profile is None
                 else [[name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS],
+                "numbers": [],
             }
         )
     return found

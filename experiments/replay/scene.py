@@ -164,7 +164,7 @@ def gather(
         tracks = tracks.changed(events=events)
     forecasts: list[Forecast] = []
     shown = ""
-    with Progress("looking at the episode", 2, quiet) as progress:
+    with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
             beliefs, believer = believe(tracks, trained, is_scene(entry)), trained.method.name
@@ -180,6 +180,7 @@ def gather(
         forecasts = likeliest(forecasts)
         progress.advance()
         graph = graph_history(tracks)
+        progress.advance()
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = _stride(tracks)

@@ -10,10 +10,8 @@ from pathlib import Path
 from behaviors.errors import InputError, lookup
 from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
-from experiments.figure_files import check_figure_file
 from experiments.replay.page import MODES, default_mode, write_page
-from experiments.replay.pictures.painter import write_picture
-from experiments.replay.pictures.video import check_video, write_video
+from experiments.replay.pictures import check_picture, write_picture
 from experiments.replay.scene import chosen_entry, gather
 from graphrqi.predict import get_predictor
 from sim.store.dataset import open_dataset
@@ -37,8 +35,7 @@ class ReplayOptions:
             opens when the road has filled to half and there are beliefs, a film begins with the
             episode, and a picture shows the fullest moment.
         end_s: when a film ends, s; None for the end.
-        video: also film it into this file, .mp4 or .gif.
-        picture: also draw it into this file, .png, .pdf or .svg.
+        picture: also draw it into this file, .png, .pdf or .svg, or film it, .mp4 or .gif.
     """
 
     episode: str | None = None
@@ -51,7 +48,6 @@ class ReplayOptions:
     color: str | None = None
     begin_s: float | None = None
     end_s: float | None = None
-    video: Path | None = None
     picture: Path | None = None
 
 
@@ -78,16 +74,14 @@ def write_replay(
         lookup({mode: mode for mode in MODES}, o.color, "color")
     if o.predictor is not None and o.predictor != "none":
         get_predictor(o.predictor)
-    wanted = [path for path in (out, o.video, o.picture) if path is not None]
+    wanted = [path for path in (out, o.picture) if path is not None]
     for path in wanted:
         if not path.parent.is_dir():
             raise InputError(f"{path}: found no folder {path.parent}, expected one")
         if not os.access(path.parent, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-    if o.video is not None:
-        check_video(o.video)
     if o.picture is not None:
-        check_figure_file(o.picture, "--picture")
+        check_picture(o.picture)
     with as_dataset(source, o.format, o.net) as folder:
         dataset = open_dataset(folder)
         entry, many = chosen_entry(dataset, o.episode), len(dataset.manifest.episodes)
@@ -104,8 +98,6 @@ def write_replay(
         )
     mode = o.color or default_mode(scene)
     write_page(scene, out, mode, o.begin_s)
-    if o.video is not None:
-        write_video(scene, o.video, mode, o.begin_s, o.end_s, quiet)
     if o.picture is not None:
-        write_picture(scene, o.picture, mode, o.begin_s)
+        write_picture(scene, o.picture, mode, o.begin_s, o.end_s, quiet)
     return wanted

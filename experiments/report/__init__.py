@@ -1,5 +1,1 @@
-"""Reports: one self-contained page per run or bench, and one that compares several."""
-
-from experiments.report.page import write_comparison, write_report
-
-__all__ = ["write_comparison", "write_report"]
+"""Reports: one self-contained page of findings, tables and pictures, made from tidy rows."""

@@ -1,54 +1,49 @@
-"""What a report is made from: a run's folder, a trained model's, or the rows that a bench wrote."""
+"""What a report is made from: tidy rows in a file, in a folder, or in a trained model's card."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pydantic import TypeAdapter, ValidationError
+import numpy as np
+import pandas as pd
 
 from behaviors.errors import InputError
-from experiments.data.windows import OBSERVED_S
-from experiments.report.run_file import Metrics, RunFile, read_run
-from experiments.rows import Cell, Row, checked_rows, of_bench, read_rows
-from experiments.scoring.prediction_errors import prediction_keys
+from experiments.score.rows import Row, checked_rows, read_rows
 from graphrqi.model_files import load_model
-from sim.invalid_fields import first_wrong_field
 from sim.store.catalogue import is_dataset
 
-_SCORES: Final = TypeAdapter(dict[str, dict[str, dict[str, str | int | float | None]]])
-"""Scores in a model's card: by scenario and metric."""
-
-_NOT_ROWS: Final = frozenset({"run.json", "metrics.json", "model.json"})
+NOT_ROWS: Final = frozenset({"metrics.json", "model.json"})
+"""JSON files of a folder that hold no rows."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Source:
     """One thing to report on.
 
     Attributes:
-        path: the run's folder, or the file of rows.
+        path: the file or folder.
         name: what it is called.
-        run: how a run was made and where its parts are; None for rows alone.
-        rows: every number, by bench.
-        protocol: how the numbers were obtained, in words; "" where nobody says.
+        rows: the figures, a row each; those without a value are left out.
     """
 
     path: Path
     name: str
-    run: RunFile | None
-    rows: Mapping[str, tuple[Row, ...]]
-    protocol: str = ""
+    rows: pd.DataFrame
+
+    @property
+    def is_run(self) -> bool:
+        """Whether the data and the model of the figures lie beside them, as ``make demo`` does."""
+        return (self.path / "model" / "model.json").is_file() and is_dataset(self.path / "data")
 
 
 def read_source(path: Path) -> Source:
-    """Read a run's folder or a file of rows.
+    """Read the rows of a file or of a folder.
 
     Args:
-        path: a folder with ``run.json``, a model's folder, a folder with files of rows, or one
-            such file.
+        path: a file of rows, a folder with such files, or a model's folder.
 
     Returns:
         The source.
@@ -57,87 +52,37 @@ def read_source(path: Path) -> Source:
         InputError: if there is nothing to report on, or a file is broken.
     """
     if path.is_file():
-        return Source(path, path.stem, None, by_bench(read_rows(path)))
+        return Source(path, path.stem, table_of(read_rows(path), path))
     if not path.is_dir():
-        raise InputError(f"{path}: found no file and no folder, expected a run or files of rows")
-    files = [p for p in sorted(path.glob("*.json")) if p.name not in _NOT_ROWS]
-    if (path / "run.json").is_file():
-        run, metrics = read_run(path)
-        rows = [row for file in files for row in read_rows(file)]
-        measured = {row["bench"] for row in rows}
-        rows += [row for row in rows_of(metrics) if row["bench"] not in measured]
-        return Source(path, run.name, run, by_bench(rows), run.protocol)
+        raise InputError(f"{path}: found nothing there, expected a file of rows or a folder")
     if (path / "model.json").is_file():
-        return _read_model(path)
-    if is_dataset(path):
+        card = load_model(path).card
+        rows = checked_rows(card.get("scores", []), f"{path / 'model.json'}: card.scores")
+    else:
+        files = [file for file in sorted(path.glob("*.json")) if file.name not in NOT_ROWS]
+        rows = [row for file in files for row in read_rows(file)]
+    return Source(path, path.resolve().name, table_of(rows, path))
+
+
+def table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:
+    """Rows with a value as a table.
+
+    Args:
+        rows: tidy rows.
+        path: where they are from, for the message.
+
+    Returns:
+        A line for each row.
+
+    Raises:
+        InputError: if no row has a value.
+    """
+    measured = [row for row in rows if row.get("value") is not None]
+    if not measured:
         raise InputError(
-            f"{path}: found a dataset, expected a run, a model or files of rows; graphrqi replay "
-            "shows an episode, and graphrqi predict and bench write rows with --json"
+            f"{path}: found no figure, expected rows as graphrqi COMMAND --json FILE writes them"
         )
-    if not files:
-        raise InputError(
-            f"{path}: found no run.json, no model.json and no file of rows, expected a folder that "
-            "make demo or train wrote, or files that graphrqi bench NAME --json FILE wrote"
-        )
-    rows = [row for file in files for row in read_rows(file)]
-    return Source(path, path.resolve().name, None, by_bench(rows))
-
-
-def _read_model(path: Path) -> Source:
-    """The scores in a model's card."""
-    model = load_model(path)
-    try:
-        scores = _SCORES.validate_python(model.card.get("scores", {}))
-    except ValidationError as error:
-        wrong = first_wrong_field(error)
-        raise InputError(f"{path / 'model.json'}: card.scores.{wrong}") from None
-    rows: list[Row] = [
-        {
-            **_classification_keys(scenario, model.method.name), "metric": metric,
-            **{k: None if v != v else v for k, v in score.items()},  # NaN: no interval
-        }
-        for scenario, metrics in scores.items()
-        for metric, score in metrics.items()
-    ]  # fmt: skip
-    evaluation = checked_rows(
-        model.card.get("evaluation", []), f"{path / 'model.json'}: card: evaluation"
-    )
-    name = path.resolve().name
-    rows += [{**row, "model": name} for row in evaluation]
-    if not rows:
-        raise InputError(f"{path / 'model.json'}: found no scores in its card, expected some")
-    protocol = str(model.card.get("protocol", ""))
-    return Source(path, name, None, by_bench(rows), protocol)
-
-
-def by_bench(rows: Sequence[Row]) -> dict[str, tuple[Row, ...]]:
-    """Rows by the bench that measured them; those without a value are left out."""
-    found: dict[str, list[Row]] = {}
-    for row in rows:
-        if row.get("value") is not None:
-            found.setdefault(str(row["bench"]), []).append(row)
-    return {bench: tuple(rows) for bench, rows in found.items()}
-
-
-def rows_of(metrics: Metrics) -> list[Row]:
-    """The tables of ``metrics.json`` as rows."""
-    rows: list[Row] = []
-    for scenario, methods in metrics.classification.items():
-        for method, scores in methods.items():
-            keys = _classification_keys(scenario, method)
-            rows += [{**keys, "metric": m, **score.model_dump()} for m, score in scores.items()]
-    for scenario, predictors in metrics.prediction.items():
-        for predictor, kinds in predictors.items():
-            for metric, horizons in kinds.items():
-                for horizon, score in horizons.items():
-                    keys = prediction_keys(scenario, predictor, float(horizon[:-1]), score.split)
-                    figure = {"metric": metric, **score.model_dump()}
-                    rows += of_bench("prediction", [{**keys, **figure}])
-    return rows
-
-
-def _classification_keys(scenario: str, method: str) -> dict[str, Cell]:
-    return {
-        "bench": "classification", "protocol": "inductive", "scenario": scenario,
-        "method": method, "window_s": OBSERVED_S, "variation": "",
-    }  # fmt: skip
+    table = pd.DataFrame(measured)
+    for column in ("low", "high", "n"):
+        table[column] = pd.to_numeric(table[column]) if column in table else np.nan
+    return table

@@ -1,9 +1,8 @@
-"""Adapt a model to a place, and say what that gained (``graphrqi adapt``)."""
+"""Adapt a model to a place, and say what that gained (``graphrqi train --from``)."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,8 +14,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.windows import measured
-from experiments.rows import Row
-from experiments.scoring.metrics import auc
+from experiments.score.rows import Row, tidy_row
 from graphrqi.adaptation import LEAST_PAIRS, from_agreement, from_labels
 from graphrqi.methods import Model
 from graphrqi.model_files import check_model_folder, load_model, save_model
@@ -36,6 +34,9 @@ LABELLED: Final = (10, 30, 100)
 
 SPLITS: Final = 20
 """Random choices of the labelled drivers that are averaged."""
+
+SCORED: Final = ("style_balanced_accuracy", "style_auc", "style_log_loss")
+"""What is scored of labelled drivers that were left out."""
 
 LEAST_SCORED: Final = 10
 """Fewest drivers beside the labelled ones on which a number is reported."""
@@ -145,7 +146,7 @@ def adapt(
     check_model_folder(out)
     given = None if labels is None else read_driver_labels(labels)
     drivers = drivers_of(open_dataset(recordings), trained, given, quiet)
-    rows: list[Row] = [{"what": "drivers", "value": len(drivers.labels)}]
+    rows: list[Row] = [tidy_row({}, "drivers", len(drivers.labels))]
     if given is None:
         if len(drivers.pairs[0]) < LEAST_PAIRS:
             raise InputError(
@@ -154,15 +155,15 @@ def adapt(
             )
         first, second = (trained.posterior(part) for part in drivers.pairs)
         adaptation = from_agreement(first, second)
-        rows.append({"what": "drivers with two answers", "value": len(first)})
+        rows.append(tidy_row({}, "drivers_with_two_answers", len(first)))
     else:
         features, allowed = _labelled(drivers, labels)
         adaptation = from_labels(trained.posterior(features), allowed)
-        rows.append({"what": "labelled drivers", "value": len(features)})
+        rows.append(tidy_row({}, "labelled_drivers", len(features)))
         rows += _gains(trained, features, allowed)
-    rows.append({"what": "scale", "value": adaptation.scale})
+    rows.append(tidy_row({}, "scale", adaptation.scale))
     rows += [
-        {"what": f"offset of {behavior.value}", "value": float(offset)}
+        tidy_row({"behavior": behavior.value}, "offset", float(offset))
         for behavior, offset in zip(BEHAVIORS, adaptation.offset, strict=True)
         if offset
     ]
@@ -205,21 +206,21 @@ def _gains(model: Model, features: FloatArray, allowed: BoolArray) -> list[Row]:
             for name, probability in answers.items():
                 scores.setdefault(name, []).append(_scored(probability, style[scored]))
         for name, found in scores.items():
-            accuracy, area, loss = np.mean(found, axis=0).tolist()
-            rows.append({
-                "what": f"{count} labelled drivers, {name}", "value": accuracy,
-                "style_auc": area, "log_loss": loss, "splits": len(found),
-            })  # fmt: skip
+            keys = {"labelled": count, "model": name}
+            figures = zip(SCORED, np.mean(found, axis=0).tolist(), strict=True)
+            rows += [tidy_row(keys, metric, value, n=len(found)) for metric, value in figures]
     return rows
 
 
 def _scored(probability: FloatArray, style: BoolArray) -> tuple[float, float, float]:
-    """Balanced accuracy, area under the curve and logarithmic loss of the style."""
+    """The figures `SCORED`."""
+    from sklearn.metrics import roc_auc_score
+
     right = (probability > 0.5) == style
     likelihood = np.clip(np.where(style, probability, 1.0 - probability), 1e-6, 1.0)
     return (
         0.5 * float(right[style].mean() + right[~style].mean()),
-        auc(probability, style.astype(np.float64)),
+        float(roc_auc_score(style, probability)),
         float(-np.log(likelihood).mean()),
     )
 
@@ -235,8 +236,3 @@ def _from_nothing(
     regression = make_pipeline(StandardScaler(), LogisticRegression(C=0.01, max_iter=500))
     regression.fit(features[learned], style[learned])
     return np.asarray(regression.predict_proba(features[scored])[:, 1])
-
-
-def adapted_table(rows: Sequence[Row]) -> list[Row]:
-    """The rows of `adapt` for people."""
-    return [{k: f"{v:.3f}" if isinstance(v, float) else v for k, v in row.items()} for row in rows]

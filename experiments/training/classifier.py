@@ -9,11 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, get_args
 
+import numpy as np
+
 from experiments.console.notices import LOGGER
-from experiments.data.windows import OBSERVED_S, gather
-from experiments.generate.configuration import RANDOM_WORLD
-from experiments.scoring.evaluation import answers_of, evaluation_rows
-from experiments.scoring.models import Scored, majority_of, score_model
+from experiments.data.windows import OBSERVED_S, gather, places_of
+from experiments.score.answers import Answers, score_answers
+from experiments.score.labels import answer_episodes, scored_answers
+from experiments.score.rows import Cell, Row, stamped
 from experiments.training.elsewhere import train_on_worlds
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import check_model_folder, save_model
@@ -45,11 +47,11 @@ def train_model(
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = True,
-) -> tuple[Model, dict[str, Scored]]:
+) -> Model:
     """Train on training episodes; validation episodes serve early stopping and calibration.
 
     Args:
-        datasets: with train, validation and (for the card) test episodes. If some are random
+        datasets: with train and validation episodes. If some are random
             worlds and others are not, a model of the method ``BOTH`` learns to answer elsewhere
             from the worlds; any other model learns from all of them alike.
         method: a key of ``METHODS``.
@@ -60,11 +62,10 @@ def train_model(
         quiet: whether to show no progress.
 
     Returns:
-        The model, with the data, the split and the scores in its card; and its scores on the test
-        episodes of each scenario.
+        The model, with the data and the split in its card.
     """
     chosen = METHODS[method]
-    worlds = [d for d in datasets if d.scenarios == (RANDOM_WORLD,)]
+    worlds = [d for d in datasets if "worlds" in d.header.configuration]
     home = [d for d in datasets if d not in worlds]
     elsewhere = None
     if chosen.name == BOTH and home and worlds:
@@ -80,16 +81,13 @@ def train_model(
         "quiet": quiet,
     }
     training = gather(datasets, "train", chosen.name, **options)
-    validation, scored = None, dict[str, Scored]()
+    validation = None
     if any(dataset.episodes("validation") for dataset in datasets):
         with _skipping_empty():
             validation = gather(datasets, "validation", chosen.name, **options)
     model = train(chosen.name, training, validation, solver, seed)
     model = dataclasses.replace(model, elsewhere=elsewhere)
-    if any(dataset.episodes("test") for dataset in datasets):
-        with _skipping_empty():
-            scored = score_model(datasets, model, majority_of(training), jobs=jobs, quiet=quiet)
-    return dataclasses.replace(model, card=_card(datasets, model, training, scored)), scored
+    return dataclasses.replace(model, card=_card(datasets, model, training))
 
 
 @contextmanager
@@ -101,9 +99,7 @@ def _skipping_empty() -> Iterator[None]:
         LOGGER.warning("left out %s", reason)
 
 
-def _card(
-    datasets: Sequence[Dataset], model: Model, training: Samples, scored: dict[str, Scored]
-) -> dict[str, Any]:
+def _card(datasets: Sequence[Dataset], model: Model, training: Samples) -> dict[str, Any]:
     return {
         "summary": model.method.summary,
         "data": {
@@ -115,13 +111,46 @@ def _card(
         },
         "training_windows": len(training),
         "windows_s": [w if math.isfinite(w) else "life so far" for w in WINDOWS_S],
-        "protocol": f"test episodes were never trained on; windows of {OBSERVED_S:g} s, one a "
-        "second for every driver; 95 % intervals by bootstrap over episodes",
-        "scores": {
-            scenario: {name: value.as_dict() for name, value in found.scores.items()}
-            for scenario, found in scored.items()
-        },
+        "protocol": "test episodes were never trained on; every driver once, by its last answer; "
+        "95 % intervals by bootstrap over episodes",
+        "scores": [],
     }
+
+
+def score_windows(
+    datasets: Sequence[Dataset], model: Model, jobs: int | None = None, quiet: bool = True
+) -> list[Row]:
+    """Score a model after 10 s of observation on the test episodes.
+
+    Args:
+        datasets: labelled.
+        model: a trained model.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        Rows by scenario (where the data are of several engines by scenario and engine).
+
+    Raises:
+        InputError: if there is no test episode.
+    """
+    samples = gather(
+        datasets, "test", model.method.name, solver=model.solver,
+        elsewhere=model.elsewhere is not None, jobs=jobs, quiet=quiet,
+    )  # fmt: skip
+    places = places_of(datasets)
+    place = np.array(places)[samples.episode]
+    rows: list[Row] = []
+    for name in dict.fromkeys(places):
+        here = samples.where(place == name)
+        if not len(here):
+            continue
+        probability = model.posterior(here.features.astype(np.float64))
+        keys: dict[str, Cell] = {
+            "method": model.method.name, "scenario": name, "split": "test", "window_s": OBSERVED_S
+        }  # fmt: skip
+        rows += score_answers(Answers.known(probability, here.codes, here.episode), keys)
+    return rows
 
 
 def train_on(
@@ -145,13 +174,13 @@ def train_on(
         per_moment: window lengths drawn for each driver and moment.
 
     Returns:
-        The trained model; its card has the rows of `experiments.scoring.evaluation` on the test
-        episodes under ``evaluation``.
+        The trained model; its card has the scores on the test episodes as rows.
     """
     opened = [open_dataset(dataset) for dataset in datasets]
     check_model_folder(out)
-    model, _ = train_model(opened, method, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet)
-    scores = evaluation_rows(answers_of(model, opened, "test", jobs, quiet), model.method.name)
-    model = dataclasses.replace(model, card={**model.card, "evaluation": scores})
+    model = train_model(opened, method, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet)
+    answered = answer_episodes(model, opened, split="test", jobs=jobs, quiet=quiet)
+    scores = stamped(scored_answers(answered, model.method.name), "train", seed)
+    model = dataclasses.replace(model, card={**model.card, "scores": scores})
     save_model(model, out)
     return model

@@ -15,8 +15,8 @@ from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import all_in_parallel
 from experiments.data.windows import measured
 from experiments.generate.worlds.sensor import seen_badly
-from experiments.scoring.metrics import score
-from experiments.scoring.models import majority_of
+from experiments.score.answers import Answers, score_answers
+from experiments.score.rows import Row
 from experiments.training.recorded_scenes import read_scenes, scene_rows
 from graphrqi.elsewhere import FOREIGN, Elsewhere
 from graphrqi.elsewhere_training import Lessons, train_elsewhere
@@ -87,7 +87,7 @@ def train_on_worlds(
     if not any(dataset.episodes("test") for dataset in worlds):
         return learned
     test = _gathered(worlds, "test", PARTS[FOREIGN], seed, jobs, quiet)
-    scores = _scores(learned, test, majority_of(lessons.training))
+    scores = _scores(learned, test)
     return dataclasses.replace(learned, card={**card, "scores": scores})
 
 
@@ -125,7 +125,7 @@ def number_of(part: str, entry: EpisodeEntry) -> int:
     return zlib.crc32(f"{part} {entry.id}".encode())
 
 
-def _scores(learned: Elsewhere, life: Samples, majority: int) -> dict[str, Any]:
+def _scores(learned: Elsewhere, life: Samples) -> list[Row]:
     """Scores on drivers of worlds that were not trained on, each seen since it appeared."""
     foreign = np.eye(len(PARTS) + 1)[FOREIGN]  # whatever the gate says
     answer = np.zeros((len(life), len(BEHAVIORS)))
@@ -137,8 +137,7 @@ def _scores(learned: Elsewhere, life: Samples, majority: int) -> dict[str, Any]:
             seen = Observation(life.agent[rows], life.seconds[rows], none, none)
             features = life.features[rows].astype(np.float64)
             answer[rows] = learned.answers_among(features, foreign, seen, float(time_s), place)
-    found = score(life.codes, answer, life.episode, majority, "test")
-    return {name: value.as_dict() for name, value in found.items()}
+    return score_answers(Answers.known(answer, life.codes, life.episode), {"split": "test"})
 
 
 def _gathered(

@@ -14,7 +14,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.parallel import all_in_parallel
-from experiments.scoring.prediction_errors import (
+from experiments.score.predictions import (
     HISTORY_S,
     HORIZONS_S,
     LEAST_SEEN_S,

@@ -20,7 +20,7 @@ import numpy as np
 from behaviors.elementwise import log_uniform
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.scoring.recordings import (
+from experiments.training.recordings import (
     PAST_S,
     RecordedPlace,
     happened,
@@ -328,7 +328,7 @@ def train_on_recordings(
     """Train the predictor for recordings and save it with its card.
 
     Args:
-        sources: as `experiments.scoring.recordings.read_sources` takes them.
+        sources: as `experiments.training.recordings.read_sources` takes them.
         out: the folder to write ``recorded.safetensors`` into.
         epochs: draws of the training examples.
         seed: of weights, order and noise.

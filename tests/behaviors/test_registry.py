@@ -95,7 +95,7 @@ def test_the_names_of_all_registries_load_nothing_heavy() -> None:
     heavy = "libsumo", "highway_env", "torch", "sklearn", "matplotlib", "pyarrow"
     script = (
         "import sys\n"
-        "from experiments.cli.doctor import REGISTRIES, names_of\n"
+        "from experiments.cli.names import REGISTRIES, names_of\n"
         "assert sum(len(names_of(what)) for what in REGISTRIES) > 50\n"
         f"loaded = [name for name in {heavy} if name in sys.modules]\n"
         "assert not loaded, loaded\n"

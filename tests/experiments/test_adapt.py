@@ -1,4 +1,4 @@
-"""``graphrqi adapt``: labels move the answers at a place; wrong ones are refused by line."""
+"""``graphrqi train --from``: labels move the answers at a place; wrong ones are refused by line."""
 
 import csv
 import json
@@ -41,17 +41,20 @@ def labels(data, tmp_path_factory):
     return path
 
 
-def test_labels_adapt_a_model_and_the_gain_is_reported(data, labels, tmp_path, capsys):
+def test_labels_adapt_a_model_and_the_gain_is_reported(data, labels, tmp_path):
     out, table = tmp_path / "adapted", tmp_path / "rows.json"
-    arguments = ["adapt", "graphrqi-plus", data, "--labels", labels, "--out", out, "--json", table]
+    arguments = ["train", "--from", "graphrqi-plus", data, "--labels", labels]
+    arguments += ["--out", out, "--json", table]
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in arguments])
     assert not ended.value.code
-    rows = {row["what"]: row for row in json.loads(table.read_text())}
-    assert capsys.readouterr().out.count("labelled drivers,") == 6
-    assert rows["labelled drivers"]["value"] > 20
-    for name in ("as it was", "adapted", "trained from nothing"):
-        assert 0.0 <= rows[f"10 labelled drivers, {name}"]["value"] <= 1.0
+    rows = json.loads(table.read_text())
+    (known,) = [row["value"] for row in rows if row["metric"] == "labelled_drivers"]
+    assert known > 20
+    gains = [row for row in rows if row.get("labelled") == 10]
+    assert {row["model"] for row in gains} == {"as it was", "adapted", "trained from nothing"}
+    for row in gains:
+        assert 0.0 <= row["value"] <= 5.0
     adapted, before = load_model(out), load_model("graphrqi-plus")
     assert adapted.adaptation is not None
     assert before.adaptation is None
@@ -61,7 +64,7 @@ def test_labels_adapt_a_model_and_the_gain_is_reported(data, labels, tmp_path, c
 
 def test_without_labels_only_the_certainty_changes(data, tmp_path):
     rows = adapt("graphrqi-plus", data, tmp_path / "adapted", quiet=True)
-    assert {row["what"] for row in rows} >= {"drivers", "drivers with two answers", "scale"}
+    assert {row["metric"] for row in rows} >= {"drivers", "drivers_with_two_answers", "scale"}
     adapted = load_model(tmp_path / "adapted").adaptation
     assert adapted.scale > 0.0
     assert adapted.offset.tolist() == [0.0] * 6

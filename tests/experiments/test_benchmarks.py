@@ -12,8 +12,8 @@ from experiments.benchmarks import generate, loop, spectrum
 from experiments.benchmarks.graph_sequences import city_blocks, traffic, traffic_positions
 from experiments.benchmarks.prediction import compare
 from experiments.console.parts import show_parts
-from experiments.rows import Row, tidy_row
-from experiments.scoring.prediction_errors import GROUPS, MEASURES, Errors
+from experiments.score.predictions import GROUPS, MEASURES, Errors
+from experiments.score.rows import Row, tidy_row
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 

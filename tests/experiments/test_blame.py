@@ -8,7 +8,7 @@ import pytest
 
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
-from experiments.scoring.blame import judge, verdict_rows
+from experiments.what_if.blame import judge, verdict_rows
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.episode.incidents import incidents

@@ -10,7 +10,7 @@ import pytest
 from behaviors.labels import BEHAVIORS
 from experiments.replay.beliefs import Beliefs
 from experiments.replay.forecasts import forecast
-from experiments.scoring.prediction_errors import evaluate, future
+from experiments.score.predictions import future, score_episode
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from scenarios import SCENARIOS
@@ -99,7 +99,7 @@ def test_nobody_knows_where_agents_were_in_a_break() -> None:
 def test_steps_of_ten_seconds_are_predicted_from_and_not_scored(road: Road) -> None:
     tracks = recorded(np.arange(20) * 10.1, np.arange(20) - 90.0)
     nobody = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-    errors = evaluate(tracks, {5: nobody}, road, ["constant-velocity"])
+    errors = score_episode(tracks, {5: nobody}, road, ["constant-velocity"])
     assert not errors["constant-velocity"].count.any()
     beliefs = Beliefs(tracks.ids, tracks.time_s[:1], np.full((1, 1, 6), np.nan, np.float32))
     assert len(forecast(tracks, beliefs, road, "constant-velocity")) == 19

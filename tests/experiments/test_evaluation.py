@@ -15,11 +15,10 @@ import pytest
 from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
 from behaviors.labels import BEHAVIORS, Behavior
-from experiments.data.exchange import import_recordings
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.scoring.classification import LABELS, Answered
-from experiments.scoring.evaluation import BENCH, evaluation_rows
+from experiments.score.answers import Answers, score_answers
+from experiments.score.labels import LABELS
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import call
 
@@ -52,7 +51,6 @@ def test_scores_are_those_of_the_joined_tables(data, tmp_path, capsys) -> None:
     assert call("evaluate", "graphrqi-plus", data, "--json", scores, "--jobs", 1, "-q") == 0
     said = capsys.readouterr().out
     assert "majority class" in said
-    assert "who is taken for whom, straight_road, test split" in said
     table = pq.read_table(labels).to_pandas()
     opened = open_dataset(data)
     drawn = pd.DataFrame(
@@ -74,7 +72,7 @@ def test_scores_are_those_of_the_joined_tables(data, tmp_path, capsys) -> None:
         "majority_weighted_accuracy": last["truth"].value_counts().max() / len(last),
         "balanced_accuracy": balanced_accuracy_score(last["truth"], answer),
         "macro_f1": f1_score(last["truth"], answer, average="macro"),
-        "unknown_share": last["behavior"].isna().mean(),
+        "answered_share": last["behavior"].notna().mean(),
         "style_auc": roc_auc_score(
             last["true_style"] == "aggressive", last[columns[:3]].sum(axis=1)
         ),
@@ -85,7 +83,7 @@ def test_scores_are_those_of_the_joined_tables(data, tmp_path, capsys) -> None:
     each = figures(scores, split="test")
     assert each["weighted_accuracy"]["low"] is None  # one episode says nothing of the spread
     rows = json.loads(scores.read_text())
-    assert {row["bench"] for row in rows} == {BENCH}
+    assert {row["command"] for row in rows} == {"evaluate"}
     counts = [r["value"] for r in rows if r["metric"] == "confusion" and r["split"] == "all"]
     assert sum(counts) == len(last)
     right = [
@@ -115,7 +113,7 @@ def test_known_answers_give_known_figures() -> None:
         ["timid", "timid", "impatient", None],
         ["conservative", "conservative", "aggressive", "aggressive"],
     )
-    rows = evaluation_rows([Answered("s", ("0", "1", "2", "3"), table)], "m")
+    rows = score_answers(Answers.of_tables([table]), {})
     found = {row["metric"]: row for row in rows if "behavior" not in row}
     value = {metric: row["value"] for metric, row in found.items()}
     assert value["weighted_accuracy"] == pytest.approx(2 / 3)
@@ -190,7 +188,7 @@ def test_labels_of_nobody_are_refused_and_nothing_is_written(command, tmp_path, 
         "import": ["import", source, "--out", tmp_path / "out"],
         "classify": ["classify", source, "--out", tmp_path / "out.parquet"],
         "evaluate": ["evaluate", "graphrqi-plus", source, "--json", tmp_path / "out.json"],
-        "adapt": ["adapt", "graphrqi-plus", source, "--out", tmp_path / "out"],
+        "adapt": ["train", "--from", "graphrqi-plus", source, "--out", tmp_path / "out"],
     }
     before = sorted(tmp_path.iterdir())
     assert call(*arguments[command], "--labels", labels, "-q") == 2
@@ -198,56 +196,12 @@ def test_labels_of_nobody_are_refused_and_nothing_is_written(command, tmp_path, 
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("command", ["classify", "predict"])
-def test_other_endings_are_refused_by_name(command, tmp_path, capsys) -> None:
-    out = tmp_path / "answers.xlsx"
-    assert call(command, tmp_path, "--out", out) == 2
-    assert f"{out}: found the ending .xlsx, expected .parquet or .csv" in capsys.readouterr().err
-
-
-def test_predictions_are_joined_by_the_same_columns(tmp_path) -> None:
-    source, out = recording(tmp_path), tmp_path / "futures.csv"
-    names = ["--predictors", "constant-velocity", "--horizon-s", 1, "-q"]
-    assert call("predict", source, *names, "--out", out) == 0
-    table = pyarrow.csv.read_csv(out)
-    assert table.column_names[:5] == LABELS.names[:5]
-    assert set(table["file"].to_pylist()) == {"argo7_tracks.csv"}
-    assert table["agent"].type == pa.int64()
-
-
-def test_files_in_folders_are_named_from_the_folder_on(tmp_path) -> None:
-    (tmp_path / "all" / "monday").mkdir(parents=True)
-    recording(tmp_path / "all" / "monday")
-    manifest = import_recordings(tmp_path / "all", tmp_path / "data", quiet=True)
-    assert [entry.file for entry in manifest.episodes] == ["monday/argo7_tracks.csv"]
-
-
-def test_a_report_draws_an_evaluation(tmp_path) -> None:
-    table = last_answers(
-        ["timid", "timid", "reckless"], ["timid", "timid", "impatient"],
-        ["conservative", "conservative", "aggressive"],
-    )  # fmt: skip
-    rows = evaluation_rows([Answered("s", ("0", "1", "2"), table)], "mine")
-    (tmp_path / "scores.json").write_text(json.dumps(rows))
-    assert call("report", tmp_path / "scores.json") == 0
-    page = (tmp_path / "scores.html").read_text()
-    assert "How good the answers are" in page
-    assert "Who is taken for whom" in page
-    assert "mine, s, test: how often answers of each confidence are right" in page
-    (matrix,) = [part for part in page.split("<table")[1:] if 'class="confusion"' in part[:40]]
-    impatient = matrix[matrix.index('scope="row">impatient') :].split("</tr>")[0]
-    shares = [cell.split(">")[1].split("<")[0] for cell in impatient.split("<td")[1:]]
-    assert shares == ["0", "100", "0", "0", "0", "0", "1"]
-
-
-def test_a_models_report_has_its_evaluation(data, tmp_path) -> None:
+def test_a_models_report_has_its_scores(data, tmp_path) -> None:
     out = tmp_path / "model"
     assert call("train", data, "--method", "majority", "--out", out, "-q", "--jobs", 1) == 0
     assert call("report", out, "-q") == 0
-    page = (out / "report.html").read_text()
-    assert "How good the answers are" in page
-    assert "Who drives how" in page
+    assert "accuracy (A_w)" in (out / "report.html").read_text()
     card = json.loads((out / "model.json").read_text())
-    card["card"]["evaluation"] = [{"metric": {"nested": 1}}]
+    card["card"]["scores"] = [{"metric": {"nested": 1}}]
     (out / "model.json").write_text(json.dumps(card))
     assert call("report", out, "-q") == 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -33,31 +32,6 @@ def test_what_users_do_ends_in_one_line(
     assert capsys.readouterr().err == line
 
 
-def _imported(stop: signal.Signals) -> None:
-    """As pandas does when a signal comes while it is being imported."""
-    try:
-        signal.raise_signal(stop)
-    except KeyboardInterrupt:
-        raise AttributeError("partially initialized module") from None
-
-
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_what_a_signal_broke_is_a_stop(
-    stop: signal.Signals, capsys: pytest.CaptureFixture[str]
-) -> None:
-    found = signal.getsignal(stop)
-    before = signal.default_int_handler if stop == signal.SIGINT else signal.SIG_DFL
-    signal.signal(stop, before)  # the suite itself may have been started to ignore it
-    try:
-        with pytest.raises(SystemExit) as ended, exit_on_user_error():
-            _imported(stop)
-        assert signal.getsignal(stop) is before
-    finally:
-        signal.signal(stop, found)
-    assert ended.value.code == 128 + stop
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.parametrize("error", [ValueError("a bug"), OSError("no reason"), KeyError("x")])
 def test_defects_keep_their_traceback(error: Exception) -> None:
     with pytest.raises(type(error)) as raised, exit_on_user_error():
@@ -65,7 +39,7 @@ def test_defects_keep_their_traceback(error: Exception) -> None:
     assert raised.value is error
 
 
-@pytest.mark.parametrize("program", ["demo", "model", "study"])
+@pytest.mark.parametrize("program", ["demo", "model"])
 def test_programs_say_in_one_line_where_they_cannot_write(tmp_path: Path, program: str) -> None:
     (tmp_path / "runs").touch()
     run = subprocess.run(

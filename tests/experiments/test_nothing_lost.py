@@ -9,7 +9,6 @@ import pytest
 from behaviors import InputError
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.report import write_report
 from experiments.training.classifier import train_on
 
 CONFIG = GenerateConfig(scenarios=("straight_road",), episodes=3, seed=2, duration_s=20.0)
@@ -37,14 +36,3 @@ def test_training_refuses_a_folder_with_something_else(made: Path, tmp_path: Pat
     with pytest.raises(InputError, match="something that is not a model"):
         train_on([made], "majority", tmp_path, quiet=True, jobs=1)
     assert (tmp_path / "note").read_text() == NOTE
-
-
-def test_a_report_does_not_replace_a_page_of_others(tmp_path: Path) -> None:
-    rows = tmp_path / "rows.json"
-    rows.write_text('[{"bench": "loop", "stage": "all", "metric": "ms_median", "value": 1.0}]')
-    page = write_report(rows)
-    assert write_report(rows) == page
-    page.write_text(f"<html><body>{NOTE}</body></html>")
-    with pytest.raises(InputError, match="found a page that is not a report"):
-        write_report(rows)
-    assert NOTE in page.read_text()

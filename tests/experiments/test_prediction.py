@@ -11,22 +11,20 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.commands import main
-from experiments.scoring.prediction import (
-    NothingToScore,
-    metrics_tree,
+from experiments.score.futures import PREDICTIONS
+from experiments.score.predict import (
+    errors_table,
     predict_dataset,
-    short_table,
 )
-from experiments.scoring.prediction_errors import (
+from experiments.score.predictions import (
     GROUPS,
     MEASURES,
     Errors,
-    evaluate,
     future,
     instants,
-    summarize,
+    score_episode,
+    score_predictions,
 )
-from experiments.scoring.prediction_file import PREDICTIONS
 from experiments.training.predictor import calibrate_drivers, samples_of
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
@@ -113,7 +111,7 @@ def test_future_beyond_the_recording_is_unknown():
 def test_constant_velocity_is_perfect_on_steady_vehicles(road):
     tracks = steady([5.0, 8.0], y=-8.0)
     stops = list(instants(tracks, 5.0))
-    found = evaluate(tracks, dict.fromkeys(stops, NOBODY), road, ["constant-velocity"])
+    found = score_episode(tracks, dict.fromkeys(stops, NOBODY), road, ["constant-velocity"])
     errors = found["constant-velocity"]
     assert errors.count[GROUPS.index("all")] == 2 * len(stops)
     assert errors.count[GROUPS.index("careful")] == 2 * len(stops)
@@ -177,12 +175,7 @@ def test_predictors_that_are_none_are_refused(own, road, name, said):
     tracks = steady([5.0], y=-8.0)
     stops = list(instants(tracks, 5.0))
     with pytest.raises(InputError, match=said):
-        evaluate(tracks, dict.fromkeys(stops, NOBODY), road, [name.replace("{own}", own)])
-
-
-def test_a_predictor_of_ones_own_needs_a_map(own):
-    with pytest.raises(InputError, match="where there is no map"):
-        evaluate(steady([5.0]), {}, None, [f"{own}:ahead"])
+        score_episode(tracks, dict.fromkeys(stops, NOBODY), road, [name.replace("{own}", own)])
 
 
 def test_a_name_from_a_file_runs_no_code(own):
@@ -201,7 +194,7 @@ def test_errors_of_a_braking_vehicle_are_the_textbook_ones(road):
             )
         )  # fmt: skip
     tracks = Tracks.from_frames(frames)
-    found = evaluate(tracks, {51: NOBODY}, road, ["constant-velocity"])["constant-velocity"]
+    found = score_episode(tracks, {51: NOBODY}, road, ["constant-velocity"])["constant-velocity"]
     fde, ade = MEASURES.index("fde_m"), MEASURES.index("ade_m")
     assert found.total[0, :, fde] == pytest.approx([0.25, 2.25, 6.25], abs=1e-6)
     at = np.arange(0.5, 5.1, 0.5)
@@ -219,9 +212,11 @@ def made_up(value: float, count: float = 10.0) -> Errors:
 def test_summary_has_intervals_and_paired_differences():
     rng = np.random.default_rng(0)
     difficulty = rng.uniform(1, 3, 12)
-    rows = summarize(
-        [{"a": made_up(d), "b": made_up(d - 0.2)} for d in difficulty], "somewhere", "test"
+    rows = score_predictions(
+        [{"a": made_up(d), "b": made_up(d - 0.2)} for d in difficulty],
+        {"scenario": "somewhere", "split": "test"},
     )
+    assert len(errors_table(rows)) == 2
     picked = {
         (r["predictor"], r["metric"]): r
         for r in rows
@@ -235,22 +230,6 @@ def test_summary_has_intervals_and_paired_differences():
     assert {r["behavior"] for r in rows} == {"all"}
     rmse = next(r for r in rows if r["metric"] == "rmse_m" and r["predictor"] == "a")
     assert rmse["value"] == pytest.approx(np.sqrt(difficulty.mean()))
-
-
-def test_one_episode_has_no_interval():
-    row = summarize([{"a": made_up(1.0)}], "somewhere", "test")[0]
-    assert row["low"] is None
-    assert row["high"] is None
-
-
-def test_metrics_tree_and_table():
-    rows = summarize([{"a": made_up(1.0)}, {"a": made_up(2.0)}], "somewhere", "test")
-    tree = metrics_tree(rows)
-    assert tree["somewhere"]["a"]["ade_m"]["5s"]["value"] == pytest.approx(1.5)
-    assert set(tree["somewhere"]["a"]) == {"ade_m", "fde_m"}
-    assert set(tree["somewhere"]["a"]["fde_m"]) == {"1s", "3s", "5s"}
-    assert set(tree["somewhere"]["a"]["fde_m"]["1s"]) == {"value", "low", "high", "n", "split"}
-    assert short_table(rows)[0]["ade_m 3s"] == 1.5
 
 
 @pytest.fixture(scope="module")
@@ -361,34 +340,3 @@ def test_nothing_but_short_recordings_is_one_error_and_leaves_no_file(tmp_path, 
         "longer to predict 5 s ahead: ask for a shorter horizon\n"
     )
     assert not out.exists()
-
-
-def test_nobody_seen_for_long_enough_is_an_error(tmp_path):
-    folder = recordings(tmp_path / "data", 1.0)
-    with pytest.raises(NothingToScore, match="found nobody seen for 1 s and then for another"):
-        predict_dataset(folder, ["constant-velocity"], 0.5, jobs=1, quiet=True)
-
-
-def test_recordings_that_cannot_be_scored_can_be_submitted(tmp_path, capsys):
-    """The challenge's own recordings are 50 frames long: what is to be foreseen is kept back."""
-    folder, out = recordings(tmp_path / "data", 4.9), tmp_path / "submission.parquet"
-    assert predict_line(folder, "--quiet", "--submission", str(out)) == 0
-    assert capsys.readouterr().err.startswith("graphrqi: not scored: ")
-    assert pq.read_table(out).num_rows == 2
-
-
-def test_quiet_hides_progress_and_not_the_table(tmp_path, capsys):
-    folder = recordings(tmp_path / "data", 12.0)
-    assert predict_line(folder, "--quiet") == 0
-    said = capsys.readouterr()
-    assert "constant-velocity" in said.out
-    assert "ade_m 5s" in said.out
-    assert said.err == ""
-    assert predict_line(folder, "--quiet", "--json", "-") == 0
-    assert {row["scenario"] for row in json.loads(capsys.readouterr().out)} == {"here"}
-
-
-@pytest.mark.parametrize("horizon_s", [0.4, 0.7, 2.75, 31.0, float("nan")])
-def test_errors_are_told_at_multiples_of_half_a_second_only(tmp_path, horizon_s):
-    with pytest.raises(InputError, match=r"horizon_s: found .*, expected 0\.5 s or a multiple"):
-        predict_dataset(tmp_path, ["constant-velocity"], horizon_s)

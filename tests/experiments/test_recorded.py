@@ -13,15 +13,6 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benchmarks.recorded_prediction import RATIOS, measure
-from experiments.scoring.recordings import (
-    family_of,
-    happened,
-    history_of,
-    moving,
-    read_sources,
-    recorded_instants,
-    steady_motion,
-)
 from experiments.training.recorded import (
     KEY_FRAMES_S,
     MIRROR,
@@ -33,6 +24,15 @@ from experiments.training.recorded import (
     shorter,
     train_on_recordings,
     with_noise,
+)
+from experiments.training.recordings import (
+    family_of,
+    happened,
+    history_of,
+    moving,
+    read_sources,
+    recorded_instants,
+    steady_motion,
 )
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
@@ -229,10 +229,10 @@ def test_the_bench_leaves_each_dataset_out(data):
 
 def test_the_command_trains_and_tells(data, tmp_path):
     out = subprocess.run(
-        [sys.executable, "-m", "experiments.cli", "train-predictor", str(data / "ngsim_us101"),
+        [sys.executable, "-m", "experiments.cli", "train", "--predictor", str(data / "ngsim_us101"),
          "--out", str(tmp_path), "--epochs", "1", "--json", "-", "--quiet"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     rows = json.loads(out.stdout)
-    assert [row["dataset"] for row in rows] == ["ngsim_us101"]
+    assert [row["recordings"] for row in rows] == ["ngsim_us101"]
     assert (tmp_path / SHIPPED).is_file()

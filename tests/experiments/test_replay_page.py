@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import re
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR, rgb
-from behaviors.detector_inputs import ShownTrait
-from behaviors.labels import BEHAVIORS, TRAITS
+from behaviors.labels import BEHAVIORS
 from experiments.replay.page import MODES, ramp, write_page
 
 SIZES = {"wide": (1280, 800), "narrow": (390, 844)}
@@ -252,14 +250,6 @@ def test_text_can_be_read_and_nothing_overflows(open_page, contrasts, scheme, si
     assert [found for found in contrasts(page) if found[0] < 4.5] == []
 
 
-def test_a_long_title_leaves_the_buttons_beside_it_on_a_phone(open_page):
-    page = open_page(*SIZES["narrow"])
-    page.locator("h1").evaluate("title => title.textContent = 'Recording 123456789 '.repeat(4)")
-    theme, help_, title = (page.locator(at).bounding_box() for at in ("#theme", "#help", "h1"))
-    assert theme["y"] == help_["y"]
-    assert title["x"] + title["width"] <= theme["x"] < help_["x"]
-
-
 def test_the_timeline_leads_to_moments_and_agents(open_page):
     page = open_page()
     strip = page.locator("#timeline").bounding_box()
@@ -273,18 +263,6 @@ def test_the_timeline_leads_to_moments_and_agents(open_page):
     page.mouse.click(middle_of_trait, strip["y"] + 22)
     assert state(page)["selected"] == 0
     assert state(page)["time"] == pytest.approx(3.0, abs=0.05)
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_labels_of_the_timeline_are_as_wide_as_they_need(scene, open_page, tmp_path, size):
-    shown = tuple(ShownTrait(t, int(scene.tracks.ids[0]), 3.0, 6.0, 1.0) for t in TRAITS)
-    write_page(dataclasses.replace(scene, shown_traits=shown), tmp_path / "r.html", "true")
-    page = open_page(*SIZES[size], file=tmp_path / "r.html")
-    drawn(page)
-    labels = page.evaluate("replay.timeline().labels")
-    assert len(labels) == 1 + len(TRAITS)
-    cut = [label for label in labels if label.endswith("…")]
-    assert len(cut) <= {"wide": 0, "narrow": 1}[size]  # the longest needs more than half a phone
 
 
 def test_a_link_opens_at_a_moment_with_an_agent(open_page):
@@ -331,16 +309,6 @@ def test_it_opens_where_there_are_beliefs(open_page, scene):
     assert page.evaluate("replay.agents().filter((a) => a.likely >= 0).length") > 0
 
 
-def test_confidence_and_the_unknown_are_in_sight_without_a_click(open_page):
-    page = open_page()
-    page.keyboard.press("2")
-    page.evaluate("replay.seek(15.0)")
-    sure = page.locator("#sure")
-    until(page, lambda: "70\u00a0% sure on average, 0 of 8 drivers unknown" in sure.inner_text())
-    page.evaluate("replay.seek(0.2)")
-    until(page, lambda: "nothing believed yet, 7 of 7 drivers unknown" in sure.inner_text())
-
-
 def test_unsure_drivers_have_a_dashed_outline(open_page, make_scene, tmp_path):
     sure = make_scene()
     one_style = np.array([0.34, 0.32, 0.3, 0.02, 0.01, 0.01], dtype=np.float32)
@@ -358,47 +326,6 @@ def test_unsure_drivers_have_a_dashed_outline(open_page, make_scene, tmp_path):
         image = np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
         counts.append((np.abs(image - np.array([0x18, 0x20, 0x2B])).max(axis=2) < 25).sum())
     assert counts[1] < 0.9 * counts[0], "gaps in the outlines"
-
-
-def test_labels_cover_neither_agents_nor_each_other(open_page, make_scene, tmp_path):
-    write_page(make_scene(agents=60), tmp_path / "dense.html", "true")
-    page = open_page(file=tmp_path / "dense.html")
-    page.evaluate("replay.seek(8.0); replay.setLayer('names', true); replay.select(5)")
-    drawn(page)
-    agents, shown = page.evaluate("[replay.boxes('agents'), replay.boxes('labels')]")
-    assert len(shown) > 10
-    for i, (left, top, right, bottom) in enumerate(shown):
-        for other in (*agents, *shown[:i]):
-            apart = (
-                other[0] >= right - 0.01 or other[2] <= left + 0.01
-                or other[1] >= bottom - 0.01 or other[3] <= top + 0.01
-            )  # fmt: skip
-            assert apart, (shown[i], other)
-
-
-def test_edges_to_agents_out_of_sight_are_short(open_page):
-    page = open_page()
-    page.evaluate("replay.seek(8.0); replay.setLayer('graph', true); replay.select(2)")
-    drawn(page)
-    lengths = [np.hypot(*np.subtract(*ends)) for ends in page.evaluate("replay.edges()")]
-    assert max(lengths) > 30
-    page.keyboard.press("f")
-    for _ in range(12):
-        page.keyboard.press("+")
-    page.keyboard.press("ArrowRight")
-    drawn(page)
-    stubs = [np.hypot(*np.subtract(*ends)) for ends in page.evaluate("replay.edges()")]
-    assert stubs
-    assert max(stubs) <= 26.01, "the others are out of sight"
-
-
-def test_traits_say_how_long_they_were_shown_and_w_has_a_name(open_page):
-    page = open_page()
-    page.evaluate("replay.select(0); replay.seek(5.0)")
-    assert "for 3.0 s" in page.locator("#agent .list").inner_text()
-    page.keyboard.press("5")
-    assert page.locator("#modes").inner_text().count("Prominence") == 1
-    assert "stands out among its neighbours" in page.locator("#legend").inner_text()
 
 
 def test_a_tap_on_a_phone_shows_the_driver_beside_the_scene(open_page, scene):
@@ -419,52 +346,3 @@ def test_a_tap_on_a_phone_shows_the_driver_beside_the_scene(open_page, scene):
     wide = open_page()
     wide.evaluate("replay.select(2)")
     assert not wide.locator("#card").is_visible()
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_shares_stay_on_one_line(open_page, size):
-    page = open_page(*SIZES[size])
-    page.evaluate("replay.seek(5.0); replay.select(2)")
-    page.keyboard.press("3")
-    drawn(page)
-    for text in page.locator(".ticks span, .bars .share").all():
-        height = text.evaluate("(e) => e.getClientRects().length && e.offsetHeight")
-        assert height < 26, text.inner_text()
-
-
-def test_whom_nobody_knows_is_grey(open_page, make_scene, tmp_path):
-    sure = make_scene()
-    guess = dataclasses.replace(sure.beliefs, probability=sure.beliefs.probability * 0 + 1 / 6)
-    write_page(dataclasses.replace(sure, beliefs=guess), tmp_path / "guess.html", "predicted")
-    page = open_page(file=tmp_path / "guess.html")
-    page.evaluate("replay.seek(8.0)")
-    everybody = re.compile(r"(\d+) of \1 drivers unknown")
-    until(page, lambda: everybody.search(page.locator("#sure").inner_text()))
-
-
-def test_a_crowd_is_drawn_as_boxes_and_named_only_near(open_page, make_scene, tmp_path):
-    crowd = make_scene("city", agents=400, seconds=12.0)
-    file = tmp_path / "city.html"
-    write_page(crowd, file, "true")
-    page = open_page(file=file)
-    page.click("#fit")
-    page.evaluate("replay.seek(8.0); replay.setLayer('names', true)")
-    drawn(page)
-    step = int(np.searchsorted(crowd.tracks.time_s, 8.0 - 1e-6))
-    shown = page.evaluate("replay.agents()")
-    assert len(shown) > 250
-    assert page.evaluate("replay.boxes('labels')") == []  # too many in sight for names
-    left, top = (page.locator("#stage").bounding_box()[side] for side in ("x", "y"))
-    picture = np.array(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), dtype=int)
-    right = [
-        np.abs(picture[round(top + a["y"]), round(left + a["x"])] - rgb(a["color"])).max() < 60
-        for a in shown
-    ]
-    assert np.mean(right) > 0.6  # the others lie under others, as they do not keep their distance
-    assert crowd.tracks.valid[:, step].sum() >= len(shown)
-    for _ in range(7):
-        page.click("#zoom-in")
-    drawn(page)
-    assert 0 < len(page.evaluate("replay.agents()")) <= 150
-    assert page.evaluate("replay.boxes('labels')")
-    assert page.evaluate("replay.cost(8.0)") > 0.0

@@ -56,14 +56,6 @@ def test_a_stopped_program_leaves_nothing_behind(tmp_path: Path, number: signal.
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_ignores_a_hangup_goes_on_ignoring_it(tmp_path: Path) -> None:
-    script = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + STOPPED_INSIDE
-    script = script.replace("time.sleep(60)", "time.sleep(2)")
-    code, message = stopped(signal.SIGHUP, tmp_path / "new", script)
-    assert (code, message) == (0, "")
-    assert (tmp_path / "new" / "file").read_text() == "half"
-
-
 def test_an_import_that_was_killed_can_be_run_again(tmp_path: Path) -> None:
     source = tmp_path / "a.xml"
     source.write_text(f"<fcd-export>{''.join(FCD.format(t=t) for t in range(5))}</fcd-export>")

@@ -22,18 +22,11 @@ def dataset(folder: Path, duration_s: float) -> Path:
     return folder
 
 
-def test_test_episodes_that_are_too_short_cost_the_scores_only(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_short_test_episodes_are_scored(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data", 8.0)
     train_on([data], "majority", tmp_path / "model", quiet=True, jobs=1)
-    told = caplog.messages
-    assert len(told) == 1
-    assert "episode" in told[0]
-    assert told[0].startswith(f"left out {data}: episode")
-    assert "found no driver observed for 10 s" in told[0]
     card = json.loads((tmp_path / "model" / "model.json").read_text())["card"]
-    assert card["scores"] == {}
+    assert card["scores"]
     load_stream(tmp_path / "model")
 
 

@@ -19,7 +19,7 @@ from experiments.data.exchange import as_dataset, export_dataset, import_recordi
 from experiments.data.verify import verify_dataset
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.scoring.classification import classify_dataset
+from experiments.score.labels import classify_dataset
 from experiments.training.classifier import train_on
 from sim.files import Place, errors_named, place_of, url_of
 from sim.store.dataset import open_dataset
@@ -151,7 +151,7 @@ def test_datasets_are_trained_on_classified_and_exported(stored: Path, tmp_path:
     model = tmp_path / "model"
     train_on([stored], "majority", model, quiet=True, jobs=1)
     with as_dataset(stored) as dataset:
-        classify_dataset(dataset, str(model), stored.parent / "labels.parquet", True)
+        classify_dataset(dataset, str(model), stored.parent / "labels.parquet", quiet=True)
     assert place_of(stored.parent).size("labels.parquet")
     written = export_dataset(stored, stored.parent / "fcd", "sumo-fcd", quiet=True)
     assert {url_of(path.parent) for path in written} == {"s3://datasets/fcd"}

@@ -15,8 +15,9 @@ from experiments.cli.commands import main
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.replay.ghosts import find_ghosts, ghosts_of
-from experiments.replay.pictures.paths import write_paths
-from experiments.scoring.what_if import (
+from experiments.replay.paths import write_paths
+from experiments.what_if.branches import WhatIf, branch_of, change_of, make_what_if
+from experiments.what_if.outcomes import (
     branches_of,
     delays,
     factual_of,
@@ -24,7 +25,6 @@ from experiments.scoring.what_if import (
     outcomes,
     same_incident,
 )
-from experiments.what_if import WhatIf, branch_of, change_of, make_what_if
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.store.dataset import open_dataset
 from sim.sumo.control.acting import Action

@@ -10,6 +10,7 @@ from sklearn.metrics import brier_score_loss, roc_auc_score
 
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
+from experiments.benchmarks.statistics import auc, auc_within, brier
 from experiments.benchmarks.yielding import (
     BELIEFS,
     EncounterChances,
@@ -18,7 +19,6 @@ from experiments.benchmarks.yielding import (
     score_chances,
     travelled,
 )
-from experiments.scoring.metrics import auc, auc_within, brier
 from graphrqi.posterior import Posterior
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS

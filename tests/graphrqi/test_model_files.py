@@ -12,7 +12,6 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from behaviors.errors import InputError
-from experiments.scoring.metrics import Estimate
 from graphrqi.classify import CLASSIFIERS
 from graphrqi.classify.baselines import Majority
 from graphrqi.methods import METHODS, Method, train
@@ -198,8 +197,7 @@ def test_nothing_to_train_on_and_bad_seeds_are_refused():
 
 
 def test_cards_are_valid_json(tmp_path):
-    estimate = Estimate(0.5, float("nan"), float("nan"), 3, "test").as_dict()
-    assert estimate == {"value": 0.5, "low": None, "high": None, "n": 3, "split": "test"}
+    estimate = {"metric": "ece", "value": 0.5, "low": None, "high": None, "n": 3}
     training = drawn("majority", 6)
     save_model(train("majority", training, card={"score": estimate}), tmp_path / "model")
     assert load_model(tmp_path / "model").card == {"score": estimate}

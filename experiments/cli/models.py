@@ -1,0 +1,248 @@
+"""The commands about models: ``train``, ``classify``, ``evaluate``, ``predict``, ``calibrate``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from experiments.cli.options import (
+    FormatName,
+    GivenLabels,
+    Jobs,
+    Json,
+    ModelName,
+    Net,
+    Quiet,
+    Seed,
+    Source,
+    names_of,
+    refuse_to_overwrite,
+    table_to_write,
+)
+
+if TYPE_CHECKING:
+    from experiments.score.rows import Row
+
+TableFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        dir_okay=False,
+        callback=table_to_write,
+        metavar="FILE",
+        help="File for the answers themselves: .parquet or .csv.",
+    ),
+]
+EvaluatedModel = Annotated[str, typer.Argument(help="A model that ships, or a folder.")]
+
+
+def train(
+    data: Annotated[
+        list[Path], typer.Argument(help="Datasets; recordings for --from and --predictor.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the model.")],
+    method: Annotated[
+        str, typer.Option(help="See graphrqi list.", autocompletion=names_of("method"))
+    ] = "graphrqi-plus",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            "--from", metavar="MODEL", help="Adapt this model to the place of recordings instead."
+        ),
+    ] = None,
+    labels: GivenLabels = None,
+    predictor: Annotated[
+        bool, typer.Option("--predictor", help="Train the predictor for recordings instead.")
+    ] = False,
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over the data (--predictor).")] = 4,
+    format: FormatName = None,
+    net: Net = None,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Train a classifier on datasets, adapt one to recordings, or train the predictor."""
+    from behaviors.errors import InputError
+    from experiments.console.tables import show_table
+    from experiments.score.rows import melted, stamped
+
+    if labels is not None and start is None:
+        raise InputError("--labels: found no --from, expected the model that labels adapt")
+    if predictor:
+        if start is not None:
+            raise InputError("--predictor: found --from, too, expected one of them")
+        from experiments.training.recorded import train_on_recordings
+
+        scores = train_on_recordings(data, out, epochs=epochs, seed=seed, quiet=quiet)
+        lines: list[Row] = [
+            {"recordings": name, "ade_over_constant_velocity": round(value, 3)}
+            for name, value in scores.items()
+        ]
+        rows = melted(lines, ["recordings"])
+        show_table(stamped(rows, "train --predictor", seed), json, f"{out}: trained", lines)
+        return
+    if start is not None:
+        from experiments.data.exchange import as_dataset
+        from experiments.training.adapt import adapt
+
+        if len(data) != 1:
+            raise InputError(f"--from: found {len(data)} recordings, expected one or a folder")
+        with as_dataset(data[0], format, net) as dataset:
+            rows = adapt(start, dataset, out, labels, quiet)
+        show_table(stamped(rows, "train --from"), json, f"{out}: {start} adapted", rows)
+        return
+    from experiments.score.rows import dataset_id
+    from experiments.training.classifier import train_on
+    from sim.store.dataset import open_dataset
+
+    rows = train_on(data, method, out, seed, quiet, jobs).card["scores"]
+    known = ", ".join(dataset_id(open_dataset(path)) for path in data)
+    _show_scores(stamped(rows, "train", seed, known), json)
+    if not rows:
+        typer.echo("not scored: the data have no test episode with a driver seen for 1 s", err=True)
+
+
+def classify(
+    source: Source,
+    out: TableFile = None,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    labels: GivenLabels = None,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Name each driver's behaviour as it drives."""
+    from experiments.console.tables import show_table
+    from experiments.score.labels import classify_dataset, domain_notice, named_table
+    from experiments.score.rows import stamped
+
+    refuse_to_overwrite([source, net, labels], [out, json])
+    with _named_dataset(source, format, net) as (dataset, known):
+        found = classify_dataset(dataset, model, out, labels, jobs=jobs, quiet=quiet)
+    rows = stamped(found, "classify", dataset=known)
+    if str(json) != "-":
+        show_table(named_table(rows), title="drivers by their last answer")
+    _show_scores(rows, json)
+    if notice := domain_notice(rows):
+        typer.echo(notice, err=True)
+
+
+def evaluate(
+    model: EvaluatedModel,
+    source: Source,
+    format: FormatName = None,
+    net: Net = None,
+    labels: GivenLabels = None,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Score a model where drivers are known; report makes a page of the JSON."""
+    from experiments.score.labels import evaluate, trained_here
+    from experiments.score.rows import stamped
+
+    refuse_to_overwrite([source, net, labels], [json])
+    with _named_dataset(source, format, net) as (dataset, known):
+        found = evaluate(model, dataset, labels, jobs=jobs, quiet=quiet)
+        trained = trained_here(model, dataset)
+    _show_scores(stamped(found, "evaluate", dataset=known), json)
+    if trained and str(json) != "-":
+        typer.echo("the model was trained on data like these: the test split counts", err=True)
+
+
+def predict(
+    source: Source,
+    predictors: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B",
+            help="Names (see graphrqi list) or module:function of your own, separated by commas.",
+        ),
+    ] = "constant-velocity,car-following-blind,graphrqi-predict",
+    horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    out: TableFile = None,
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="From train --predictor (default: the weights that ship)."
+        ),
+    ] = None,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Predict where everyone goes, and score it."""
+    from experiments.console.tables import show_table
+    from experiments.score.predict import errors_table, predict_dataset
+    from experiments.score.rows import stamped
+
+    refuse_to_overwrite([source, net], [out, json])
+    names = [word.strip() for word in predictors.split(",") if word.strip()]
+    with _named_dataset(source, format, net) as (dataset, known):
+        found = predict_dataset(
+            dataset, names, horizon_s, model, out=out, weights=weights, jobs=jobs, quiet=quiet
+        )
+    rows = stamped(found, "predict", dataset=known)
+    show_table(rows, json, "prediction", errors_table(rows))
+
+
+def calibrate(
+    source: Source,
+    out: Annotated[
+        Path, typer.Option(file_okay=False, metavar="FOLDER", help="New folder for the results.")
+    ],
+    format: FormatName = None,
+    net: Net = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Infer every driver's car-following numbers, and the population they come from."""
+    from experiments.calibration import population_rows, quantile_rows, write_calibration
+    from experiments.console.tables import show_table
+    from experiments.score.rows import melted, stamped
+
+    calibrated = write_calibration(source, out, format, net, quiet)
+    lines = population_rows(calibrated)
+    rows = stamped(melted(lines, ["number"]), "calibrate")
+    show_table(rows, json, f"{out}: {len(calibrated.drivers)} drivers", lines)
+    if str(json) != "-":
+        places = quantile_rows(calibrated.population(calibrated.better))
+        show_table(places, title="quantiles at which each behaviour's median driver lies")
+
+
+@contextmanager
+def _named_dataset(
+    source: Path, format: str | None, net: Path | None
+) -> Iterator[tuple[Path, str]]:
+    """A dataset, made of recordings where need be, with its id in rows."""
+    from experiments.data.exchange import as_dataset
+    from experiments.score.rows import dataset_id
+    from sim.store.dataset import open_dataset
+
+    with as_dataset(source, format, net) as folder:
+        yield folder, dataset_id(open_dataset(folder))
+
+
+def _show_scores(rows: Sequence[Row], json: Path | None) -> None:
+    """Write all rows, and print the scores and confusions of those over many episodes."""
+    from experiments.console.tables import show_table
+    from experiments.score.answers import confusion_table, is_scored, scores_table
+
+    totals = [row for row in rows if row.get("name") is None]
+    if not is_scored(totals) and json is None:
+        return
+    title = "every driver once, by its last answer; 95 % intervals over episodes"
+    show_table(rows, json, title, scores_table(totals))
+    confusions = confusion_table(totals)
+    if confusions and str(json) != "-":
+        show_table(confusions, title="how often each behaviour gets each answer")

@@ -1,0 +1,127 @@
+"""Everything that is registered: scenarios, engines, methods, predictors, formats and so on."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import inspect
+import platform
+from contextlib import suppress
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from behaviors.errors import InputError, lookup
+from behaviors.populations import POPULATIONS, read_population
+from behaviors.registry import Registry, loaded
+from experiments.score.rows import Row
+
+REGISTRIES: Final[dict[str, str]] = {
+    "scenario": "scenarios:SCENARIOS",
+    "engine": "sim.engines:ENGINES",
+    "method": "graphrqi.methods:METHODS",
+    "solver": "graphrqi.spectrum:SOLVERS",
+    "predictor": "graphrqi.predict:PREDICTORS",
+    "classifier": "graphrqi.classify.registry:CLASSIFIERS",
+    "format": "sim.formats:FORMATS",
+}
+"""The registries, as "module:attribute", by what they hold."""
+
+SUMMARIES: Final[dict[str, Literal["entry", "function", "module"]]] = {
+    "scenario": "entry",
+    "engine": "function",
+    "method": "entry",
+    "solver": "module",
+    "predictor": "function",
+    "classifier": "function",
+    "format": "module",
+}
+"""What says in one line what an entry of a registry is: the entry itself, which is imported; or the
+docstring of its function (or class) or of its module, which is read without importing it."""
+
+
+def names_of(what: str) -> list[str]:
+    """The registered names of one kind of thing.
+
+    Args:
+        what: a key of ``REGISTRIES``.
+
+    Returns:
+        Its names, in the registry's order.
+
+    Examples:
+        >>> names_of("engine")
+        ['sumo', 'sumo-idm', 'highway', 'highway-krauss']
+    """
+    return list(POPULATIONS if what == "population" else _registry(what))
+
+
+def registered_names() -> list[Row]:
+    """Every registered name: what it names, where it comes from, and one line on what it is."""
+    found: list[Row] = [
+        {
+            "what": what,
+            "name": name,
+            "from": registry.origin(name),
+            "about": _about(registry, name, SUMMARIES[what]),
+        }
+        for what in REGISTRIES
+        for registry in (_registry(what),)
+        for name in registry
+    ]
+    for name in POPULATIONS:
+        about = read_population(name).source
+        found.append({"what": "population", "name": name, "from": "graphrqi", "about": about})
+    return found
+
+
+def _registry(what: str) -> Registry[object]:
+    registry: Registry[object] = loaded(lookup(REGISTRIES, what, "registry"))
+    return registry
+
+
+def _about(registry: Registry[Any], name: str, summary: str) -> str:
+    """One line on an entry: its summary, or the first line of a docstring without its marks."""
+    source = registry.source(name)
+    if summary == "entry" or source is None:
+        try:
+            return _summary(registry[name])
+        except InputError as error:  # a plugin that does not load
+            return str(error)
+    module, attribute = source.split(":")
+    written = importlib.util.find_spec(module)
+    assert written is not None, module
+    assert written.origin is not None, module
+    tree: ast.Module | ast.FunctionDef | ast.ClassDef = ast.parse(
+        Path(written.origin).read_bytes(), written.origin
+    )
+    if summary == "function":
+        tree = next(
+            node
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == attribute
+        )
+    return _first_line(ast.get_docstring(tree))
+
+
+def _summary(entry: Any) -> str:
+    """One line on an entry that has a summary or is, or is made by, a documented function."""
+    if hasattr(entry, "summary"):
+        return str(entry.summary)
+    made_by = getattr(entry, "function", entry)
+    about = _first_line(inspect.getdoc(getattr(made_by, "func", made_by)))
+    fixed = ", ".join(f"{k}={v}" for k, v in getattr(made_by, "keywords", {}).items())
+    return f"{about} Here {fixed}." if fixed else about
+
+
+def _first_line(docstring: str | None) -> str:
+    return (docstring or "").partition("\n")[0].replace("`", "")
+
+
+def version_line() -> str:
+    """Our version, and those of Python and the simulators."""
+    found = [f"graphrqi {metadata.version('graphrqi')}", f"Python {platform.python_version()}"]
+    for name in ("libsumo", "highway-env"):
+        with suppress(metadata.PackageNotFoundError):
+            found.append(f"{name} {metadata.version(name)}")
+    return ", ".join(found)

@@ -1,1 +1,0 @@
-"""Pictures and films of a replay, drawn without a browser."""

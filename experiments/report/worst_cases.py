@@ -1,0 +1,170 @@
+"""Where a run was most wrong: pictures and replays of unseen episodes, with links to moments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlencode
+
+import numpy as np
+
+from behaviors.labels import BEHAVIORS
+from experiments.console.progress import Progress
+from experiments.data.parallel import in_parallel
+from experiments.replay.page import write_page
+from experiments.replay.pictures import Drawing, fullest_s
+from experiments.replay.scene import DEFAULT_PREDICTOR, ReplayScene, gather
+from experiments.report.pictures import Picture
+from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
+
+EPISODES: Final = 4
+"""Unseen episodes of each scenario that are looked at."""
+
+CASES: Final = 3
+"""Worst cases of each sort that are shown for each scenario."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """An agent about which the run was wrong.
+
+    Attributes:
+        sort: "answer" or "prediction".
+        badness: the probability given to the wrong behaviour, or metres.
+        text: one sentence on it.
+        href: where to see it, relative to the report.
+    """
+
+    sort: str
+    badness: float
+    text: str
+    href: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Excerpt:
+    """What the unseen episodes of one scenario show.
+
+    Attributes:
+        scenario: its name.
+        pictures: one moment, coloured by predicted behaviour and by prominence in the graph.
+        href: the replay of that moment.
+        cases: the worst of each sort.
+    """
+
+    scenario: str
+    pictures: tuple[Picture, ...]
+    href: str
+    cases: tuple[Case, ...]
+
+
+def take_excerpts(folder: Path, jobs: int | None = None, quiet: bool = True) -> list[Excerpt]:
+    """Look at a run's unseen episodes and write their replays.
+
+    Args:
+        folder: of the run, with ``data`` and ``model``; replays go into ``replays`` in it.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        One entry for each scenario that has unseen episodes.
+    """
+    dataset = open_dataset(folder / "data")
+    (folder / "replays").mkdir(exist_ok=True)
+    chosen = {name: dataset.episodes("test", name)[:EPISODES] for name in dataset.scenarios}
+    arguments = [
+        (folder, entry, place == 0)
+        for part in chosen.values()
+        for place, entry in enumerate(part)
+    ]  # fmt: skip
+    found: dict[str, list[Excerpt]] = {}
+    with Progress("looking at unseen episodes", len(arguments), quiet) as progress:
+        for one in in_parallel(excerpt_of, arguments, jobs):
+            found.setdefault(one.scenario, []).append(one)
+            progress.advance()
+    return [_joined(parts) for parts in found.values()]
+
+
+def excerpt_of(folder: Path, entry: EpisodeEntry, draw: bool) -> Excerpt:
+    """Look at one episode and write its replay.
+
+    Args:
+        folder: of the run.
+        entry: the episode.
+        draw: whether pictures are wanted.
+
+    Returns:
+        What it shows.
+    """
+    model = str(folder / "model")
+    dataset = open_dataset(folder / "data")
+    scene = gather(dataset, entry, model=model, predictor=DEFAULT_PREDICTOR)
+    page, moment = f"replays/{entry.id}.html", fullest_s(scene)
+    write_page(scene, folder / page, "predicted")
+    pictures = tuple(
+        Picture(f"{entry.scenario} at {moment:.0f} s, {words}", Drawing(scene, mode).draw(moment))
+        for mode, words in (("predicted", "predicted behaviours and paths"), ("w", "traffic graph"))
+        if draw
+    )
+    cases = (*_wrong_answers(scene, page), *_wrong_predictions(scene, page))
+    return Excerpt(entry.scenario, pictures, _link(page, moment), cases)
+
+
+def _joined(parts: list[Excerpt]) -> Excerpt:
+    cases = sorted((c for part in parts for c in part.cases), key=lambda case: -case.badness)
+    kept = [[c for c in cases if c.sort == sort][:CASES] for sort in ("answer", "prediction")]
+    return Excerpt(parts[0].scenario, parts[0].pictures, parts[0].href, (*kept[0], *kept[1]))
+
+
+def _link(page: str, time_s: float, agent: str = "") -> str:
+    query = {"t": f"{time_s:.1f}", "mode": "predicted"} | ({"agent": agent} if agent else {})
+    return f"{page}#{urlencode(query)}"
+
+
+def _wrong_answers(scene: ReplayScene, page: str) -> list[Case]:
+    """Drivers whose last belief is wrong, the surest first."""
+    cases = list[Case]()
+    truth = scene.tracks.behavior
+    for row in range(0 if truth is None else truth.size):
+        believed = scene.beliefs.probability[row]
+        samples = np.flatnonzero(np.isfinite(believed).all(axis=1))
+        if truth is None or truth[row] < 0 or not samples.size:
+            continue
+        last = believed[samples[-1]]
+        code = int(last.argmax())
+        if code == truth[row]:
+            continue
+        surest = int(samples[believed[samples, code].argmax()])
+        name = scene.tracks.names[row]
+        text = (
+            f"driver {name} is {BEHAVIORS[truth[row]]}, taken for {BEHAVIORS[code]} with "
+            f"{100 * last[code]:.0f} % at last"
+        )
+        href = _link(page, float(scene.beliefs.time_s[surest]), name)
+        cases.append(Case("answer", float(last[code]), text, href))
+    return sorted(cases, key=lambda case: -case.badness)[:CASES]
+
+
+def _wrong_predictions(scene: ReplayScene, page: str) -> list[Case]:
+    """Agents that ended farthest from their likeliest future, each at most once."""
+    tracks = scene.tracks
+    worst: dict[int, tuple[float, float]] = {}
+    for forecast in scene.forecasts:
+        end_s = forecast.time_s + float(forecast.ahead_s[-1])
+        step = int(np.searchsorted(tracks.time_s, end_s - 1e-3))
+        if step >= tracks.time_s.size:
+            continue
+        likeliest = np.flatnonzero(np.diff(forecast.agent, prepend=-1) != 0)
+        agent = forecast.agent[likeliest]
+        away = np.hypot(*(forecast.xy[likeliest, -1] - tracks.xy[agent, step]).T)
+        for row, error in zip(agent.tolist(), away.tolist(), strict=True):
+            if np.isfinite(error) and error > worst.get(row, (0.0, 0.0))[0]:
+                worst[row] = error, forecast.time_s
+    cases = []
+    for row, (error, time_s) in worst.items():
+        name = tracks.names[row]
+        text = f"agent {name}, predicted at {time_s:.1f} s, ended {error:.1f} {scene.unit} away"
+        cases.append(Case("prediction", error, text, _link(page, time_s, name)))
+    return sorted(cases, key=lambda case: -case.badness)[:CASES]

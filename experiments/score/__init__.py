@@ -1,0 +1,1 @@
+"""Scores: one function for answers, one for predictions, one tidy row for every figure."""

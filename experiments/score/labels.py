@@ -1,0 +1,371 @@
+"""Answers about every driver at every frame: as a table, as a file, and scored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from experiments.console.progress import Progress
+from experiments.data.admission import is_scene
+from experiments.data.parallel import in_parallel
+from experiments.data.windows import measured, places_of
+from experiments.score.answers import Answers, is_scored, score_answers, score_places
+from experiments.score.metrics import of_likelier_style
+from experiments.score.rows import Row
+from experiments.score.tables import JOINED, joined_columns, table_file
+from graphrqi.methods import Model
+from graphrqi.model_files import load_model
+from graphrqi.posterior import Posterior
+from graphrqi.stream import MIN_SECONDS, BehaviorStream
+from sim.formats.common.label_file import DriverLabels, read_driver_labels
+from sim.store.dataset import Dataset, Episode, open_dataset
+from sim.store.schema import EpisodeEntry, Split
+
+LABELS: Final = pa.schema(
+    [
+        *JOINED,
+        pa.field("agent", pa.int64()),
+        pa.field("name", pa.string()),
+        pa.field("time_s", pa.float64()),
+        pa.field("behavior", pa.string()),
+        pa.field("style", pa.string()),
+        *(pa.field(f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
+        pa.field("domain", pa.float32()),
+        pa.field("unknown", pa.float32()),
+        pa.field("truth", pa.string()),
+        pa.field("true_style", pa.string()),
+    ]
+)
+"""Columns of a labels file: one row per driver and frame from one second of observation on.
+
+The first are those of `JOINED`; ``agent`` is the id in the dataset's tables, ``name`` the source's
+own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum of
+probabilities; each is null where it is not likely enough to be told (`graphrqi.posterior`).
+``domain`` is how foreign the traffic is to the model, ``unknown`` the probability that no answer is
+earned, ``truth`` the behaviour that the driver was drawn or labelled with and ``true_style`` its
+style (null where nobody knows; of some drivers only the style is known)."""
+
+
+def label_episode(episode: Episode, model: Model) -> pa.Table:
+    """Posteriors of every driver at every frame of an episode.
+
+    Args:
+        episode: as read from a dataset; what is known of its drivers only fills the columns
+            ``truth`` and ``true_style``.
+        model: a trained model.
+
+    Returns:
+        A table with the columns ``LABELS``. Everybody is unknown in a recording that is no scene
+        that can be believed.
+    """
+    stream = BehaviorStream(model, is_scene=is_scene(episode.entry))
+    tracks = measured(episode)
+    agents, times, answers = [], [], list[Posterior]()
+    for frame in tracks.frames():
+        posterior = stream.update(frame)
+        agents.append(np.searchsorted(tracks.ids, posterior.ids))
+        times.append(np.full(posterior.ids.size, frame.time_s))
+        answers.append(posterior)
+    if not agents:
+        return LABELS.empty_table()
+    row, probability = np.concatenate(agents), np.concatenate([a.probability for a in answers])
+    style_told = np.concatenate([a.style_told for a in answers])
+    told = np.concatenate([a.told for a in answers])
+    known = {agent.id: agent for agent in episode.agents}
+    truth = pa.array([known[i].behavior for i in tracks.ids.tolist()], pa.string())
+    true_style = pa.array([known[i].style for i in tracks.ids.tolist()], pa.string())
+    joined = joined_columns(episode.entry, row.size)
+    columns = {
+        **dict(zip((field.name for field in JOINED), joined, strict=True)),
+        "agent": pa.array(tracks.ids[row]),
+        "name": pa.array(tracks.names, pa.string()).take(pa.array(row)),
+        "time_s": pa.array(np.concatenate(times)),
+        "behavior": _words(BEHAVIORS, np.where(told, probability.argmax(axis=1), -1)),
+        "style": _words(
+            [b.style for b in BEHAVIORS], np.where(style_told, of_likelier_style(probability), -1)
+        ),
+        "domain": pa.array(np.repeat([a.domain for a in answers], [a.ids.size for a in answers])),
+        "unknown": pa.array(np.concatenate([a.unknown for a in answers])),
+        "truth": truth.take(pa.array(row)),
+        "true_style": true_style.take(pa.array(row)),
+    }
+    for behavior, share in zip(BEHAVIORS, probability.T.astype(np.float32), strict=True):
+        columns[f"p_{behavior.value}"] = pa.array(share)
+    return pa.table(columns).select(LABELS.names).cast(LABELS)
+
+
+def _with_truth(
+    table: pa.Table, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels | None
+) -> pa.Table:
+    """Answers about one episode with labels that are given now instead of what was known."""
+    if labels is None:
+        return table
+    found = labels.of(names, entry.name, entry.file, entry.id)
+    given = {name: one for name, one in zip(names, found, strict=True) if one is not None}
+    if not given:
+        return table
+    new: dict[str, list[str | None]] = {"truth": [], "true_style": []}
+    before = (table[column].to_pylist() for column in ("name", *new))
+    for name, truth, style in zip(*before, strict=True):
+        label = given.get(name)
+        new["truth"].append(truth if label is None else label.behavior)
+        new["true_style"].append(style if label is None else label.style)
+    for column, words in new.items():
+        at = table.column_names.index(column)
+        table = table.set_column(at, column, pa.array(words, pa.string()))
+    return table
+
+
+def _last_answers(table: pa.Table) -> pa.Table:
+    """The last row of every driver of an episode, in order of agent."""
+    agent = table["agent"].to_numpy()
+    _, last = np.unique(agent[::-1], return_index=True)
+    return table.take(pa.array(agent.size - 1 - last))
+
+
+def _words(names: Sequence[StrEnum], codes: NDArray[np.integer[Any]]) -> pa.Array:
+    """The word of each code; null for -1."""
+    return pa.array([name.value for name in names], pa.string()).take(
+        pa.array(codes, pa.int64(), mask=codes < 0)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """The last answers about the drivers of one episode.
+
+    Attributes:
+        place: scenario, where the data are of several engines with the engine.
+        entry: the episode.
+        table: one row per driver, with the columns ``LABELS``.
+    """
+
+    place: str
+    entry: EpisodeEntry
+    table: pa.Table
+
+
+def answer_episodes(
+    model: Model,
+    datasets: Sequence[Dataset],
+    *,
+    split: Split | None = None,
+    labels: Path | None = None,
+    out: Path | None = None,
+    jobs: int | None = None,
+    quiet: bool = True,
+) -> list[Answered]:
+    """Answer for every driver of datasets.
+
+    Args:
+        model: a trained model.
+        datasets: where from.
+        split: only this part; None for all.
+        labels: a CSV file with labels of some drivers (`sim.formats.common.label_file`); they
+            replace what the datasets say.
+        out: a file for the answers at every frame, .parquet or .csv; None for none.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        The last answers of each episode, in the datasets' order.
+
+    Raises:
+        InputError: if a label is of nobody.
+    """
+    given = None if labels is None else read_driver_labels(labels)
+    every = [(d.path, e) for d in datasets for e in d.episodes()]
+    chosen = [
+        (path, entry, place)
+        for (path, entry), place in zip(every, places_of(datasets), strict=True)
+        if split in (None, entry.split)
+    ]
+    arguments = [(model, path, entry, out is not None) for path, entry, _ in chosen]
+    found: list[Answered] = []
+    with (
+        Progress("answering episodes", len(chosen), quiet) as progress,
+        nullcontext() if out is None else table_file(out, LABELS) as writer,
+    ):
+        answers = in_parallel(_answers, arguments, jobs) if arguments else ()
+        for (_, entry, place), (names, table) in zip(chosen, answers, strict=True):
+            labelled = _with_truth(table, names, entry, given)
+            if writer is not None:
+                writer.write_table(labelled)
+            found.append(Answered(place, entry, _last_answers(labelled)))
+            progress.advance()
+        if given is not None:
+            given.check()  # inside the block: nothing is written if a label is of nobody
+    return found
+
+
+@lru_cache(maxsize=4)
+def _opened(folder: Path) -> Dataset:
+    return open_dataset(folder)
+
+
+def _answers(
+    model: Model, folder: Path, entry: EpisodeEntry, every_frame: bool
+) -> tuple[tuple[str, ...], pa.Table]:
+    """Names of an episode's agents, and answers at every frame or the last ones."""
+    episode = _opened(folder).read(entry)
+    table = label_episode(episode, model)
+    return episode.tracks.names, table if every_frame else _last_answers(table)
+
+
+def scored_answers(answered: Sequence[Answered], model: str) -> list[Row]:
+    """Score the last answers about drivers, by scenario and split.
+
+    Args:
+        answered: by episode.
+        model: its name, for the rows.
+
+    Returns:
+        Rows as from `experiments.score.answers.score_places`.
+    """
+    parts = [(one.place, one.entry.split, one.table) for one in answered]
+    return score_places(parts, {"model": model})
+
+
+def classify_dataset(
+    source: Path,
+    model: str | Path,
+    out: Path | None = None,
+    labels: Path | None = None,
+    *,
+    jobs: int | None = None,
+    quiet: bool = False,
+) -> list[Row]:
+    """What ``graphrqi classify`` does: answer for every driver, and write a labels file.
+
+    Args:
+        source: folder of a dataset.
+        model: a shipped model's name or a folder.
+        out: the file to write, .parquet or .csv; it appears complete or not at all. None for none.
+        labels: as `answer_episodes` takes them.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        Rows of each episode, by ``episode`` and ``name``, then rows by scenario and split.
+    """
+    answered = answer_episodes(
+        load_model(model), [open_dataset(source)], labels=labels, out=out, jobs=jobs, quiet=quiet
+    )
+    rows: list[Row] = []
+    for one in answered:
+        keys = {
+            "model": str(model), "episode": one.entry.id, "name": one.entry.name,
+            "scenario": one.place, "split": one.entry.split,
+        }  # fmt: skip
+        rows += score_answers(Answers.of_tables([one.table]), keys)
+    return [*rows, *scored_answers(answered, str(model))]
+
+
+def evaluate(
+    model: str | Path,
+    source: Path,
+    labels: Path | None = None,
+    *,
+    jobs: int | None = None,
+    quiet: bool = False,
+) -> list[Row]:
+    """What ``graphrqi evaluate`` does.
+
+    Args:
+        model: a shipped model's name or a folder.
+        source: folder of a dataset.
+        labels: as `answer_episodes` takes them.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        Rows by scenario and split, see `scored_answers`.
+
+    Raises:
+        InputError: if nothing is known of any driver that an answer was given about.
+    """
+    answered = answer_episodes(
+        load_model(model), [open_dataset(source)], labels=labels, jobs=jobs, quiet=quiet
+    )
+    if not any(one.table.num_rows for one in answered):
+        raise InputError(f"{source}: found no driver seen for {MIN_SECONDS:g} s, expected one")
+    rows = scored_answers(answered, str(model))
+    if not is_scored(rows):
+        raise InputError(
+            f"{source}: found no driver whose behaviour or style is known, expected at least one; "
+            "--labels FILE.csv names some"
+        )
+    return rows
+
+
+def named_table(rows: Sequence[Row]) -> list[Row]:
+    """How the drivers of each episode were answered, for people.
+
+    Args:
+        rows: from `classify_dataset`.
+
+    Returns:
+        A line for each episode.
+    """
+    lines: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        if row.get("name") is None:
+            continue
+        line = lines.setdefault(
+            str(row["episode"]), {"episode": row["name"], "split": row["split"]}
+        )
+        value = float(row["value"] or 0.0)
+        if row["metric"] == "drivers":
+            line["drivers"] = int(value)
+        elif row["metric"] == "named_share":
+            line[str(row["behavior"])] = _per_cent(value)
+        elif row["metric"] == "answered_share":
+            line["unknown"] = _per_cent(1.0 - value)
+        elif row["metric"] in ("domain", "confidence"):
+            line[str(row["metric"])] = _per_cent(value)
+    return list(lines.values())
+
+
+def domain_notice(rows: Sequence[Row]) -> str | None:
+    """One line for the user if nobody was answered, or most of the traffic is not like training.
+
+    Args:
+        rows: from `classify_dataset`.
+
+    Returns:
+        The line; None where the traffic is like that of the model's training.
+    """
+    total = {row["metric"]: float(row["value"] or 0.0) for row in rows if row.get("name") is None}
+    if not total.get("drivers"):
+        return f"no driver is seen for {MIN_SECONDS:g} s or longer, so there is no answer"
+    if total["domain"] < 0.5:
+        return None
+    return (
+        "this traffic is not like the model's training traffic: "
+        f"{_per_cent(total['style_answered_share'])} of the drivers get a style, "
+        f"{_per_cent(1.0 - total['answered_share'])} no behaviour; "
+        "graphrqi train --from MODEL --labels FILE adapts the model"
+    )
+
+
+def _per_cent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def trained_here(model: str | Path, source: Path) -> bool:
+    """Whether a model was trained on a dataset of the same configuration as this one."""
+    data = load_model(model).card.get("data")
+    known = data.get("configurations") if isinstance(data, dict) else None
+    configuration = dict(open_dataset(source).header.configuration)
+    return isinstance(known, list) and configuration in known

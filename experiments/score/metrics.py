@@ -1,0 +1,257 @@
+"""Statistics of counts that are summed by episode, with 95 % intervals over episodes.
+
+Cases of one episode are not independent, so a bootstrap resamples episodes. Everything is computed
+from sums by episode (such as one confusion matrix each), so that thousands of resamples cost next
+to nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.labels import BEHAVIORS, Style
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Answer = Callable[[FloatArray], IntArray]
+Statistic = Callable[[FloatArray], FloatArray]
+
+RESAMPLES: Final = 2000
+"""Bootstrap resamples (enough for two digits of a 95 % interval)."""
+
+RESAMPLING_SEED: Final = 0
+"""Seed of every bootstrap, so that the same data have the same interval."""
+
+CONFIDENCE_BINS: Final = 15
+"""Bins of equal width for calibration (Guo et al., ICML 2017)."""
+
+_STYLE: Final = np.array([0 if b.style is Style.AGGRESSIVE else 1 for b in BEHAVIORS])
+
+
+def bootstrap(statistic: Statistic, per_episode: FloatArray) -> tuple[float, float, float]:
+    """A statistic of summed per-episode counts, with its 95 % interval over episodes.
+
+    Args:
+        statistic: of summed counts; takes a stack.
+        per_episode: (E, ...) counts of each episode.
+
+    Returns:
+        Value, low, high; low and high are NaN with a single episode.
+
+    Examples:
+        >>> right = np.array([[8.0, 10.0], [6.0, 10.0]])  # right answers, all answers
+        >>> bootstrap(ratio, right)
+        (0.7, 0.6, 0.8)
+    """
+    value = float(statistic(per_episode.sum(axis=0)))
+    episodes = len(per_episode)
+    if episodes < 2 or not np.isfinite(value):
+        return value, float("nan"), float("nan")
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    drawn = rng.multinomial(episodes, np.full(episodes, 1.0 / episodes), size=RESAMPLES)
+    values = statistic(np.tensordot(drawn.astype(np.float64), per_episode, axes=1))
+    low, high = np.nanquantile(values, [0.025, 0.975])
+    return value, float(low), float(high)
+
+
+def ratio(sums: FloatArray) -> FloatArray:
+    """The first of two summed columns (..., 2) over the second: of a sum and a count, a mean."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(sums[..., 0] / sums[..., 1])
+
+
+def summed(group: IntArray, above: NDArray[Any], below: NDArray[Any]) -> FloatArray:
+    """(G, 2) sums of two columns (n,) over each group, of which `ratio` is the share.
+
+    Examples:
+        >>> where, right = np.array([4, 4, 7]), np.array([True, False, True])
+        >>> summed(where, right, np.ones(3)).tolist()
+        [[1.0, 2.0], [1.0, 1.0]]
+    """
+    number = np.unique(group, return_inverse=True)[1]
+    columns = [np.bincount(number, each.astype(np.float64)) for each in (above, below)]
+    return np.stack(columns, axis=1)
+
+
+def confusion(
+    truth: NDArray[np.integer[Any]], answer: IntArray, episode: IntArray, k: int = len(BEHAVIORS)
+) -> FloatArray:
+    """Count answers.
+
+    Args:
+        truth: (n,) true codes.
+        answer: (n,) codes answered.
+        episode: (n,) episode numbers.
+        k: how many classes there are.
+
+    Returns:
+        (E, k, k) one matrix per episode; rows are true classes.
+    """
+    known, number = np.unique(episode, return_inverse=True)
+    flat = (number * k + truth.astype(np.int64)) * k + answer
+    counts = np.bincount(flat, minlength=known.size * k * k)
+    return counts.reshape(known.size, k, k).astype(np.float64)
+
+
+def recalls(matrix: FloatArray) -> FloatArray:
+    """(..., K) recall of each class; NaN where the class does not occur."""
+    total = matrix.sum(axis=-1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.diagonal(matrix, axis1=-2, axis2=-1) / np.where(total, total, np.nan))
+
+
+def recall_of(code: int) -> Statistic:
+    """The recall of one class; NaN where it does not occur.
+
+    Examples:
+        >>> float(recall_of(1)(np.array([[8.0, 2.0], [1.0, 3.0]])))
+        0.75
+    """
+    return lambda matrix: np.asarray(recalls(matrix)[..., code])
+
+
+def weighted_accuracy(matrix: FloatArray) -> FloatArray:
+    """The paper's A_w = sum of class share times class recall, which is plain accuracy."""
+    return np.asarray(np.trace(matrix, axis1=-2, axis2=-1) / matrix.sum(axis=(-2, -1)))
+
+
+def balanced_accuracy(matrix: FloatArray) -> FloatArray:
+    """Mean recall of the classes that occur.
+
+    Examples:
+        >>> float(balanced_accuracy(np.array([[8.0, 2.0], [0.0, 2.0]])))
+        0.9
+    """
+    return np.asarray(np.nanmean(recalls(matrix), axis=-1))
+
+
+def macro_f1(matrix: FloatArray) -> FloatArray:
+    """Mean F1 of the classes that occur."""
+    hit = np.diagonal(matrix, axis1=-2, axis2=-1)
+    occurs = matrix.sum(axis=-1) > 0
+    whole = matrix.sum(axis=-1) + matrix.sum(axis=-2)
+    f1 = 2.0 * hit / np.where(whole > 0, whole, 1.0)
+    return np.asarray(np.where(occurs, f1, 0.0).sum(axis=-1) / occurs.sum(axis=-1))
+
+
+def style_balanced_accuracy(matrix: FloatArray) -> FloatArray:
+    """Mean recall of aggressive and conservative, of answers as from `of_likelier_style`."""
+    to_style = np.eye(2)[_STYLE]
+    return balanced_accuracy(np.asarray(to_style.T @ matrix @ to_style))
+
+
+def likeliest(probability: FloatArray) -> IntArray:
+    """(n,) the most likely class, from posteriors (n, k)."""
+    return np.asarray(probability.argmax(axis=1), dtype=np.int64)
+
+
+def of_likelier_style(probability: FloatArray) -> IntArray:
+    """(n,) the most likely class of the more likely style, from posteriors (n, 6).
+
+    Three conservative classes may be likely together, none of them alone.
+
+    Examples:
+        >>> p = np.array([[0.4, 0.0, 0.0, 0.35, 0.25, 0.0]])
+        >>> likeliest(p).tolist(), of_likelier_style(p).tolist()
+        ([0], [3])
+    """
+    style = (probability @ np.eye(2)[_STYLE]).argmax(axis=1)
+    return likeliest(np.where(style[:, None] == _STYLE, probability, -1.0))
+
+
+METRICS: Final[dict[str, tuple[Answer, Statistic]]] = {
+    "weighted_accuracy": (likeliest, weighted_accuracy),
+    "balanced_accuracy": (likeliest, balanced_accuracy),
+    "macro_f1": (likeliest, macro_f1),
+    "style_balanced_accuracy": (of_likelier_style, style_balanced_accuracy),
+}
+"""What is answered, from posteriors (n, 6), and the score of the answers' confusion matrix (or a
+stack of them); larger is better."""
+
+
+def reliability(
+    truth: NDArray[np.integer[Any]], probability: FloatArray, episode: IntArray
+) -> FloatArray:
+    """How often answers given with a certain confidence are right.
+
+    Args:
+        truth: (n,) true codes.
+        probability: (n, k) posteriors; the answer is the most likely class.
+        episode: (n,) episode numbers.
+
+    Returns:
+        (E, bins, 3) per episode and bin of confidence: answers, the sum of their confidences, and
+        how many were right.
+    """
+    confidence = probability.max(axis=1)
+    right = probability.argmax(axis=1) == truth
+    known, number = np.unique(episode, return_inverse=True)
+    place = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    flat, size = number * CONFIDENCE_BINS + place, known.size * CONFIDENCE_BINS
+    columns = [
+        np.bincount(flat, weights, minlength=size)
+        for weights in (np.ones(truth.size), confidence, right.astype(np.float64))
+    ]
+    bins = np.stack(columns, axis=1).reshape(known.size, CONFIDENCE_BINS, 3)
+    return bins.astype(np.float64)
+
+
+def calibration_error(bins: FloatArray) -> FloatArray:
+    """Expected calibration error: mean distance of confidence from accuracy, over the bins.
+
+    Args:
+        bins: (..., bins, 3) as from `reliability`.
+
+    Returns:
+        (...) between 0 and 1.
+
+    Examples:
+        >>> float(calibration_error(np.array([[4.0, 3.2, 2.0], [1.0, 0.9, 1.0]])).round(2))
+        0.26
+    """
+    missed = np.abs(bins[..., 1] - bins[..., 2]).sum(axis=-1)
+    return np.asarray(missed / bins[..., 0].sum(axis=-1))
+
+
+def auc_over_episodes(
+    score: FloatArray, positive: NDArray[np.bool_], episode: IntArray
+) -> tuple[float, float, float]:
+    """Area under the ROC curve over all pairs, with an interval over episodes.
+
+    Equal to scikit-learn's ``roc_auc_score``; from the pairs won between any two episodes, all
+    resamples follow at once.
+
+    Args:
+        score: (n,) larger for positives.
+        positive: (n,) truth.
+        episode: (n,) episode numbers.
+
+    Returns:
+        Value, low, high; NaN where there are no pairs, low and high with a single episode too.
+
+    Examples:
+        >>> truth, where = np.array([True, False, True]), np.array([0, 0, 1])
+        >>> auc_over_episodes(np.array([0.9, 0.5, 0.4]), truth, where)[0]
+        0.5
+    """
+    known, number = np.unique(episode, return_inverse=True)
+    count = known.size
+    ups = np.bincount(number[positive], minlength=count)
+    downs = np.bincount(number[~positive], minlength=count)
+    won = np.zeros((count, count))
+    for each in range(count):
+        below = np.sort(score[~positive][number[~positive] == each])
+        left, right = (np.searchsorted(below, score[positive], side=s) for s in ("left", "right"))
+        won[:, each] = np.bincount(number[positive], 0.5 * (left + right), minlength=count)
+    pairs = np.outer(ups, downs).astype(np.float64)
+
+    def area(drawn: FloatArray) -> FloatArray:
+        above, below = (((drawn @ each) * drawn).sum(axis=-1) for each in (won, pairs))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(above / below)
+
+    return bootstrap(area, np.eye(count))

@@ -1,0 +1,218 @@
+"""Predicts every episode of a dataset and scores the predictors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import pyarrow as pa
+
+from behaviors.errors import InputError
+from experiments.console.notices import LOGGER
+from experiments.console.progress import Progress
+from experiments.data.admission import is_scene
+from experiments.data.parallel import in_parallel
+from experiments.data.windows import measured
+from experiments.score.futures import PREDICTIONS, predictions_table
+from experiments.score.predictions import (
+    HORIZONS_S,
+    LEAST_SEEN_S,
+    Errors,
+    beliefs,
+    instants,
+    score_episode,
+    score_predictions,
+    shortest_s,
+)
+from experiments.score.rows import Row
+from experiments.score.tables import table_file
+from graphrqi.model_files import load_model
+from graphrqi.predict import chosen_predictor
+from graphrqi.predict.metrics import SAMPLE_S
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.recorded.network import trained_network
+from graphrqi.predict.scene.scene import LONGEST_S
+from graphrqi.stream import DEFAULT_MODEL
+from sim.frames import Tracks
+from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpisodePrediction:
+    """What predictors say about one episode.
+
+    Attributes:
+        errors: by predictor; empty where the episode is too short to predict anything.
+        futures: the futures as rows; none unless they were to be kept.
+        length_s: from the episode's first frame to its last, s.
+    """
+
+    errors: Mapping[str, Errors]
+    futures: pa.Table
+    length_s: float
+
+
+def evaluate_episode(
+    folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
+    model: str, keep: bool = False, weights: Path | None = None,
+) -> EpisodePrediction:  # fmt: skip
+    """Predict one episode of a dataset with a classifier's beliefs.
+
+    Args:
+        folder: of the dataset.
+        entry: which episode.
+        predictors: keys of ``PREDICTORS``, or "module:function".
+        horizons_s: ascending, s.
+        model: the classifier: a shipped one's name or a folder.
+        keep: whether the futures themselves are wanted.
+        weights: as `experiments.score.predictions.score_episode` takes them.
+
+    Returns:
+        Its errors and futures; neither if it is too short.
+
+    Raises:
+        InputError: if the episode or the model cannot be read.
+    """
+    dataset = open_dataset(folder)
+    tracks, road = measured(dataset.read(entry)), dataset.road(entry)
+    stops = list(instants(tracks, max(horizons_s)))
+    tables = [PREDICTIONS.empty_table()]
+    length_s = float(tracks.time_s[-1] - tracks.time_s[0]) if tracks.time_s.size else 0.0
+    if not stops:
+        return EpisodePrediction({}, tables[0], length_s)
+
+    def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
+        tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
+
+    posteriors = beliefs(tracks, load_model(model), stops, is_scene(entry))
+    errors = score_episode(
+        tracks, posteriors, road, predictors, horizons_s, keep_futures if keep else None, weights
+    )
+    futures = pa.concat_tables(tables)
+    return EpisodePrediction(errors, futures, length_s)
+
+
+def _check_request(predictors: Sequence[str], horizon_s: float) -> None:
+    samples = horizon_s / SAMPLE_S
+    if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
+        raise InputError(
+            f"horizon_s: found {horizon_s}, expected {SAMPLE_S} s or a multiple of it up to "
+            f"{LONGEST_S:g} s"
+        )
+    if not predictors:
+        raise InputError("predictors: found none, expected at least one name")
+    for name in predictors:
+        chosen_predictor(name)
+
+
+def predict_dataset(
+    source: Path,
+    predictors: Sequence[str],
+    horizon_s: float = 5.0,
+    model: str = DEFAULT_MODEL,
+    *,
+    out: Path | None = None,
+    weights: Path | None = None,
+    jobs: int | None = None,
+    quiet: bool = False,
+) -> list[Row]:
+    """Predict every episode of a dataset's test split and return the errors.
+
+    Episodes that are too short are left out, each in a line on stderr.
+
+    Args:
+        source: a dataset; all of a scenario is predicted that has no test split.
+        predictors: keys of ``PREDICTORS``, or "module:function".
+        horizon_s: how far ahead, s.
+        model: the classifier whose beliefs are used: a shipped one's name or a folder.
+        out: where to write the futures (`experiments.score.futures`); None: nowhere.
+        weights: as `experiments.score.predictions.score_episode` takes them.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        Rows as `score_predictions` gives them, over all scenarios.
+
+    Raises:
+        InputError: if the dataset, the model or a predictor's name is wrong, every episode is too
+            short, or nobody is seen for long enough in any.
+    """
+    _check_request(predictors, horizon_s)
+    if weights is not None:
+        trained_network(weights)
+    load_model(model)
+    horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
+    dataset = open_dataset(source)
+    rows: list[Row] = []
+    entries = [
+        (scenario, entry)
+        for scenario in dataset.scenarios
+        for entry in dataset.episodes("test", scenario) or dataset.episodes(None, scenario)
+    ]
+    if not entries:
+        raise InputError(f"{source}: found no episode, expected at least 1")
+    found: dict[str, list[Mapping[str, Errors]]] = {}
+    short: list[tuple[EpisodeEntry, float]] = []
+    least_s = shortest_s(horizon_s)
+    keep = out is not None
+    arguments = [
+        (source, entry, predictors, horizons_s, model, keep, weights) for _, entry in entries
+    ]
+    with (
+        Progress("predicting episodes", len(entries), quiet) as progress,
+        nullcontext() if out is None else table_file(out, PREDICTIONS) as file,
+    ):
+        for (scenario, entry), one in zip(
+            entries, in_parallel(evaluate_episode, arguments, jobs), strict=True
+        ):
+            if one.errors:
+                found.setdefault(scenario, []).append(one.errors)
+            else:
+                short.append((entry, one.length_s))
+            if file is not None:
+                file.write_table(one.futures)
+            progress.advance(entry.agents, entry.agent_steps)
+        if not found:
+            raise InputError(
+                f"{source}: found {len(short)} episodes of at most "
+                f"{max(length_s for _, length_s in short):g} s, expected one of {least_s:g} s or "
+                f"longer to predict {horizon_s:g} s ahead: ask for a shorter horizon"
+            )
+        if not any(errors[predictors[0]].count.any() for one in found.values() for errors in one):
+            raise InputError(
+                f"{source}: found nobody seen for {LEAST_SEEN_S:g} s and then for another "
+                f"{horizon_s:g} s, expected at least one agent"
+            )
+    for entry, length_s in short:
+        LOGGER.warning(
+            "skipped episode %s (%s): found %g s, expected at least %g s to predict %g s ahead",
+            entry.id, entry.name, length_s, least_s, horizon_s,
+        )  # fmt: skip
+    for scenario, episodes in found.items():
+        whole = not dataset.episodes("test", scenario)
+        keys = {"scenario": scenario, "split": "all" if whole else "test"}
+        rows += score_predictions(episodes, keys, horizons_s)
+    return rows
+
+
+def errors_table(rows: Sequence[Row]) -> list[Row]:
+    """One line per scenario and predictor: ADE and FDE of all drivers at each horizon."""
+    lines: dict[tuple[Any, Any], dict[str, Any]] = {}
+    for row in rows:
+        if row["behavior"] == "all" and row["metric"] in ("ade_m", "fde_m"):
+            line = lines.setdefault(
+                (row["scenario"], row["predictor"]),
+                {
+                    "scenario": row["scenario"],
+                    "episodes": row["split"],
+                    "predictor": row["predictor"],
+                },
+            )
+            line[f"{row['metric']} {cast(float, row['horizon_s']):g}s"] = round(
+                cast(float, row["value"]), 3
+            )
+    return list(lines.values())

@@ -1,0 +1,339 @@
+"""One function scores predictions: how far they are from what drivers did next.
+
+Predictions are made at regular instants of an episode, from what was observed until then and the
+classifier's beliefs at that moment, and compared with what happened. Errors are summed per episode,
+so that intervals resample episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from behaviors.labels import BEHAVIORS
+from experiments.score.metrics import Statistic, bootstrap, ratio
+from experiments.score.rows import Cell, Row, tidy_row
+from graphrqi.methods import Model
+from graphrqi.posterior import Posterior
+from graphrqi.predict import check_map, chosen_predictor, predict
+from graphrqi.predict.learned.predictors import with_weights
+from graphrqi.predict.metrics import METRICS, SAMPLE_S, covered, distances, log_density, overlap
+from graphrqi.predict.prediction import Prediction
+from graphrqi.predict.scene.scene import LEARNED_S, make_scene
+from graphrqi.stream import BehaviorStream
+from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
+from sim.road import Road
+from sim.road.lane_graph import LaneGraph, project
+
+HORIZONS_S: Final = (1.0, 3.0, 5.0)
+"""Horizons reported, s."""
+
+
+MOST_SPAN_S: Final = 1.5
+"""Where agents were between two frames farther apart is not known, s (more than one of the slowest
+recordings' seconds)."""
+
+HISTORY_S: Final = 5.0
+"""Predictors are given at most this much of the past, s: what a stream remembers."""
+
+
+EVERY_S: Final = 2.0
+"""Time between the instants of prediction, s."""
+
+
+WARM_UP_S: Final = 5.0
+"""No prediction is made before an episode is this old, s; `instants` says what holds for shorter
+horizons and episodes."""
+
+
+LEAST_SEEN_S: Final = 1.0
+"""Agents observed for less than this are not scored, s."""
+
+
+MEASURES: Final = (*METRICS, "coverage_90", "nll", "collisions", "off_road")
+"""What is measured for each agent. Beside the displacement metrics: whether it ended in the
+predicted 90 % set, minus the log density where it ended, whether its likeliest future overlaps
+another's by then, and whether that future ends off every lane."""
+
+
+LANE_MARGIN_M: Final = 0.5
+"""A place this far outside a lane is off it."""
+
+
+GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
+"""Groups of agents: all that drive, those of each true behaviour, those that walk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Errors of one predictor in one episode, summed over agents and instants.
+
+    Attributes:
+        total: (group, horizon, metric) sums, in the order of `GROUPS`, the horizons and `MEASURES`;
+            NaN where a predictor does not predict it.
+        count: (group,) agents times instants.
+    """
+
+    total: FloatArray
+    count: FloatArray
+
+
+def shortest_s(horizon_s: float) -> float:
+    """The shortest episode in which anything is predicted, s, for a horizon in s."""
+    return horizon_s + min(LEAST_SEEN_S, horizon_s)
+
+
+def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iterator[int]:
+    """Indices one past the present, at which predictions are made.
+
+    The first is after `WARM_UP_S`, or after a shorter horizon's time. An episode that is too short
+    for that is predicted once, as late as the horizon allows, from `LEAST_SEEN_S` on.
+
+    Args:
+        tracks: an episode.
+        horizon_s: how much of the future has to be known.
+        every_s: time between them.
+
+    Yields:
+        Stops, ascending; none in an episode shorter than `shortest_s`.
+    """
+    known = tracks.time_s[tracks.time_s + horizon_s <= tracks.time_s[-1:] + 1e-6]
+    if not known.size:
+        return
+    warm_up_s = min(WARM_UP_S, horizon_s, max(LEAST_SEEN_S, known[-1] - known[0]))
+    due = known[0] + warm_up_s
+    for column, time_s in enumerate(known):
+        if time_s >= due - 1e-6:
+            yield column + 1
+            due = time_s + every_s
+
+
+def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> FloatArray:
+    """Where agents went, at given times after the present.
+
+    Args:
+        tracks: an episode.
+        rows: (n,) rows of the agents.
+        stop: one past the present's index.
+        time_s: (H,) seconds from the present.
+
+    Returns:
+        (n, H, 2) m, between frames on the straight line; NaN where either frame is missing or
+        they are more than `MOST_SPAN_S` apart.
+    """
+    at = tracks.time_s[stop - 1] + time_s
+    after = np.clip(np.searchsorted(tracks.time_s, at - 1e-6), 1, tracks.time_s.size - 1)
+    span = tracks.time_s[after] - tracks.time_s[after - 1]
+    share = np.clip((at - tracks.time_s[after - 1]) / span, 0.0, 1.0)[None, :, None]
+    share = np.where(share > 1.0 - 1e-4, 1.0, share)
+    seen = tracks.as_rows()
+    begin, end = (seen.places(rows[:, None], step) for step in (after - 1, after))
+    out = np.where(share == 1.0, end, begin + share * (end - begin))
+    out[:, (at > tracks.time_s[-1] + 1e-3) | (span > MOST_SPAN_S)] = np.nan
+    return np.asarray(out)
+
+
+def beliefs(
+    tracks: Tracks, model: Model, stops: Sequence[int], is_scene: bool = True
+) -> dict[int, Posterior]:
+    """What a classifier believes at each instant of prediction.
+
+    Equal to the posteriors of a `graphrqi.stream.BehaviorStream`, computed only where needed.
+
+    Args:
+        tracks: an episode.
+        model: the trained classifier.
+        stops: indices one past each present, ascending.
+        is_scene: as for `graphrqi.stream.BehaviorStream`.
+
+    Returns:
+        Posterior by stop.
+    """
+    stream, wanted = BehaviorStream(model, is_scene=is_scene), set(stops)
+    found: dict[int, Posterior] = {}
+    for column, frame in enumerate(tracks.frames()):
+        stream.push(frame)
+        if column + 1 in wanted:
+            found[column + 1] = stream.posterior()
+    return found
+
+
+def score_episode(
+    tracks: Tracks,
+    posteriors: Mapping[int, Posterior],
+    road: Road | None,
+    predictors: Sequence[str],
+    horizons_s: Sequence[float] = HORIZONS_S,
+    on_prediction: Callable[[str, Tracks, Prediction], None] | None = None,
+    weights: Path | None = None,
+) -> dict[str, Errors]:
+    """Errors of predictors in one episode.
+
+    Args:
+        tracks: the episode; its labels only sort the errors.
+        posteriors: beliefs at each instant of prediction, by the index one past the present.
+        road: where it happened; None if there is no map.
+        predictors: keys of ``PREDICTORS``, or "module:function".
+        horizons_s: ascending, s.
+        on_prediction: called with each predictor's name, the history it was given and its futures.
+        weights: folder of the network that ``graphrqi-predict`` uses on recordings; None for the
+            one that ships.
+
+    Returns:
+        Errors by predictor.
+    """
+    longest = float(max(horizons_s))
+    sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
+    steps = max(1, round(HISTORY_S / tracks.step_s))
+    functions = {name: chosen_predictor(name) for name in predictors}
+    for name in functions:
+        check_map(name, road)
+    if weights is not None and "graphrqi-predict" in functions:
+        functions["graphrqi-predict"] = with_weights(weights)
+    ahead_s = max(longest, LEARNED_S)
+    shape = (len(GROUPS), len(horizons_s), len(MEASURES))
+    total = {name: np.zeros(shape) for name in predictors}
+    count = np.zeros(len(GROUPS))
+    for stop, posterior in posteriors.items():
+        history = tracks.window(stop, steps)
+        rows = np.searchsorted(tracks.ids, history.ids)
+        truth = future(tracks, rows, stop, sample)
+        seen_s = history.valid.sum(axis=1) * tracks.step_s
+        scored = np.flatnonzero(
+            np.isfinite(truth).all(axis=(1, 2)) & (seen_s > LEAST_SEEN_S - 1e-6)
+        )
+        if not scored.size:
+            continue
+        scene = None if road is None else make_scene(history, road, ahead_s)
+        member = _membership(history, scored)
+        count += member.sum(axis=0)
+        for name, function in functions.items():
+            if scene is None:
+                prediction = predict(history, posterior, None, ahead_s, name, weights)
+            else:
+                prediction = function(scene, posterior)
+            if on_prediction is not None:
+                on_prediction(name, history, prediction)
+            at = np.searchsorted(prediction.time_s, sample - 1e-6)
+            gap = distances(prediction.xy[scored][:, :, at], truth[scored])
+            probability = prediction.probability[scored]
+            hit = hits(history, prediction.best[:, at])[scored]
+            for h, horizon_s in enumerate(horizons_s):
+                last = round(horizon_s / SAMPLE_S)
+                values = [f(gap[:, :, :last], probability) for f in METRICS.values()]
+                values += set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
+                values.append(np.asarray(hit[:, :last].any(axis=1), dtype=np.float64))
+                values.append(off_road(road, prediction, scored, at[last - 1]))
+                total[name][:, h] += member.T @ np.stack(values, axis=1)
+    return {name: Errors(total[name], count) for name in predictors}
+
+
+def hits(history: Tracks, xy: FloatArray) -> BoolArray:
+    """(n, H) whether each agent's predicted outline overlaps another's at each time."""
+    before = np.concatenate([history.xy[:, -1:], xy[:, :-1]], axis=1)
+    moved = xy - before
+    turned = np.arctan2(moved[..., 1], moved[..., 0])
+    still = np.hypot(moved[..., 0], moved[..., 1]) < 0.2
+    heading = np.where(still, history.heading[:, -1:], turned)
+    drives = history.kind != PEDESTRIAN
+    out = np.zeros(xy.shape[:2], dtype=bool)
+    for h in range(xy.shape[1]):
+        out[drives, h] = overlap(
+            xy[drives, h], heading[drives, h], history.length[drives], history.width[drives]
+        )
+    return out
+
+
+def set_measures(
+    prediction: Prediction, rows: IntArray, at: int, truth: FloatArray
+) -> list[FloatArray]:
+    """Whether each agent ended in its 90 % set, and minus the log density; NaN without a spread."""
+    if prediction.spread is None:
+        return [np.full(rows.size, np.nan)] * 2
+    xy, spread = prediction.xy[rows, :, at], prediction.spread[rows, :, at]
+    probability = prediction.probability[rows]
+    inside = covered(xy, spread, probability, truth).astype(np.float64)
+    return [inside, -log_density(truth[:, None], xy, spread, probability)[:, 0]]
+
+
+def off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
+    """(m,) 1 where the likeliest future is off every lane at a time; NaN without a map."""
+    if road is None:
+        return np.full(rows.size, np.nan)
+    best = prediction.best[rows]
+    moved = best[:, at] - best[:, max(at - 5, 0)]
+    place = project(road, best[:, at], np.arctan2(moved[:, 1], moved[:, 0]))
+    width = LaneGraph.of(road).width[place.lane]
+    return np.asarray(np.abs(place.offset) > width / 2 + LANE_MARGIN_M, dtype=np.float64)
+
+
+def _membership(history: Tracks, scored: IntArray) -> FloatArray:
+    """(m, group) 1 where an agent belongs to a group."""
+    walks = history.kind[scored] == PEDESTRIAN
+    member = np.zeros((scored.size, len(GROUPS)))
+    member[:, 0], member[:, -1] = ~walks, walks
+    if history.behavior is not None:
+        code = history.behavior[scored].astype(np.int64)
+        known = np.flatnonzero((code >= 0) & ~walks)
+        member[known, code[known] + 1] = 1.0
+    return member
+
+
+def score_predictions(
+    episodes: Sequence[Mapping[str, Errors]],
+    keys: Mapping[str, Cell],
+    horizons_s: Sequence[float] = HORIZONS_S,
+) -> list[Row]:
+    """Rows over episodes, with intervals, and each predictor's paired difference to the first.
+
+    Args:
+        episodes: errors by predictor, one mapping per episode.
+        keys: what was measured (such as ``scenario`` and ``split``), for the rows.
+        horizons_s: as given to `score_episode`.
+
+    Returns:
+        Rows by ``predictor``, ``horizon_s`` and ``behavior`` ("all" for all that drive). A row
+        whose metric is ``ade_m_minus_NAME`` is the mean difference to predictor NAME in the same
+        episodes.
+    """
+    rows: list[Row] = []
+    if not episodes:
+        return rows
+    names = list(episodes[0])
+    for g, group in enumerate(GROUPS):
+        count = np.array([e[names[0]].count[g] for e in episodes])
+        if not count.sum():
+            continue
+        for name in names:
+            for h, horizon_s in enumerate(horizons_s):
+                row: dict[str, Cell] = {
+                    **keys, "predictor": name, "horizon_s": horizon_s, "behavior": group
+                }  # fmt: skip
+                for m, metric in enumerate(MEASURES):
+                    mine = np.array([e[name].total[g, h, m] for e in episodes])
+                    if not np.isfinite(mine).all():
+                        continue
+                    mean = root_ratio if metric == "rmse_m" else ratio
+                    rows.append(_mean_row(row, metric, mean, mine, count))
+                    if metric in ("ade_m", "fde_m"):
+                        for other in names[: names.index(name)]:
+                            theirs = np.array([e[other].total[g, h, m] for e in episodes])
+                            against = f"{metric}_minus_{other}"
+                            rows.append(_mean_row(row, against, ratio, mine - theirs, count))
+    return rows
+
+
+def root_ratio(sums: FloatArray) -> FloatArray:
+    """The root of a `ratio`: of squares and a count, the root mean square."""
+    return np.sqrt(ratio(sums))
+
+
+def _mean_row(
+    keys: Mapping[str, Cell], metric: str, mean: Statistic, total: FloatArray, count: FloatArray
+) -> Row:
+    found = bootstrap(mean, np.stack([total, count], axis=1))
+    return tidy_row(keys, metric, *found, int(count.sum()))

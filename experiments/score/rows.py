@@ -1,0 +1,167 @@
+"""Tidy rows: one figure each, with the keys that say what was measured.
+
+A row is a flat mapping. First come ``command``, ``version``, ``seed`` and ``dataset``, which say
+how the figure was made, then keys of the command's own (such as ``scenario``), then ``metric``,
+``value``, ``low``, ``high`` (a 95 % interval) and ``n`` (how many cases the figure rests on).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from behaviors.errors import InputError
+
+if TYPE_CHECKING:
+    from sim.store.dataset import Dataset
+
+Cell = str | int | float | bool | None
+Row = Mapping[str, Cell]
+
+FIGURE: Final = ("metric", "value", "low", "high", "n")
+"""Keys of the figure itself."""
+
+LARGEST: Final = 1e300
+"""Largest absolute number of a row (what is computed from it stays finite)."""
+
+
+def tidy_row(
+    keys: Mapping[str, Cell],
+    metric: str,
+    value: float | None,
+    low: float | None = None,
+    high: float | None = None,
+    n: int | None = None,
+) -> Row:
+    """One figure as a row; what is not finite is None, and an interval needs both ends.
+
+    Args:
+        keys: what was measured.
+        metric: name of the figure, with its unit.
+        value: the figure.
+        low: lower end of its 95 % interval.
+        high: upper end.
+        n: how many cases it rests on.
+
+    Examples:
+        >>> tidy_row({"solver": "eigh"}, "cpu_ms", 2.5, float("nan"), float("nan"), 10)
+        {'solver': 'eigh', 'metric': 'cpu_ms', 'value': 2.5, 'low': None, 'high': None, 'n': 10}
+    """
+    ends = [None if x is None or not math.isfinite(x) else float(x) for x in (low, high)]
+    low, high = (None, None) if None in ends else ends
+    value = None if value is None or not math.isfinite(value) else float(value)
+    return {**keys, "metric": metric, "value": value, "low": low, "high": high, "n": n}
+
+
+def stamped(
+    rows: Iterable[Row], command: str, seed: int | None = None, dataset: str | None = None
+) -> list[Row]:
+    """Rows that say how they were made.
+
+    Args:
+        rows: the figures.
+        command: what measured them, as on the command line: ``evaluate``, ``bench loop``.
+        seed: the command's seed; None where nothing is drawn at random.
+        dataset: see `dataset_id`; None where there is no dataset.
+
+    Examples:
+        >>> [row] = stamped([{"metric": "jobs", "value": 2}], "generate", seed=3)
+        >>> row["command"], row["seed"], row["dataset"], row["value"]
+        ('generate', 3, None, 2)
+    """
+    made = {"command": command, "version": metadata.version("graphrqi"), "seed": seed}
+    return [{**made, "dataset": dataset, **row} for row in rows]
+
+
+def dataset_id(dataset: Dataset) -> str:
+    """What a dataset is called in rows: the same for datasets of the same episodes.
+
+    Args:
+        dataset: an opened dataset.
+
+    Returns:
+        12 hexadecimal digits of a hash over the ids of its episodes.
+    """
+    ids = sorted(entry.id for entry in dataset.episodes())
+    return hashlib.sha256("\n".join(ids).encode()).hexdigest()[:12]
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read rows as a command's ``--json`` writes them.
+
+    Args:
+        path: the JSON file.
+
+    Returns:
+        The rows.
+
+    Raises:
+        InputError: if the file is not a list of flat rows with a command, a metric and a value.
+    """
+    try:
+        found: Any = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: found no JSON ({error!s:.80}), expected rows") from None
+    return checked_rows(found, str(path))
+
+
+def checked_rows(found: Any, where: str) -> list[Row]:
+    """Refuse what is no list of flat rows.
+
+    Args:
+        found: what was read.
+        where: the file, for the message.
+
+    Returns:
+        The rows.
+
+    Raises:
+        InputError: naming the row and what is wrong with it.
+    """
+    if not isinstance(found, list):
+        raise InputError(f"{where}: found {type(found).__name__}, expected a list of rows")
+    for number, row in enumerate(found):
+        here = f"{where}: row {number}"
+        if not isinstance(row, dict):
+            raise InputError(f"{here}: found {type(row).__name__}, expected a flat object")
+        for key in ("command", "metric"):
+            if not isinstance(row.get(key), str):
+                raise InputError(
+                    f"{here}: found no {key}, expected rows as graphrqi COMMAND --json writes them"
+                )
+        for key, cell in row.items():
+            if not isinstance(cell, str | int | float | None):
+                raise InputError(f"{here}: {key}: found {type(cell).__name__}, expected one value")
+            if isinstance(cell, int | float) and not abs(cell) <= LARGEST:
+                raise InputError(f"{here}: {key}: found {cell!r:.40}, expected a finite number")
+        for key in ("value", "low", "high", "n"):
+            if isinstance(row.get(key), str):
+                raise InputError(f"{here}: {key}: found {row[key]!r:.40}, expected a number")
+    return found
+
+
+def melted(lines: Iterable[Row], keys: Sequence[str]) -> list[Row]:
+    """Tidy rows of a table that has a column for each figure.
+
+    Args:
+        lines: the table.
+        keys: columns that say what was measured; every other column with a number is a figure.
+
+    Returns:
+        A row for each figure of each line.
+
+    Examples:
+        >>> melted([{"jobs": 2, "cpu_s": 1.5, "steps": 90}], ["jobs"])[0]
+        {'jobs': 2, 'metric': 'cpu_s', 'value': 1.5, 'low': None, 'high': None, 'n': None}
+    """
+    return [
+        tidy_row({key: line.get(key) for key in keys}, name, float(value))
+        for line in lines
+        for name, value in line.items()
+        if name not in keys and isinstance(value, int | float)
+    ]

@@ -1,1 +1,0 @@
-"""Scores of classifiers and predictors, with intervals over episodes."""

@@ -1,0 +1,1 @@
+"""What would have happened: outcomes of branches, and who could have prevented an incident."""

@@ -1,0 +1,191 @@
+"""Blame by counterfactual: whose careful driving would have prevented a collision or near miss?
+
+For each incident of an episode, the episode is branched some seconds before it, once for every
+driver who was near, and that driver goes on carefully. If the incident does not happen, that driver
+alone could have prevented it. Traffic is chaotic, so a second branch tells luck from care: in it,
+the driver keeps the own behaviour but is drawn anew (placebo).
+
+References:
+    Pearl (2009), Causality, chapter 9: "but for" causes. Halpern and Pearl (2005), British Journal
+    for the Philosophy of Science 56, 843: actual causes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior
+from experiments.score.rows import Row
+from experiments.what_if.outcomes import INCIDENTS
+from sim.episode.incidents import incidents
+from sim.episode.rows import TrajectoryRows
+from sim.frames import Event, EventKind, Frame, Tracks
+from sim.scenario import AgentSpec, Scenario
+from sim.sumo.branches import Trunk
+
+LEAD_S: Final = 8.0
+"""How long before an incident a driver becomes careful, s (as long as a rule broken before a
+collision counts as its cause, and time enough to restore a headway)."""
+
+AFTER_S: Final = 4.0
+"""An incident that happens up to so much later is still the same one, s."""
+
+NEAREST: Final = 4
+"""How many drivers beside the two parties are tried: those nearest to either."""
+
+CAREFUL: Final = Behavior.CAREFUL
+"""Whom a driver is compared with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one driver could have done about one incident.
+
+    Attributes:
+        event: the incident; its ``agent`` is who caused it by the rules of `sim.episode.incidents`.
+        agent: the driver who was made careful.
+        role: "agent" or "other" for the parties, as in the event, "bystander" for anybody else.
+        behavior: how the driver really drives.
+        prevents: whether the incident does not happen with the driver careful; False where the
+            driver is careful already, None where the driver could not be changed (not on the road
+            yet, or on the wrong side of it).
+        placebo: whether it does not happen with the driver merely drawn anew.
+    """
+
+    event: Event
+    agent: int
+    role: str
+    behavior: Behavior | None
+    prevents: bool | None
+    placebo: bool | None
+
+
+def judge(
+    scenario: Scenario,
+    agents: Sequence[AgentSpec],
+    seed: int,
+    engine: str = "sumo",
+    bystanders: int = NEAREST,
+    kinds: Sequence[EventKind] = INCIDENTS,
+) -> Iterator[Verdict]:
+    """Try every driver near each incident of an episode.
+
+    Args:
+        scenario: of the episode.
+        agents: who travels.
+        seed: of the simulator.
+        engine: "sumo" or "sumo-idm".
+        bystanders: how many drivers beside the parties are tried.
+        kinds: which incidents are judged.
+
+    Yields:
+        A verdict for each incident and driver, in order of time.
+
+    Raises:
+        InputError: on other systems than Linux, or if the simulation fails.
+    """
+    end_s = scenario.steps * scenario.step_s
+    with Trunk(scenario, agents, seed, engine) as trunk:
+        frames = trunk.advance(end_s)
+    found = [e for e in _incidents(frames, scenario) if e.kind in kinds]
+    if not found:
+        return
+    with Trunk(scenario, agents, seed, engine) as trunk:
+        before: list[Frame] = []
+        for event in found:
+            steps = max(1, round((event.time_s - LEAD_S) / scenario.step_s))
+            at_s = steps * scenario.step_s
+            if not before or at_s > before[-1].time_s + 1e-9:
+                before += trunk.advance(at_s)
+            until_s = min(event.time_s + AFTER_S, end_s)
+            happened = _same_again(event, frames[: round(until_s / scenario.step_s)], scenario)
+            if not happened:
+                continue  # it is seen only with the rest of the episode in sight
+            for agent, role in _candidates(event, frames, scenario, trunk, bystanders):
+                yield _verdict(event, agent, role, trunk, before, until_s, scenario)
+
+
+def _incidents(frames: Sequence[Frame], scenario: Scenario) -> tuple[Event, ...]:
+    if len(frames) < 2:
+        return ()
+    return incidents(TrajectoryRows.of(Tracks.from_frames(frames)), scenario.road)
+
+
+def _same_again(event: Event, frames: Sequence[Frame], scenario: Scenario) -> bool:
+    """Whether the two parties of an incident have one as grave, from `LEAD_S` before it on.
+
+    A collision in place of a near miss is no prevention.
+    """
+    grave = INCIDENTS[: INCIDENTS.index(event.kind) + 1]
+    return any(
+        one.kind in grave
+        and {one.agent, one.other} == {event.agent, event.other}
+        and one.time_s > event.time_s - LEAD_S
+        for one in _incidents(frames, scenario)
+    )
+
+
+def _candidates(
+    event: Event, frames: Sequence[Frame], scenario: Scenario, trunk: Trunk, bystanders: int
+) -> list[tuple[int, str]]:
+    """Ids and roles of the drivers who are tried: the parties, and those nearest to them."""
+    frame = frames[min(round(event.time_s / scenario.step_s), len(frames)) - 1]
+    parties = [(event.agent, "agent")]
+    parties += [] if event.other is None else [(event.other, "other")]
+    there = np.isin(frame.ids, [agent for agent, _ in parties])
+    near: list[tuple[int, str]] = []
+    if there.any():
+        away = np.linalg.norm(frame.xy[:, None] - frame.xy[there][None], axis=2).min(axis=1)
+        order = np.argsort(away, kind="stable")
+        rows = [row for row in order.tolist() if not there[row] and frame.driving[row]]
+        near = [(int(frame.ids[row]), "bystander") for row in rows[:bystanders]]
+    return [(agent, role) for agent, role in (*parties, *near) if trunk.drives(agent)]
+
+
+def _verdict(
+    event: Event, agent: int, role: str, trunk: Trunk, before: Sequence[Frame], until_s: float,
+    scenario: Scenario,
+) -> Verdict:  # fmt: skip
+    behavior = trunk.driver(agent).behavior
+    assert behavior is not None
+
+    def prevented(to: Behavior) -> bool | None:
+        with trunk.branch(until_s, agent, to) as branch:
+            try:
+                after = tuple(branch)
+            except InputError:
+                return None
+        return not _same_again(event, [*before[-_kept(scenario) :], *after], scenario)
+
+    careful = False if behavior is CAREFUL else prevented(CAREFUL)
+    placebo = None if careful is None else prevented(behavior)
+    return Verdict(event, agent, role, behavior, careful, placebo)
+
+
+def _kept(scenario: Scenario) -> int:
+    """How many frames before a branch are looked at with it: as much as a cause may lie back."""
+    return round(2.0 * LEAD_S / scenario.step_s)
+
+
+def verdict_rows(verdicts: Sequence[Verdict]) -> list[Row]:
+    """A table: one row for each incident and driver who was tried."""
+    return [
+        {
+            "time_s": round(v.event.time_s, 2),
+            "incident": v.event.kind.value,
+            "agent": v.event.agent,
+            "other": v.event.other,
+            "rule": v.event.words,
+            "driver": v.agent,
+            "role": v.role,
+            "behavior": None if v.behavior is None else v.behavior.value,
+            "prevents": v.prevents,
+            "placebo": v.placebo,
+        }
+        for v in verdicts
+    ]
