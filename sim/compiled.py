@@ -78,9 +78,9 @@ def vectorised(function: F) -> F:
     Returns:
         As `compiled`.
     """
-    kernel: Any = compiled(function)
     settings: Any = config
-    if not isinstance(kernel, Dispatcher):  # nothing is compiled (NUMBA_DISABLE_JIT)
+    kernel: Any = compiled(function)
+    if not hasattr(kernel, "compile"):  # nothing is compiled (NUMBA_DISABLE_JIT)
         return cast(F, kernel)
     plain = kernel.compile
 

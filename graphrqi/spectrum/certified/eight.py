@@ -7,7 +7,7 @@ floats, which the compiler keeps in vector registers; it fuses products with sum
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -24,8 +24,8 @@ F = TypeVar("F", bound=Callable[..., object])
 
 def _inlined(function: F) -> F:
     """Compile for the calls of kernels; products and sums may be fused."""
-    kernel = njit(fastmath={"contract"}, error_model="numpy", no_cpython_wrapper=True)(function)
-    return cast(F, kernel)
+    options: Any = {"fastmath": {"contract"}, "no_cpython_wrapper": True}
+    return cast(F, njit(error_model="numpy", **options)(function))
 
 
 @_inlined
