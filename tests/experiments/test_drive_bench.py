@@ -112,7 +112,7 @@ def test_the_recorded_crowd_is_drawn_from_a_population(monkeypatch) -> None:
     monkeypatch.setitem(POLICIES, "watching", (watching, {}))
     drive_one("straight_road", "recorded", "watching", 4, SHORT)
     drive_one("straight_road", MIXED, "watching", 4, SHORT)
-    (recorded, plain), scenario = [tuple(e._agents.values()) for e in seen], seen[1].scenario
+    (recorded, plain), scenario = [tuple(e.agents.values()) for e in seen], seen[1].scenario
     assert plain == sample_agents(scenario, 4)
     assert recorded == sample_agents(scenario, 4, read_population(CROWDS["recorded"].population))
 
