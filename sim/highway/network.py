@@ -130,8 +130,8 @@ class HighwayNetwork:
         """The stretches that a route of edges runs over.
 
         Raises:
-            InputError: if an edge is not of this road, two stretches are not connected, or a ring
-                is driven round again.
+            InputError: if an edge is not of this road, two stretches are not connected, or one is
+                driven over again.
         """
         found: list[tuple[str, str]] = []
         reached_m = 0.0
@@ -142,9 +142,9 @@ class HighwayNetwork:
                 )
             stretch = self.stretch_of[edge]
             begin_m = dict(self.edge_at[stretch])[edge]
-            if not found or found[-1] != stretch:
+            if stretch not in found:
                 found.append(stretch)
-            elif begin_m <= reached_m:
+            elif found[-1] != stretch or begin_m <= reached_m:
                 raise InputError(
                     f"route: found edge {edge!r} again or behind the one before, expected one "
                     "further along"
@@ -169,19 +169,13 @@ class HighwayNetwork:
 
 
 def _without_rings(follows: dict[str, str]) -> dict[str, str]:
-    """The edge that each edge continues as, with every ring opened at one edge."""
-    opened = dict(follows)
-    for edge in follows:
-        at = edge
-        for _ in follows:
-            then = opened.get(at)
-            if then is None:
-                break
-            if then == edge:
-                del opened[at]
-                break
-            at = then
-    return opened
+    """The edge that each edge continues as; edges that only follow one another round stay apart."""
+    chained = set()
+    for edge in follows.keys() - set(follows.values()):
+        while edge in follows:
+            chained.add(edge)
+            edge = follows[edge]
+    return {edge: then for edge, then in follows.items() if edge in chained}
 
 
 @without_collection()  # a city has a million objects, all of which stay

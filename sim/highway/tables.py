@@ -53,7 +53,8 @@ def record_type(**fields: str) -> np.dtype[Any]:
 LANE: Final = record_type(
     length="f8", limit="f8", width="f8", margin="f8", behind="f8",
     connector="?", wrong="?", must_yield="?", must_stop="?",
-    signal="i8", entry="i8", exit="i8", left="i8", right="i8", stretch="i8", opposite="i8", own="i8",
+    signal="i8", entry="i8", exit="i8", left="i8", right="i8", stretch="i8",
+    opposite="i8", own="i8",
     piece="i8", piece_end="i8", turn="i8", turn_end="i8", way="i8", way_end="i8",
     conflict="i8", conflict_end="i8", strip="i8", strip_end="i8",
 )  # fmt: skip
@@ -61,9 +62,10 @@ LANE: Final = record_type(
 
 ``margin``: how far aside a vehicle is still on it, m; ``behind``: how far before it, m;
 ``connector``: whether it crosses a junction; ``wrong``: whether it runs over a lane of the opposite
-direction; ``signal``: the group that guards its entry; ``entry`` and ``exit``: the lanes on which a
-junction path begins and ends; ``left`` and ``right``: lanes that drivers may change to; ``opposite``: the lane over the one
-of the opposite direction beside it; ``own``: the lane beside such a lane.
+direction; ``signal``: the group that guards its entry; ``entry`` and ``exit``: the lanes on which
+a junction path begins and ends; ``left`` and ``right``: lanes that drivers may change to;
+``opposite``: the lane over the one of the opposite direction beside it; ``own``: the lane beside
+such a lane.
 """
 
 PIECE: Final = record_type(

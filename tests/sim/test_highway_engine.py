@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 
@@ -15,6 +16,7 @@ from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Frame, Tracks
 from sim.highway.demand import Demand
+from sim.highway.draws import RUNS_RED, chance, driver_key
 from sim.highway.engine import network_of, read_frame, run
 from sim.highway.motion import CLEAR_AFTER_S
 from sim.highway.traffic import TrafficRoad
@@ -23,6 +25,7 @@ from sim.highway.walkers import Walker, find_footway
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
 
 STRAIGHT = ("east_in", "east_out")
+OPPOSITE = (("east", "west"), ("west", "east"), ("north", "south"), ("south", "north"))
 
 
 def driver(
@@ -67,6 +70,31 @@ def put(
 
 def straight_network():
     return network_of(SCENARIOS["straight_road"]().road)
+
+
+# Draws ---------------------------------------------------------------------------------------
+
+
+def test_draws_depend_on_the_driver_and_the_encounter_alone():
+    keys = [driver_key((0, number)) for number in range(400)]
+    drawn = np.array([[chance(key, RUNS_RED, path) for path in range(5)] for key in keys])
+    assert drawn[7, 3] == chance(driver_key((0, 7)), RUNS_RED, 3)
+    assert len(np.unique(drawn)) == drawn.size
+    assert drawn.mean() == pytest.approx(0.5, abs=0.03)
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(5)).max() < 0.2
+
+
+def test_a_driver_runs_the_same_lights_whoever_else_is_there():
+    agents = [
+        driver(Behavior.CAREFUL, i, route=route, depart_s=8.0 * (i // 4), red_run_probability=0.5)
+        for i, route in enumerate(4 * [(f"{a}_in", f"{b}_out") for a, b in OPPOSITE])
+    ]
+    runs = []
+    for some in (agents, agents[::-1]):
+        scenario = SCENARIOS["four_way_intersection"](duration_s=45.0)
+        events = [e for f in run(scenario, some, 3) for e in f.events]
+        runs.append({e.agent for e in events if e.kind is EventKind.RED_RUN})
+    assert runs[0] == runs[1] != set()
 
 
 # Car following -------------------------------------------------------------------------------
@@ -328,6 +356,20 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
     own_side = seen.xy[0, seen.valid[0]][0, 1]
     assert seen.xy[1, seen.valid[1]][-1, 1] == pytest.approx(own_side, abs=0.5)
     assert not [e for e in seen.events if e.kind is EventKind.COLLISION]
+
+
+def test_nobody_enters_a_short_road_too_fast_to_stop_at_its_light():
+    network = network_of(SCENARIOS["four_way_intersection"]().road)
+    road, lane = TrafficRoad(network), ("east_in<", "east_in>", 0)
+    limits = {k: copy.copy(v) for k, v in network.lanes.items()}
+    limits[lane].speed_limit = 60.0
+    road.network_info = dataclasses.replace(network, lanes=limits)
+    agent = driver(Behavior.CAREFUL, route=("east_in", "west_out"))
+    Demand(road, [agent], 0).enter()
+    (entered,) = road.vehicles
+    left = network.lanes[lane].length - 4.6
+    assert 13.89 < entered.speed < 60.0
+    assert entered.speed**2 / 2.0 / left <= agent.profile.comfort_decel_mps2
 
 
 # Collisions ----------------------------------------------------------------------------------
