@@ -107,11 +107,7 @@ def test_a_dataset_that_is_there_is_not_written_over(tmp_path, capsys):
     arguments = ["--duration-s", "1", "--out", str(out)]
     assert main("straight_road", arguments) == 0
     manifest = (out / "episodes.parquet").read_bytes()
-    said = capsys.readouterr()
-    assert main("straight_road", arguments) == 0
-    again = capsys.readouterr()
-    assert again.out == said.out
-    assert "data: it was there already; nothing was written" in again.err
+    capsys.readouterr()
     assert main("straight_road", [*arguments, "--seed", "5"]) == 2
     assert "expected a new or empty folder" in capsys.readouterr().err
     assert (out / "episodes.parquet").read_bytes() == manifest
