@@ -13,6 +13,7 @@ from graphrqi.graph.sighting import MAX_COORDINATE_M
 from graphrqi.live_answers import LiveAnswers
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
+from graphrqi.other_traffic import Traffic, check_traffic
 from graphrqi.posterior import Posterior
 from graphrqi.prior_shift import PriorShift
 from graphrqi.scene_check import SceneMonitor
@@ -51,6 +52,9 @@ class BehaviorStream:
             nobody's neighbours.
         numbers: infers drivers' car-following numbers along; None for none. Speeds, headings and
             sizes are used then, too.
+        traffic: where the frames come from. The engines of this project are ``simulated``, and the
+            model's own classifier answers, unless positions are noisy. In ``recorded`` and in
+            ``other`` traffic its network for these answers.
         is_scene: False if a check of the whole recording, which sees sizes, found no scene that can
             be believed (`graphrqi.scene_check.check_scene`): everybody is unknown then.
     """
@@ -61,18 +65,20 @@ class BehaviorStream:
         min_seconds: float = MIN_SECONDS,
         window: Window | None = None,
         numbers: LiveNumbers | None = None,
+        traffic: Traffic = "simulated",
         is_scene: bool = True,
     ) -> None:
         self.model = model
+        self.traffic = check_traffic(traffic)
         self._numbers = numbers
         self.window = window
         self.min_seconds = min_seconds
-        self._live = LiveAnswers(model, min_seconds)
+        self._live = LiveAnswers(model, min_seconds, self.traffic)
         self._buffer = FrameBuffer(HISTORY_STEPS)
         self._last: Frame | None = None
         self._prior_shift = PriorShift(np.array(model.shares))
         self._shifted_s = -np.inf
-        self._monitor = SceneMonitor(outlines=False)
+        self._monitor = None if traffic == "simulated" else SceneMonitor(outlines=False)
         self._believed = self._is_scene = is_scene
         self._answered: tuple[NDArray[np.int64], NDArray[np.float64], float] | None = None
 
@@ -104,7 +110,8 @@ class BehaviorStream:
             )
         self._buffer.push(frame)
         self._live.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        self._is_scene = self._monitor.update(frame) and self._believed
+        if self._monitor is not None:
+            self._is_scene = self._monitor.update(frame) and self._believed
         if self._numbers is not None:
             self._numbers.update(frame)
         self._last, self._answered = frame, None
@@ -122,12 +129,20 @@ class BehaviorStream:
     def posterior(self) -> Posterior:
         """Posterior of every driver that is present and was observed long enough."""
         ids, probability, domain = self._answers()
-        # Foreign traffic is offset as a whole, which would be taken for another mix of drivers.
+        # Other traffic is offset as a whole, which would be taken for another mix of drivers.
         shifted = self._prior_shift.corrected(probability)
         answer = (1.0 - domain) * shifted + domain * probability
         if self._is_scene:
             return Posterior(ids, answer, domain)
         return Posterior(ids, answer, domain, np.ones(ids.size))
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether simulated positions are noisier than those that the classifier learned from.
+
+        Its network for noisy traffic answers then.
+        """
+        return self._live.is_noisy
 
     def numbers(self) -> DriverNumbers | None:
         """What is known of the car-following numbers of the drivers present; None if not asked."""
@@ -157,6 +172,7 @@ def load_stream(
     name_or_folder: str | Path = DEFAULT_MODEL,
     window: Window | None = None,
     population: str | Population | None = None,
+    traffic: Traffic = "simulated",
 ) -> BehaviorStream:
     """A stream over a trained model.
 
@@ -166,16 +182,18 @@ def load_stream(
         window: which agents are of interest; None for everybody.
         population: of which drivers are drawn, to infer their car-following numbers along: a name
             or a file; None not to.
+        traffic: where the frames come from: ``simulated`` (by the engines of this project),
+            ``recorded`` or ``other``.
 
     Returns:
         A fresh stream.
 
     Raises:
-        InputError: if there is no such model or population.
+        InputError: if there is no such model, population or kind of traffic.
     """
     numbers = None
     if population is not None:
         from graphrqi.calibrate.live import LiveNumbers
 
         numbers = LiveNumbers(population)
-    return BehaviorStream(load_model(name_or_folder), window=window, numbers=numbers)
+    return BehaviorStream(load_model(name_or_folder), window=window, numbers=numbers, traffic=traffic)
